@@ -16,6 +16,7 @@ from ._functions import (
 )
 from ._geodesics import Budget as Budget, Shot as Shot, Transported as Transported
 from ._interpolated import Interpolated as Interpolated
+from ._leaf import Leaf as Leaf
 from ._manifold import (
     AbstractManifold as AbstractManifold,
     Coordinates as Coordinates,
@@ -44,6 +45,7 @@ __all__ = [
     "Budget",
     "Coordinates",
     "KineticEnergy",
+    "Leaf",
     "Metric",
     "Product",
     "ProductManifold",

@@ -72,6 +72,16 @@ class AbstractManifold(eqx.Module):
         """Indices of the entries of x that are angles on a full circle [rad]."""
         return ()
 
+    @property
+    def redundant(self) -> bool:
+        """Whether some entries of x tell the others, as on a `Leaf`, so that not all have to be measured."""
+        return False
+
+    @property
+    def ambient(self) -> "AbstractManifold":
+        """The manifold whose retraction s are coordinates of: itself, or of a `Leaf` that of the whole space."""
+        return self
+
     @abc.abstractmethod
     def origin(self, dtype: Any = float) -> Configuration:
         """Base configuration: the neutral element of a group, or coordinates 0.
@@ -256,6 +266,47 @@ class AbstractManifold(eqx.Module):
         Returns:
             A configuration without NaN, in the shape of x.
         """
+
+    def shown(self, x: Configuration, present: Bool[Array, "n"], e: Vector) -> Vector:
+        """The displacement that small differences of measured entries show.
+
+        Args:
+            x: configuration.
+            present: mask (n,) of the entries that are measured.
+            e: their differences (n,); others are not used.
+
+        Returns:
+            The displacement (n,): e itself, or of a `Leaf` the one along it that fits best.
+        """
+        return jnp.where(present, e, 0.0)
+
+    def told(self, x: Configuration, present: Bool[Array, "n"]) -> Bool[Array, "n"]:
+        """Which components are known where some are measured.
+
+        Args:
+            x: configuration close to the measurement.
+            present: mask (n,) of the components that are measured.
+
+        Returns:
+            Mask (n,): these, or on a `Leaf` all of them where a few tell the others, as they do but at a dead centre.
+        """
+        return present
+
+    def seen(self, x: Configuration, y: Configuration) -> Configuration:
+        """The measurement y with NaN only in what neither it nor the rest of it tells.
+
+        Args:
+            x: configuration close to the measurement.
+            y: measurement, in the shape of x, with NaN where it is missing.
+
+        Returns:
+            y itself, or on a `Leaf` without NaN where it is `complete`.
+        """
+        return y
+
+    def dead_centre(self, x: Configuration, y: Configuration) -> Flag:
+        """Whether what is measured of y leaves the rest open, as it may on a `Leaf` alone."""
+        return jnp.zeros((), bool)
 
     def unique(self, x: Configuration, y: Configuration) -> Flag:
         """Whether `local(x, y)` is the only shortest s that leads from x to y.

@@ -147,12 +147,13 @@ class AbstractSpace(Functional):
         force = jax.vmap(lambda a: self.connection_force(x, v, a), out_axes=1)
         return force(jnp.eye(zero.shape[0], dtype=zero.dtype))
 
-    def kinetic_force(self, x: Configuration, v: Vector) -> Vector:
+    def kinetic_force(self, x: Configuration, v: Vector, momentum: Vector | None = None) -> Vector:
         """Derivative `½∂<v, v>` of the kinetic energy by the configuration, with constant components of the velocity.
 
         Args:
             x: configuration.
             v: velocity (n,).
+            momentum: momentum (n,) of the motion, which matters only on a `Leaf`; by default that of the velocity.
 
         Returns:
             Covector (n,).
@@ -171,6 +172,52 @@ class AbstractSpace(Functional):
             Vector (n,).
         """
         return self.raise_(x, self.connection_force(x, a, b))
+
+    def acceleration(self, x: Configuration, v: Vector, force: Vector) -> Vector:
+        """Rate v' of the velocity components under a force, `raise(force) − B(v, v)`.
+
+        Args:
+            x: configuration.
+            v: velocity (n,).
+            force: covector (n,).
+
+        Returns:
+            The rate (n,).
+        """
+        return self.raise_(x, force - self.connection_force(x, v, v))
+
+    def projected(self, x: Configuration, a: Vector) -> Vector:
+        """The part of a vector (n,) of the frame along the space: all of it, but on a `Leaf`."""
+        return a
+
+    def restored(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
+        """A motion after a numerical step, without the error that leads off the space, as it may on a `Leaf`.
+
+        Args:
+            x: configuration.
+            v: velocity (n,).
+
+        Returns:
+            The configuration and the velocity (n,) on the space.
+        """
+        return x, v
+
+    def between(self, x: Configuration, y: Configuration, matrix: Float[Array, "N N"]) -> Float[Array, "N N"]:
+        """A linear map of errors (position (n,), velocity (n,), others) at x to those at y, without a part off a `Leaf`.
+
+        Args:
+            x: configuration before.
+            y: configuration after.
+            matrix: the map (N, N).
+
+        Returns:
+            The map (N, N), which is invertible where it was.
+        """
+        return matrix
+
+    def restored_momentum(self, x: Configuration, momentum: Vector) -> tuple[Configuration, Vector]:
+        """As `restored`, for a momentum (n,) in place of a velocity."""
+        return x, momentum
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
         """Riemann curvature `R(a, b)c` at x.

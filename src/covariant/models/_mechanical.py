@@ -547,7 +547,7 @@ def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Flo
         [-0.5]
     """
     covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u)
-    return model.space.raise_(q, covector - model.space.connection_force(q, v, v))
+    return model.space.acceleration(q, v, covector)
 
 
 def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
@@ -678,8 +678,12 @@ def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: Inpu
         return Motion(now.v, acceleration(system, s, now.q, now.v, u(s, system.state(now))))
 
     h = dt / jnp.asarray(steps, motion.v.dtype)
+
     # The time of a step is a product: a running sum of h would accumulate rounding errors.
-    return jax.lax.fori_loop(0, steps, lambda i, now: rule(flow, t + jnp.asarray(i, h.dtype) * h, now, h), motion)
+    def step(i, now):
+        return Motion(*system.space.restored(*rule(flow, t + jnp.asarray(i, h.dtype) * h, now, h)))
+
+    return jax.lax.fori_loop(0, steps, step, motion)
 
 
 def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, dt, steps, rule) -> Motion:
@@ -738,7 +742,7 @@ class MomentumChart(NamedTuple):
         Returns:
             The motion, with its velocity in the frame at its configuration.
         """
-        q = self.system.manifold.retract(self.centre, s)
+        q = self.system.manifold.ambient.retract(self.centre, s)
         return Motion(q, self.system.space.raise_(q, self.system.manifold.carried_momentum(self.centre, s, momentum)))
 
     def flow(self, t: Scalar, now: tuple[Vector, Vector], u: InputLaw) -> tuple[tuple[Vector, Vector], Motion]:
@@ -757,7 +761,7 @@ class MomentumChart(NamedTuple):
         inputs = u(t, x)
         force = applied_force(system, t, q, inputs) + resistance(system, t, q, v, inputs)
         # ½∂<v, v> is the only place where the metric is differentiated: μ in place of v spares the term M' v.
-        force = force + system.space.kinetic_force(q, v)
+        force = force + system.space.kinetic_force(q, v, system.manifold.carried_momentum(self.centre, s, momentum))
         rate = system.manifold.local_rate(self.centre, s, v)
         # −s carries the force back, from the frame at q to that of the centre.
         return (rate, system.manifold.carried_momentum(self.centre, -s, force)), x
@@ -772,5 +776,6 @@ class MomentumChart(NamedTuple):
         Returns:
             The configuration, and the momentum (n,) carried to its frame.
         """
-        manifold = self.system.manifold
-        return manifold.retract(self.centre, s), manifold.carried_momentum(self.centre, s, momentum)
+        space, manifold = self.system.space, self.system.manifold.ambient
+        q, momentum = manifold.retract(self.centre, s), manifold.carried_momentum(self.centre, s, momentum)
+        return space.restored_momentum(q, momentum)

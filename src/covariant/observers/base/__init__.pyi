@@ -1,6 +1,7 @@
 from ._covariance import (
     Covariance as Covariance,
     check_covariance as check_covariance,
+    covariance_along as covariance_along,
     covariance_at as covariance_at,
     isotropic as isotropic,
 )
@@ -35,6 +36,7 @@ from ._protocol import (
     step_length as step_length,
     still as still,
     time_since_measurement as time_since_measurement,
+    readability as readability,
     uniqueness as uniqueness,
 )
 from ._sampled import (

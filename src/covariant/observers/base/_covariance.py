@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -53,3 +54,9 @@ def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Flo
     # A variance in metric units is that times the inverse of the metric.
     metric = space(q)
     return covariance * solve(metric, jnp.eye(metric.shape[0], dtype=metric.dtype))
+
+
+def covariance_along(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
+    """Covariance matrix of velocities at a configuration, which are along the space, also where that is a leaf."""
+    along = jax.vmap(lambda a: space.projected(q, a), in_axes=1, out_axes=1)
+    return along(along(covariance_at(covariance, space, q)).T)

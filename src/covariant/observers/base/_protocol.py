@@ -450,7 +450,7 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
         return self.model.state(Motion(state.q, state.v))
 
     def innovation(self, state: Any, u: Float[Array, "m"], y: Array) -> Vector:
-        return self.model.manifold.towards(state.q, y)
+        return self.model.manifold.ambient.towards(state.q, y)
 
 
 def at_rest(model: MechanicalSystem, y: Array, t: Number) -> SampledState:
@@ -475,6 +475,12 @@ def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
     """`OK` if the shortest path from the estimate to the measurement is unique, else `CUT_LOCUS`."""
     unique = model.manifold.unique(q, model.manifold.measured(q, y))
     return jnp.where(unique, int(StepCode.OK), int(StepCode.CUT_LOCUS)).astype(jnp.int32)
+
+
+def readability(model: MechanicalSystem, q: Array, y: Array) -> Code:
+    """As `uniqueness`, for observers with constant gains: `NOT_RECONSTRUCTIBLE` at a dead centre of what is measured."""
+    dead = model.manifold.dead_centre(q, y)
+    return jnp.where(dead, int(StepCode.NOT_RECONSTRUCTIBLE), uniqueness(model, q, y)).astype(jnp.int32)
 
 
 def as_gain(value: Any) -> Any:
@@ -726,9 +732,15 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     """
     shape = np.shape(record.y)[1:]
     start = observer.configuration(np.arange(math.prod(shape)).reshape(shape)).ravel() if shape else None
+    manifold = getattr(getattr(observer, "model", None), "manifold", None)
+    redundant = manifold is not None and manifold.redundant
+    if redundant and start is not None and not isinstance(record.y, Tracer) and len(np.shape(record.t)):
+        start = start[~np.isnan(np.asarray(record.y, float)[0].ravel()[start])]
     y = record.check(start, missing_inputs=True).y
     if isinstance(y, Tracer):
         return record
+    if redundant:
+        manifold.checked(jnp.asarray(observer.configuration(np.asarray(y)[0])))
     first = np.asarray(y)[0]  # a value even inside a compiled function, where indexing in JAX is traced
     if (np.abs(first) > observer.largest(first)).any():
         raise ValueError("row 1: the measurement is too large for a start; cut the log to begin later")

@@ -24,7 +24,7 @@ from covariant.observers.base import (
     step_result,
     still,
     time_since_measurement,
-    uniqueness,
+    readability,
 )
 
 
@@ -87,6 +87,8 @@ class ModelCopy(AbstractMechanicalObserver):
         gains = sampled_gains(self.alpha, self.beta, waited)
         correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, e, missing)
         new_q, new_v = self.model.manifold.retract(q, -correction.part * e), v + correction.velocity
-        result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
+        result = outcome(
+            new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, readability(self.model, q, y))
+        )
         new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))
         return new, Info(-e, self.model.space.norm(q, e), result)

@@ -27,7 +27,7 @@ from covariant.observers.base import (
     step_result,
     still,
     time_since_measurement,
-    uniqueness,
+    readability,
 )
 from covariant.signals import StepCode
 
@@ -116,7 +116,7 @@ def path_to(model: MechanicalSystem, q: Array, guess: Vector, y: Array, budget: 
     # A geodesic from q to q̂ arrives with −log_q̂(q).
     log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))
     residual = jnp.where(exact, shot.residual, jnp.inf)
-    return Path(log, back, residual, jnp.maximum(uniqueness(model, q, y), shot.result), exact, measured)
+    return Path(log, back, residual, jnp.maximum(readability(model, q, y), shot.result), exact, measured)
 
 
 class Geodesic(AbstractMechanicalObserver):
@@ -199,7 +199,7 @@ class Geodesic(AbstractMechanicalObserver):
         end = space.transport_along(q, displacement, corrected, self.budget)
         new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
         new_v = jnp.where(path.exact, end.w, corrected - space.connection(q, displacement, v))
-        result = outcome(new_q, new_v, y, step_result(correction, path.result))
+        result = outcome(new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, path.result))
         info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
         # The same geodesic from the measurement, shortened: its initial velocity shrinks with its length.
         log = (1 - correction.part) * path.back

@@ -30,7 +30,7 @@ from covariant.observers.base import (
     step_result,
     still,
     time_since_measurement,
-    uniqueness,
+    readability,
 )
 
 
@@ -140,7 +140,9 @@ class Intrinsic(AbstractMechanicalObserver):
         gains = self.sample_gains(waited)
         correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, xi, missing)
         new_q, new_v = self.moved(q, v, -correction.part * xi, correction.velocity)
-        result = outcome(new_q, new_v, y, step_result(correction, uniqueness(self.model, q, y)))
+        result = outcome(
+            new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, readability(self.model, q, y))
+        )
         info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)
         return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), info
 

@@ -39,7 +39,7 @@ from covariant.observers.base import (
     step_result,
     still,
     time_since_measurement,
-    uniqueness,
+    readability,
 )
 from covariant.observers.constant_gain._intrinsic import Intrinsic
 
@@ -187,7 +187,7 @@ class IntrinsicForce(AbstractMechanicalObserver):
         # K3 = k3 (1 − N dt²/12), and the missing acceleration is −Nξ. A late sample says nothing about the force.
         learnt = k3 * space.lower(q, xi + waited * waited / 12 * missing)
         force = state.force - jnp.where(correction.restarted, 0.0, learnt)
-        code = step_result(correction, uniqueness(self.model, q, y))
+        code = step_result(correction, readability(self.model, q, y))
         result = outcome(new_q, jnp.concatenate([new_v, force]), y, code)
         info = IntrinsicForceInfo(self.innovation(state, u, y), space.norm(q, xi), force, result)
         return state._replace(q=new_q, v=new_v, force=force, age=aged(self.model, state, y)), info

@@ -59,4 +59,5 @@ def flow_with_slope(
     axes = jnp.concatenate([jnp.eye(2 * n, len(none), dtype=none.dtype), of_mean])
     end, slope = rk4_step(linearised(rates), t, (jnp.concatenate([q, v, mean]), axes), h)
     end_q, end_v, _ = jnp.split(end, [n, 2 * n])
+    end_q, end_v = model(mean).space.restored(end_q, end_v)
     return (end_q, end_v, end_slow), jnp.concatenate([slope[: 2 * n], of_slow])

@@ -250,4 +250,6 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
         return start(self.model.manifold, state.q, expected.innovation, expected.y, expected.present)
 
     def _result(self, state: Any, new: Any, y: Array, expected: Expectation, verdict: Judged) -> Code:
-        return verdict.result(outcome(new.q, new.v, y, uniqueness(self.model, state.q, expected.y)))
+        return verdict.result(
+            outcome(new.q, new.v, self._manifold.seen(state.q, y), uniqueness(self.model, state.q, expected.y))
+        )

@@ -35,6 +35,7 @@ from covariant.observers.base import (
     at_rest,
     check_covariance,
     check_positive,
+    covariance_along,
     covariance_at,
     diagonal,
     needed_substeps,
@@ -261,7 +262,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         q, v, t, last_input, _ = at_rest(self.model, self._split(y)[0], t)
         slow, readings = self._slow.first(v), self._first_readings(q, jnp.zeros_like(v))
         q = self._without_offset(q, v, slow)
-        root = self._first_root(q, self._velocity_cov(q), slow)
+        present = ~self.model.manifold.missing(self._split(y)[0])
+        root = self._first_root(q, present, self._velocity_cov(q), slow)
         gates = self._sensors.at_start(v)
         missing = None if self.inputs is None else jnp.zeros(self.inputs.mean.shape, bool)
         scale = NoiseScale.at_start(root) if self.adaptive else None
@@ -307,8 +309,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         projected = output.projected(state.root, state.v.shape[0])
         cov = projected @ projected.T + output.noise
         # A restart needs a complete configuration.
-        lost = _too_uncertain(manifold, cov, output.noise) & ~jnp.any(missing)
-        innovation = manifold.towards(state.q, output.y)
+        lost = _too_uncertain(manifold, cov, output.noise) & jnp.all(manifold.told(state.q, ~missing))
+        innovation = manifold.ambient.towards(state.q, output.y)
         sensed = self._sensed(state, u, readings) if self.sensors else None
         return Expectation(output.y, innovation, cov, output.noise, ~missing, lost, (output, sensed))
 
@@ -345,9 +347,10 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _started_anew(
         self, state: KalmanState, corrected: KalmanState, y: Array, expected: Expectation, velocity: Velocity
     ) -> KalmanState:
-        q, n, present = self._start(state, expected), state.v.shape[0], expected.present
+        q, n = self._start(state, expected), state.v.shape[0]
+        present = self.model.manifold.told(q, expected.present)
         # The measurement was corrected by the offset of the predicted slow states, so these states are kept.
-        root = self._first_root(q, velocity.cov, state.slow)
+        root = self._first_root(q, expected.present, velocity.cov, state.slow)
         present_rows = jnp.where(present[:, None], root[:n], 0.0)
         position = semidefinite_root(
             with_block(state.root[:n] @ state.root[:n].T, root[:n, :n] @ root[:n, :n].T, present)
@@ -355,7 +358,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         root = root.at[:n].set(present_rows).at[:n, :n].set(position)
         readings, y = state.readings, self._split(y)[0]
         if readings is not None:
-            readings = Readings(jnp.where(present, y, readings.y), jnp.where(present, 0.0, readings.age))
+            read = expected.present
+            readings = Readings(jnp.where(read, y, readings.y), jnp.where(read, 0.0, readings.age))
         return corrected._replace(q=q, v=velocity.mean, slow=state.slow, root=root, readings=readings)
 
     def _info(self, state: KalmanState, new: KalmanState, expected: Expectation, result: Code) -> KalmanInfo:
@@ -475,7 +479,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     def _displacement(self, state: KalmanState, y: Array, straight: Vector, used: Array) -> Vector:
         """Geodesic `log_q̂ y` (n,); where an entry of y is not used, the coordinate difference `straight` instead."""
-        geodesic = self.model.space.shoot(state.q, self.model.manifold.measured(state.q, y), straight, self.budget)
+        geodesic = self.model.space.shoot(
+            state.q, self.model.manifold.ambient.measured(state.q, y), straight, self.budget
+        )
         reached = jnp.all(jnp.isfinite(geodesic.velocity)) & (geodesic.result != StepCode.NOT_CONVERGED)
         # Without a converged geodesic the coordinate difference replaces it, which equals it to first order.
         return jnp.where(reached & jnp.all(used), geodesic.velocity, straight)
@@ -499,7 +505,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         transition = (
             _with_slow(parallel(space, q, v), state) @ slope @ _with_slow(apart(space, state.q, state.v), state)
         )
-        noise = white_acceleration(covariance_at(self.process_cov, space, q), h)
+        transition = space.between(state.q, q, transition)
+        noise = white_acceleration(covariance_along(self.process_cov, space, q), h)
         if state.slow.shape[0]:
             noise = diagonal(noise, states.walk_root(h).astype(noise.dtype))
         forces = states.forgotten_forces
@@ -531,7 +538,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.w]), (end.q, end.w)
 
         slope, (q, v) = jax.jacfwd(corrected, has_aux=True)(error[: 2 * n])
-        reset = _with_slow(parallel(space, q, v) @ slope, state)
+        reset = space.between(state.q, q, _with_slow(parallel(space, q, v) @ slope, state))
         return Moved(state._replace(q=q, v=v, slow=state.slow + error[2 * n :]), reset)
 
     def root(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
@@ -546,19 +553,22 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     def _velocity_cov(self, q: Array) -> Matrix:
         """Covariance (n, n) of the initial velocity, in the frame at the configuration q."""
-        return covariance_at(self.initial_velocity_cov, self.model.space, q)
+        return covariance_along(self.initial_velocity_cov, self.model.space, q)
 
-    def _first_root(self, q: Array, velocity_cov: Matrix, slow: SlowVector) -> Float[Array, "two_n_k two_n_k"]:
+    def _first_root(
+        self, q: Array, present: Bool[Array, "n"], velocity_cov: Matrix, slow: SlowVector
+    ) -> Float[Array, "two_n_k two_n_k"]:
         """Root of the covariance after a single measurement, from its noise and the covariance of the velocity."""
         noise, slope = self._slopes(q, velocity_cov[0], slow)
+        shown = jax.vmap(lambda e: self.model.manifold.shown(q, present, e), in_axes=1, out_axes=1)
         velocity = semidefinite_root(velocity_cov)
-        motion_root = diagonal(semidefinite_root(noise), velocity)
+        motion_root = diagonal(shown(semidefinite_root(noise)), velocity)
         if not slow.shape[0]:
             return motion_root
         slow_root = self._slow.first_root().astype(motion_root.dtype)
         root = diagonal(motion_root, slow_root)
         # The estimate is the measurement minus its offset: an error of the offset enters it with the opposite sign.
-        return root if slope is None else root.at[: len(velocity), 2 * len(velocity) :].set(-slope @ slow_root)
+        return root if slope is None else root.at[: len(velocity), 2 * len(velocity) :].set(shown(-slope @ slow_root))
 
 
 def _with_slow(matrix: Array, state: KalmanState) -> Array:

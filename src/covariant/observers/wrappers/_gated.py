@@ -166,7 +166,7 @@ class Gated(AbstractObserver):
         if not self._holds_velocity(state):
             verdict = verdict._replace(far=outlying, restart=verdict.restart & ~jnp.any(verdict.moved))
         restart = verdict.restart
-        memory = verdict.memory.used(used, manifold.towards(motion.q, y))
+        memory = verdict.memory.used(used, manifold.ambient.towards(motion.q, y))
         new = state._replace(inner=inner, gate=memory, slip=slip)
         restarted = self._restarted(state, motion, verdict, y)
         # A restart keeps a scale above 1; a smaller one would make the gate too narrow.
@@ -212,7 +212,7 @@ class Gated(AbstractObserver):
     def _restarted(self, state: GatedState, motion: Motion, verdict: Judged, y: Array) -> GatedState:
         """The state at the measured configuration, with the velocity of the verdict if that is credible."""
         manifold = self.model.manifold
-        q = start(manifold, motion.q, manifold.towards(motion.q, y), y, verdict.anew)
+        q = start(manifold, motion.q, manifold.ambient.towards(motion.q, y), y, verdict.anew)
         restarted = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
         if not self._holds_velocity(state):
             return restarted

@@ -1,0 +1,522 @@
+"""Machines with closed loops: the configurations of a space at which a constraint holds, with a connection of their own.
+
+With `A = dc` the rows of the constraint c, `A⁺ = g⁻¹Aᵀ(A g⁻¹Aᵀ)⁻¹` and the orthogonal projection `P = I − A⁺A`, the
+connection of a leaf c = 0 is that of the whole space, changed to
+
+    B̃(a, b) = P B(a, b) + A⁺(∂_a A) b
+
+on the whole space. It has no torsion, every leaf c = const is totally geodesic in it, and on vectors with A b = 0 it is
+the Levi-Civita connection of the leaf. Configurations and vectors stay those of the whole space, n numbers each, so that
+no coordinates on the leaf are chosen, and none can become singular.
+
+Source: Kobayashi & Nomizu 1969, Foundations of Differential Geometry II, chapter VII, for the equation of Gauss.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
+
+from covariant._linalg import pivots, solve
+from covariant._typing import Flag, Matrix, Vector, Vectors
+from covariant.geometry import _geodesics as geodesics
+from covariant.geometry._geodesics import Budget, Shot, Transported
+from covariant.geometry._manifold import AbstractManifold, Configuration
+from covariant.geometry._space import AbstractSpace, derivative, differential
+
+NEWTON_STEPS = 2
+"""Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""
+STAGES = 32
+"""Steps in which the first measurement is reached from the configuration that tells how the loop is assembled."""
+DAMPING = 1e-9
+"""Weight of the last iterate beside a measured coordinate: it decides only what no measured coordinate tells."""
+SINGULAR = 1e-6
+"""Smallest pivot, of a matrix with ones on its diagonal, with which it counts as regular."""
+SAMPLES = 24
+"""Random configurations of the leaf at which the rows of the constraint are compared."""
+
+
+class Normals(NamedTuple):
+    """The vectors across a leaf at a configuration.
+
+    Attributes:
+        rows: Differentials A (m, n) of the constraint.
+        raised: Their vectors g⁻¹Aᵀ, as rows (m, n).
+        gram: `A g⁻¹Aᵀ` (m, m).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry._leaf import Normals
+        >>> Normals(jnp.ones((1, 2)), jnp.ones((1, 2)), 2 * jnp.eye(1)).across(jnp.ones(1)).tolist()
+        [0.5, 0.5]
+    """
+
+    rows: Float[Array, "m n"]
+    raised: Float[Array, "m n"]
+    gram: Float[Array, "m m"]
+
+    def across(self, c: Float[Array, "m"]) -> Vector:
+        """The vector `A⁺c` (n,) across the leaf, along which the constraint changes by c (m,)."""
+        return solve(self.gram, c) @ self.raised
+
+    def along(self, a: Vector) -> Vector:
+        """The part `P a` (n,) of a vector along the leaf."""
+        return a - self.across(self.rows @ a)
+
+
+class Leaf(AbstractSpace):
+    """The configurations of a space at which a constraint holds, such as those of a machine with closed loops.
+
+    Use it for linkages, parallel mechanisms and grippers: open the loops, describe the tree that is left, and state what
+    closes them. Any observer of mechanical systems runs on it unchanged. Configurations and velocities are those of the
+    tree, and every estimate stays on the leaf. A coordinate without an encoder is NaN in the measurements; those that
+    are measured must determine the others, or only `IntrinsicKalman` estimates them.
+
+    Attributes:
+        space: The whole space, such as that of the tree.
+        constraint: Function of a configuration with the value (m,) that is zero on the leaf; its rows must be
+            independent along every motion, see `Leaf.closing`.
+        assembly: A configuration on the leaf. A linkage can be assembled in several ways from the same angles of its
+            motors, so that this one is never guessed.
+
+    Example:
+        A mass on a rod of 2 m, in the plane. It turns without force, and its acceleration is v²/r towards the centre:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.geometry import Euclidean, Leaf
+        >>> circle = Leaf(Euclidean(), lambda x: (x @ x - 4.0)[None] / 2, jnp.array([2.0, 0.0]))
+        >>> v = jnp.array([0.0, 3.0])
+        >>> circle.connection(circle.assembly, v, v).tolist()
+        [4.5, 0.0]
+        >>> circle.manifold.retract(circle.assembly, jnp.array([0.0, 0.1])).round(4).tolist()
+        [1.9975, 0.0999]
+    """
+
+    space: AbstractSpace
+    constraint: Callable[[Configuration], Float[Array, "m"]]
+    assembly: Configuration
+
+    @classmethod
+    def closing(
+        cls, space: AbstractSpace, constraint: Callable[[Configuration], Float[Array, "m"]], near: Configuration
+    ) -> "Leaf":
+        """The leaf through the configuration closest to `near`, with rows of the constraint that are independent.
+
+        Two points of a planar linkage that coincide in space give three rows, of which one is zero everywhere. Such
+        combinations are found at random configurations of the leaf, and left out.
+
+        Args:
+            space: The whole space.
+            constraint: Function of a configuration with the value (m,) that is zero on the leaf.
+            near: Configuration of the linkage as it is assembled, to a few digits.
+
+        Returns:
+            The leaf.
+
+        Raises:
+            ValueError: The loop does not close near this configuration, the number of independent rows changes along
+                the motion, as at a change point, or rows depend on each other differently from place to place, as in an
+                overconstrained linkage.
+
+        Example:
+            >>> import jax.numpy as jnp
+            >>> from covariant.geometry import Euclidean, Leaf
+            >>> def twice(x):
+            ...     return jnp.stack([x @ x - 4.0, 3.0 * (x @ x - 4.0)])
+            >>> Leaf.closing(Euclidean(), twice, jnp.array([1.9, 0.1])).constraint(jnp.array([2.0, 0.0])).shape
+            (1,)
+        """
+        start = _closed(space, constraint, jnp.asarray(near, float))
+        return cls(space, _independent(space, constraint, start), start)
+
+    @property
+    def manifold(self) -> AbstractManifold:
+        return _LeafManifold(self)
+
+    def lower(self, x: Configuration, a: Vector) -> Vector:
+        return self.space.lower(x, a)
+
+    def __call__(self, x: Configuration) -> Matrix:
+        return self.space(x)
+
+    def raise_(self, x: Configuration, mu: Vector) -> Vector:
+        return self.normals(x).along(self.space.raise_(x, mu))
+
+    def connection(self, x: Configuration, a: Vector, b: Vector) -> Vector:
+        normals, free = self.normals(x), self.space.connection(x, a, b)
+        return free - normals.across(self._left(normals, x, a, b, free))
+
+    def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
+        return self.lower(x, self.connection(x, a, b))
+
+    def acceleration(self, x: Configuration, v: Vector, force: Vector) -> Vector:
+        normals, free = self.normals(x), self.space.acceleration(x, v, force)
+        return free - normals.across(normals.rows @ free + self._change(x, v, v))
+
+    def load(self, x: Configuration, v: Vector, force: Vector) -> Float[Array, "m"]:
+        """Force in the joint that closes the loop: the multipliers of the constraint.
+
+        Args:
+            x: Configuration.
+            v: Velocity (n,).
+            force: All other generalised forces (n,) on the system.
+
+        Returns:
+            Multipliers λ (m,), in force per unit of the constraint; `Aᵀλ` (n,) is the generalised force.
+        """
+        normals, free = self.normals(x), self.space.acceleration(x, v, force)
+        return -solve(normals.gram, normals.rows @ free + self._change(x, v, v))
+
+    def kinetic_force(self, x: Configuration, v: Vector, momentum: Vector | None = None) -> Vector:
+        force = self.space.kinetic_force(x, v)
+        if momentum is None:
+            return force
+        # A momentum has a part across the leaf, which v has not; it acts as the rows turn.
+        normals = self.normals(x)
+        across = solve(normals.gram, normals.raised @ momentum)
+        of_rows = differential(self.space.manifold, lambda y: across @ self._rate(y, v), x)
+        return force + of_rows
+
+    def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
+        """Riemann curvature `R(a, b)c` for vectors along the leaf, by the equation of Gauss.
+
+        With the second fundamental form II of the leaf in the whole space, it adds `<II(a, w), II(b, c)> − <II(b, w),
+        II(a, c)>` to the curvature of that, so that no derivative of the projection is needed.
+        """
+        space, normals = self.space, self.normals(x)
+
+        def bend(along):
+            free = space.connection(x, along, c)
+            return solve(normals.gram, self._left(normals, x, along, c, free))
+
+        weight_a, weight_b = bend(b), -bend(a)
+
+        def resisted(w):
+            # Forces instead of vectors: A g⁻¹ of them is a product with raised rows, and no system is transposed.
+            forces = space.connection_force(x, a, w), space.connection_force(x, b, w)
+            changes = self._change(x, a, w), self._change(x, b, w)
+            rows = [normals.raised @ force - change for force, change in zip(forces, changes, strict=True)]
+            return weight_a @ rows[0] + weight_b @ rows[1]
+
+        # `resisted` is linear, so that its derivative is the same at any w.
+        bent = space.raise_(x, jax.grad(resisted)(jnp.zeros_like(a)))
+        return normals.along(space.curvature(x, a, b, c) + bent)
+
+    def transport_along(self, p: Configuration, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
+        end = geodesics.transport_along(_EveryLeaf(self), p, velocity, w, budget)
+        q = self.manifold.ambient.retract(end.q, self._back(end.q))
+        normals = self.normals(q)
+        along = jax.vmap(normals.along)
+        return Transported(q, normals.along(end.velocity), along(end.w.reshape(-1, len(velocity))).reshape(end.w.shape))
+
+    def shoot(self, p: Configuration, q: Configuration, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
+        return geodesics.shoot(_EveryLeaf(self), p, q, guess, budget)
+
+    def projected(self, x: Configuration, a: Vector) -> Vector:
+        return self.normals(x).along(a)
+
+    def between(self, x: Configuration, y: Configuration, matrix: Float[Array, "N N"]) -> Float[Array, "N N"]:
+        n, size = self.manifold.zero(x).shape[0], len(matrix)
+        axes = jnp.eye(size, dtype=matrix.dtype)
+
+        def along(normals):
+            block = jax.vmap(normals.along, in_axes=1, out_axes=1)(axes[:n, :n])
+            return axes.at[:n, :n].set(block).at[n : 2 * n, n : 2 * n].set(block)
+
+        before, after = along(self.normals(x)), along(self.normals(y))
+        # Across the leaf the map is the identity: it stays invertible, and of no effect on what is along the leaf.
+        return after @ matrix @ before + axes - before
+
+    def restored(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
+        q = self.manifold.ambient.retract(x, self._back(x))
+        return q, self.projected(q, v)
+
+    def restored_momentum(self, x: Configuration, momentum: Vector) -> tuple[Configuration, Vector]:
+        q, v = self.restored(x, self.raise_(x, momentum))
+        return q, self.lower(q, v)
+
+    def normals(self, x: Configuration) -> Normals:
+        """The vectors across the leaf at a configuration.
+
+        Args:
+            x: Configuration.
+
+        Returns:
+            The rows A (m, n), their vectors, and `A g⁻¹Aᵀ`.
+        """
+        rows = _rows(self.space, self.constraint, x)
+        raised = jax.vmap(lambda row: self.space.raise_(x, row))(rows)
+        return Normals(rows, raised, rows @ raised.T)
+
+    def regular(self, x: Configuration) -> Flag:
+        """Whether the rows are independent at x: at a change point they are not, and the leaf branches."""
+        return _is_regular(self.normals(x).gram)
+
+    def _rate(self, x: Configuration, b: Vector) -> Float[Array, "m"]:
+        return derivative(self.space.manifold, self.constraint, x, b)
+
+    def _change(self, x: Configuration, a: Vector, b: Vector) -> Float[Array, "m"]:
+        """Change `(∂_a A) b` (m,) of the rows along a, applied to constant components b."""
+        return derivative(self.space.manifold, lambda y: self._rate(y, b), x, a)
+
+    def _left(self, normals: Normals, x: Configuration, a: Vector, b: Vector, free: Vector) -> Float[Array, "m"]:
+        """By how much the connection `free` of the whole space misses that of the leaf, in rows (m,)."""
+        return normals.rows @ free - self._change(x, a, b)
+
+    def _back(self, x: Configuration) -> Vector:
+        """Newton step to the leaf."""
+        return -self.normals(x).across(self.constraint(x))
+
+
+class _EveryLeaf(AbstractSpace):
+    """The whole space with the connection in which each leaf is totally geodesic: geodesics are integrated in it."""
+
+    leaf: Leaf
+
+    @property
+    def manifold(self) -> AbstractManifold:
+        return self.leaf.space.manifold
+
+    def lower(self, x: Configuration, a: Vector) -> Vector:
+        return self.leaf.space.lower(x, a)
+
+    def raise_(self, x: Configuration, mu: Vector) -> Vector:
+        return self.leaf.space.raise_(x, mu)
+
+    def __call__(self, x: Configuration) -> Matrix:
+        return self.leaf.space(x)
+
+    def connection(self, x: Configuration, a: Vector, b: Vector) -> Vector:
+        return self.leaf.connection(x, a, b)
+
+    def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
+        return self.leaf.connection_force(x, a, b)
+
+
+def _of_ambient(name: str) -> Any:
+    """The method of the manifold of the whole space."""
+
+    def method(self, *arguments):
+        return getattr(self.ambient, name)(*arguments)
+
+    return method
+
+
+class _LeafManifold(AbstractManifold):
+    """The manifold of a leaf: configurations and frame of the whole space, and a retraction that stays on the leaf."""
+
+    leaf: Leaf
+
+    @property
+    def ambient(self) -> AbstractManifold:
+        return self.leaf.space.manifold
+
+    @property
+    def redundant(self) -> bool:
+        return True
+
+    @property
+    def commuting(self) -> bool:
+        return self.ambient.commuting
+
+    @property
+    def shape(self) -> tuple[int | None, ...]:
+        return np.shape(self.leaf.assembly)
+
+    @property
+    def rotations(self) -> tuple[tuple[int, ...], ...] | None:
+        return self.ambient.rotations
+
+    @property
+    def circles(self) -> tuple[int, ...]:
+        return self.ambient.circles
+
+    zero = _of_ambient("zero")
+    tangent = _of_ambient("tangent")
+    components = _of_ambient("components")
+    bracket = _of_ambient("bracket")
+    frame_velocity = _of_ambient("frame_velocity")
+    local_rate = _of_ambient("local_rate")
+    carried_momentum = _of_ambient("carried_momentum")
+    missing = _of_ambient("missing")
+    measured_together = _of_ambient("measured_together")
+    admitted = _of_ambient("admitted")
+
+    def origin(self, dtype: Any = float) -> Configuration:
+        return jnp.asarray(self.leaf.assembly, dtype)
+
+    def retract(self, x: Configuration, s: Vector) -> Configuration:
+        y = self.ambient.retract(x, s)
+        for _ in range(NEWTON_STEPS):
+            y = self.ambient.retract(y, self.leaf._back(y))
+        return y
+
+    def local(self, x: Configuration, y: Configuration) -> Vector:
+        return self.leaf.projected(x, self.ambient.local(x, y))
+
+    def retraction_acceleration(self, x: Configuration, a: Vector) -> Vector:
+        normals, free = self.leaf.normals(x), self.ambient.retraction_acceleration(x, a)
+        return normals.along(free) - normals.across(self.leaf._change(x, a, a))
+
+    def towards(self, x: Configuration, y: Configuration) -> Vector:
+        return self.local(x, self.measured(x, y))
+
+    def measured(self, x: Configuration, y: Configuration) -> Configuration:
+        """The configuration on the leaf whose measured entries are closest to those of y, by Gauss–Newton steps."""
+        q = x
+        for _ in range(NEWTON_STEPS):
+            q = self._closer(q, y)
+        return q
+
+    def shown(self, x: Configuration, present: Bool[Array, "n"], e: Vector) -> Vector:
+        rows = self.leaf.normals(x).rows
+        return _Fit.of(rows, present).step(rows, e, jnp.zeros_like(rows[:, 0]))
+
+    def told(self, x: Configuration, present: Bool[Array, "n"]) -> Bool[Array, "n"]:
+        return present | _is_regular(_Fit.of(self.leaf.normals(x).rows, present, 0.0).matrix)
+
+    def seen(self, x: Configuration, y: Configuration) -> Configuration:
+        return jnp.where(self._complete(x, y) & jnp.isnan(y), 0.0, y)
+
+    def dead_centre(self, x: Configuration, y: Configuration) -> Flag:
+        return ~self._complete(x, y) & ~jnp.all(self.missing(y))
+
+    def _complete(self, x: Configuration, y: Configuration) -> Flag:
+        return jnp.all(self.told(x, ~self.missing(y)))
+
+    def unique(self, x: Configuration, y: Configuration) -> Flag:
+        return self.ambient.unique(x, y) & self.leaf.regular(x)
+
+    def checked(self, y: Configuration) -> Configuration:
+        """The configuration on the leaf that the first measurement y shows, from the assembly on."""
+        y = self.ambient.checked(y)
+        complete = ~jnp.any(self.missing(y))
+        # A complete configuration tells itself how the loop is assembled.
+        begin = jnp.where(complete, jnp.nan_to_num(y), self.origin(y.dtype))
+        way = self.ambient.towards(begin, y)
+
+        def follow(k, q):
+            part = jnp.minimum((k + 1) / STAGES, 1.0).astype(way.dtype)
+            waypoint = self.ambient.retract(begin, part * way)
+            return self._closer(q, jnp.where(jnp.isnan(y), y, waypoint))
+
+        q = jax.lax.fori_loop(0, STAGES + 4, follow, begin)
+        if not isinstance(y, Tracer):
+            self._refuse_undetermined(q, y)
+        return q
+
+    def _closer(self, q: Configuration, y: Configuration) -> Configuration:
+        rows = self.leaf.normals(q).rows
+        fit = _Fit.of(rows, ~self.missing(y))
+        return self.ambient.retract(q, fit.step(rows, self.ambient.towards(q, y), self.leaf.constraint(q)))
+
+    def _refuse_undetermined(self, q: Configuration, y: Configuration) -> None:
+        if not bool(jnp.max(jnp.abs(self.leaf.constraint(q))) < CLOSED):
+            raise ValueError(
+                "the first measurement cannot be reached from the way in which the loop is assembled: give another "
+                f"assembly, or a complete first configuration; got {np.asarray(y).round(6).tolist()}"
+            )
+        if not bool(self._complete(q, y)):
+            raise ValueError(
+                "the measured coordinates do not determine the others at the first measurement, as at a dead centre: "
+                "begin elsewhere, measure another coordinate, or give a complete first configuration"
+            )
+
+
+CLOSED = 1e-6
+"""Largest value of the constraint at which a loop counts as closed."""
+
+
+class _Fit(NamedTuple):
+    """The matrix (n, n) of the least squares whose solutions are along a leaf, and the mask of what is measured."""
+
+    matrix: Matrix
+    present: Bool[Array, "n"]
+
+    @classmethod
+    def of(cls, rows: Float[Array, "m n"], present: Bool[Array, "n"], damping: float = DAMPING) -> "_Fit":
+        # On the directions across the leaf the matrix is made regular, without an effect on the solution.
+        across = rows.T @ solve(rows @ rows.T, rows)
+        weights = present.astype(rows.dtype) + damping
+        return cls(across + jnp.diag(weights), present)
+
+    def step(self, rows: Float[Array, "m n"], e: Vector, c: Float[Array, "m"]) -> Vector:
+        """The displacement closest to e in its measured entries, along which the constraint falls by c."""
+        free = solve(self.matrix, jnp.where(self.present, e, 0.0))
+        across = solve(self.matrix, rows.T)
+        return free - across @ solve(rows @ across, rows @ free + c)
+
+
+def _rows(space: AbstractSpace, constraint: Callable, x: Configuration) -> Float[Array, "m n"]:
+    manifold = space.manifold
+    return jax.jacrev(lambda a: constraint(manifold.nudged(x, a)))(manifold.zero(x))
+
+
+def _is_regular(matrix: Matrix) -> Flag:
+    scale = jnp.sqrt(jnp.diag(matrix))
+    scaled = matrix / jnp.where(scale > 0, scale, 1.0)[:, None] / jnp.where(scale > 0, scale, 1.0)
+    return jnp.all(pivots(scaled) > SINGULAR)
+
+
+def _closed(space: AbstractSpace, constraint: Callable, near: Configuration) -> Configuration:
+    """A configuration on the leaf, by Newton steps of least length that allow dependent rows."""
+    x, manifold = near, space.manifold
+    for _ in range(50):
+        c, rows = constraint(x), np.asarray(_rows(space, constraint, x))
+        x = manifold.retract(x, -jnp.asarray(np.linalg.pinv(rows, rcond=SINGULAR) @ np.asarray(c)))
+    left = float(np.max(np.abs(constraint(x))))
+    if not left < CLOSED:
+        raise ValueError(
+            f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give a configuration "
+            "in which it is assembled"
+        )
+    return x
+
+
+def _independent(space: AbstractSpace, constraint: Callable, start: Configuration) -> Callable:
+    """The constraint without combinations of its rows that are zero everywhere on the leaf."""
+    samples = _samples(space, constraint, start)
+    rows = [np.asarray(_rows(space, constraint, x)) for x in samples]
+    ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
+    least, most, count = min(ranks), max(ranks), len(rows[0])
+    if least < most:
+        raise ValueError(
+            f"the rows of the loop have rank {least} and {most} along its motion: at such a change point it can go on in "
+            "two ways; keep away from it, or couple the links otherwise"
+        )
+    if most == count:
+        return constraint
+    # A combination that is zero at all samples is an eigenvector of this sum with the eigenvalue zero.
+    values, vectors = np.linalg.eigh(sum(a @ a.T / np.linalg.norm(a, 2) ** 2 for a in rows) / len(rows))
+    if np.sum(values > SINGULAR**2) > most:
+        raise ValueError(
+            f"the {count} rows of the loop have rank {most}, and depend on each other differently from place to place: "
+            "an overconstrained linkage, which closes by its exact lengths alone; open it at another joint, or give the "
+            "independent rows"
+        )
+    kept = vectors[:, values > SINGULAR**2].T
+    return eqx.Partial(_combined, constraint, jnp.asarray(np.where(np.abs(kept) < SINGULAR, 0.0, kept)))
+
+
+def _combined(constraint: Callable, kept: Float[Array, "k m"], x: Configuration) -> Float[Array, "k"]:
+    return kept @ constraint(x)
+
+
+def _samples(space: AbstractSpace, constraint: Callable, start: Configuration) -> list[Configuration]:
+    """Configurations of a random walk along the leaf."""
+    random, samples, x = np.random.default_rng(0), [start], start
+    for _ in range(SAMPLES):
+        rows = np.asarray(_rows(space, constraint, x))
+        step = random.normal(size=rows.shape[1])
+        step = step - np.linalg.pinv(rows, rcond=SINGULAR) @ (rows @ step)
+        try:
+            x = _closed(space, constraint, space.manifold.retract(x, jnp.asarray(0.3 * step / np.linalg.norm(step))))
+        except ValueError:  # the end of the motion: the walk goes on from the place before
+            continue
+        samples.append(x)
+    return samples
