@@ -1,0 +1,121 @@
+"""Feet of a robot as its base sees them: their places and attitudes from the joints, and the forces on them.
+
+Everything is in the axes of the base, so that neither the place of the robot in the world nor its heading enters.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._functional import Functional
+from covariant._linalg import solve_square
+from covariant._typing import Number, Scalar, Vector
+from covariant.models.robots._space import RobotSpace
+
+
+class Legs(Functional):
+    """The motion of anchors of feet in the axes of a base with an IMU: `x' = f(t, x, u)`.
+
+    The state x is the velocity of the base, gravity, the place of each foot that stands, and the biases of gyro and
+    accelerometer; the input u is what gyro and accelerometer read. It is linear in the state but for the products with
+    the bias of the gyro. Without an accelerometer's bias nothing of the dynamics of the robot enters.
+
+    Attributes:
+        space: Configuration space of the robot, whose base is free.
+        radius: Radius () of the spherical feet [m], which roll; 0 for points.
+        places: Place (F, 3) of the centre of each foot in the frame of its link [m].
+        links: Link of each of the F feet.
+        carrying: Joints that carry each foot.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> robot = models.robots.load("double_pendulum", floating=True)
+        >>> legs = models.robots.Legs(robot.space, jnp.zeros(()), jnp.zeros((1, 3)), ("lower",), ((0, 1),))
+        >>> legs.feet(jnp.zeros(2))[0].round(6).tolist()
+        [[0.0, 0.0, -0.3]]
+    """
+
+    space: RobotSpace
+    radius: Scalar
+    places: Float[Array, "F 3"]
+    links: tuple[str, ...] = eqx.field(static=True)
+    carrying: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+
+    def __call__(self, t: Scalar, x: Vector, u: Float[Array, "6"]) -> Vector:
+        velocity, gravity = x[:3], x[3:6]
+        feet = x[6:-6].reshape(-1, 3)
+        spin, force = u[:3] - x[-6:-3], u[3:] - x[-3:]
+        # A ball that rolls moves its centre by the spin about the ground, which is the radius below the centre.
+        rolling = jnp.cross(spin, self.up(gravity))
+        rates = (
+            force + gravity - jnp.cross(spin, velocity),
+            -jnp.cross(spin, gravity),
+            (rolling - velocity - jnp.cross(spin[None], feet)).ravel(),
+            jnp.zeros(6, x.dtype),
+        )
+        return jnp.concatenate(rates)
+
+    def up(self, gravity: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Vector from the ground to the centre of a foot that stands, in the axes of the base [m]."""
+        return -self.radius.astype(gravity.dtype) / jnp.sqrt(gravity @ gravity) * gravity
+
+    def feet(self, q: Float[Array, "n"]) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 3"]]:
+        """Centres of the feet and rotations of their links in the axes of the base, at positions q of the joints."""
+        x = jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q])
+        poses = jnp.stack([self.space.pose(x, link) for link in self.links])
+        rotations = poses[:, :3, :3]
+        return poses[:, :3, 3] + jnp.sum(rotations * self.places.astype(q.dtype)[:, None, :], axis=2), rotations
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return self.space.tree.coordinates.shape[1]
+
+    def forces(
+        self, q: Vector, dq: Vector, ddq: Vector, u: Float[Array, "6"], turning: Float[Array, "3"], torque: Vector
+    ) -> Float[Array, "F 3"]:
+        """Forces of the ground on the feet [N] in the axes of the base, from `Jᵀf = M_jb (a, ω') + M_jj q̈ + C − τ`.
+
+        The accelerometer holds gravity, so that neither the attitude nor the velocity of the base is needed.
+
+        Args:
+            q: Positions (n,) of the joints.
+            dq: Their rates (n,).
+            ddq: Their accelerations (n,).
+            u: Angular velocity (3,) [rad/s] and specific force (3,) [m/s²] of the base.
+            turning: Angular acceleration (3,) of the base [rad/s²].
+            torque: Torques (n,) of the joints.
+
+        Returns:
+            Force (F, 3) on each foot, for legs of three joints or more; of more, the part that the torques tell.
+        """
+        x = jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q])
+        still = jnp.zeros(3, q.dtype)
+        rates = jnp.concatenate([still, u[:3], dq])
+        accelerations = jnp.concatenate([u[3:], turning, ddq])
+        needed = self.space(x) @ accelerations + self.space.connection_force(x, rates, rates)
+        residual, jacobian = needed[6:] - torque, jax.jacfwd(lambda q: self.feet(q)[0])(q)
+        moved = jacobian.reshape(-1, len(q))
+        return solve_square(moved @ moved.T, moved @ residual).reshape(-1, 3)
+
+
+def legs(space: RobotSpace, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:
+    """Legs of a robot with a free base, with feet at `{link: (x, y, z)}`; raises `ValueError` for what they cannot be."""
+    if not (space.floating and len(space.tree.balls) == 0):
+        raise ValueError("legged_base: the base must be free, and no joint a ball joint")
+    if not feet or any(np.shape(place) != (3,) for place in feet.values()):
+        raise ValueError("legged_base: feet needs the place of each foot in its link, {LINK: [x, y, z]} in m")
+    tree, links = space.tree, tuple(feet)
+    carried, rates = tree.carried(), np.asarray(tree.coordinates) != 0
+    bodies = [space.links.of(link)[0] for link in links]
+    joints = [(carried[:, body] @ rates).nonzero()[0].tolist() if body >= 0 else [] for body in bodies]
+    for link, carrying in zip(links, joints, strict=True):
+        if len(carrying) < 3:
+            raise ValueError(f"legged_base: {link} is carried by {len(carrying)} joints; a foot needs three or more")
+    places = jnp.asarray(list(map(list, feet.values())), float)
+    return Legs(space, jnp.asarray(radius, float), places, links, tuple(map(tuple, joints)))
