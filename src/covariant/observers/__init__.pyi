@@ -3,7 +3,7 @@ from ._names import (
     SMOOTHED as SMOOTHED,
     STATE_OBSERVER_NAMES as STATE_OBSERVER_NAMES,
 )
-from ._registry import REGISTRY as REGISTRY, Entry as Entry
+from ._registry import REGISTRY as REGISTRY, Entry as Entry, on_legs as on_legs
 from .base import (
     AbstractFlowObserver as AbstractFlowObserver,
     AbstractMechanicalObserver as AbstractMechanicalObserver,

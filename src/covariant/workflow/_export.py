@@ -155,8 +155,9 @@ def export(
         check_wasm_compiler()
     label = models.spec_name(model)
     progress("reading the model")
-    family = open_family(model, overrides, parameters)
-    file = models.load(model, overrides) if family is None else family.file
+    file = models.load(model, overrides)
+    family = open_family(model, overrides, parameters) if file.mechanical else None
+    file = file if family is None else family.file
     logged = None if log is None else load(Job(model, log, overrides), score=False)
     if logged is not None:
         file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks

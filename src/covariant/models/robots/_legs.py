@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 from covariant._linalg import solve_square
 from covariant._typing import Number, Scalar, Vector
+from covariant.geometry.lie import SO3
 from covariant.models.robots._space import RobotSpace
 
 
@@ -47,29 +48,51 @@ class Legs(Functional):
     carrying: tuple[tuple[int, ...], ...] = eqx.field(static=True)
 
     def __call__(self, t: Scalar, x: Vector, u: Float[Array, "6"]) -> Vector:
-        velocity, gravity = x[:3], x[3:6]
-        feet = x[6:-6].reshape(-1, 3)
+        start = jnp.zeros((), x.dtype)
+        return jax.jvp(lambda dt: self.step(x, u, dt), (start,), (jnp.ones_like(start),))[1]
+
+    def step(self, x: Vector, u: Float[Array, "6"], dt: Scalar) -> Vector:
+        """The state dt later, for constant readings of the IMU, to the third order in what the base turns meanwhile."""
+        velocity, gravity, feet = x[:3], x[3:6], x[6:-6].reshape(-1, 3)
         spin, force = u[:3] - x[-6:-3], u[3:] - x[-3:]
+        turn = spin * dt
+        # Means over dt and over the times before, in the axes at the start, of a force that turns with the base.
+        once = jnp.cross(turn, force)
+        mean, weighted = force + once / 2 + jnp.cross(turn, once) / 6, force + once / 3
         # A ball that rolls moves its centre by the spin about the ground, which is the radius below the centre.
-        rolling = jnp.cross(spin, self.up(gravity))
-        rates = (
-            force + gravity - jnp.cross(spin, velocity),
-            -jnp.cross(spin, gravity),
-            (rolling - velocity - jnp.cross(spin[None], feet)).ravel(),
-            jnp.zeros(6, x.dtype),
-        )
-        return jnp.concatenate(rates)
+        change = jnp.cross(turn, self.up(gravity)) - dt * velocity - dt**2 / 2 * (gravity + weighted)
+        back = SO3.exp(-turn)
+        vectors = jnp.concatenate([(velocity + dt * (gravity + mean))[None], gravity[None], feet + change[None]])
+        return jnp.concatenate([(vectors @ back.T).ravel(), x[-6:]])
 
     def up(self, gravity: Float[Array, "3"]) -> Float[Array, "3"]:
         """Vector from the ground to the centre of a foot that stands, in the axes of the base [m]."""
         return -self.radius.astype(gravity.dtype) / jnp.sqrt(gravity @ gravity) * gravity
 
-    def feet(self, q: Float[Array, "n"]) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 3"]]:
-        """Centres of the feet and rotations of their links in the axes of the base, at positions q of the joints."""
-        x = jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q])
-        poses = jnp.stack([self.space.pose(x, link) for link in self.links])
-        rotations = poses[:, :3, :3]
-        return poses[:, :3, 3] + jnp.sum(rotations * self.places.astype(q.dtype)[:, None, :], axis=2), rotations
+    def feet(self, q: Float[Array, "n"]) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 3"], Float[Array, "F 3 n"]]:
+        """Feet at positions q of the joints, in the axes of the base.
+
+        Returns:
+            Centres of the feet, rotations of their links, and derivatives of the centres by q.
+        """
+        tree, joints = self.space.tree, self.space.joints(jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q]))
+        turn, slide, rates = (part.astype(q.dtype) for part in (tree.turn, tree.slide, tree.coordinates))
+        every = []
+        for link, place in zip(self.links, self.places.astype(q.dtype), strict=True):
+            body, rotation, origin = self.space.links.of(link)
+            path: list[int] = []
+            while body >= 0:
+                path, body = [body, *path], tree.parents[body]
+            attitude, at, axes = jnp.eye(3, dtype=q.dtype), jnp.zeros(3, q.dtype), []
+            for body in path:
+                at, attitude = at + attitude @ joints.place[body], attitude @ joints.rotation[body]
+                axes.append((attitude @ turn[body], attitude @ slide[body], at, rates[body]))
+            rotation, origin = rotation.astype(q.dtype), origin.astype(q.dtype)
+            foot = at + attitude @ (origin + rotation @ place)
+            slope = sum(jnp.outer(jnp.cross(axis, foot - hinge) + along, rate) for axis, along, hinge, rate in axes)
+            every.append((foot, attitude @ rotation, slope))
+        centres, rotations, slopes = (jnp.stack(part) for part in zip(*every, strict=True))
+        return centres, rotations, slopes
 
     @property
     def joints(self) -> int:
@@ -99,8 +122,7 @@ class Legs(Functional):
         rates = jnp.concatenate([still, u[:3], dq])
         accelerations = jnp.concatenate([u[3:], turning, ddq])
         needed = self.space(x) @ accelerations + self.space.connection_force(x, rates, rates)
-        residual, jacobian = needed[6:] - torque, jax.jacfwd(lambda q: self.feet(q)[0])(q)
-        moved = jacobian.reshape(-1, len(q))
+        residual, moved = needed[6:] - torque, self.feet(q)[2].reshape(-1, len(q))
         return solve_square(moved @ moved.T, moved @ residual).reshape(-1, 3)
 
 

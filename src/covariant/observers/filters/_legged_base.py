@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import StateSpace
@@ -26,8 +26,10 @@ from covariant.observers.base import AbstractObserver, LastInput, check_finite, 
 from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import StepCode
 
-GATE = 5.0
+THRESHOLD = 5.0
 """Squared distance of a foot from its anchor, by its covariance, from which on it is anchored anew: 17 % of a χ² of 3."""
+FIRST = slice(6, 9)
+"""Anchor of the first foot in a state."""
 PATIENCE = 0.5
 """Time [s] without any foot on its anchor after which the estimate starts anew: longer than a jump."""
 
@@ -85,10 +87,10 @@ class LeggedBase(AbstractObserver):
         measurement_cov: Covariance (p, p) of a reading of the joints [rad² or m²].
         start: First estimate (n,), anchors left open.
         start_cov: Its covariance (n, n).
-        gate: Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew.
+        threshold: Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew.
 
     Raises:
-        ValueError: A covariance or the start is not finite, or the gate is not positive.
+        ValueError: A covariance or the start is not finite, or the threshold is not positive.
     """
 
     model: StateSpace
@@ -96,7 +98,7 @@ class LeggedBase(AbstractObserver):
     measurement_cov: Float[Array, "p p"]
     start: Vector
     start_cov: Matrix
-    gate: float | Scalar = GATE
+    threshold: float | Scalar = THRESHOLD
 
     def __check_init__(self):
         check_finite(
@@ -106,7 +108,7 @@ class LeggedBase(AbstractObserver):
             start=self.start,
             start_cov=self.start_cov,
         )
-        check_positive("LeggedBase", gate=self.gate)
+        check_positive("LeggedBase", threshold=self.threshold)
 
     @property
     def _legs(self) -> Any:
@@ -140,7 +142,7 @@ class LeggedBase(AbstractObserver):
         x, cov = jnp.asarray(self.start, places.dtype), jnp.asarray(self.start_cov, places.dtype)
         for i in range(len(places)):
             at = slice(6 + 3 * i, 9 + 3 * i)
-            x, cov = x.at[at].set(places[i]), cov.at[at].set(0.0).at[:, at].set(0.0).at[at, at].set(noise[i])
+            x, cov = x.at[at].set(places[i]), _with_block(cov, at, noise[i])
         return self._on_sphere(x, cov)
 
     def estimate(self, state: LeggedBaseState) -> Vector:
@@ -157,10 +159,10 @@ class LeggedBase(AbstractObserver):
         Returns:
             The predicted state.
         """
-        flow, real = self.model.f, state.x.dtype
+        real = state.x.dtype
 
         def ahead(x, u):
-            new = rk4(lambda s, x: flow(s, x, u), state.t, x, dt, 1)
+            new = self._legs.step(x, u, dt)
             return new, new
 
         (by_state, by_input), x = jax.jacfwd(ahead, (0, 1), has_aux=True)(state.x, u)
@@ -172,7 +174,7 @@ class LeggedBase(AbstractObserver):
         pushed = by_input * jnp.sqrt(imu)[None]
         spacing = jnp.where(dt > 0, dt, 1.0)
         added = jnp.diag(jnp.where(jnp.arange(len(x)) < 6, 0.0, density) * dt)
-        cov = by_state @ state.cov @ by_state.T + pushed @ pushed.T / spacing + added
+        cov = _symmetric(by_state @ (state.cov @ by_state.T) + pushed @ pushed.T / spacing + added)
         return state._replace(x=x, t=state.t + dt, cov=cov, alone=state.alone + dt)
 
     def correct(
@@ -200,30 +202,37 @@ class LeggedBase(AbstractObserver):
         moved = _turns(turned, state.turned)
         rolled = jnp.cross(moved, self._legs.up(x[3:6])[None])
         x = x.at[6:-6].add(rolled.ravel())
-        every = jnp.eye(len(x), dtype=real)
-        shown = every[6:-6].reshape(feet, 3, len(x))
+        # Each turn handles the foot whose anchor comes first, and moves it behind the others.
+        order = np.concatenate([np.arange(6), np.roll(np.arange(6, len(x) - 6), -3), np.arange(len(x) - 6, len(x))])
 
         def foot(carry, item):
             x, cov = carry
-            place, noise, shown, read, down = item
-            gain_root = shown @ cov
-            spread = gain_root @ shown.T + noise
-            innovation = place - shown @ x
+            place, noise, read, down = item
+            spread = cov[FIRST, FIRST] + noise
+            innovation = place - x[FIRST]
             square = innovation @ solve(spread, innovation)
-            stands = read & down & (square < jnp.asarray(self.gate, real))
-            gain = solve(spread, gain_root).T
-            remaining = every - gain @ shown
-            corrected = self._on_sphere(x + gain @ innovation, remaining @ cov @ remaining.T + gain @ noise @ gain.T)
-            others = every - shown.T @ shown
-            anew = others @ x + shown.T @ place, others @ cov @ others.T + shown.T @ noise @ shown
-            new = jax.tree.map(lambda one, other, old: _choose(stands, one, _choose(read, other, old)), corrected, anew, carry)
-            return new, (jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0), stands)
+            stands = read & down & (square < jnp.asarray(self.threshold, real))
+            gain = solve(spread, cov[FIRST]).T
+            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H takes three entries out.
+            once = cov - gain @ cov[FIRST]
+            used = self._on_sphere(x + gain @ innovation, once - (once[:, FIRST] - gain @ noise) @ gain.T)
+            anew = x.at[FIRST].set(place), _with_block(cov, FIRST, noise)
+            new = (
+                _choose(stands, *both)
+                for both in zip(used, (_choose(read, *each) for each in zip(anew, carry)), strict=True)
+            )
+            x, cov = new
+            return (x[order], cov[np.ix_(order, order)]), (
+                _choose(stands, innovation, 0.0),
+                _choose(stands, square, 0.0),
+                stands,
+            )
 
-        (x, cov), (off, squares, standing) = jax.lax.scan(foot, (x, state.cov), (places, noise, shown, read, down))
+        (x, cov), (off, squares, standing) = jax.lax.scan(foot, (x, state.cov), (places, noise, read, down))
         alone = jnp.where(jnp.any(standing), 0.0, state.alone)
         lost = (alone > PATIENCE) & jnp.all(read)
         x, cov = jax.tree.map(lambda new, old: jnp.where(lost, new, old), self._start(places, noise), (x, cov))
-        new = state._replace(x=x, cov=(cov + cov.T) / 2, turned=turned, alone=jnp.where(lost, 0.0, alone))
+        new = state._replace(x=x, cov=_symmetric(cov), turned=turned, alone=jnp.where(lost, 0.0, alone))
         result = jnp.where(jnp.any(read), int(StepCode.OK), int(StepCode.COASTED))
         result = jnp.where(lost, int(StepCode.RESTARTED), result)
         finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(cov))
@@ -239,11 +248,7 @@ class LeggedBase(AbstractObserver):
         joints = self._joints
         q = jnp.where(jnp.isnan(y[:joints]), 0.0, y[:joints])
 
-        def feet(q):
-            places, turned = self._legs.feet(q)
-            return places, (places, turned)
-
-        slopes, (places, turned) = jax.jacfwd(feet, has_aux=True)(q)
+        places, turned, slopes = self._legs.feet(q)
         noise = jnp.asarray(self.measurement_cov, y.dtype)[:joints, :joints]
         least = 1e-10 * jnp.eye(3, dtype=y.dtype)[None]  # straight legs show one direction poorly, and not exactly
         return places, turned, slopes @ noise @ jnp.swapaxes(slopes, 1, 2) + least, slopes
@@ -252,8 +257,19 @@ class LeggedBase(AbstractObserver):
         """The state whose gravity has the magnitude that it has at the start, and a covariance across it only."""
         start = jnp.asarray(self.start, x.dtype)[3:6]
         gravity = jnp.sqrt(start @ start / (x[3:6] @ x[3:6])) * x[3:6]
-        across = jnp.eye(len(x), dtype=x.dtype).at[3:6, 3:6].add(-jnp.outer(gravity, gravity) / (start @ start))
-        return x.at[3:6].set(gravity), across @ cov @ across
+        across = jnp.eye(3, dtype=x.dtype) - jnp.outer(gravity, gravity) / (start @ start)
+        cov = cov.at[3:6].set(across @ cov[3:6])
+        return x.at[3:6].set(gravity), _symmetric(cov.at[:, 3:6].set(cov[:, 3:6] @ across))
+
+
+def _symmetric(cov: Matrix) -> Matrix:
+    """A symmetric matrix without its rounding; when lowered, half the work."""
+    return jnp.where(np.tri(len(cov), dtype=bool).T, cov, cov.T)
+
+
+def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
+    """A covariance in which some entries have their own, and none with the others."""
+    return cov.at[at].set(0.0).at[:, at].set(0.0).at[at, at].set(block)
 
 
 def _choose(flag: Array, one: Array, other: Array) -> Array:
@@ -268,7 +284,12 @@ def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:
 def _turns(new: Float[Array, "F 3 3"], old: Float[Array, "F 3 3"]) -> Float[Array, "F 3"]:
     """Small rotation vectors, in the axes of the base, that lead from old rotations to new ones."""
     change = jnp.sum(new[:, :, None, :] * old[:, None, :, :], axis=3)
-    return jnp.stack([change[:, 2, 1] - change[:, 1, 2], change[:, 0, 2] - change[:, 2, 0], change[:, 1, 0] - change[:, 0, 1]], 1) / 2
+    return (
+        jnp.stack(
+            [change[:, 2, 1] - change[:, 1, 2], change[:, 0, 2] - change[:, 2, 0], change[:, 1, 0] - change[:, 0, 1]], 1
+        )
+        / 2
+    )
 
 
 def legged_base(model: StateSpace, noise: StateNoise) -> LeggedBase:
