@@ -90,6 +90,7 @@ from .filters import (
     StateEKFState as StateEKFState,
     StateNoise as StateNoise,
     UKFState as UKFState,
+    legged_base as legged_base,
     noise_step as noise_step,
     smooth as smooth,
 )

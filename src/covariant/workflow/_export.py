@@ -163,7 +163,7 @@ def export(
         file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
     if not file.mechanical and certificate is not None:
         raise ValueError(f"certificate is for mechanical models; {label} is a state-space model")
-    if not file.mechanical and float(np.max(file.delay)) > 0:
+    if not kind_of(file).makes_up_for_delays and float(np.max(file.delay)) > 0:
         raise ValueError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
     designed = design(file, observer, gains, rate, logged, metric=metric, spec=label)
     refusals, assumed = designed.explain_gate() if gate else (UNGATED, "")

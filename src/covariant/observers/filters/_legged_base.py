@@ -60,7 +60,8 @@ class LeggedBaseInfo(NamedTuple):
     Attributes:
         innovation: Smallest change (p,) of the joints that puts each foot on its anchor [rad or m]; 0 for feet that
             were anchored anew, and for flags.
-        distance: Square root of the sum of the squared distances of the feet that stood, by their covariances.
+        distance: Square root of the sum of `squares`.
+        squares: Squared distance (F,) of each foot that stood from its anchor, by its covariance; 0 for others.
         state_std: Standard deviations (n,) of the states.
         standing: Which feet (F,) were on their anchors.
         result: A `covariant.signals.StepCode` code.
@@ -68,6 +69,7 @@ class LeggedBaseInfo(NamedTuple):
 
     innovation: Vector
     distance: Scalar
+    squares: Float[Array, "F"]
     state_std: Vector
     standing: Bool[Array, "F"]
     result: Code
@@ -241,7 +243,7 @@ class LeggedBase(AbstractObserver):
         each = jnp.stack([slopes[i].T @ solve(_regular(slopes[i]), off[i]) for i in range(feet)])
         innovation = jnp.concatenate([jnp.sum(each, axis=0), jnp.zeros(len(y) - joints, real)])
         std = jnp.sqrt(jnp.diag(new.cov))
-        return new, LeggedBaseInfo(innovation, jnp.sqrt(jnp.sum(squares)), std, standing, result)
+        return new, LeggedBaseInfo(innovation, jnp.sqrt(jnp.sum(squares)), squares, std, standing, result)
 
     def _read(self, y: Float[Array, "p"]) -> tuple[Array, Array, Array, Array]:
         """Places and rotations of the feet, the covariance of the places, and their slopes by the joints."""
