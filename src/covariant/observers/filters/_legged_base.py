@@ -11,6 +11,7 @@ Source: Bloesch et al. 2012, State estimation for legged robots, RSS; Hartley, G
 Contact-aided invariant extended Kalman filtering for robot state estimation, IJRR 39(4).
 """
 
+import math
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,7 +25,7 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
 from covariant.observers.filters._state_noise import StateNoise
-from covariant.signals import StepCode
+from covariant.signals import Record, StepCode
 
 THRESHOLD = 5.0
 """Squared distance of a foot from its anchor, by its covariance, from which on it is anchored anew: 17 % of a χ² of 3."""
@@ -245,6 +246,34 @@ class LeggedBase(AbstractObserver):
         std = jnp.sqrt(jnp.diag(new.cov))
         return new, LeggedBaseInfo(innovation, jnp.sqrt(jnp.sum(squares)), squares, std, standing, result)
 
+    def contact_forces(
+        self, record: Record, torque: Float[Array, "T n"], cutoff: float = 100.0
+    ) -> Float[np.ndarray, "T F 3"]:
+        """Forces of the ground on the feet along a log, for a look at contacts: no part of the estimate.
+
+        The accelerometer holds gravity and the motion of the base, so that only masses and torques enter besides. What
+        joints lose in friction counts as force.
+
+        Args:
+            record: A log of this observer, in rows that are evenly spaced.
+            torque: Torques (T, n) of the joints, each from its row to the next [N m].
+            cutoff: Cutoff [Hz] of the low-pass filter of the forces; joint rates are filtered at 40 % of it.
+
+        Returns:
+            Force (T, F, 3) [N] on each foot in the axes of the base. Its part along minus the estimated gravity is the
+            load of the foot.
+        """
+        t, u, y = (np.asarray(part, float) for part in (record.t, record.u, record.y))
+        q, dt = y[:, : self._joints], float(np.median(np.diff(t)))
+        difference = np.diff(q, axis=0, prepend=q[:1]) / dt
+        rates = _low_pass(difference, 0.4 * cutoff * dt)
+        accelerations = np.diff(difference, axis=0, prepend=difference[:1]) / dt
+        # What the IMU and the torques were from a row to the next is known at the next, as its positions are.
+        u, torque = (np.concatenate([part[:1], part[:-1]]) for part in (u, np.asarray(torque, float)))
+        turning = np.diff(u[:, :3], axis=0, prepend=u[:1, :3]) / dt
+        forces = jax.jit(jax.vmap(self._legs.forces))(q, rates, accelerations, u, turning, torque)
+        return _low_pass(np.asarray(forces), cutoff * dt)
+
     def _read(self, y: Float[Array, "p"]) -> tuple[Array, Array, Array, Array]:
         """Places and rotations of the feet, the covariance of the places, and their slopes by the joints."""
         joints = self._joints
@@ -272,6 +301,12 @@ def _symmetric(cov: Matrix) -> Matrix:
 def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
     """A covariance in which some entries have their own, and none with the others."""
     return cov.at[at].set(0.0).at[:, at].set(0.0).at[at, at].set(block)
+
+
+def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
+    """First-order low-pass filter along the first axis, for a cutoff in cycles a sample."""
+    kept = math.exp(-2 * math.pi * cutoff)
+    return np.asarray(jax.lax.scan(lambda y, x: (kept * y + (1 - kept) * x,) * 2, jnp.zeros(x.shape[1:]), x)[1])
 
 
 def _choose(flag: Array, one: Array, other: Array) -> Array:
