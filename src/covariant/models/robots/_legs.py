@@ -23,7 +23,7 @@ class Legs(Functional):
 
     The state x is the velocity of the base, gravity, the place of each foot that stands, and the biases of gyro and
     accelerometer; the input u is what gyro and accelerometer read. It is linear in the state but for the products with
-    the bias of the gyro. Without an accelerometer's bias nothing of the dynamics of the robot enters.
+    the bias of the gyro, and nothing of the dynamics of the robot enters.
 
     Attributes:
         space: Configuration space of the robot, whose base is free.
@@ -127,7 +127,7 @@ class Legs(Functional):
 
 
 def legs(space: RobotSpace, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:
-    """Legs of a robot with a free base, with feet at `{link: (x, y, z)}`; raises `ValueError` for what they cannot be."""
+    """Legs of a robot with a free base, with feet at `{link: (x, y, z)}`; raises `ValueError` for others."""
     if not (space.floating and len(space.tree.balls) == 0):
         raise ValueError("legged_base: the base must be free, and no joint a ball joint")
     if not feet or any(np.shape(place) != (3,) for place in feet.values()):

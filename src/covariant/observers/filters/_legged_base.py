@@ -14,7 +14,6 @@ Contact-aided invariant extended Kalman filtering for robot state estimation, IJ
 import math
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +27,7 @@ from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import Record, StepCode
 
 THRESHOLD = 5.0
-"""Squared distance of a foot from its anchor, by its covariance, from which on it is anchored anew: 17 % of a χ² of 3."""
+"""Squared distance of a foot from its anchor, by its covariance, from which on it is anchored anew: χ² at 17 %."""
 FIRST = slice(6, 9)
 """Anchor of the first foot in a state."""
 PATIENCE = 0.5
@@ -218,18 +217,12 @@ class LeggedBase(AbstractObserver):
             gain = solve(spread, cov[FIRST]).T
             # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H takes three entries out.
             once = cov - gain @ cov[FIRST]
-            used = self._on_sphere(x + gain @ innovation, once - (once[:, FIRST] - gain @ noise) @ gain.T)
-            anew = x.at[FIRST].set(place), _with_block(cov, FIRST, noise)
-            new = (
-                _choose(stands, *both)
-                for both in zip(used, (_choose(read, *each) for each in zip(anew, carry)), strict=True)
-            )
-            x, cov = new
-            return (x[order], cov[np.ix_(order, order)]), (
-                _choose(stands, innovation, 0.0),
-                _choose(stands, square, 0.0),
-                stands,
-            )
+            used, used_cov = self._on_sphere(x + gain @ innovation, once - (once[:, FIRST] - gain @ noise) @ gain.T)
+            anew, anew_cov = x.at[FIRST].set(place), _with_block(cov, FIRST, noise)
+            x = jnp.where(stands, used, jnp.where(read, anew, x))
+            cov = jnp.where(stands, used_cov, jnp.where(read, anew_cov, cov))
+            off, square = jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0)
+            return (x[order], cov[np.ix_(order, order)]), (off, square, stands)
 
         (x, cov), (off, squares, standing) = jax.lax.scan(foot, (x, state.cov), (places, noise, read, down))
         alone = jnp.where(jnp.any(standing), 0.0, state.alone)
@@ -247,7 +240,7 @@ class LeggedBase(AbstractObserver):
         return new, LeggedBaseInfo(innovation, jnp.sqrt(jnp.sum(squares)), squares, std, standing, result)
 
     def contact_forces(
-        self, record: Record, torque: Float[Array, "T n"], cutoff: float = 100.0
+        self, record: Record, torque: Float[np.ndarray, "T n"], cutoff: float = 100.0
     ) -> Float[np.ndarray, "T F 3"]:
         """Forces of the ground on the feet along a log, for a look at contacts: no part of the estimate.
 
@@ -307,10 +300,6 @@ def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
     """First-order low-pass filter along the first axis, for a cutoff in cycles a sample."""
     kept = math.exp(-2 * math.pi * cutoff)
     return np.asarray(jax.lax.scan(lambda y, x: (kept * y + (1 - kept) * x,) * 2, jnp.zeros(x.shape[1:]), x)[1])
-
-
-def _choose(flag: Array, one: Array, other: Array) -> Array:
-    return jnp.where(flag, one, other)
 
 
 def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:
