@@ -350,7 +350,7 @@ REGISTRY = (
         tuned_by="state noise",
         about="an IMU integrated, with feet that stand as anchors; a foot that is off is anchored anew at once",
         when="the velocity of a robot on legs, without flags of contact, masses or torques",
-        source="Bloesch et al. 2012; Hartley, Ghaffari, Eustice & Grizzle 2020, in the axes of the base",
+        source="Hartley, Ghaffari, Eustice & Grizzle 2020, in the axes of the base",
         fits=on_legs,
         has_gate=True,
     ),

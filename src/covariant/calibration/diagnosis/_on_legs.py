@@ -35,13 +35,17 @@ def late_encoders(file: ModelFile, record: Record) -> list[Finding] | None:
         return None
     usual = float(np.median(np.diff(t)))
     step = max(LEAST_STEP, usual)
-    noise = StateNoise(
-        *(jnp.diag(jnp.broadcast_to(jnp.asarray(std), count) ** 2) for std, count in _stds(file)[:2]),
-        jnp.asarray(file.initial_state),
-        jnp.diag(jnp.asarray(file.initial_std) ** 2),
-        1 / usual,
+    model: Any = file.model
+    process, reading, first = (
+        jnp.diag(jnp.broadcast_to(jnp.asarray(std), count) ** 2)
+        for std, count in (
+            (file.process_std, file.dimension),
+            (file.measurement_std, y.shape[1]),
+            (file.initial_std, file.dimension),
+        )
     )
-    observer, known = legged_base(file.model, noise), float(np.max(file.delay))
+    observer = legged_base(model, StateNoise(process, reading, jnp.asarray(file.initial_state), first, 1 / usual))
+    known = float(np.max(file.delay))
     standing, off = [], []
     for shift in SHIFTS:
         moved = np.stack([np.interp(t + known + shift * step, t, column) for column in y.T], axis=1)
@@ -57,21 +61,16 @@ def late_encoders(file: ModelFile, record: Record) -> list[Finding] | None:
     best = int(np.clip(np.argmin(squares), 1, len(SHIFTS) - 2))
     before, least, after = squares[best - 1 : best + 2]
     # The vertex of the parabola through the least and its neighbours.
-    late = step * (SHIFTS[best] + np.clip((before - after) / (2 * (before - 2 * least + after)), -1.0, 1.0))
-    if squares[np.flatnonzero(SHIFTS == 0)[0]] < CLEARLY * least:
+    vertex = np.clip((before - after) / (2 * (before - 2 * least + after)), -1.0, 1.0)
+    worse = float(squares[SHIFTS == 0][0] / least)
+    if worse < CLEARLY:
         return []
-    late = round(late, 4)
+    delay = round(known + float(step * (SHIFTS[best] + vertex)), 4)
     evidence = (
-        f"the feet that stand fit the IMU best if the encoders are read {1e3 * abs(late + known):.3g} ms "
-        f"{'late' if late + known > 0 else 'early'}: squared innovations are "
-        f"{squares[np.flatnonzero(SHIFTS == 0)[0]] / least:.2g} times as large as then"
+        f"the feet that stand fit the IMU best if the encoders are read {1e3 * abs(delay):.3g} ms "
+        f"{'late' if delay > 0 else 'early'}: squared innovations are {worse:.2g} times as large as then"
     )
-    line = f"[measurement] delay = {late + known:.4g}"
-    if late + known < 0:
-        line = f"shift the columns of the IMU to {-1e3 * (late + known):.3g} ms earlier stamps"
-    return [Finding("delay", "encoders", evidence, line, True, {"delay": late + known})]
-
-
-def _stds(file: ModelFile) -> tuple[tuple[Any, int], tuple[Any, int]]:
-    """Standard deviations of the process and of measurements, each with their number."""
-    return (file.process_std, len(file.model.coordinates)), (file.measurement_std, len(file.model.outputs))
+    line = f"[measurement] delay = {delay:.4g}"
+    if delay < 0:
+        line = f"the IMU is late: shift its columns by {-1e3 * delay:.3g} ms to earlier stamps"
+    return [Finding("delay", "encoders", evidence, line, True, {"delay": delay})]

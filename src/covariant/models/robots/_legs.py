@@ -4,6 +4,7 @@ Everything is in the axes of the base, so that neither the place of the robot in
 """
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -126,11 +127,11 @@ class Legs(Functional):
         return solve_square(moved @ moved.T, moved @ residual).reshape(-1, 3)
 
 
-def legs(space: RobotSpace, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:
+def legs(space: Any, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:
     """Legs of a robot with a free base, with feet at `{link: (x, y, z)}`; raises `ValueError` for others."""
     if not (space.floating and len(space.tree.balls) == 0):
         raise ValueError("legged_base: the base must be free, and no joint a ball joint")
-    if not feet or any(np.shape(place) != (3,) for place in feet.values()):
+    if not feet or any(len(place) != 3 for place in feet.values()):
         raise ValueError("legged_base: feet needs the place of each foot in its link, {LINK: [x, y, z]} in m")
     tree, links = space.tree, tuple(feet)
     carried, rates = tree.carried(), np.asarray(tree.coordinates) != 0

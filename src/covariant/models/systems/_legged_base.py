@@ -61,7 +61,7 @@ def legged_base(
         >>> feet = {"FL_FOOT": [0.0, 0.0, 0.0], "HR_FOOT": [0.0, 0.0, 0.0]}
         >>> base = models.load("legged_base", {"parameters.path": "quadruped", "parameters.feet": feet})
         >>> base.model.coordinates[:6:5], len(base.columns.q), base.columns.u
-        (('velocity_x', 'gravity_z'), 8, ('u1', 'u2', 'u3', 'u4', 'u5', 'u6'))
+        (('velocity_x', 'gravity_z'), 12, ('u1', 'u2', 'u3', 'u4', 'u5', 'u6'))
     """
     robot = load(path, floating=True)
     made = legs(robot.space, feet, radius)

@@ -212,7 +212,7 @@ class LeggedBase(AbstractObserver):
             place, noise, read, down = item
             spread = cov[FIRST, FIRST] + noise
             innovation = place - x[FIRST]
-            square = innovation @ solve(spread, innovation)
+            square: Any = innovation @ solve(spread, innovation)
             stands = read & down & (square < jnp.asarray(self.threshold, real))
             gain = solve(spread, cov[FIRST]).T
             # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H takes three entries out.
@@ -224,7 +224,8 @@ class LeggedBase(AbstractObserver):
             off, square = jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0)
             return (x[order], cov[np.ix_(order, order)]), (off, square, stands)
 
-        (x, cov), (off, squares, standing) = jax.lax.scan(foot, (x, state.cov), (places, noise, read, down))
+        scanned: Any = jax.lax.scan(foot, (x, state.cov), (places, noise, read, down))
+        (x, cov), (off, squares, standing) = scanned
         alone = jnp.where(jnp.any(standing), 0.0, state.alone)
         lost = (alone > PATIENCE) & jnp.all(read)
         x, cov = jax.tree.map(lambda new, old: jnp.where(lost, new, old), self._start(places, noise), (x, cov))
@@ -299,7 +300,11 @@ def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
 def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
     """First-order low-pass filter along the first axis, for a cutoff in cycles a sample."""
     kept = math.exp(-2 * math.pi * cutoff)
-    return np.asarray(jax.lax.scan(lambda y, x: (kept * y + (1 - kept) * x,) * 2, jnp.zeros(x.shape[1:]), x)[1])
+
+    def step(y: Any, x: Any) -> Any:
+        return (kept * y + (1 - kept) * x,) * 2
+
+    return np.asarray(jax.lax.scan(step, jnp.zeros(x.shape[1:]), x)[1])
 
 
 def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:
