@@ -32,14 +32,6 @@ class Legs(Functional):
         places: Place (F, 3) of the centre of each foot in the frame of its link [m].
         links: Link of each of the F feet.
         carrying: Joints that carry each foot.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant import models
-        >>> robot = models.robots.load("double_pendulum", floating=True)
-        >>> legs = models.robots.Legs(robot.space, jnp.zeros(()), jnp.zeros((1, 3)), ("lower",), ((0, 1),))
-        >>> legs.feet(jnp.zeros(2))[0].round(6).tolist()
-        [[0.0, 0.0, -0.3]]
     """
 
     space: RobotSpace

@@ -93,6 +93,17 @@ class LeggedBase(AbstractObserver):
 
     Raises:
         ValueError: A covariance or the start is not finite, or the threshold is not positive.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> feet = {f"{leg}_FOOT": [0.0, 0.0, 0.0] for leg in ("FL", "FR", "HL", "HR")}
+        >>> model = models.load("legged_base", {"parameters.path": "quadruped", "parameters.feet": feet}).model
+        >>> start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81, *18 * [0.0]])
+        >>> base = observers.LeggedBase(model, 1e-6 * np.eye(24), 1e-7 * np.eye(12), start, np.eye(24))
+        >>> state = base.init(np.zeros(12))
+        >>> base.estimate(state)[6:9].round(3).tolist()  # the anchor of a stretched leg
+        [0.195, 0.147, -0.32]
     """
 
     model: StateSpace
