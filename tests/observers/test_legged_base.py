@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from invariant_filter import rotation, run as invariant_run
 
+import covariant
 from covariant import models
 from covariant.calibration import diagnose
 from covariant.engine import run_log
@@ -22,6 +23,10 @@ GALLERY = Path(__file__).parents[2] / "gallery"
 SLIP, THRESHOLD, ENCODER = 1e-3, 5.0, 3e-4
 LATE = 2
 """Rows of 2 ms by which encoders are late."""
+TWO_FEET = {
+    "parameters.path": "quadruped",
+    "parameters.feet": {"FL_FOOT": [0.0, 0.0, 0.0], "HR_FOOT": [0.0, 0.0, 0.0]},
+}
 STANDING = 15.0
 """Load [N] from which a foot counts as standing."""
 TUNED = 2800
@@ -154,6 +159,8 @@ def test_what_is_no_leg_is_refused():
         robots.legs(space, {"FL_SHOULDER": [0.0, 0.0, 0.0]}, 0.0)
     with pytest.raises(ValueError, match=r"\{LINK: \[x, y, z\]\}"):
         robots.legs(space, {"FL_LOWER_LEG": [0.0, 0.0]}, 0.0)
+    with pytest.raises(ValueError, match="how the legs move is no part of the model"):
+        covariant.simulate("legged_base", duration=0.1, overrides=TWO_FEET)
     with pytest.raises(ValueError, match="the base must be free"):
         robots.legs(robots.load("panda").space, {"link7": [0.0, 0.0, 0.0]}, 0.0)
 

@@ -318,6 +318,9 @@ class OnLegs(InStates):
         y = CENTRE + SWING * np.sin(k / (4.0 + np.arange(outputs)) + np.arange(outputs))
         return np.where(np.arange(outputs) < joints, y, k % 3 < 2)  # flags of contact come and go
 
+    def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
+        raise ValueError(f"{self.file.name}: how the legs move is no part of the model, so that it cannot be simulated")
+
     def note(self, sheet: Callable[[], DataSheet], rate: float, name: str | None = None) -> str:
         return "Designed from the noise of IMU and encoders and from the slip of feet in the model file."
 

@@ -218,7 +218,7 @@ class LeggedBase(AbstractObserver):
         # Each turn handles the foot whose anchor comes first, and moves it behind the others.
         order = np.concatenate([np.arange(6), np.roll(np.arange(6, len(x) - 6), -3), np.arange(len(x) - 6, len(x))])
 
-        def foot(carry, item):
+        def foot(carry: tuple[Array, Array], item: tuple[Array, ...]) -> Any:
             x, cov = carry
             place, noise, read, down = item
             spread = cov[FIRST, FIRST] + noise
@@ -232,8 +232,8 @@ class LeggedBase(AbstractObserver):
             anew, anew_cov = x.at[FIRST].set(place), _with_block(cov, FIRST, noise)
             x = jnp.where(stands, used, jnp.where(read, anew, x))
             cov = jnp.where(stands, used_cov, jnp.where(read, anew_cov, cov))
-            off, square = jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0)
-            return (x[order], cov[np.ix_(order, order)]), (off, square, stands)
+            ours = jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0), stands
+            return (x[order], cov[np.ix_(order, order)]), ours
 
         scanned: Any = jax.lax.scan(foot, (x, state.cov), (places, noise, read, down))
         (x, cov), (off, squares, standing) = scanned
