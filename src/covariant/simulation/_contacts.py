@@ -21,7 +21,7 @@ def simulate_contacts(
 ) -> Record:
     """Integrate a machine with feet over a level ground, and record its noise-free state and inputs.
 
-    A foot lands at the first stamp at which it is not above the ground, with a plastic impact, and stays where it is.
+    A foot lands at the first stamp at which it sinks and is not above the ground, with a plastic impact, and stays where it is.
     It leaves the ground at the first stamp at which the ground would have to pull. So contacts change at stamps alone,
     and a foot lands up to one sample deep. There is no slip: of a leg that stands far from upright, check the load.
 
@@ -59,9 +59,10 @@ def simulate_contacts(
         here = standing(model, down, spots)
         force = applied_force(model, begin, motion.q, u) + resistance(model, begin, *motion, u)
         push = here.space.load(*motion, force).reshape(spots.shape)[:, -1]  # pyright: ignore[reportAttributeAccessIssue]
-        place = feet(motion.q)
+        place, speed = jax.jvp(feet, (motion.q,), (model.manifold.tangent(*motion),))
         spots = jnp.where(down[:, None], spots, place)
-        after = jnp.where(down, push > 0, place[:, -1] <= ground)
+        # A foot that has just left the ground and still rises does not land at once again.
+        after = jnp.where(down, push > 0, (place[:, -1] <= ground) & (speed[:, -1] < 0))
         u = u.at[u.shape[0] - down.shape[0] :].set(after.astype(u.dtype))
         there = standing(model, after, spots)
         moved = advance(there, begin, Motion(*there.space.impact(*motion)), u, end - begin, steps)  # pyright: ignore[reportAttributeAccessIssue]
