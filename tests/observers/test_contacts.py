@@ -1,0 +1,263 @@
+"""Observers through touch-downs and lift-offs: the maps of errors, their growth, contacts known late, and C.
+
+The oracle is written in NumPy from the points of mass of the leg, and differentiated by a complex step.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import engine, models, observers
+from covariant.certificates import JumpGrowth, dwell_time, jump_growth
+from covariant.geometry import Metric
+from covariant.signals import Record
+from covariant.simulation import simulate_contacts
+
+LEG = models.hopping_leg()
+ALPHA, BETA = 30.0, 400.0
+STEP = 1e-25
+
+
+class Oracle:
+    """The leg by its points of mass, scaled by the roots of their masses; functions take complex numbers."""
+
+    roots = np.sqrt(np.array([4.0, 1.0, 0.4]))
+    turning = np.sqrt(np.array([0.01, 0.004]))
+    arms = np.array([[0.0, 0.0], [0.15, 0.0], [0.3, 0.15]])
+    foot = np.array([0.3, 0.3])
+    rates = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 1.0, 1.0]])
+
+    def slope(self, q, arm):
+        """Derivative (2, 4) of a point at the end of two arms."""
+        a = self.rates @ q
+        links = np.stack([np.cos(a) * arm, np.sin(a) * arm]) @ self.rates
+        return links + np.eye(4)[:2]
+
+    def second(self, q, x, y, arm):
+        a, k = self.rates @ q, (self.rates @ x) * (self.rates @ y)
+        return np.array([-np.sin(a) @ (arm * k), np.cos(a) @ (arm * k)])
+
+    def at(self, q):
+        """Slope of all scaled points, inverse of the inertia, rows of the foot, A⁺."""
+        points = [r * self.slope(q, arm) for r, arm in zip(self.roots, self.arms, strict=True)]
+        slope = np.vstack([*points, self.turning[:, None] * self.rates])
+        inverse, rows = np.linalg.inv(slope.T @ slope), self.slope(q, self.foot)
+        raised = inverse @ rows.T
+        return slope, inverse, rows, raised @ np.linalg.inv(rows @ raised)
+
+    def free(self, q, x, y):
+        slope, inverse, _, _ = self.at(q)
+        points = [r * self.second(q, x, y, arm) for r, arm in zip(self.roots, self.arms, strict=True)]
+        return inverse @ slope.T @ np.concatenate([*points, np.zeros(2)])
+
+    def projected(self, q, a):
+        _, _, rows, back = self.at(q)
+        return a - back @ (rows @ a)
+
+    def held(self, q, x, y):
+        _, _, rows, back = self.at(q)
+        a = self.free(q, x, y)
+        return a - back @ (rows @ a - self.second(q, x, y, self.foot))
+
+    def touch(self, q, v, spot):
+        p = q
+        for _ in range(3):
+            a = self.rates @ p
+            at = p[:2] + np.array([self.foot @ np.sin(a), -self.foot @ np.cos(a)])
+            p = p - self.at(p)[3] @ (at - spot)
+        return p, self.projected(p, v - self.free(q, p - q, v))
+
+
+def spot_of(q):
+    return np.asarray(LEG.feet(jnp.asarray(q)))[0]
+
+
+def held(q):
+    return models.standing(LEG, jnp.array([True]), LEG.feet(q)).space
+
+
+@functools.cache
+def states():
+    """Two hundred motions at the instant of an impact, and errors of position and velocity in the parallel frame."""
+    random = np.random.default_rng(1)
+    angles = np.array([0.6, -1.2]) + 0.4 * random.normal(size=(200, 2))
+    q = np.concatenate([random.normal(size=(200, 2)), angles], axis=1)
+    return q, np.array([0.5, -1.5, 1.0, 2.0]) * random.normal(size=(200, 4)), *random.normal(size=(2, 200, 4))
+
+
+@jax.jit
+@jax.vmap
+def formulas(q, v, xi, zeta):
+    leaf = held(q)
+    lost, along, rate = v - leaf.projected(q, v), leaf.projected(q, xi), leaf.projected(q, zeta)
+    after = leaf.projected(q, v)
+    touch = rate + leaf.shape_operator(q, lost, along)
+    return along, touch, rate + leaf.second_form(q, along, after)
+
+
+def test_both_jumps_are_those_of_their_formulas():
+    oracle, given = Oracle(), states()
+    along, touch, lift = map(np.asarray, formulas(*map(jnp.asarray, given)))
+    worst = 0.0
+    for k, (q, v, xi, zeta) in enumerate(zip(*given, strict=True)):
+        change = zeta - oracle.free(q, v, xi)
+        p, w = oracle.touch(q + 1j * STEP * xi, v + 1j * STEP * change, spot_of(q))
+        displaced, rate, w = p.imag / STEP, w.imag / STEP, w.real
+        worst = max(worst, np.abs(displaced - along[k]).max())
+        worst = max(worst, np.abs(rate + oracle.held(q, w, displaced) - touch[k]).max())
+        # At a lift-off the motion stays, and the frame changes from that of the leaf to that of the whole space.
+        x, z = oracle.projected(q, xi), oracle.projected(q, zeta)
+        worst = max(worst, np.abs(z - oracle.held(q, w, x) + oracle.free(q, w, x) - lift[k]).max())
+    assert worst < 1e-10
+    assert np.abs(touch - np.asarray(formulas(*given[:2], 0 * given[2], given[3])[1])).max() > 1  # S is not small
+
+
+@functools.cache
+def hops(rate=1000.0, duration=1.3):
+    """A leg that hops four times, on torques towards one posture in the air and another one on the ground."""
+
+    def torques(s, x, down):
+        towards = jnp.where(down[0], jnp.array([0.4, -0.8]), jnp.array([0.6, -1.2]))
+        return jnp.where(down[0], 100.0, 30.0) * (towards - x.q[2:]) - x.v[2:]
+
+    start = models.Motion(jnp.array([0.0, 0.62, 0.6, -1.2]), jnp.array([0.3, 0.0, 0.0, 0.0]))
+    return Record(*map(np.asarray, simulate_contacts(LEG, start, jnp.arange(0.0, duration, 1 / rate), torques)))
+
+
+def events(contact):
+    change = np.diff(contact, prepend=0.0)
+    return np.flatnonzero(change > 0), np.flatnonzero(change < 0)
+
+
+OBSERVER = observers.Contacts(observers.Intrinsic(LEG, ALPHA, BETA, order=2, substeps=1))
+
+
+def ran(record, observer=OBSERVER):
+    return np.asarray(engine.run_log(observer, record, engine="c")[0].estimate)
+
+
+def error(space, x, estimate):
+    """√V of the error at a true state."""
+    (q, v), (p, w) = jnp.split(x, 2), jnp.split(estimate, 2)
+    e = p - q
+    xi = space.projected(q, e + space.connection(q, e, e) / 2)
+    zeta = space.projected(q, w - v + space.connection(q, xi, v))
+    return jnp.sqrt(BETA * space.inner(q, xi, xi) - ALPHA * space.inner(q, xi, zeta) + space.inner(q, zeta, zeta))
+
+
+@jax.jit
+@jax.vmap
+def touch_down(x, estimate):
+    (q, v), leaf = jnp.split(x, 2), held(x[:4])
+    after = jnp.concatenate([q, leaf.projected(q, v)]), jnp.concatenate(leaf.impact(*jnp.split(estimate, 2)))
+    growth = jump_growth(leaf, q, v, ALPHA, BETA)
+    return error(LEG.space, x, estimate), error(leaf, *after), growth.touch_down, leaf.norm(q, v - leaf.projected(q, v))
+
+
+@jax.jit
+@jax.vmap
+def lift_off(x, estimate):
+    leaf = held(x[:4])
+    growth = jump_growth(leaf, *jnp.split(x, 2), ALPHA, BETA)
+    return error(leaf, x, estimate), error(LEG.space, x, estimate), growth.lift_off
+
+
+@pytest.mark.long
+def test_errors_grow_by_less_than_the_bounds_in_every_event():
+    """Small errors of all directions, begun anew before each event."""
+    record, random = hops(), np.random.default_rng(0)
+    down, up = events(record.u[:, 2])
+    assert len(down) >= 8
+    for rows, jump in ((down, touch_down), (up, lift_off)):
+        x = np.repeat(record.x[rows], 20, axis=0)
+        offset = 1e-4 * random.normal(size=x.shape) * np.array([0.05] * 4 + [1.0] * 4)
+        if jump is lift_off:  # on the ground an error is along the leaf
+            along = jax.jit(jax.vmap(lambda q, a: held(q).projected(q, a)))
+            offset[:, :4] = along(x[:, :4], offset[:, :4])
+            q, v = jax.vmap(lambda q, p, w: held(q).impact(p, w))(x[:, :4], x[:, :4] + offset[:, :4], x[:, 4:])
+            offset = np.concatenate([q, v + along(np.asarray(q), offset[:, 4:])], axis=1) - x
+        before, after, bound, *_ = map(np.asarray, jump(x, x + offset))
+        assert (after < bound * before * (1 + 1e-3)).all()
+        assert bound.max() < 1.1
+
+
+@pytest.mark.long
+def test_an_error_of_the_start_vanishes_over_the_events():
+    record = hops()
+    wrong = record._replace(y=record.x[:, :4].copy())
+    wrong.y[0] += np.array([0.01, -0.01, 0.02, 0.02])
+    off = np.abs(ran(wrong) - record.x)[:, 4:].max(axis=1)
+    assert off[:100].max() > 0.3
+    assert off[600:].max() < 0.01
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("late", [1, 2, 4, 8])
+def test_a_contact_that_is_known_late_costs_little(late):
+    record = hops(2000.0, 0.2)
+    landed, u = events(record.u[:, 2])[0][0], record.u.copy()
+    u[landed : landed + late, 2] = 0.0
+    row = landed + late
+    # The state before the jump that the input of this row asks for, and the truth, which is on the ground.
+    x, estimate = record.x[row], ran(record._replace(u=u, y=record.x[:, :4]))[row]
+    leaf = held(record.x[row, :4])
+    after = jnp.concatenate(leaf.impact(*jnp.split(jnp.asarray(estimate), 2)))
+    lost = float(touch_down(record.x[landed][None], record.x[landed][None])[3][0])
+    assert float(error(LEG.space, x, estimate)) > lost / 2  # what it is without a jump
+    assert float(error(leaf, x, after)) < 3.0 * lost * late / 2000.0
+
+
+@pytest.mark.long
+def test_c_is_the_python_run_over_touch_downs():
+    record = hops()
+    noisy = record._replace(y=record.x[:, :4] + 1e-3 * np.random.default_rng(0).normal(size=(len(record.t), 4)))
+    part = Record(*(np.asarray(each)[:700] for each in noisy[:3]))
+    np.testing.assert_allclose(ran(part), observers.run(OBSERVER, part).estimate, atol=1e-9)
+
+
+def test_feet_land_one_by_one():
+    """Two masses in a plane whose inertia couples them: a foot that lands stops, and the other one goes on."""
+    inertia = jnp.array([[2.0, 0.0, 1.0, 0.0], [0.0, 2.0, 0.0, 1.0], [1.0, 0.0, 2.0, 0.0], [0.0, 1.0, 0.0, 2.0]])
+    names = ("x1", "z1", "x2", "z2")
+    model = models.Lagrangian(
+        Metric(lambda q: inertia),
+        force=lambda t, q, u: jnp.zeros(4),
+        coordinates=names,
+        units=("m",) * 4,
+        inputs=2,
+        feet=lambda q: q.reshape(2, 2),
+    )
+    q, v = jnp.arange(4.0), jnp.array([1.0, 2.0, 3.0, 5.0])
+
+    @jax.jit
+    def after(down):
+        return jnp.concatenate(models.standing(model, down, model.feet(q)).space.impact(q, v))
+
+    # The momentum of the other mass is kept: 2 v2⁺ = v1 + 2 v2.
+    for down, wanted in (
+        ((False, False), [1.0, 2.0, 3.0, 5.0]),
+        ((True, False), [0.0, 0.0, 3.5, 6.0]),
+        ((False, True), [2.5, 4.5, 0.0, 0.0]),
+        ((True, True), [0.0, 0.0, 0.0, 0.0]),
+    ):
+        np.testing.assert_allclose(after(jnp.array(down)), [*q, *wanted], atol=1e-14)
+
+
+def test_the_condition_is_sufficient_alone():
+    assert dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.2, 0.1).short == "holds (sampled)"
+    assert dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.01, 0.01).verdict == "undecided"
+    assert len([h for h in dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.2, 0.1).hypotheses if h.evidence == "assumed"]) == 4
+    with pytest.raises(ValueError, match=r"beta must be more than alpha²/4 = 100 1/s²; got 90"):
+        dwell_time(JumpGrowth(1.2, 1.1), 20.0, 90.0, 0.2, 0.1)
+
+
+def test_what_has_no_jump_is_refused_by_name():
+    with pytest.raises(ValueError, match="EKF has no jump at a touch-down"):
+        observers.Contacts(observers.EKF(LEG, 1.0, 1e-6, 1.0))
+    with pytest.raises(ValueError, match="the model of Intrinsic has no feet"):
+        observers.Contacts(observers.Intrinsic(models.oscillator(), 4.0, 8.0))
+    with pytest.raises(ValueError, match=r"feet must return positions .* it returned shape \(2,\)"):
+        models.Lagrangian(lambda q: jnp.eye(2), coordinates=("x", "z"), units=("m", "m"), feet=lambda q: q)
