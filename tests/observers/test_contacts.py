@@ -257,7 +257,10 @@ def test_feet_land_one_by_one():
 def test_the_condition_is_sufficient_alone():
     assert dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.2, 0.1).short == "holds (sampled)"
     assert dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.01, 0.01).verdict == "undecided"
-    assert len([h for h in dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.2, 0.1).hypotheses if h.evidence == "assumed"]) == 4
+    assert (
+        len([h for h in dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.2, 0.1).hypotheses if h.evidence == "assumed"])
+        == 4
+    )
     with pytest.raises(ValueError, match=r"beta must be more than alpha²/4 = 100 1/s²; got 90"):
         dwell_time(JumpGrowth(1.2, 1.1), 20.0, 90.0, 0.2, 0.1)
 
@@ -281,7 +284,9 @@ def test_the_covariance_of_a_filter_takes_the_jumps_of_the_errors():
     def maps(q, v):
         tangent = leaf.projected(q, v)
         touch = kalman._of_errors(LEG.space, leaf, models.Motion(q, v))(jnp.eye(8))
-        lift = kalman._of_errors(leaf, models.standing(LEG, jnp.array([False]), LEG.feet(q)).space, models.Motion(q, tangent))
+        lift = kalman._of_errors(
+            leaf, models.standing(LEG, jnp.array([False]), LEG.feet(q)).space, models.Motion(q, tangent)
+        )
         along = jax.vmap(lambda a: leaf.projected(q, a), out_axes=1)(axes)
         shape = jax.vmap(lambda a: leaf.shape_operator(q, v - tangent, leaf.projected(q, a)), out_axes=1)(axes)
         bend = jax.vmap(lambda a: leaf.second_form(q, leaf.projected(q, a), tangent), out_axes=1)(axes)

@@ -110,6 +110,11 @@ class Contacts(AbstractWrapper):
         """The model, with all feet in the air."""
         return self.observer.model
 
+    @property
+    def _filters(self) -> bool:
+        """Whether the state of the inner observer has a covariance."""
+        return isinstance(self.observer, IntrinsicKalman)
+
     def init(self, y: Array, t: Number = 0.0) -> ContactsState:
         inner = without_last_input(self.observer.init(y, t))
         spots = self._feet(inner.q)
@@ -125,8 +130,9 @@ class Contacts(AbstractWrapper):
 
     def correct(self, state: ContactsState, u: Float[Array, "m"], y: Array) -> tuple[ContactsState, Any]:
         inner, info = self._now(state).correct(state.inner, u, y)
-        measured = self._feet(self.model.manifold.measured(inner.q, self.configuration(y)))
-        spots = jnp.where(state.down[:, None], state.spots, measured)
+        # A filter knows better than one noisy sample where it is; constant gains may still be far off.
+        q = inner.q if self._filters else self.model.manifold.measured(inner.q, self.configuration(y))
+        spots = jnp.where(state.down[:, None], state.spots, self._feet(q))
         return state._replace(inner=inner, spots=spots), info
 
     def innovation(self, state: ContactsState, u: Float[Array, "m"], y: Array) -> Any:
@@ -145,7 +151,7 @@ class Contacts(AbstractWrapper):
         leaf, inner = self._now(after).model.space, before.inner
         q, v = leaf.impact(inner.q, inner.v)
         jumped = inner._replace(q=q, v=v)
-        if isinstance(self.observer, IntrinsicKalman):
+        if self._filters:
             errors = self._of_errors(self._now(before).model.space, leaf, Motion(inner.q, inner.v))
             jumped = self.observer.with_root(jumped, errors(self.observer.root(inner)))
         changed = jnp.any(before.down != after.down)
