@@ -21,9 +21,9 @@ def simulate_contacts(
 ) -> Record:
     """Integrate a machine with feet over a level ground, and record its noise-free state and inputs.
 
-    A foot lands at the first stamp at which it sinks and is not above the ground, with a plastic impact, and stays where it is.
-    It leaves the ground at the first stamp at which the ground would have to pull. So contacts change at stamps alone,
-    and a foot lands up to one sample deep. There is no slip: of a leg that stands far from upright, check the load.
+    A foot lands at the first stamp at which it sinks and is not above the ground, with a plastic impact, and stays
+    where it is. It leaves the ground at the first stamp at which the ground would have to pull. So contacts change at
+    stamps alone, and a foot lands up to one sample deep. No foot slips, however far from upright a leg stands.
 
     Args:
         model: A model with `feet`, whose last coordinate is the height [m].

@@ -18,11 +18,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from covariant._typing import Matrix, Number, Scalar, Vector
+from covariant._typing import Number, Scalar
 from covariant.models import MechanicalSystem, Motion, contacts, standing
 from covariant.observers.base import (
     AbstractMechanicalObserver,
-    AbstractObserver,
     AbstractWrapper,
     LastInput,
     check_whole,
