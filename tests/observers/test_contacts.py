@@ -10,7 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import covariant
 from covariant import engine, models, observers
+from covariant._linalg import solve
 from covariant.certificates import JumpGrowth, dwell_time, jump_growth
 from covariant.geometry import Metric
 from covariant.signals import Record
@@ -98,6 +100,7 @@ def formulas(q, v, xi, zeta):
     return along, touch, rate + leaf.second_form(q, along, after)
 
 
+@pytest.mark.long
 def test_both_jumps_are_those_of_their_formulas():
     oracle, given = Oracle(), states()
     along, touch, lift = map(np.asarray, formulas(*map(jnp.asarray, given)))
@@ -297,3 +300,51 @@ def test_the_covariance_of_a_filter_takes_the_jumps_of_the_errors():
     np.testing.assert_allclose(touch, np.block([[along, none], [shape, along]]), atol=1e-10)
     on_leaf = np.block([[along, none], [none, along]])
     np.testing.assert_allclose(lift @ on_leaf, np.block([[along, none], [bend, along]]), atol=1e-10)
+
+
+@pytest.mark.exhaustive
+def test_a_filter_is_as_good_as_it_says_through_steps():
+    """The torques have white noise of which the filter knows the size; the velocity's errors are in its deviations."""
+    random, rows, noise = np.random.default_rng(0), 1300, 1e-4
+
+    @jax.jit
+    def hop(pushes):
+        def torques(s, x, down):
+            towards = jnp.where(down[0], jnp.array([0.4, -0.8]), jnp.array([0.6, -1.2]))
+            push = pushes[jnp.round(1e3 * s).astype(int)]
+            return jnp.where(down[0], 100.0, 30.0) * (towards - x.q[2:]) - x.v[2:] + push
+
+        start = models.Motion(jnp.array([0.0, 0.62, 0.6, -1.2]), jnp.array([0.3, 0.0, 0.0, 0.0]))
+        return simulate_contacts(LEG, start, jnp.arange(0.0, rows) / 1e3, torques)
+
+    def pushed(q):
+        joints = solve(LEG.space(q), jnp.eye(4)[:, 2:])
+        return 1e-3 * joints @ joints.T + 1e-10 * jnp.eye(4)
+
+    kalman = observers.IntrinsicKalman(LEG, pushed, noise**2 * jnp.eye(4), 4.0, substeps=1, gate=None)
+    squares, nis = [], []
+    for _ in range(12):
+        pushes = random.normal(size=(rows, 2))
+        truth = Record(*map(np.asarray, hop(jnp.asarray(pushes))))
+        u, y = truth.u.copy(), truth.y + noise * random.normal(size=truth.y.shape)
+        u[:, :2] -= pushes
+        run, _ = engine.run_log(observers.Contacts(kalman), Record(truth.t, u, y), engine="c")
+        squares.append((((run.estimate - truth.x)[:, 4:] / run.info.velocity_std) ** 2)[200:])
+        nis.append(run.info.nis[200:])
+    assert (np.abs(np.mean(squares, axis=(0, 1)) - 1) < 0.15).all()
+    assert abs(np.mean(nis) / 4 - 1) < 0.05
+
+
+@pytest.mark.long
+def test_a_log_has_a_column_of_contacts(tmp_path):
+    """As a file of a model says it: the observer of a model with feet goes through its contacts."""
+    model = tmp_path / "leg.toml"
+    model.write_text(
+        'system = "hopping_leg"\n[columns]\nq = ["x", "z", "hip", "knee"]\nu = ["tau_hip", "tau_knee", "foot"]\n'
+    )
+    record = hops()
+    part = Record(record.t[:700], record.u[:700], record.x[:700, :4])
+    result = covariant.estimate(model, part, alpha=60.0, beta=1800.0)
+    assert np.abs(result.velocity - record.x[:700, 4:])[400:].max() < 0.01
+    with pytest.raises(ValueError, match="has feet: no certificate covers impacts"):
+        covariant.certify(model, velocity=1.0, error=0.1, alpha=60.0, beta=1800.0)
