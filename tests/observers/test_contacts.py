@@ -90,13 +90,19 @@ def states():
     return q, np.array([0.5, -1.5, 1.0, 2.0]) * random.normal(size=(200, 4)), *random.normal(size=(2, 200, 4))
 
 
+def shape_operator(leaf, q, lost, a):
+    """S a, with `<S a, b> = <II(a, b), n>` for the velocity n that is lost."""
+    axes = jnp.eye(4)
+    return leaf.raise_(q, jax.vmap(lambda b: leaf.inner(q, leaf.second_form(q, a, leaf.projected(q, b)), lost))(axes))
+
+
 @jax.jit
 @jax.vmap
 def formulas(q, v, xi, zeta):
     leaf = held(q)
     lost, along, rate = v - leaf.projected(q, v), leaf.projected(q, xi), leaf.projected(q, zeta)
     after = leaf.projected(q, v)
-    touch = rate + leaf.shape_operator(q, lost, along)
+    touch = rate + shape_operator(leaf, q, lost, along)
     return along, touch, rate + leaf.second_form(q, along, after)
 
 
@@ -291,7 +297,7 @@ def test_the_covariance_of_a_filter_takes_the_jumps_of_the_errors():
             leaf, models.standing(LEG, jnp.array([False]), LEG.feet(q)).space, models.Motion(q, tangent)
         )
         along = jax.vmap(lambda a: leaf.projected(q, a), out_axes=1)(axes)
-        shape = jax.vmap(lambda a: leaf.shape_operator(q, v - tangent, leaf.projected(q, a)), out_axes=1)(axes)
+        shape = jax.vmap(lambda a: shape_operator(leaf, q, v - tangent, leaf.projected(q, a)), out_axes=1)(axes)
         bend = jax.vmap(lambda a: leaf.second_form(q, leaf.projected(q, a), tangent), out_axes=1)(axes)
         return touch, lift(jnp.eye(8)), along, shape, bend
 

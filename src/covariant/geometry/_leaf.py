@@ -256,8 +256,9 @@ class Leaf(AbstractSpace):
     def second_form(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         """Second fundamental form `II(a, b)` of the leaf: how a geodesic of the leaf bends in the whole space.
 
-        It is the part across the leaf of the connection of the whole space. In a parallel frame the velocity error
-        of an observer changes by `II(ξ, v)` as a foot lifts off.
+        It is the part across the leaf of the connection of the whole space. In a parallel frame the velocity error of
+        an observer changes by `II(ξ, v)` as a foot lifts off, and in an `impact` by S ξ, with `<S ξ, a> = <II(ξ, a), n>`
+        for the velocity n that is lost.
 
         Args:
             x: Configuration.
@@ -269,29 +270,6 @@ class Leaf(AbstractSpace):
         """
         normals = self.normals(x)
         return normals.across(self._left(normals, x, a, b, self.space.connection(x, a, b)))
-
-    def shape_operator(self, x: Configuration, normal: Vector, a: Vector) -> Vector:
-        """Shape operator `S_n a` of the leaf, with `<S_n a, b> = <II(a, b), n>` for all b along the leaf.
-
-        In a parallel frame the velocity error of an observer changes by `S_n ξ` in a plastic impact, n being the
-        velocity that is lost.
-
-        Args:
-            x: Configuration.
-            normal: Vector n (n,) across the leaf; of another vector its part across counts.
-            a: Vector (n,) along the leaf.
-
-        Returns:
-            The vector (n,), along the leaf.
-        """
-        normals = self.normals(x)
-        weight = solve(normals.gram, normals.rows @ normal)
-
-        def bent(w):
-            return weight @ self._left(normals, x, a, w, self.space.connection(x, a, w))
-
-        # The form is linear in w, so that its derivative is the same at any w.
-        return self.raise_(x, jax.grad(bent)(jnp.zeros_like(a)))
 
     def impact(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
         """Plastic impact: the part of the velocity across the leaf is lost at once, as where a foot lands.

@@ -5,8 +5,8 @@ With constant gains and measurements in continuous time, small errors ξ and ζ 
 
     V = β|ξ|² − α<ξ, ζ> + |ζ|²
 
-falls exactly by `V' = −αV`. In a jump, with the shape operator S of the leaf for the velocity that is lost and its
-second fundamental form II,
+falls exactly by `V' = −αV`. In a jump, with the second fundamental form II of the leaf, and its shape operator S for
+the velocity n that is lost, `<S a, b> = <II(a, b), n>`,
 
     touch-down  ξ⁺ = P ξ, ζ⁺ = P ζ + S P ξ:   √V grows at most by F_td, the largest singular value of
                 Q^½ [[1, 0], [s, 1]] Q^−½ over the eigenvalues s of S, with Q = [[β, −α/2], [−α/2, 1]]
@@ -83,7 +83,8 @@ def jump_growth(leaf: Leaf, q: Array, v: Vector, alpha: Number, beta: Number) ->
     root = jnp.linalg.cholesky(leaf(q))
     vectors = jax.scipy.linalg.solve_triangular(root, axes, lower=True)  # rows: the axes of such components
     along = jax.vmap(lambda a: leaf.projected(q, a))(vectors)
-    shape = jax.vmap(lambda a: root.T @ leaf.shape_operator(q, v - tangent, a), out_axes=1)(along)
+    lost = leaf.lower(q, v - tangent)
+    shape = jax.vmap(lambda a: jax.vmap(lambda b: lost @ leaf.second_form(q, a, b))(along))(along)
     bend = jax.vmap(lambda a: root.T @ leaf.second_form(q, a, tangent), out_axes=1)(along)
     values = jnp.linalg.eigvalsh((shape + shape.T) / 2)
     half = jnp.linalg.cholesky(jnp.asarray([[beta, -alpha / 2], [-alpha / 2, 1.0]]))

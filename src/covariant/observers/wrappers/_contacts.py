@@ -7,8 +7,8 @@ after it, n being the velocity that is lost,
     touch-down  ξ⁺ = P ξ,  ζ⁺ = P ζ + S_n P ξ
     lift-off    ξ⁺ = ξ,    ζ⁺ = ζ + II(ξ, v)
 
-with the shape operator S_n and the second fundamental form II of the leaf, `Leaf.shape_operator` and
-`Leaf.second_form`. The estimate takes the same jump as the motion, and the covariance of a filter its derivative.
+with the second fundamental form II of the leaf, `Leaf.second_form`, and `<S_n a, b> = <II(a, b), n>`. The estimate
+takes the same jump as the motion, and the covariance of a filter its derivative.
 """
 
 from typing import Any, NamedTuple
@@ -76,19 +76,20 @@ class Contacts(AbstractWrapper):
             leaf.
 
     Example:
-        A leg falls on its foot. The body goes on, and the foot stops at once:
+        A mass falls for 0.2 s onto the ground, where it stays:
 
         >>> import jax.numpy as jnp
-        >>> from covariant import models, observers
-        >>> leg = models.hopping_leg()
-        >>> observer = observers.Contacts(observers.Intrinsic(leg, 30.0, 400.0, substeps=1))
-        >>> q = jnp.array([0.0, 0.5, 0.5, -1.0])
-        >>> state = observer.init(q)
-        >>> falling = state.inner._replace(v=jnp.array([0.0, -1.0, 0.0, 0.0]))
-        >>> state, info = observer.step(state._replace(inner=falling), jnp.array([0.0, 0.0, 1.0]), q, 1e-6)
-        >>> foot = jnp.linalg.norm(jnp.ravel(leg.feet(state.inner.q) - state.spots))
-        >>> state.inner.v.round(2).tolist()[:2], bool(foot < 1e-9)
-        ([0.0, -0.9], True)
+        >>> import numpy as np
+        >>> from covariant import Record, models, observers
+        >>> names = {"coordinates": ("x", "z"), "units": ("m", "m"), "inputs": 1}
+        >>> no_force, mass = (lambda t, q, u: jnp.zeros(2)), (lambda q: jnp.eye(2))
+        >>> point = models.Lagrangian(mass, lambda q: 9.81 * q[1], no_force, **names, feet=lambda q: q[None])
+        >>> t = np.arange(0.0, 0.4, 0.01)
+        >>> y = np.stack([0 * t, -4.905 * np.minimum(t, 0.2) ** 2], axis=1)
+        >>> observer = observers.Contacts(observers.ModelCopy(point, 10.0, 50.0, substeps=1))
+        >>> run = observers.run(observer, Record(t, (t > 0.195)[:, None] * 1.0, y))
+        >>> run.estimate[20:23, 3].round(2).tolist()  # m/s, before and after the impact
+        [-1.96, 0.0, 0.0]
     """
 
     observer: Any
