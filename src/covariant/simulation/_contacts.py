@@ -38,15 +38,19 @@ def simulate_contacts(
         before the impact.
 
     Example:
+        A mass falls by 0.1 m, and stays on the ground:
+
         >>> import jax.numpy as jnp
         >>> from covariant import models
         >>> from covariant.simulation import simulate_contacts
-        >>> start = models.Motion(jnp.array([0.0, 0.6, 0.5, -1.0]), jnp.zeros(4))
-        >>> t = jnp.arange(0.0, 0.2, 0.005)
-        >>> fall = simulate_contacts(models.hopping_leg(), start, t, lambda s, x, down: jnp.zeros(2), steps=1)
-        >>> landed = int(fall.u[:, 2].argmax())
-        >>> fall.u.shape, round(float(t[landed]), 3)  # it falls by 0.073 m
-        ((40, 3), 0.125)
+        >>> names = {"coordinates": ("x", "z"), "units": ("m", "m"), "inputs": 1}
+        >>> no_force, mass = (lambda t, q, u: jnp.zeros(2)), (lambda q: jnp.eye(2))
+        >>> point = models.Lagrangian(mass, lambda q: 9.81 * q[1], no_force, **names, feet=lambda q: q[None])
+        >>> start, t = models.Motion(jnp.array([0.0, 0.1]), jnp.zeros(2)), jnp.arange(0.0, 0.3, 0.005)
+        >>> fall = simulate_contacts(point, start, t, lambda s, x, down: jnp.zeros(0), steps=1)
+        >>> landed = int(fall.u[:, 0].argmax())
+        >>> round(float(t[landed]), 3), fall.x[landed : landed + 2, 3].round(2).tolist()
+        (0.145, [-1.42, 0.0])
     """
     feet = model.feet
     if feet is None:
