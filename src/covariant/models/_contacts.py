@@ -81,10 +81,12 @@ def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array
     """
     assert model.feet is not None
     # The assembly of a loop is what nothing needs here: a foot lands in one way only.
-    leaf = Leaf(model.space, eqx.Partial(_slipped, model.feet, down, spots), model.manifold.origin(spots.dtype))
+    constraint, assembly = eqx.Partial(_slipped, model.feet, down, spots), model.manifold.origin(spots.dtype)
+    leaf = Leaf(model.space, constraint, assembly)  # pyright: ignore[reportCallIssue]
     return eqx.tree_at(lambda m: m.space, model, leaf)
 
 
 def _slipped(feet: Any, down: Bool[Array, "k"], spots: Float[Array, "k d"], q: Any) -> Float[Array, "k_d"]:
     """How far feet on the ground are from their spots; 0 for those in the air, and so are their rows."""
-    return jnp.where(down[:, None], feet(q) - spots, 0.0).ravel()
+    gaps: Any = jnp.where(down[:, None], feet(q) - spots, 0.0)
+    return gaps.ravel()

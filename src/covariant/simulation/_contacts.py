@@ -1,6 +1,7 @@
 """Simulation of machines whose feet land on a level ground and leave it, with the contacts in the inputs."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -60,16 +61,16 @@ def simulate_contacts(
         motion, down, spots = now
         begin, end = bounds
         u = jnp.concatenate([torques(begin, motion, down), down.astype(t.dtype)])
-        here = standing(model, down, spots)
-        force = applied_force(model, begin, motion.q, u) + resistance(model, begin, *motion, u)
-        push = here.space.load(*motion, force).reshape(spots.shape)[:, -1]  # pyright: ignore[reportAttributeAccessIssue]
+        here: Any = standing(model, down, spots)
+        force = applied_force(model, begin, motion.q, u) + resistance(model, begin, motion.q, motion.v, u)
+        push = here.space.load(*motion, force).reshape(spots.shape)[:, -1]
         place, speed = jax.jvp(feet, (motion.q,), (model.manifold.tangent(*motion),))
         spots = jnp.where(down[:, None], spots, place)
         # A foot that has just left the ground and still rises does not land at once again.
         after = jnp.where(down, push > 0, (place[:, -1] <= ground) & (speed[:, -1] < 0))
         u = u.at[u.shape[0] - down.shape[0] :].set(after.astype(u.dtype))
-        there = standing(model, after, spots)
-        moved = advance(there, begin, Motion(*there.space.impact(*motion)), u, end - begin, steps)  # pyright: ignore[reportAttributeAccessIssue]
+        there: Any = standing(model, after, spots)
+        moved = advance(there, begin, Motion(*there.space.impact(*motion)), u, end - begin, steps)
         return (moved, after, spots), (motion, u)
 
     place = feet(start.q)
