@@ -251,7 +251,42 @@ class Leaf(AbstractSpace):
         """
         rows = _rows(self.space, self.constraint, x)
         raised = jax.vmap(lambda row: self.space.raise_(x, row))(rows)
-        return Normals(rows, raised, rows @ raised.T)
+        return Normals(rows, raised, _gram(rows, raised))
+
+    def second_form(self, x: Configuration, a: Vector, b: Vector) -> Vector:
+        """Second fundamental form `II(a, b)` of the leaf: how a geodesic of the leaf bends in the whole space.
+
+        It is the part across the leaf of the connection of the whole space. In a parallel frame the velocity error of
+        an observer changes by `II(ξ, v)` as a foot lifts off, and in an `impact` by S ξ, with `<S ξ, a> = <II(ξ, a), n>`
+        for the velocity n that is lost.
+
+        Args:
+            x: Configuration.
+            a: Vector (n,) along the leaf.
+            b: Vector (n,) along the leaf.
+
+        Returns:
+            The vector (n,), across the leaf.
+        """
+        normals = self.normals(x)
+        return normals.across(self._left(normals, x, a, b, self.space.connection(x, a, b)))
+
+    def impact(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
+        """Plastic impact: the part of the velocity across the leaf is lost at once, as where a foot lands.
+
+        A configuration that is not on the leaf, such as an estimate, is projected to it first, with the velocity
+        carried along in parallel.
+
+        Args:
+            x: Configuration close to the leaf.
+            v: Velocity (n,) before.
+
+        Returns:
+            The configuration on the leaf, and the velocity (n,) after.
+        """
+        q = self.manifold.retract(x, jnp.zeros_like(v))
+        s = self.space.manifold.local(x, q)
+        return q, self.projected(q, v - self.space.connection(x, s, v))
 
     def regular(self, x: Configuration) -> Flag:
         """Whether the rows are independent at x: at a change point they are not, and the leaf branches."""
@@ -441,7 +476,7 @@ class _Fit(NamedTuple):
     @classmethod
     def of(cls, rows: Float[Array, "m n"], present: Bool[Array, "n"], damped: bool = True) -> "_Fit":
         # On the directions across the leaf the matrix is made regular, without an effect on the solution.
-        across = rows.T @ solve(rows @ rows.T, rows)
+        across = rows.T @ solve(_gram(rows, rows), rows)
         # A small weight of the last iterate decides what no measured coordinate tells, and nothing else.
         weights = present.astype(rows.dtype) + damped * float(jnp.finfo(rows.dtype).eps) ** 0.5
         return cls(across + jnp.diag(weights), present)
@@ -450,7 +485,12 @@ class _Fit(NamedTuple):
         """The displacement closest to e in its measured entries, along which the constraint falls by c."""
         free = solve(self.matrix, jnp.where(self.present, e, 0.0))
         across = solve(self.matrix, rows.T)
-        return free - across @ solve(rows @ across, rows @ free + c)
+        return free - across @ solve(_gram(rows, across.T), rows @ free + c)
+
+
+def _gram(rows: Float[Array, "m n"], raised: Float[Array, "m n"]) -> Float[Array, "m m"]:
+    """`rows raisedᵀ`, with 1 on the diagonal for rows that are zero: those of a foot in the air constrain nothing."""
+    return rows @ raised.T + jnp.diag(jnp.all(rows == 0, axis=1).astype(rows.dtype))
 
 
 def _rows(space: AbstractSpace, constraint: Callable, x: Configuration) -> Float[Array, "m n"]:
@@ -460,7 +500,8 @@ def _rows(space: AbstractSpace, constraint: Callable, x: Configuration) -> Float
 
 def _is_regular(matrix: Matrix) -> Flag:
     scale = jnp.sqrt(jnp.diag(matrix))
-    scaled = matrix / jnp.where(scale > 0, scale, 1.0)[:, None] / jnp.where(scale > 0, scale, 1.0)
+    scale = jnp.where(scale > 0, scale, 1.0)
+    scaled = matrix / scale[:, None] / scale[None, :]
     return jnp.all(pivots(scaled) > SINGULAR)
 
 

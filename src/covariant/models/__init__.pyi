@@ -1,4 +1,5 @@
 from . import files as files, fluid as fluid, marine as marine, robots as robots, systems as systems
+from ._contacts import contacts as contacts, foot_count as foot_count, standing as standing
 from ._in_chart import chart_jacobian as chart_jacobian, chart_velocity as chart_velocity, in_chart as in_chart
 from ._mechanical import (
     GroupSystem as GroupSystem,
@@ -49,6 +50,7 @@ from .systems import (
     duffing as duffing,
     free_body as free_body,
     heavy_top as heavy_top,
+    hopping_leg as hopping_leg,
     hovercraft as hovercraft,
     induction_motor as induction_motor,
     lorenz as lorenz,
@@ -74,7 +76,6 @@ __all__ = [
     "acceleration",
     "advance",
     "ball_and_beam",
-    "duffing",
     "energy",
     "family",
     "fluid",

@@ -85,6 +85,8 @@ class MechanicalSystem(Functional):
         velocities: Names of the components of v, where they are not the rates of the coordinates.
         velocity_units: Units of the components of v, where they are not the rates of the coordinates.
         inputs: Number of inputs m, where it is not n.
+        feet: Positions `q -> (k, d)` [m] of k feet or hands that touch the ground at known times, where they then stay.
+            The last k inputs are their contacts: 1 for a foot on the ground, 0 for one in the air. None by default.
         parameters: A `Parameter` for each name, as documentation. Functions built by `Parametric` also hold their
             numbers as leaves of the pytree, so that a model with other numbers needs no new compilation.
 
@@ -110,6 +112,7 @@ class MechanicalSystem(Functional):
     velocities: tuple[str, ...] = eqx.field(static=True)
     velocity_units: tuple[str, ...] = eqx.field(static=True)
     inputs: int | None = eqx.field(static=True)
+    feet: Callable[[Array], Array] | None
     parameters: dict[str, Parameter]
 
     def __init__(
@@ -124,6 +127,7 @@ class MechanicalSystem(Functional):
         velocities: tuple[str, ...] = (),
         velocity_units: tuple[str, ...] = (),
         inputs: int | None = None,
+        feet: Callable[[Array], Array] | None = None,
         parameters: dict[str, Parameter] | None = None,
     ):
         self.space = space
@@ -132,7 +136,7 @@ class MechanicalSystem(Functional):
         self.dissipation = no_dissipation if dissipation is None else dissipation
         self.coordinates, self.units = tuple(coordinates), tuple(units)
         self.velocities, self.velocity_units = tuple(velocities), tuple(velocity_units)
-        self.inputs = inputs
+        self.inputs, self.feet = inputs, feet
         self.parameters = dict(parameters or {})
         if None not in self.manifold.shape:
             check_model(self)
@@ -244,6 +248,7 @@ class Lagrangian(MechanicalSystem):
         coordinates: Names of the entries of q.
         units: Units of the entries of q.
         inputs: Number of inputs m, where it is not n.
+        feet: Positions `q -> (k, d)` [m] of feet, as for `MechanicalSystem`.
         parameters: A `Parameter` for each name, as for `MechanicalSystem`.
 
     Raises:
@@ -275,10 +280,11 @@ class Lagrangian(MechanicalSystem):
         coordinates: tuple[str, ...] = (),
         units: tuple[str, ...] = (),
         inputs: int | None = None,
+        feet: Callable[[Array], Array] | None = None,
         parameters: dict[str, Parameter] | None = None,
     ):
         space = as_space(metric, Coordinates(tuple(circles), len(coordinates) or None))
-        named = {"coordinates": coordinates, "units": units, "inputs": inputs, "parameters": parameters}
+        named = {"coordinates": coordinates, "units": units, "inputs": inputs, "feet": feet, "parameters": parameters}
         super().__init__(space, potential, force, dissipation, **named)
 
 
@@ -393,6 +399,13 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
         ("dissipation", functools.partial(resistance, model), (t, q, v, u), (n,)),
     )
     check_shapes(functions, f"{whom} and {u.shape[0]} inputs", whom)
+    if model.feet is not None:
+        shape = jax.eval_shape(model.feet, q).shape
+        if len(shape) != 2 or shape[0] > u.shape[0]:
+            raise ValueError(
+                f"feet must return positions (k, d) of k feet, of which each has one of the {u.shape[0]} inputs, the "
+                f"last ones, that says whether it is on the ground; it returned shape {shape}"
+            )
 
 
 def check_shapes(functions, given: str, whom: str) -> None:

@@ -119,6 +119,8 @@ from .sensors import (
 from .wrappers import (
     ActingInputs as ActingInputs,
     ActingInputsState as ActingInputsState,
+    Contacts as Contacts,
+    ContactsState as ContactsState,
     Damped as Damped,
     DampedInfo as DampedInfo,
     DampedState as DampedState,
@@ -137,6 +139,7 @@ __all__ = [
     "REGISTRY",
     "UKF",
     "AbstractObserver",
+    "Contacts",
     "Contracting",
     "Damped",
     "Delayed",

@@ -40,6 +40,7 @@ from covariant.observers.filters import (
     riccati,
 )
 from covariant.observers.sensors import MissingInputs, Sensor, SlowVariables
+from covariant.observers.wrappers import Contacts
 
 EDGE = 0.1
 """Standard deviation of the position of an encoder's edge, as a fraction of a tick: the manufacturing tolerance."""
@@ -58,6 +59,11 @@ def free(model: Any) -> bool:
 def coordinates(model: Any) -> bool:
     """Mechanical systems in coordinates, not on a group, each of which is measured."""
     return free(model) and model.manifold.commuting
+
+
+def never_held(model: Any) -> bool:
+    """Mechanical systems without closed loops or feet."""
+    return free(model) and model.feet is None
 
 
 def rotations(model: Any) -> bool:
@@ -133,7 +139,7 @@ class Entry(NamedTuple):
         >>> entry = next(e for e in observers.REGISTRY if e.name == "pll")
         >>> entry.observer.__name__, entry.tuned_by, entry.fits(models.oscillator())
         ('PLL', 'bandwidth', True)
-        >>> entry.make(models.oscillator(), 20.0).bandwidth.item()
+        >>> entry.construct(models.oscillator(), 20.0).bandwidth.item()
         20.0
         >>> [entry.name for entry in observers.REGISTRY if entry.fits(models.duffing())]
         ['covariance-ekf', 'information-ekf', 'riccati']
@@ -151,6 +157,19 @@ class Entry(NamedTuple):
     fits: Callable[[Any], bool] = mechanical
     promises: tuple[Literal["error law", "coordinate-free"], ...] = ()
     has_gate: bool = False
+
+    def construct(self, model: Any, *numbers: Any) -> AbstractObserver:
+        """The observer of a model; if the model has feet, through their `Contacts`.
+
+        Args:
+            model: The model.
+            numbers: The numbers of `tuned_by`.
+
+        Returns:
+            The observer.
+        """
+        observer = self.make(model, *numbers)
+        return Contacts(observer) if self.knows_model and getattr(model, "feet", None) is not None else observer
 
     @property
     def knows_model(self) -> bool:
@@ -235,7 +254,7 @@ REGISTRY = (
         about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
-        fits=free,
+        fits=never_held,
         has_gate=True,
     ),
     Entry(
@@ -246,7 +265,7 @@ REGISTRY = (
         about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
         when="known noise, strong nonlinearity between few samples",
         source="Julier & Uhlmann 2004; Brossard, Barrau & Bonnabel 2020",
-        fits=free,
+        fits=never_held,
         has_gate=True,
     ),
     Entry(

@@ -1,4 +1,5 @@
 from ._backstepping import Backstepping as Backstepping
+from ._contacts import simulate_contacts as simulate_contacts
 from ._piecewise import (
     PiecewiseInputs as PiecewiseInputs,
     logged_inputs as logged_inputs,

@@ -145,6 +145,11 @@ def certify(
     progress("reading the model")
     file = models.load(model, overrides)
     system = file.need_mechanical(name, "certificates are about intrinsic observers of")
+    if system.feet is not None:
+        raise ValueError(
+            f"{name} has feet: no certificate covers impacts; `certificates.dwell_time` states what is known of small "
+            "errors from step to step"
+        )
     n, on_group = file.dimension, not system.manifold.commuting
     names = system.velocities if on_group else system.coordinates or numbered("q", n)
     designed = design(file, observer, pair, None if sampling is None else above_zero("sampling", sampling))

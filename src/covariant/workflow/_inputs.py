@@ -340,6 +340,8 @@ def _delay_note(file: models.ModelFile) -> str:
 
 def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Record) -> None:
     """Raise `MisfitError` where the model explains nothing of the motion, or another unit of the log explains it."""
+    if getattr(file.model, "feet", None) is not None:  # the ground's forces explain it, and are not in the log
+        return
     if log.whole is None:
         finding = misfit(file, log.record)
     else:  # the inputs that act in the rows of a part of a log are known from the whole of it

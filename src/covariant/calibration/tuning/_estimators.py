@@ -122,7 +122,7 @@ def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObser
         ['intrinsic', 'intrinsic2', 'geodesic', 'implicit-geodesic', 'copy']
     """
     fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
-    return {entry.name: entry.make(model, alpha, beta) for entry in fitting}
+    return {entry.name: entry.construct(model, alpha, beta) for entry in fitting}
 
 
 class _Known(NamedTuple):
@@ -175,7 +175,7 @@ def tuned_estimators(
             raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
     known = _Known(n, sheet, rate, trial, model.space)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
-    tuned = {entry: entry.make(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
+    tuned = {entry: entry.construct(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
     bare = {entry.name for entry in tuned if entry.has_gate or sheet.speed is None}
     return {entry.name: each if entry.name in bare else gated(each, model, sheet) for entry, each in tuned.items()}
 
@@ -206,7 +206,7 @@ def tuned_state_estimators(
         ['covariance-ekf']
     """
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
-    return {entry.name: entry.make(model, noise) for entry in fitting}
+    return {entry.name: entry.construct(model, noise) for entry in fitting}
 
 
 def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:

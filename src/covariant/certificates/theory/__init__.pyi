@@ -12,6 +12,7 @@ from ._distance import (
     upper_distance as upper_distance,
 )
 from ._distance_certificate import DistanceCertificate as DistanceCertificate, certify_distance as certify_distance
+from ._dwell_time import JumpGrowth as JumpGrowth, dwell_time as dwell_time, jump_growth as jump_growth
 from ._falsify import falsify as falsify
 from ._implicit_distances import (
     DistanceBounds as DistanceBounds,

@@ -19,6 +19,7 @@ SYSTEMS = {
     "duffing": "systems._duffing:duffing",
     "free_body": "systems._heavy_top:free_body",
     "heavy_top": "systems._heavy_top:heavy_top",
+    "hopping_leg": "systems._hopping_leg:hopping_leg",
     "hovercraft": "systems._hovercraft:hovercraft",
     "induction_motor": "systems._induction_motor:induction_motor",
     "legged_base": "systems._legged_base:legged_base",

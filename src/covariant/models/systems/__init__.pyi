@@ -2,6 +2,7 @@ from ._ball_and_beam import ball_and_beam as ball_and_beam
 from ._bioreactor import bioreactor as bioreactor
 from ._duffing import duffing as duffing
 from ._heavy_top import free_body as free_body, heavy_top as heavy_top
+from ._hopping_leg import hopping_leg as hopping_leg
 from ._hovercraft import hovercraft as hovercraft
 from ._induction_motor import induction_motor as induction_motor
 from ._lorenz import lorenz as lorenz

@@ -32,12 +32,12 @@ from ._protocol import (
     kept as kept,
     no_input as no_input,
     outcome as outcome,
+    readability as readability,
     run as run,
     scan as scan,
     step_length as step_length,
     still as still,
     time_since_measurement as time_since_measurement,
-    readability as readability,
     uniqueness as uniqueness,
 )
 from ._sampled import (

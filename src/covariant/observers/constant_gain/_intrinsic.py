@@ -25,12 +25,12 @@ from covariant.observers.base import (
     check_positive,
     outcome,
     predicted,
+    readability,
     sampled_correction,
     sampled_gains,
     step_result,
     still,
     time_since_measurement,
-    readability,
 )
 
 

@@ -34,12 +34,12 @@ from covariant.observers.base import (
     check_positive,
     outcome,
     predicted,
+    readability,
     sampled_correction,
     sampled_force_gains,
     step_result,
     still,
     time_since_measurement,
-    readability,
 )
 from covariant.observers.constant_gain._intrinsic import Intrinsic
 

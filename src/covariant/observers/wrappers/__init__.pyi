@@ -1,4 +1,5 @@
 from ._acting_inputs import ActingInputs as ActingInputs, ActingInputsState as ActingInputsState
+from ._contacts import Contacts as Contacts, ContactsState as ContactsState
 from ._damped import (
     Damped as Damped,
     DampedInfo as DampedInfo,

@@ -1,0 +1,143 @@
+"""How much the impacts of feet enlarge a small error of an observer, and how long it needs between them.
+
+With constant gains and measurements in continuous time, small errors ξ and ζ of position and velocity obey the law
+`ξ' = ζ − αξ`, `ζ' = −βξ` in flight and in stance. With complex poles the length
+
+    V = β|ξ|² − α<ξ, ζ> + |ζ|²
+
+falls exactly by `V' = −αV`. In a jump, with the second fundamental form II of the leaf, and its shape operator S for
+the velocity n that is lost, `<S a, b> = <II(a, b), n>`,
+
+    touch-down  ξ⁺ = P ξ, ζ⁺ = P ζ + S P ξ:   √V grows at most by F_td, the largest singular value of
+                Q^½ [[1, 0], [s, 1]] Q^−½ over the eigenvalues s of S, with Q = [[β, −α/2], [−α/2, 1]]
+    lift-off    ξ⁺ = ξ, ζ⁺ = ζ + II(ξ, v):    √V grows at most by F_lo = √(1 + |II(·, v)|²/(β − α²/4))
+
+so that errors vanish where `α/2 (flight + stance) > ln F_td + ln F_lo`. This is of small errors; nothing is said of
+others, of contacts that are found rather than known, or of feet that slip.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Number, Vector
+from covariant.certificates.base import Hypothesis, Statement
+from covariant.geometry import Leaf
+
+ASSUMED = (
+    "the times of all contacts are known, and the estimate jumps at the same instants as the motion",
+    "errors are so small that first variations count, in a tube where the feet's rows keep their rank",
+    "impacts are plastic, and feet on the ground do not slip",
+    "positions are measured in continuous time and without noise, and the model is exact",
+)
+"""What the inequality rests on beside the numbers."""
+
+
+class JumpGrowth(NamedTuple):
+    """Largest factors by which jumps enlarge a small error.
+
+    Attributes:
+        touch_down: Factor F_td of a touch-down.
+        lift_off: Factor F_lo of a lift-off.
+
+    Example:
+        >>> from covariant.certificates import JumpGrowth
+        >>> JumpGrowth(touch_down=1.02, lift_off=1.01).lift_off
+        1.01
+    """
+
+    touch_down: Float[Array, "*k"] | float
+    lift_off: Float[Array, "*k"] | float
+
+
+def jump_growth(leaf: Leaf, q: Array, v: Vector, alpha: Number, beta: Number) -> JumpGrowth:
+    """Factors by which the jumps between the air and a leaf enlarge a small error of an observer.
+
+    Args:
+        leaf: The leaf of the feet on the ground, such as the space of `models.standing`.
+        q: Configuration on the leaf.
+        v: Velocity (n,) before a touch-down; of a lift-off, that of the motion, along the leaf.
+        alpha: Gain α [1/s] of the observer.
+        beta: Gain β [1/s²], more than α²/4.
+
+    Returns:
+        The factors: of a touch-down with the velocity v, and of a lift-off with its part along the leaf.
+
+    Example:
+        A mass on a rod of 2 m. Before the rod holds, it moves outwards at 1 m/s and along at 2 m/s:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant.certificates import jump_growth
+        >>> from covariant.geometry import Euclidean, Leaf
+        >>> circle = Leaf(Euclidean(), lambda x: (x @ x - 4.0)[None] / 2, jnp.array([2.0, 0.0]))
+        >>> growth = jump_growth(circle, circle.assembly, jnp.array([1.0, 2.0]), 20.0, 200.0)
+        >>> [round(float(factor), 4) for factor in growth]
+        [1.0253, 1.005]
+    """
+    axes = jnp.eye(v.shape[0], dtype=v.dtype)
+    tangent = leaf.projected(q, v)
+    # In orthonormal components w, with a = L⁻ᵀw for g = L Lᵀ, operators are matrices whose norms are those meant.
+    root = jnp.linalg.cholesky(leaf(q))
+    vectors = jax.scipy.linalg.solve_triangular(root, axes, lower=True)  # rows: the axes of such components
+    along = jax.vmap(lambda a: leaf.projected(q, a))(vectors)
+    lost = leaf.lower(q, v - tangent)
+    shape = jax.vmap(lambda a: jax.vmap(lambda b: lost @ leaf.second_form(q, a, b))(along))(along)
+    bend = jax.vmap(lambda a: root.T @ leaf.second_form(q, a, tangent), out_axes=1)(along)
+    values = jnp.linalg.eigvalsh((shape + shape.T) / 2)
+    half = jnp.linalg.cholesky(jnp.asarray([[beta, -alpha / 2], [-alpha / 2, 1.0]]))
+
+    def stretched(s):
+        return half.T @ jnp.array([[1.0, 0.0], [0.0, 1.0]]).at[1, 0].set(s) @ jnp.linalg.inv(half.T)
+
+    touch_down = jnp.max(jnp.linalg.norm(jax.vmap(stretched)(values), 2, axis=(1, 2)))
+    lift_off = jnp.sqrt(1 + jnp.linalg.norm(bend, 2) ** 2 / (beta - alpha**2 / 4))
+    return JumpGrowth(touch_down, lift_off)
+
+
+def dwell_time(growth: JumpGrowth, alpha: float, beta: float, flight: float, stance: float) -> Statement:
+    """Whether small errors of an observer vanish over a cycle of flight and stance, by the dwell-time inequality.
+
+    The condition is sufficient alone, so that the verdict is never "fails". It is of small errors, and of contacts that
+    are known: read its assumptions.
+
+    Args:
+        growth: Factors at the touch-downs and lift-offs that were looked at; the largest of each count.
+        alpha: Gain α [1/s] of the observer.
+        beta: Gain β [1/s²].
+        flight: Shortest flight [s].
+        stance: Shortest stance [s].
+
+    Returns:
+        The statement; its margin is `α/2 (flight + stance) − ln F_td − ln F_lo`.
+
+    Raises:
+        ValueError: β is not more than α²/4: with real poles this length does not fall at once.
+
+    Example:
+        >>> from covariant.certificates import JumpGrowth, dwell_time
+        >>> statement = dwell_time(JumpGrowth(1.02, 1.01), 20.0, 200.0, flight=0.2, stance=0.1)
+        >>> statement.short, round(statement.margin, 2)
+        ('holds (sampled)', 2.97)
+    """
+    if not 0 < alpha**2 / 4 < beta:
+        raise ValueError(f"dwell_time: beta must be more than alpha²/4 = {alpha**2 / 4:g} 1/s²; got {beta:g}")
+    worst = np.max(growth.touch_down), np.max(growth.lift_off)
+    gained = alpha / 2 * (flight + stance)
+    margin = float(gained - np.log(worst).sum())
+    condition = Hypothesis(
+        f"α/2 (flight + stance) = {gained:.4g} is more than ln F_td + ln F_lo = {gained - margin:.4g}",
+        "sampled",
+        "holds" if margin > 0 else "undecided",
+        margin,
+    )
+    count = np.size(growth.touch_down)
+    return Statement(
+        "small errors of position and velocity shrink over each cycle of flight and stance",
+        (f"alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²", f"flight {flight:g} s, stance {stance:g} s at least"),
+        (condition, *(Hypothesis(text, "assumed") for text in ASSUMED)),
+        margin,
+        f"{count} events that were looked at" if count > 1 else "the event that was looked at",
+    )

@@ -1,0 +1,92 @@
+"""A machine whose feet touch the ground: while they stay there its configurations are a leaf of the whole space.
+
+One leaf serves all sets of feet, since the rows of those in the air are zero: a program without branches.
+
+Source: Kozlov & Treshchev 1991, Billiards, for impacts as projections; Lötstedt 1984 for the plastic ones.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from covariant.geometry import Leaf
+from covariant.models._mechanical import MechanicalSystem
+
+ON_THE_GROUND = 0.5
+"""An input that says whether a foot is on the ground does so above this value."""
+
+
+def foot_count(model: MechanicalSystem, q: Any) -> int:
+    """Number k of feet of a model, which are its last inputs; 0 where it states none.
+
+    Args:
+        model: The model.
+        q: A configuration, of which only shape and type are used.
+
+    Returns:
+        The number.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.foot_count(models.hopping_leg(), jnp.zeros(4)), models.foot_count(models.oscillator(), jnp.zeros(1))
+        (1, 0)
+    """
+    return 0 if model.feet is None else eqx.filter_eval_shape(model.feet, q).shape[0]
+
+
+def contacts(u: Float[Array, "*T m"], count: int) -> Bool[Array, "*T k"]:
+    """Which feet are on the ground, by the last inputs.
+
+    Args:
+        u: Inputs (..., m).
+        count: Number k of feet.
+
+    Returns:
+        True for those on the ground (..., k).
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> models.contacts(jnp.array([3.5, 1.0, 0.0]), 2).tolist()
+        [True, False]
+    """
+    return u[..., u.shape[-1] - count :] > ON_THE_GROUND
+
+
+def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array, "k d"]) -> MechanicalSystem:
+    """The model while some of its feet stay where they are.
+
+    Args:
+        model: A model with `feet`.
+        down: Which feet are on the ground (k,).
+        spots: Where these feet are (k, d) [m]; the places of others are not used.
+
+    Returns:
+        The model on a `Leaf`. With all feet in the air it moves as the model itself.
+
+    Example:
+        A leg of which the foot is held turns about it, and its body rises by no more than that allows:
+
+        >>> import jax.numpy as jnp
+        >>> from covariant import models
+        >>> leg = models.hopping_leg()
+        >>> q = jnp.array([0.0, 0.5, 0.5, -1.0])
+        >>> held = models.standing(leg, jnp.array([True]), leg.feet(q))
+        >>> v = held.space.projected(q, jnp.array([0.0, 1.0, 0.0, 0.0]))
+        >>> bool(v[1] < 1), bool(abs(held.space.constraint(q)).max() < 1e-15)
+        (True, True)
+    """
+    assert model.feet is not None
+    # The assembly of a loop is what nothing needs here: a foot lands in one way only.
+    constraint, assembly = eqx.Partial(_slipped, model.feet, down, spots), model.manifold.origin(spots.dtype)
+    leaf = Leaf(model.space, constraint, assembly)  # pyright: ignore[reportCallIssue]
+    return eqx.tree_at(lambda m: m.space, model, leaf)
+
+
+def _slipped(feet: Any, down: Bool[Array, "k"], spots: Float[Array, "k d"], q: Any) -> Float[Array, "k_d"]:
+    """How far feet on the ground are from their spots; 0 for those in the air, and so are their rows."""
+    gaps: Any = jnp.where(down[:, None], feet(q) - spots, 0.0)
+    return gaps.ravel()
