@@ -2,7 +2,7 @@ from ._data_sheet import Facts as Facts
 from ._fmu import Unit as Unit, fmu as fmu, write_fmu as write_fmu
 from ._names import check_export_name as check_export_name, export_name as export_name
 from ._program import (
-    Leaf as Leaf,
+    Member as Member,
     Program as Program,
     Recipe as Recipe,
     Signals as Signals,

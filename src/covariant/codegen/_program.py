@@ -51,7 +51,7 @@ class Recipe(NamedTuple):
     units: Mapping[str, str] = MappingProxyType({})
 
 
-class Leaf(NamedTuple):
+class Member(NamedTuple):
     """An array of a structure.
 
     Attributes:
@@ -60,8 +60,8 @@ class Leaf(NamedTuple):
         real: Whether it holds real numbers rather than counts or truth values.
 
     Example:
-        >>> from covariant.codegen import Leaf
-        >>> Leaf("gain", (2, 3)).size
+        >>> from covariant.codegen import Member
+        >>> Member("gain", (2, 3)).size
         6
     """
 
@@ -75,7 +75,7 @@ class Leaf(NamedTuple):
         return int(np.prod(self.shape, dtype=int))
 
     @property
-    def last(self) -> "Leaf":
+    def last(self) -> "Member":
         """The array of a state that holds this one of the info of the last step."""
         return self._replace(name=f"last_{self.name}")
 
@@ -156,11 +156,11 @@ class Program(NamedTuple):
     step: Lowered
     estimate: Lowered
     numbers: dict[str, np.ndarray]
-    given: tuple[Leaf, ...]
+    given: tuple[Member, ...]
     values: tuple[np.ndarray, ...]
-    state: tuple[Leaf, ...]
-    info: tuple[Leaf, ...]
-    x: tuple[Leaf, ...]
+    state: tuple[Member, ...]
+    info: tuple[Member, ...]
+    x: tuple[Member, ...]
     y: tuple[int, ...]
     u: int
     real: Real
@@ -189,27 +189,27 @@ class Program(NamedTuple):
         return math.prod(self.y)
 
     @property
-    def parameters(self) -> list[Leaf]:
+    def parameters(self) -> list[Member]:
         """The arrays of `numbers`."""
-        return [Leaf(name, np.shape(value)) for name, value in self.numbers.items()]
+        return [Member(name, np.shape(value)) for name, value in self.numbers.items()]
 
     @property
-    def reported(self) -> list[Leaf]:
+    def reported(self) -> list[Member]:
         """The arrays of the info that are stored beside a state, `REPORTED` among them."""
         return [leaf for leaf in self.info if leaf.name in REPORTED and leaf.size]
 
     @property
-    def told(self) -> list[Leaf]:
+    def told(self) -> list[Member]:
         """Standard deviations, proved bounds and slow states, which belong to an estimate."""
         return [leaf for leaf in self.reported if leaf.name in ("slow", *BOUND) or leaf.name.endswith("_std")]
 
     @property
-    def stored(self) -> list[Leaf]:
+    def stored(self) -> list[Member]:
         """The arrays of a state as the code stores it, with what the last step reported."""
         return [*self.state, *(leaf.last for leaf in self.reported)]
 
     @property
-    def output(self) -> list[Leaf]:
+    def output(self) -> list[Member]:
         """The arrays of an estimate as the code returns it."""
         return [*self.x, *self.told]
 
@@ -355,11 +355,11 @@ class TracedProgram(NamedTuple):
     init: TracedFunction
     step: TracedFunction
     estimate: TracedFunction
-    given: tuple[Leaf, ...]
+    given: tuple[Member, ...]
     values: tuple[np.ndarray, ...]
-    state: tuple[Leaf, ...]
-    info: tuple[Leaf, ...]
-    x: tuple[Leaf, ...]
+    state: tuple[Member, ...]
+    info: tuple[Member, ...]
+    x: tuple[Member, ...]
     y: tuple[int, ...]
     u: int
     real: Real
@@ -425,7 +425,7 @@ def program(
         >>> from covariant import codegen, observers
         >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
         >>> codegen.program(recipe, np.zeros(2), real="float").x
-        (Leaf(name='q', shape=(2,), real=True), Leaf(name='v', shape=(2,), real=True))
+        (Member(name='q', shape=(2,), real=True), Member(name='v', shape=(2,), real=True))
     """
     return trace_program(recipe, y, inputs, real, alone).lower(loops)
 
@@ -513,7 +513,7 @@ def trace_program(
             part = jax.ShapeDtypeStruct((count,), dtype)
             alone_traced.append((name, trace(step_alone, open_numbers, state, acting, part, scalar)))
             at += count
-    leaves = tuple(Leaf(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
+    leaves = tuple(Member(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
     return TracedProgram(
         traced_init,
         traced_step,
@@ -544,7 +544,7 @@ def _real(tree: Any, dtype: Any) -> Any:
     return jax.tree.map(lambda a: jnp.asarray(a).astype(dtype), tree)
 
 
-def _find_used_numbers(graphs: Sequence[Lowered], leaves: Sequence[Leaf]) -> set[str]:
+def _find_used_numbers(graphs: Sequence[Lowered], leaves: Sequence[Member]) -> set[str]:
     """The open numbers that a graph uses."""
     inputs = {node.value for lowered in graphs for node in _reachable_nodes(lowered) if node.op == "input"}
     owners = [leaf.name for leaf in leaves for _ in range(leaf.size)]
@@ -555,12 +555,12 @@ def _reachable_nodes(lowered: Lowered):
     return lowered.graph.pruned(lowered.outputs)[0].nodes
 
 
-def _leaves(tree: Any) -> tuple[Leaf, ...]:
+def _leaves(tree: Any) -> tuple[Member, ...]:
     """The arrays of a pytree, in order; an array alone is called x."""
     leaves = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         name = "_".join(_path_keys(path)) or "x"
-        leaves.append(Leaf(name, tuple(leaf.shape), bool(jnp.issubdtype(leaf.dtype, jnp.floating))))
+        leaves.append(Member(name, tuple(leaf.shape), bool(jnp.issubdtype(leaf.dtype, jnp.floating))))
     return tuple(leaves)
 
 

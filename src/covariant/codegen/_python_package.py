@@ -17,7 +17,7 @@ from covariant._compile import built, compiler_command
 from covariant._files import zipped
 from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
-from covariant.codegen._program import DTYPES, Leaf, Program
+from covariant.codegen._program import DTYPES, Member, Program
 from covariant.codegen._source import common_words
 from covariant.signals import StepCode
 
@@ -129,15 +129,15 @@ def _words(program: Program, about: str, rate: float, token: str, version: str) 
     }
 
 
-def _field(leaf: Leaf) -> str:
+def _field(leaf: Member) -> str:
     return f"{leaf.name}_" if keyword.iskeyword(leaf.name) else leaf.name
 
 
-def _shapes(leaves: Sequence[Leaf]) -> str:
+def _shapes(leaves: Sequence[Member]) -> str:
     pairs = "".join(f"\n    ({leaf.name!r}, {leaf.shape!r})," for leaf in leaves if math.prod(leaf.shape))
     return f"({pairs}\n)" if pairs else "()"
 
 
-def _field_line(leaf: Leaf, rows: tuple[str, ...]) -> str:
+def _field_line(leaf: Member, rows: tuple[str, ...]) -> str:
     sides = [*rows, *map(str, leaf.shape)]
     return f"    {_field(leaf)}: np.ndarray  # ({', '.join(sides)}{',' if len(sides) == 1 else ''})"

@@ -14,7 +14,7 @@ import numpy as np
 
 from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
-from covariant.codegen._program import Leaf, Program, Real, part_text
+from covariant.codegen._program import Member, Program, Real, part_text
 from covariant.lowering import C_KEYWORDS, C_MACROS, CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import StepCode
 
@@ -133,12 +133,12 @@ def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
     return Source(name, _header(program, words), _source(program, words, functions), functions, tables)
 
 
-def entries(owner: str, leaf: Leaf) -> list[str]:
+def entries(owner: str, leaf: Member) -> list[str]:
     """The C expressions of the entries of an array of a structure."""
     return [f"{owner}{field(leaf)}[{i}]" for i in range(leaf.size)] if leaf.shape else [f"{owner}{field(leaf)}"]
 
 
-def field(leaf: Leaf) -> str:
+def field(leaf: Member) -> str:
     """The name of an array in C, with an underscore where it is a keyword or a macro."""
     return f"{leaf.name}_" if leaf.name in RESERVED else leaf.name
 
@@ -164,7 +164,7 @@ def common_words(program: Program, name: str, about: str) -> Words:
 def _header(program: Program, words: Words) -> str:
     upper, real = words["UPPER"], f"{words['NAME']}_real"
 
-    def members(leaves: Sequence[Leaf]) -> list[str]:
+    def members(leaves: Sequence[Member]) -> list[str]:
         lines = [f"    {real} {field(leaf)}{f'[{leaf.size}]' if leaf.shape else ''};" for leaf in leaves if leaf.size]
         return lines or [f"    {real} unused;"]  # a structure without members is no C
 
@@ -227,7 +227,7 @@ def _step(program: Program, name: str, step: Lowered, measured: int) -> tuple[Lo
     return lowered, Signature(declared, passed, inputs, tuple(outputs))
 
 
-def _drop_unread_results(program: Program, step: Lowered) -> tuple[Lowered, list[Leaf]]:
+def _drop_unread_results(program: Program, step: Lowered) -> tuple[Lowered, list[Member]]:
     """A step without the results that nothing reads."""
     wanted = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
     count = sum(leaf.size for leaf in program.state)

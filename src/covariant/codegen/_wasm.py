@@ -11,7 +11,7 @@ import numpy as np
 from covariant._compile import built, zig
 from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
-from covariant.codegen._program import Leaf, Program
+from covariant.codegen._program import Member, Program
 from covariant.codegen._source import common_words
 from covariant.codegen._vectors import Vectors
 from covariant.signals import StepCode
@@ -114,7 +114,7 @@ def _words(program: Program, rate: float) -> Words:
     }
 
 
-def _sizes(leaves: Sequence[Leaf]) -> str:
+def _sizes(leaves: Sequence[Member]) -> str:
     return json.dumps([[leaf.name, leaf.size] for leaf in leaves if leaf.size])
 
 
