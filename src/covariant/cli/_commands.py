@@ -34,6 +34,7 @@ class Command:
         exit_code: The exit code of a result; a result that is false there gives 0.
         note: What the help says beside the first paragraph of the verb's docstring.
         again: Whether the result itself tells if a file that exists is of an earlier run, and replaces that unasked.
+        over_logs: Whether it goes over many logs, each by itself, where `--out` is a folder.
     """
 
     verb: str
@@ -47,12 +48,13 @@ class Command:
     exit_code: Callable[[Any], int] = lambda result: 0
     note: str = ""
     again: bool = False
+    over_logs: bool = False
 
     @property
     def options(self) -> list[Option]:
         """All options in the order of the help."""
         json = Option("json", FLAG, "Print one JSON object for machines.", False, ("--json",))
-        return [*of_verb(self.verb, self.changes), *self.own, json]
+        return [*of_verb(self.verb, self.changes), *self.own, *(OVER_LOGS if self.over_logs else ()), json]
 
     def __call__(self, values: dict[str, Any]) -> int:
         """Run the command with what typer read for each option; returns the exit code."""
@@ -61,6 +63,14 @@ class Command:
         try:
             read = {option.name: option.read(values[option.name]) for option in options}
             json, own = read.pop("json"), {option.name: read.pop(option.name) for option in self.own}
+            if self.over_logs:
+                crew = {option.name: read.pop(option.name) for option in OVER_LOGS}
+                if self._is_folder(own["out"], read["log"]):
+                    return self._over_logs(read, own, crew, json, flags)
+                if any(each is not None for each in crew.values()):
+                    raise ValueError("`workers` and `scheduler` are for many logs; give --out FOLDER")
+                if self.verb != "fit":
+                    read["log"] = read["log"][0]
             for option in self.own:
                 overwrite = self.again or option.name != "out" or own.get("overwrite", True)
                 if option.suffixes:
@@ -71,6 +81,28 @@ class Command:
         except ValueError as error:
             error.args = (in_options(str(error), flags),)
             raise
+
+    def _is_folder(self, out: Path | None, logs: list[Path]) -> bool:
+        """Whether each log is computed by itself."""
+        return (out is not None and (not out.suffix or out.is_dir())) or (len(logs) > 1 and self.verb != "fit")
+
+    def _over_logs(self, read: Any, own: Any, crew: Any, json: bool, flags: Mapping[str, str]) -> int:
+        asked = [option.typed for option in self.own if option.name != "out" and own[option.name]]
+        if asked:
+            raise ValueError(f"{asked[0]} is for one log; of many, --out FOLDER has a page and a file of each")
+        call = Invocation(self.verb, json, {name: value for name, value in read.items() if value is not None}, flags)
+        try:
+            with progress_bar(json) as progress:
+                arguments = call.arguments(self.verb)
+                model, logs = arguments.pop("model"), arguments.pop("log")
+                result = workflow.over_logs(
+                    self.verb, model, logs, out=own["out"], progress=progress, **crew, **arguments
+                )
+        except KeyboardInterrupt:
+            say("covariant: stopped; the same command goes on where it stopped" * (own["out"] is not None), sys.stderr)
+            raise SystemExit(130) from None  # 128 + 2, what shells report of a process that SIGINT ended
+        call.show(result)
+        return int(result.wrong)
 
 
 @dataclass(frozen=True)
@@ -92,14 +124,19 @@ class Invocation:
     def __call__(self, verb: str = "", **more: Any) -> Any:
         """Call the verb, or another one with those of the arguments that it has, and show the progress."""
         verb = verb or self.verb
-        known = signature(verb).arguments
-        arguments = {name: value for name, value in (self.values | more).items() if name in known}
-        if "columns" in known:
-            arguments["columns"] = {name: self.values[name] for name in COLUMNS if name in self.values}
+        arguments = self.arguments(verb, **more)
         with progress_bar(self.json) as progress:
             if signature(verb).progress:
                 arguments["progress"] = progress
             return getattr(workflow, verb)(**arguments)
+
+    def arguments(self, verb: str, **more: Any) -> dict[str, Any]:
+        """Those of the arguments that a verb has."""
+        known = signature(verb).arguments
+        arguments = {name: value for name, value in (self.values | more).items() if name in known}
+        if "columns" in known:
+            arguments["columns"] = {name: self.values[name] for name in COLUMNS if name in self.values}
+        return arguments
 
     def show(self, result: Any, *places: Any, **named: Any) -> Any:
         """Print and save a result; returns it."""
@@ -219,6 +256,16 @@ LISTED = {
 }
 """The option `observer` of commands that take all of them."""
 SEVERAL = {"kind": Kind(list[Path], _parse.log_paths, "LOG...")}
+EACH = SEVERAL | {
+    "help": "Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2; or many of them."
+}
+OVER_LOGS = (
+    Option("workers", Kind(int), "Of many logs: processes, as many as processors by default.", None, ("--workers",)),
+    Option(
+        "scheduler", TEXT, "Of many logs: address of a Dask scheduler whose workers compute.", None, ("--scheduler",)
+    ),
+)
+"""Options of commands that go over many logs."""
 
 LOG, ROBOTS, EXPORT, PROOFS, HELP = "Your log", "Robots and models", "Export", "Proofs and papers", "This program"
 """Headings of the help."""
@@ -237,8 +284,11 @@ COMMANDS = (
         LOG,
         "check arm.toml log.csv",
         "docs/check.md",
-        own=(PAGE,),
+        own=(Option("out", PATH, "Of many logs: folder for a table and a page.", None, ("-o", "--out")), PAGE),
+        changes={"log": EACH},
         exit_code=lambda result: bool(result.wrong),
+        run=lambda call, out, report: call.show(call(), report=report),
+        over_logs=True,
         note="Exit code 1 where something is wrong.",
     ),
     Command(
@@ -249,6 +299,7 @@ COMMANDS = (
         own=(MODEL_FILE, PAGE, OVERWRITE),
         changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
         run=_fit,
+        over_logs=True,
         exit_code=lambda result: result.exit_code,
         note="Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.",
     ),
@@ -274,9 +325,10 @@ COMMANDS = (
             Option("smooth", FLAG, default=False, flags=("--smooth",), hidden=True),
             Option("lag", Kind(float), flags=("--lag",), hidden=True),
         ),
-        changes=LISTED,
+        changes=LISTED | {"log": EACH},
         run=_estimate,
         again=True,
+        over_logs=True,
     ),
     Command(
         "smooth",
@@ -284,7 +336,9 @@ COMMANDS = (
         "smooth arm.toml log.csv -o smooth.csv",
         "docs/smoothing.md",
         own=(_output("Write the estimate here", *WRITTEN), REPORT, RERUN, OVERWRITE),
+        changes={"log": EACH},
         again=True,
+        over_logs=True,
     ),
     Command(
         "compare",

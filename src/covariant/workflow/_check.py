@@ -15,10 +15,12 @@ from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_c
 from covariant.models import Overrides
 from covariant.signals import Record, acting_inputs
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, load
+from covariant.workflow._over_logs import each_log
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 
+@each_log
 def check(
     model: Any,
     log: Any,

@@ -47,6 +47,7 @@ from covariant.workflow._outcome import (
     unexplained,
     with_units,
 )
+from covariant.workflow._over_logs import each_log
 from covariant.workflow._pages import AbstractEstimates, accuracy, estimate_report
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._refusals import LISTED, Refusal, refusals, refused_text
@@ -57,6 +58,7 @@ INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
 """Observers that predict with the model."""
 
 
+@each_log
 def estimate(
     model: Any,
     log: Any,
