@@ -30,6 +30,7 @@ from ._result import AbstractResult as AbstractResult, AbstractTable as Abstract
 from ._robot_file import RobotFileResult as RobotFileResult
 from ._simulate import SimulateResult as SimulateResult, simulate as simulate
 from ._smooth import SmoothResult as SmoothResult, smooth as smooth
+from ._sweep import SweepResult as SweepResult, sweep as sweep
 from ._tune import TuneResult as TuneResult, tune as tune
 
 __all__ = [

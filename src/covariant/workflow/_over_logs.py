@@ -7,13 +7,12 @@ import importlib.util
 import json
 import os
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from covariant import workflow
 from covariant._cases import CaseTable, Crew, chunks_of, content_hash, run_chunks
 from covariant.logs import source_name
 from covariant.workflow._among_logs import LogRow, among_logs
-from covariant.workflow._model_output import as_logs, read_sources
+from covariant.workflow._model_output import read_sources
 from covariant.workflow._outputs import write_table
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
@@ -126,24 +125,26 @@ def over_logs(
             rows |= result
             done += sum(costs[case.key] for case in chunk)
             report()
-    names = [case.name for case in cases]
-    result = LogsResult(verb, str(model), [LogRow(name, rows[case.key]) for name, case in zip(names, cases)])
+    result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases])
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")
     return result
 
 
-def each_log(verb: Callable[..., Any]) -> Callable[..., Any]:
+Verb = TypeVar("Verb", bound=Callable[..., Any])
+
+
+def each_log(verb: Verb) -> Verb:
     """Make a verb of one log one of many: with a list of logs it is `over_logs`."""
 
     @functools.wraps(verb)
     def call(model: Any, log: Any, **settings: Any) -> Any:
         if type(log) not in (list, tuple):  # a Record is a tuple of another type
             return verb(model, log, **settings)
-        return over_logs(verb.__name__, model, as_logs(log), **settings)
+        return over_logs(verb.__name__, model, log, **settings)
 
-    return call
+    return cast(Verb, call)
 
 
 class _Case(NamedTuple):
@@ -161,11 +162,15 @@ def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, sett
     whole = [verb, str(model), _model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
     names = [source_name(log) for log in logs]
     names = [f"{name} {k + 1}" if name in ("record", "table", "dataset") else name for k, name in enumerate(names)]
-    stems = [Path(name).stem for name in names]
-    counts = Counter(stems)
+    stems, places = (
+        [Path(name).stem for name in names],
+        [f"{Path(name).parent.name}_{Path(name).stem}" for name in names],
+    )
     cases = []
-    for k, (log, name, stem) in enumerate(zip(logs, names, stems, strict=True)):
-        unique = stem if counts[stem] == 1 else f"{Path(name).parent.name}_{stem}_{k + 1}"
+    for log, name, stem, place in zip(logs, names, stems, places, strict=True):
+        # Not by number: a log that is added later shall not give others another name.
+        long = place if places.count(place) == 1 else f"{place}_{content_hash(name)[:8]}"
+        unique = stem if stems.count(stem) == 1 else long
         path = folder / f"{unique}{FILES[verb]}" if folder is not None and verb in FILES else None
         content, cost = _content(log)
         cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost))
@@ -247,8 +252,9 @@ def _row(result: Any) -> dict[str, Any]:
     """Numbers and short texts of a result, by column."""
     if isinstance(result, workflow.FitResult):
         values = zip(result.columns["parameter"], result.values, result.standard_errors, strict=True)
-        row = {key: float(value) for name, *both in values for key, value in zip((name, f"{name}_std"), both)}
-        return row | {"better": bool(result.better)}
+        numbers = [(name, float(value), f"{name}_std", float(std)) for name, value, std in values]
+        row = {key: number for each in numbers for key, number in (each[:2], each[2:])}
+        return row | {"better": "yes" if result.better else "no"}
     if isinstance(result, workflow.CheckResult):
         named = {True: [], False: []}
         for finding in result.findings:
