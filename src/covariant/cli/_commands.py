@@ -214,7 +214,7 @@ def _certify(
     return call.show(result, None if result.wrong else out, report, figure=figure)
 
 
-def _metric(call: Invocation) -> Any:
+def _stoppable(call: Invocation, **places: Any) -> Any:
     check_output(call.values["store"], ".zarr", store=True)
     try:
         result = call()
@@ -222,7 +222,7 @@ def _metric(call: Invocation) -> Any:
         say(f"covariant: {stopped}", sys.stderr)
         # 128 + 2, what shells report of a process that SIGINT ended.
         raise SystemExit(130) from None
-    return call.show(result)
+    return call.show(result, **places)
 
 
 def _output(help: str, *suffixes: str, needed: bool = False, **more: Any) -> Option:
@@ -389,7 +389,7 @@ COMMANDS = (
         "docs/metrics.md",
         "design metric",
         changes={"start": {"flags": ("--start",)}},
-        run=_metric,
+        run=_stoppable,
         note="A run that was stopped goes on where it was.",
     ),
     Command(
@@ -398,6 +398,15 @@ COMMANDS = (
         "design reduced-order lorenz --rate 1",
         "docs/contracting.md",
         "design reduced-order",
+    ),
+    Command(
+        "sweep",
+        ROBOTS,
+        "sweep basin.toml -o basin.zarr",
+        "docs/many.md",
+        own=(_output("Write the table here", ".csv", name="table", flags=("--table",)), PAGE),
+        run=lambda call, table, report: _stoppable(call, out=table, report=report),
+        note="A run that was stopped goes on where it was.",
     ),
     Command(
         "export",

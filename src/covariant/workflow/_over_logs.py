@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
@@ -20,6 +21,7 @@ from covariant import workflow
 from covariant._cases import CaseTable, Crew, chunks_of, content_hash, run_chunks
 from covariant.logs import source_name
 from covariant.workflow._among_logs import LogRow, among_logs
+from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import read_sources
 from covariant.workflow._outputs import write_table
 from covariant.workflow._progress import Progress, notebook_line
@@ -42,7 +44,7 @@ def over_logs(
     *,
     out: str | Path | None = None,
     workers: int | None = 1,
-    scheduler: Any = None,
+    scheduler: Scheduler | None = None,
     progress: Progress = notebook_line,
     **settings: Any,
 ) -> "LogsResult":
@@ -114,17 +116,23 @@ def over_logs(
         )
 
     report()
-    with closing(run_chunks(_Work(verb, model, settings), chunks, crew)) as results:
-        for chunk, result in results:
-            if isinstance(result, BrokenExecutor):
-                result = {case.key: {"failed": str(result)} for case in chunk}
-            # What another run may find otherwise, such as a full disk, is not kept.
-            lasting = {key: row for key, row in result.items() if row.pop("lasting", False)}
-            if table is not None and lasting:
-                table.write(lasting)
-            rows |= result
-            done += sum(costs[case.key] for case in chunk)
-            report()
+    while chunks:
+        broken: list[list[_Case]] = []
+        with closing(run_chunks(_Work(verb, model, settings), chunks, crew)) as results:
+            for chunk, result in results:
+                if isinstance(result, BrokenExecutor):
+                    if len(chunk) > 1:  # one of its logs killed the process
+                        broken += [[case] for case in chunk]
+                        continue
+                    result = {chunk[0].key: {"failed": str(result)}}
+                # What another run may find otherwise, such as a full disk, is not kept.
+                lasting = {key: row for key, row in result.items() if row.pop("lasting", False)}
+                if table is not None and lasting:
+                    table.write(lasting)
+                rows |= result
+                done += sum(costs[case.key] for case in chunk)
+                report()
+        chunks = broken
     result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases])
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
@@ -166,11 +174,11 @@ def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, sett
         [Path(name).stem for name in names],
         [f"{Path(name).parent.name}_{Path(name).stem}" for name in names],
     )
-    cases = []
+    of_stems, of_places, cases = Counter(stems), Counter(places), []
     for log, name, stem, place in zip(logs, names, stems, places, strict=True):
         # Not by number: a log that is added later shall not give others another name.
-        long = place if places.count(place) == 1 else f"{place}_{content_hash(name)[:8]}"
-        unique = stem if stems.count(stem) == 1 else long
+        long = place if of_places[place] == 1 else f"{place}_{content_hash(name)[:8]}"
+        unique = stem if of_stems[stem] == 1 else long
         path = folder / f"{unique}{FILES[verb]}" if folder is not None and verb in FILES else None
         content, cost = _content(log)
         cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost))

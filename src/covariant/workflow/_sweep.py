@@ -17,6 +17,7 @@ import numpy as np
 from covariant import engine, models
 from covariant._names import unknown
 from covariant.metrics import Grid, Variable, map_grid, open_grid
+from covariant.workflow._arguments import Scheduler
 from covariant.workflow._design import design
 from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._progress import Progress, notebook_line
@@ -35,10 +36,10 @@ MOST_ROWS = 1000
 
 def sweep(
     study: str | Path,
-    out: str | Path,
+    store: str | Path,
     *,
     workers: int | None = None,
-    scheduler: Any = None,
+    scheduler: Scheduler | None = None,
     progress: Progress = notebook_line,
 ) -> "SweepResult":
     """Run observers over a table of cases: starts, noise, gains, rates and errors of the model.
@@ -53,7 +54,7 @@ def sweep(
 
     Args:
         study: The file of the study (.toml).
-        out: The store to write, or to go on with (.zarr).
+        store: The store to write, or to go on with (.zarr).
         workers: Threads; as many as processors by default.
         scheduler: Address of a Dask scheduler, or a `distributed.Client`, whose workers compute.
         progress: Called with a description and the fraction of the runs that are done.
@@ -75,7 +76,7 @@ def sweep(
         >>> workflow.sweep("basin.toml", "basin.zarr").columns["converged"].tolist()
         [1.0]
     """
-    out, path = Path(out), Path(study)
+    out, path = Path(store), Path(study)
     check_output(out, ".zarr", store=True)
     plan = read_study(path)
     progress(f"designing {', '.join(plan.observers)}")
@@ -116,7 +117,7 @@ class Axis(NamedTuple):
     @property
     def ends(self) -> tuple[float, float]:
         """Ends of the axis in the store; values that are not equally spaced are numbered from 0."""
-        return (self.values[0], self.values[-1]) if self._spaced else (0.0, len(self.values) - 1.0)
+        return (float(self.values[0]), float(self.values[-1])) if self._spaced else (0.0, len(self.values) - 1.0)
 
     @property
     def _spaced(self) -> bool:
@@ -135,7 +136,7 @@ class Study(NamedTuple):
     """A study as its file says it.
 
     Attributes:
-        text: All of it as JSON, in one order.
+        text: All of it as JSON.
         model: The model, as for `estimate`.
         observers: Names of the observers.
         axes: What varies.
@@ -203,7 +204,7 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
         axes.append(Axis(key, values, not (key.startswith("start.") or key in ("noise", "draw"))))
     if "rate" not in content and "rate" not in content["axes"]:
         raise ValueError(f"{name}: rate is missing: samples a second [Hz], or an axis of them")
-    text = json.dumps(content, sort_keys=True)
+    text = json.dumps(content)  # axes keep their order
     return Study(text, content["model"], tuple(content["observers"]), tuple(axes))
 
 
@@ -245,16 +246,16 @@ class _Machine(NamedTuple):
 
     plan: Study
     model: Any
-    q: Any
-    v: Any
+    start: Any
     names: tuple[str, ...]
+    inputs: int
     intervals: Any
     counts: Any
     families: dict[str, _Family]
 
     def run(self, x: Any) -> dict[str, Any]:
         """Errors of all observers in a case."""
-        content, n = self.plan.content, len(self.model.coordinates)
+        content, n = self.plan.content, len(self.names) // 2
         place, noise, draw, start = jnp.zeros((), int), jnp.asarray(content.get("noise", 0.0), float), 0, {}
         for axis, at in zip(self.plan.axes, x, strict=True):
             if axis.designs:
@@ -265,7 +266,7 @@ class _Machine(NamedTuple):
                 draw = jnp.round(at).astype(int)
             else:
                 start[axis.key.removeprefix("start.")] = axis.at(at)
-        both = jnp.concatenate([self.q, self.v])
+        both = self.start
         for name, value in start.items():
             both = both.at[self.names.index(name)].set(value)
         noisy = bool(content.get("noise")) or "noise" in content["axes"]
@@ -273,7 +274,8 @@ class _Machine(NamedTuple):
         h, count = self.intervals[place], self.counts[place]
         amplitude = np.broadcast_to(np.asarray(content.get("amplitude", 0.0), float), (self.inputs,))
         omega = 2 * np.pi * content.get("frequency", 0.5) * (1 + DETUNED * np.arange(self.inputs))
-        late = jnp.floor(SETTLED * count).astype(int)
+        late = jnp.floor(SETTLED * count.astype(float)).astype(int)
+        counted = (count - late).astype(float)
         result = {}
         for name, family in self.families.items():
             numbers = [leaf[place] for leaf in family.numbers]
@@ -283,23 +285,18 @@ class _Machine(NamedTuple):
 
             def body(k, carry, family=family, numbers=numbers, sample=sample):
                 q, v, state, squares, nees = carry
-                u = jnp.asarray(amplitude) * jnp.sin(jnp.asarray(omega) * k * h)
+                u = jnp.asarray(amplitude) * jnp.sin(jnp.asarray(omega) * (k.astype(float) * h))
                 q, v, state, off, ratio = family.step(numbers, q, v, state, u, sample(k + 1), h)
                 last = k >= late
                 return q, v, state, squares + jnp.where(last, off, 0.0), nees + jnp.where(last, ratio, 0.0)
 
-            q, v = both[:n], both[n:]
-            state = family.init(numbers, q + sample(0))
+            q, v = self.model.manifold.retract(self.model.manifold.origin(), both[:n]), both[n:]
+            state = family.init(numbers, self.model.manifold.retract(q, sample(0)))
             *_, squares, nees = jax.lax.fori_loop(0, count, body, (q, v, state, jnp.zeros(()), jnp.zeros(())))
-            result[f"{_plain(name)}_error"] = jnp.sqrt(squares / (count - late))
+            result[f"{_plain(name)}_error"] = jnp.sqrt(squares / counted)
             if family.tells_std:
-                result[f"{_plain(name)}_nees"] = nees / (count - late) / n
+                result[f"{_plain(name)}_nees"] = nees / counted / n
         return result
-
-    @property
-    def inputs(self) -> int:
-        """Number of inputs."""
-        return models.input_count(self.model, len(self.model.coordinates))
 
 
 @functools.lru_cache(maxsize=4)
@@ -310,16 +307,14 @@ def _compiled(text: str) -> _Machine:
     overrides = content.get("set", {})
     file = models.load(plan.model, overrides)
     model: Any = file.need_mechanical(plan.model, "a sweep simulates")
-    if not model.manifold.commuting:
-        raise ValueError(f"{plan.model} is on a group, and a sweep starts from coordinates")
-    n = file.dimension
+    n, inputs = file.dimension, models.input_count(model, file.dimension)
     names = (*(f"q{k + 1}" for k in range(n)), *(f"v{k + 1}" for k in range(n)))
     states = {**content.get("start", {}), **{a.key[6:]: 0.0 for a in plan.axes if a.key.startswith("start.")}}
     for name in states:
         if name not in names:
             raise ValueError(f"start: {unknown('state', name, names)}")
     both = jnp.array([float(states.get(name, 0.0)) for name in names])
-    rates = np.array([float(each.get("rate", content.get("rate"))) for each in plan.designs])
+    rates = np.array([float({**content, **each}["rate"]) for each in plan.designs])
     files = [
         models.load(plan.model, overrides | {k: v for k, v in each.items() if k != "rate"}) for each in plan.designs
     ]
@@ -327,12 +322,12 @@ def _compiled(text: str) -> _Machine:
         name: _family(
             model,
             [design(each, name, rate=rate).observer for each, rate in zip(files, rates, strict=True)],
-            models.input_count(model, n),
+            inputs,
         )
         for name in plan.observers
     }
     counts = jnp.asarray(np.maximum(np.round(content["duration"] * rates), 2).astype(int))
-    return _Machine(plan, model, both[:n], both[n:], names, jnp.asarray(1 / rates), counts, families)
+    return _Machine(plan, model, both, names, inputs, jnp.asarray(1 / rates), counts, families)
 
 
 def _family(model: Any, observers: Sequence[Any], inputs: int) -> _Family:
@@ -352,7 +347,8 @@ def _family(model: Any, observers: Sequence[Any], inputs: int) -> _Family:
             changed[k] = value
         return jax.tree.unflatten(trees[0], changed)
 
-    kinds = jax.eval_shape(lambda q: observers[0].init(q), jnp.zeros(len(model.coordinates)))
+    origin = model.manifold.origin()
+    kinds = jax.eval_shape(observers[0].init, origin)
 
     def as_numbers(state: Any) -> Any:
         return jax.tree.map(lambda leaf: leaf.astype(float), state)
@@ -364,19 +360,16 @@ def _family(model: Any, observers: Sequence[Any], inputs: int) -> _Family:
         each = observer(values)
         motion = models.advance(model, 0.0, models.Motion(q, v), u, h, FINE)
         state = jax.tree.map(lambda leaf, kind: leaf.astype(kind.dtype), state, kinds)
-        state, info = each.step(state, u, motion.q + noise, h)
+        state, info = each.step(state, u, model.manifold.retract(motion.q, noise), h)
         off = model.sought.of(each.estimate(state)) - motion.v
         std = getattr(info, "velocity_std", None)
         nees = jnp.zeros(()) if std is None else jnp.sum((off / std) ** 2)
         return motion.q, motion.v, as_numbers(state), jnp.sum(off**2), nees
 
-    n = len(model.coordinates)
-    shapes: Any = jax.eval_shape(init, [leaf[0] for leaf in numbers], jnp.zeros(n))
-    _, info = jax.eval_shape(
-        lambda q: observers[0].step(observers[0].init(q), jnp.zeros(inputs), q, 0.01), jnp.zeros(n)
-    )
-    vectors = (jnp.zeros(n), jnp.zeros(n), shapes, jnp.zeros(inputs), jnp.zeros(n), jnp.zeros(()))
-    compiled = engine.compiled(step, [leaf[0] for leaf in numbers], *vectors)
+    first = [leaf[0] for leaf in numbers]
+    zero, state = model.manifold.zero(origin), jax.eval_shape(init, first, origin)
+    compiled = engine.compiled(step, first, origin, zero, state, jnp.zeros(inputs), zero, jnp.zeros(()))
+    _, info = jax.eval_shape(lambda q: observers[0].step(observers[0].init(q), jnp.zeros(inputs), q, 0.01), origin)
     return _Family(compiled, init, numbers, getattr(info, "velocity_std", None) is not None)
 
 
@@ -407,16 +400,20 @@ class SweepResult(AbstractTable):
     store: Path
     plan: Study
 
-    @functools.cached_property
+    @property
     def columns(self) -> dict[str, np.ndarray]:
+        return self._columns
+
+    @functools.cached_property
+    def _columns(self) -> dict[str, np.ndarray]:
         stored = open_grid(self.store, complete=True)
         inner = [axis.name for axis in self.plan.axes if axis.key.startswith("start.") or axis.key == "draw"]
         outer = [axis for axis in self.plan.axes if axis.name not in inner]
         below = self.plan.content.get("below", math.inf)
         rows = []
         for name in self.plan.observers:
-            error = stored[f"{_plain(name)}_error"]
-            finite = np.isfinite(error)
+            error: Any = stored[f"{_plain(name)}_error"]
+            finite: Any = error.notnull() & (abs(error) < math.inf)
             count = float(np.prod([stored.sizes[each] for each in inner]))
             parts = {
                 "converged": ((error < below) & finite).sum(inner) / count,
