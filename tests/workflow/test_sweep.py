@@ -1,9 +1,13 @@
 """Sweeps: a study in a small file, run over all its cases; errors follow noise, gains, rates and starts."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import workflow
+from covariant import models, workflow
+from covariant.metrics import open_grid
+from covariant.workflow._design import design
 
 HEAD = 'model = "oscillator"\nobservers = ["intrinsic", "intrinsic-kalman"]\nduration = 2.0\nbelow = 0.05\n'
 SET = '[set]\n"measurement.std" = 1e-3\n"uncertainty.acceleration" = 1.0\n'
@@ -40,20 +44,15 @@ def test_each_axis_is_what_it_says(tmp_path):
 @pytest.mark.long
 def test_a_run_is_that_of_the_observer_in_python(tmp_path):
     """A start, without noise: the same steps as by hand."""
-    import jax.numpy as jnp
-
-    from covariant import models
-    from covariant.metrics import open_grid
-    from covariant.workflow._design import design
-
     result = run(tmp_path, '"start.v1" = [0.0, 2.0]')
     file = models.load("oscillator", {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0})
     observer = design(file, "intrinsic", rate=50.0).observer
     motion, h, off = models.Motion(jnp.zeros(1), jnp.array([2.0])), 1 / 50, []
-    state = observer.init(motion.q)
+    state, step = observer.init(motion.q), jax.jit(observer.step)
+    advance = jax.jit(lambda motion: models.advance(file.model, 0.0, motion, jnp.zeros(1), h, 4))
     for _ in range(100):
-        motion = models.advance(file.model, 0.0, motion, jnp.zeros(1), h, 4)
-        state, _info = observer.step(state, jnp.zeros(1), motion.q, h)
+        motion = advance(motion)
+        state, _info = step(state, jnp.zeros(1), motion.q, h)
         off.append(float(file.model.sought.of(observer.estimate(state))[0] - motion.v[0]))
     stored = open_grid(result.store).intrinsic_error.values
     assert stored[0] < 1e-12

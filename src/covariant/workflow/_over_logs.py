@@ -33,7 +33,7 @@ LEFT_OUT = ("model", "log", "engine", "design", "refused", "looked_for", "skippe
 """Entries of summaries that are the same for all logs, or no numbers of the log."""
 CHUNKS_A_WORKER = 16
 """Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
-LEAST_COST = 2_000_000
+LEAST_COST = 2e6
 """Bytes of logs that are a chunk at least."""
 
 

@@ -61,7 +61,7 @@ def sweep(
 
     Returns:
         For each observer and each combination of what varies but starts and draws: how many runs end near the truth,
-        median error, and mean NEES.
+        median error, and mean NEES of those.
 
     Raises:
         ValueError: For a study that makes no sense, or a store of another one.
@@ -422,7 +422,8 @@ class SweepResult(AbstractTable):
                 "median error": error.chunk(dict.fromkeys(inner, -1)).quantile(0.5, inner) if inner else error,
             }
             if f"{_plain(name)}_nees" in stored:
-                parts["NEES"] = stored[f"{_plain(name)}_nees"].mean(inner)
+                # A run that diverged would decide the mean alone.
+                parts["NEES"] = stored[f"{_plain(name)}_nees"].where(finite & (error < below)).mean(inner)
             values = {key: np.asarray(part).ravel() for key, part in parts.items()}
             for k, each in enumerate(itertools.product(*(axis.values for axis in outer))):
                 varied = {
