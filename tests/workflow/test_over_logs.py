@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -29,10 +30,12 @@ def logs(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_each_log_has_its_row_or_its_reason_and_the_rest_is_done(logs, tmp_path, capsys):
+def test_each_log_has_its_row_or_its_reason_and_the_rest_is_done(logs, tmp_path, capsys, monkeypatch):
     asked = ["check", "oscillator", *map(str, logs), "--set", "measurement.std=1e-3", "-o", str(tmp_path / "out")]
-    asked += ["--workers", "1", "--json"]
-    assert main(asked) == 1
+    monkeypatch.setattr(sys, "argv", ["covariant", *asked, "--workers", "1", "--json"])
+    with pytest.raises(SystemExit) as done:
+        main()
+    assert done.value.code == 1
     result = json.loads(capsys.readouterr().out)
     rows = {row["log"].rpartition("/")[2]: row for row in result["logs"]}
     assert [rows[f"log{k}.csv"]["verdict"] for k in range(4)] == ["ok", "ok", "ok", "WRONG"]

@@ -23,14 +23,13 @@ from covariant.logs import source_name
 from covariant.workflow._among_logs import LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import read_sources
+from covariant.workflow._outcome import summary
 from covariant.workflow._outputs import write_table
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 
 FILES = {"estimate": ".parquet", "smooth": ".parquet", "fit": ".toml"}
 """Ending of the file of each log, by the verb; `check` has none."""
-LEFT_OUT = ("model", "log", "engine", "design", "refused", "looked_for", "skipped")
-"""Entries of summaries that are the same for all logs, or no numbers of the log."""
 CHUNKS_A_WORKER = 16
 """Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
 LEAST_COST = 2e6
@@ -270,8 +269,11 @@ def _row(result: Any) -> dict[str, Any]:
         lines = [finding.line for finding in result.findings if finding.wrong and finding.line]
         row = {"rows": float(result.rows), "rate": result.rate, "verdict": "WRONG" if result.wrong else "ok"}
         return row | {"wrong": "; ".join(named[True]), "notes": "; ".join(named[False]), "what to do": "; ".join(lines)}
-    row = dict(_flat({name: value for name, value in result.summary.items() if name not in LEFT_OUT}))
-    return row | ({"warnings": "; ".join(result.warnings)} if result.warnings else {})
+    # Without the comparison with filters that know no model, which takes three quarters of the time of `estimate`.
+    of_filter = result.filtered if isinstance(result, workflow.SmoothResult) else result
+    numbers = summary(of_filter.outcome, of_filter.loaded.kind.what)
+    row = {"observer": of_filter.observer_name, "rows": float(len(of_filter.t))} | dict(_flat(numbers))
+    return row | ({} if of_filter.loaded.origin is None else {"t_counts_from": of_filter.loaded.origin})
 
 
 def _flat(summary: Mapping[str, Any], before: str = ""):
