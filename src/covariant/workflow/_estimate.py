@@ -24,14 +24,7 @@ from covariant.workflow._bands import narrow_bands
 from covariant.workflow._design import default_observer, design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._holes import LONGEST_SHOWN
-from covariant.workflow._inputs import (
-    ColumnNames,
-    Job,
-    Loaded,
-    last_known,
-    load,
-    with_sensor_delays,
-)
+from covariant.workflow._inputs import ColumnNames, Job, Loaded, last_known, load, with_sensor_delays
 from covariant.workflow._outcome import (
     Outcome,
     Pushes,

@@ -246,7 +246,7 @@ class _Work(NamedTuple):
         except Exception as error:  # one log shall not stop the others
             # Refusals are of type ValueError, and depend on log and model alone.
             kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
-            reason = " ".join(f"{kind}{error}".split()) or type(error).__name__
+            reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
             return {"failed": reason, "lasting": isinstance(error, ValueError)}
         return row | {"lasting": True}
 

@@ -20,18 +20,16 @@ from covariant.metrics import Grid, Variable, map_grid, open_grid
 from covariant.workflow._arguments import Scheduler
 from covariant.workflow._design import design
 from covariant.workflow._outputs import check_output, write_table
+from covariant.workflow._pages import write_result_page
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
+from covariant.workflow._simulated_log import DETUNED
 
 KEYS = ("model", "observers", "duration", "rate", "noise", "amplitude", "frequency", "below", "seed", "start", "set")
 SETTLED = 0.8
 """Part of a run after which errors count."""
 FINE = 4
 """Steps of the integration of the truth in an interval of the samples."""
-DETUNED = 0.37
-"""Each input is faster than the one before by this part of the frequency, as those of `simulate`."""
-MOST_ROWS = 1000
-"""Most rows of the printed table."""
 
 
 def sweep(
@@ -469,8 +467,6 @@ class SweepResult(AbstractTable):
         return [self._rows]
 
     def _write_page(self, path: Path) -> list[Path]:
-        from covariant.workflow._pages import write_result_page
-
         return write_result_page(path, f"Sweep {self.study.stem}", self, self._blocks, {"study": str(self.study)})
 
     def __str__(self) -> str:
@@ -479,5 +475,5 @@ class SweepResult(AbstractTable):
 
         names = list(self.columns)
         lines = [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-        lines += [f"| {' | '.join(map(text, row.values()))} |" for row in self._rows[:MOST_ROWS]]
+        lines += [f"| {' | '.join(map(text, row.values()))} |" for row in self._rows]
         return "\n".join([f"wrote {self.store}: {self.headline}", "", *lines])
