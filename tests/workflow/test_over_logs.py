@@ -55,7 +55,11 @@ def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path)
     def run(**changed):
         called = []
         result = workflow.over_logs(
-            "estimate", "oscillator", names, progress=lambda *a: called.append(a), **settings | changed
+            "estimate",
+            "oscillator",
+            names,
+            progress=lambda description, fraction=None: called.append((description, fraction)),
+            **settings | changed,
         )
         return result, called[0][0]
 

@@ -46,10 +46,11 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
     """A start, without noise: the same steps as by hand."""
     result = run(tmp_path, '"start.v1" = [0.0, 2.0]')
     file = models.load("oscillator", {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0})
+    model = file.need_mechanical("oscillator", "a test")
     observer = design(file, "intrinsic", rate=50.0).observer
     motion, h, off = models.Motion(jnp.zeros(1), jnp.array([2.0])), 1 / 50, []
     state, step = observer.init(motion.q), jax.jit(observer.step)
-    advance = jax.jit(lambda motion: models.advance(file.model, 0.0, motion, jnp.zeros(1), h, 4))
+    advance = jax.jit(lambda motion: models.advance(model, 0.0, motion, jnp.zeros(1), h, 4))
     for _ in range(100):
         motion = advance(motion)
         state, _info = step(state, jnp.zeros(1), motion.q, h)
