@@ -8,7 +8,8 @@ language:
 - `bash`: commands, which must succeed;
 - `python`: code; all blocks of a page share their names;
 - `text` after either of them: lines that it prints, with the same words and numbers within 5 %; `…` is any word;
-- `toml`: a model file, which must load; with `title="name"` it is written to the file of that name first;
+- `toml`: a model file, which must load, or a study with axes; with `title="name"` it is written to the file of that
+  name first;
 - `text` with `title="name"`: the first lines of that file;
 - other languages, and code with a title, are parts of larger programs, and other tests compile them.
 
@@ -149,7 +150,8 @@ def _model_file(block: Block) -> None:
 
     if block.title:
         Path(block.title).write_text(block.text, encoding="utf-8")
-        models.load(block.title)
+        if "[axes]" not in block.text:  # a study, which the command below it reads
+            models.load(block.title)
         return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "model.toml")

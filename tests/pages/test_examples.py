@@ -24,6 +24,7 @@ each_page = over(EXECUTED)
     "groups.md",
     "identification.md",
     "legged-base.md",
+    "many.md",
     "metrics.md",
     "policies.md",
     "robot-geometry.md",

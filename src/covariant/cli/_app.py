@@ -7,7 +7,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from covariant.cli._commands import COMMANDS, Command
+from covariant.cli._command import Command
+from covariant.cli._commands import COMMANDS
 from covariant.cli._signature import signature
 
 WIDEST = 120

@@ -2,113 +2,18 @@
 
 import os
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from covariant import workflow
 from covariant.cli import _parse
-from covariant.cli._console import progress_bar, show
-from covariant.cli._options import COLUMNS, FLAG, PATH, TEXT, Kind, Option, flags_of, in_options, of_verb
-from covariant.cli._signature import REQUIRED, signature
+from covariant.cli._command import Command, Invocation
+from covariant.cli._options import FLAG, PATH, TEXT, Kind, Option
+from covariant.cli._signature import REQUIRED
 from covariant.cli._terminal import say
 from covariant.logs import WRITTEN
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
 from covariant.workflow import FIGURES, TABLES, check_model_output, check_output
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command. Its options are the arguments of its verb, its own ones, and `--json`.
-
-    Attributes:
-        verb: Name of a function of `covariant.workflow`.
-        group: Heading of the help under which it stands.
-        example: A line to try, without the name of the program.
-        page: The page of the documentation that explains it.
-        name: Name of the command, with its group where it is in one; by default that of the verb.
-        own: Options that the verb does not have. A file to write, with `suffixes`, is checked before the verb runs.
-        changes: Fields of the options of the verb, by the name of the argument, that are otherwise here.
-        run: What calls the verb and shows the result; gets an `Invocation` and the values of `own`.
-        exit_code: The exit code of a result; a result that is false there gives 0.
-        note: What the help says beside the first paragraph of the verb's docstring.
-        again: Whether the result itself tells if a file that exists is of an earlier run, and replaces that unasked.
-    """
-
-    verb: str
-    group: str
-    example: str
-    page: str
-    name: str = ""
-    own: tuple[Option, ...] = ()
-    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    run: Callable[..., Any] = lambda call, **places: call.show(call(), **places)
-    exit_code: Callable[[Any], int] = lambda result: 0
-    note: str = ""
-    again: bool = False
-
-    @property
-    def options(self) -> list[Option]:
-        """All options in the order of the help."""
-        json = Option("json", FLAG, "Print one JSON object for machines.", False, ("--json",))
-        return [*of_verb(self.verb, self.changes), *self.own, json]
-
-    def __call__(self, values: dict[str, Any]) -> int:
-        """Run the command with what typer read for each option; returns the exit code."""
-        options = self.options
-        flags = flags_of(options)
-        try:
-            read = {option.name: option.read(values[option.name]) for option in options}
-            json, own = read.pop("json"), {option.name: read.pop(option.name) for option in self.own}
-            for option in self.own:
-                overwrite = self.again or option.name != "out" or own.get("overwrite", True)
-                if option.suffixes:
-                    check_output(own[option.name], *option.suffixes, log=read.get("log"), overwrite=overwrite)
-            given = {name: value for name, value in read.items() if value is not None}
-            result = self.run(Invocation(self.verb, json, given, flags), **own)
-            return int(self.exit_code(result))
-        except ValueError as error:
-            error.args = (in_options(str(error), flags),)
-            raise
-
-
-@dataclass(frozen=True)
-class Invocation:
-    """A verb with the arguments that the command line gave.
-
-    Attributes:
-        verb: Name of the verb.
-        json: Whether the result is printed as a JSON object.
-        values: The arguments that were given, by name; a field of `columns` has its own name.
-        flags: How the options of the command are typed, for messages.
-    """
-
-    verb: str
-    json: bool
-    values: dict[str, Any]
-    flags: Mapping[str, str]
-
-    def __call__(self, verb: str = "", **more: Any) -> Any:
-        """Call the verb, or another one with those of the arguments that it has, and show the progress."""
-        verb = verb or self.verb
-        known = signature(verb).arguments
-        arguments = {name: value for name, value in (self.values | more).items() if name in known}
-        if "columns" in known:
-            arguments["columns"] = {name: self.values[name] for name in COLUMNS if name in self.values}
-        with progress_bar(self.json) as progress:
-            if signature(verb).progress:
-                arguments["progress"] = progress
-            return getattr(workflow, verb)(**arguments)
-
-    def show(self, result: Any, *places: Any, **named: Any) -> Any:
-        """Print and save a result; returns it."""
-        show(result, self.json, *places, words=self.words, **named)
-        return result
-
-    def words(self, text: str) -> str:
-        """Text of the library in the words of the command line."""
-        return in_options(text, self.flags)
 
 
 def _estimate(call: Invocation, smooth: bool, lag: float | None, **places: Any) -> Any:
@@ -177,7 +82,7 @@ def _certify(
     return call.show(result, None if result.wrong else out, report, figure=figure)
 
 
-def _metric(call: Invocation) -> Any:
+def _stoppable(call: Invocation, **places: Any) -> Any:
     check_output(call.values["store"], ".zarr", store=True)
     try:
         result = call()
@@ -185,7 +90,7 @@ def _metric(call: Invocation) -> Any:
         say(f"covariant: {stopped}", sys.stderr)
         # 128 + 2, what shells report of a process that SIGINT ended.
         raise SystemExit(130) from None
-    return call.show(result)
+    return call.show(result, **places)
 
 
 def _output(help: str, *suffixes: str, needed: bool = False, **more: Any) -> Option:
@@ -219,6 +124,9 @@ LISTED = {
 }
 """The option `observer` of commands that take all of them."""
 SEVERAL = {"kind": Kind(list[Path], _parse.log_paths, "LOG...")}
+EACH = SEVERAL | {
+    "help": "Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2; or many of them."
+}
 
 LOG, ROBOTS, EXPORT, PROOFS, HELP = "Your log", "Robots and models", "Export", "Proofs and papers", "This program"
 """Headings of the help."""
@@ -237,8 +145,11 @@ COMMANDS = (
         LOG,
         "check arm.toml log.csv",
         "docs/check.md",
-        own=(PAGE,),
+        own=(Option("out", PATH, "Of many logs: folder for a table and a page.", None, ("-o", "--out")), PAGE),
+        changes={"log": EACH},
         exit_code=lambda result: bool(result.wrong),
+        run=lambda call, out, report: call.show(call(), report=report),
+        over_logs=True,
         note="Exit code 1 where something is wrong.",
     ),
     Command(
@@ -249,6 +160,7 @@ COMMANDS = (
         own=(MODEL_FILE, PAGE, OVERWRITE),
         changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
         run=_fit,
+        over_logs=True,
         exit_code=lambda result: result.exit_code,
         note="Exit code 1 where the fitted model predicts worse than before what is held out; it is not written then.",
     ),
@@ -274,9 +186,10 @@ COMMANDS = (
             Option("smooth", FLAG, default=False, flags=("--smooth",), hidden=True),
             Option("lag", Kind(float), flags=("--lag",), hidden=True),
         ),
-        changes=LISTED,
+        changes=LISTED | {"log": EACH},
         run=_estimate,
         again=True,
+        over_logs=True,
     ),
     Command(
         "smooth",
@@ -284,7 +197,9 @@ COMMANDS = (
         "smooth arm.toml log.csv -o smooth.csv",
         "docs/smoothing.md",
         own=(_output("Write the estimate here", *WRITTEN), REPORT, RERUN, OVERWRITE),
+        changes={"log": EACH},
         again=True,
+        over_logs=True,
     ),
     Command(
         "compare",
@@ -335,7 +250,7 @@ COMMANDS = (
         "docs/metrics.md",
         "design metric",
         changes={"start": {"flags": ("--start",)}},
-        run=_metric,
+        run=_stoppable,
         note="A run that was stopped goes on where it was.",
     ),
     Command(
@@ -344,6 +259,15 @@ COMMANDS = (
         "design reduced-order lorenz --rate 1",
         "docs/contracting.md",
         "design reduced-order",
+    ),
+    Command(
+        "sweep",
+        ROBOTS,
+        "sweep basin.toml -o basin.zarr",
+        "docs/many.md",
+        own=(_output("Write the table here", ".csv", name="table", flags=("--table",)), PAGE),
+        run=lambda call, table, report: _stoppable(call, out=table, report=report),
+        note="A run that was stopped goes on where it was.",
     ),
     Command(
         "export",

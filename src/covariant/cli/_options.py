@@ -43,6 +43,7 @@ KINDS = {
     "EngineName": TEXT,
     "Overrides": Kind(list[str]),
     "OverridesOfLogs": Kind(list[str]),
+    "Scheduler": TEXT,
     "Region": Kind(str, _parse.interval_map, "<name=low:high,...>"),
     "Sequence[float | int]": NUMBERS,
     "Sequence[float]": NUMBERS,
@@ -118,6 +119,7 @@ POSITIONAL = {
         "help": "Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2.",
     },
     "paper": {},
+    "study": {"kind": Kind(Path, _parse.log_path)},
 }
 """Arguments that are given by their position where they must be given, in the words of the command line."""
 NAMED = {

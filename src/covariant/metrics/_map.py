@@ -1,14 +1,10 @@
 """Evaluation of a function on a grid: one compiled program, run over the blocks by threads or workers of a cluster."""
 
-import concurrent.futures
 import contextlib
 import functools
 import hashlib
-import itertools
 import os
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,17 +12,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._cases import Crew, run_chunks
 from covariant.lowering import fingerprint
 from covariant.metrics import _store
 from covariant.metrics._grid import Blocks, Grid, cut
-from covariant.metrics._optional import optional
 from covariant.metrics._store import Variable
 
 Index = tuple[int, ...]
-Submit = Callable[[Index], Future]
-
-IN_FLIGHT = 1024
-"""Blocks submitted to a scheduler at a time: enough to keep a big cluster busy, few enough not to burden it."""
 BATCH = 256
 """Number of points of a block that are computed together."""
 
@@ -39,7 +31,7 @@ def map_grid(
     variables: Mapping[str, Variable],
     provenance: Mapping[str, Any],
     block: int = 4096,
-    scheduler: str | None = None,
+    scheduler: Any = None,
     workers: int | None = None,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> Path:
@@ -57,8 +49,9 @@ def map_grid(
         variables: description of each of these arrays, by its name.
         provenance: where the function comes from, in values that JSON can represent; it is written to the store.
         block: largest number of points that one worker computes at a time.
-        scheduler: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", whose workers compute
-            instead; they need access to the path. On processors of one kind all write the same bytes.
+        scheduler: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", or a `distributed.Client`,
+            whose workers compute instead; they need access to the path. On processors of one kind all write the same
+            bytes.
         workers: number of threads of this process, by default one for each processor.
         on_progress: called as `on_progress(done, total)` with numbers of points, first with those already computed,
             then after every block.
@@ -83,10 +76,7 @@ def map_grid(
         >>> open_grid(path, complete=True).potential.values.round(2).tolist()
         [-1.0, -0.54, 0.42, 0.99]
     """
-    if scheduler is not None and workers is not None:
-        raise ValueError("the scheduler has its own workers; give scheduler or workers, not both")
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers must be 1 or more; got {workers}")
+    crew = Crew(workers, scheduler).check()
     # Absolute, since the workers of a cluster have their own working folders.
     path, blocks = Path(path).absolute(), cut(grid, block)
     outputs, function_hash = _outputs(function, grid, variables), _function_hash(function, grid)
@@ -97,10 +87,11 @@ def map_grid(
     report = on_progress or (lambda done, total: None)
     report(done, grid.size)
     if done < grid.size:
-        work = _Work(function, str(path), blocks)
-        pool = _threads(work, workers or os.cpu_count() or 1) if scheduler is None else _cluster(work, scheduler)
-        with _store.tidied(path), pool as (submit, limit):
-            for index in _run_blocks(submit, todo, limit):
+        with (
+            _store.tidied(path),
+            contextlib.closing(run_chunks(_Work(function, str(path), blocks), todo, crew)) as each,
+        ):
+            for index, _ in each:
                 done += blocks.size(index)
                 report(done, grid.size)
     _store.finish(path)
@@ -114,13 +105,12 @@ class _Work(NamedTuple):
     path: str
     blocks: Blocks
 
-    def compile(self) -> Callable[[Any], Any]:
-        """The program of the map, compiled for blocks of the full size."""
-        sides = self.blocks.sides
-        # All blocks have the same size, so one compiled program serves every block.
-        points = jax.ShapeDtypeStruct(self.blocks.points((0,) * len(sides)).shape, jnp.float64)
+    def __call__(self) -> Callable[[Index], None]:
+        """Compile the program for blocks of the full size: one serves them all."""
+        points = jax.ShapeDtypeStruct(self.blocks.points((0,) * len(self.blocks.sides)).shape, jnp.float64)
         # In batches small enough for a processor's cache, in which few points wait for the slowest one.
-        return jax.jit(lambda x: jax.lax.map(self.function, x, batch_size=BATCH)).lower(points).compile()
+        program = jax.jit(lambda x: jax.lax.map(self.function, x, batch_size=BATCH)).lower(points).compile()
+        return functools.partial(self.compute, program)
 
     def compute(self, program: Callable[[Any], Any], index: Index) -> None:
         """Evaluate a block, cut off what lies beyond the grid, and write it."""
@@ -129,58 +119,6 @@ class _Work(NamedTuple):
         values = jax.device_get(program(self.blocks.points(index)))
         cubes = {name: value.reshape(*sides, *value.shape[1:])[inside] for name, value in values.items()}
         _store.write(self.path, region, cubes)
-
-
-@contextlib.contextmanager
-def _threads(work: _Work, workers: int) -> Iterator[tuple[Submit, int]]:
-    program = work.compile()
-    pool = concurrent.futures.ThreadPoolExecutor(workers)
-    try:
-        # One block in work and one that waits for each thread, so that none is idle and few are pending.
-        yield lambda index: pool.submit(work.compute, program, index), 2 * workers
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-@contextlib.contextmanager
-def _cluster(work: _Work, scheduler: str) -> Iterator[tuple[Submit, int]]:
-    pickled = optional("cloudpickle").dumps(work)
-    with optional("distributed").Client(scheduler, set_as_default=False) as client:
-        # A task and not a scattered value: the scheduler can compute it again when the worker that holds it dies.
-        shared = client.submit(bytes, pickled)
-        # A block is written, not returned: no result of an earlier call may replace a call.
-        pool = client.get_executor(pure=False)
-        yield lambda index: pool.submit(_compute_pickled, shared, index), IN_FLIGHT
-
-
-def _compute_pickled(pickled: bytes, index: Index) -> None:
-    with _COMPILING:
-        work, program = _compile_work(pickled)
-    work.compute(program, index)
-
-
-_COMPILING = threading.Lock()
-"""Lock by which the threads of one worker wait for the program instead of each compiling it."""
-
-
-@functools.lru_cache(maxsize=4)
-def _compile_work(pickled: bytes) -> tuple[_Work, Callable[[Any], Any]]:
-    work = optional("cloudpickle").loads(pickled)
-    return work, work.compile()
-
-
-def _run_blocks(submit: Submit, todo: Iterable[Index], limit: int) -> Iterator[Index]:
-    """Submit blocks, at most `most` at a time, and yield the index of each one when it is written."""
-    pending: dict[Future, Index] = {}
-    todo = iter(todo)
-    while True:
-        pending |= {submit(index): index for index in itertools.islice(todo, limit - len(pending))}
-        if not pending:
-            return
-        for future in concurrent.futures.wait(pending, return_when=concurrent.futures.FIRST_COMPLETED).done:
-            # Raises here what the function raised in its thread or worker.
-            future.result()
-            yield pending.pop(future)
 
 
 def _function_hash(function: Callable, grid: Grid) -> str | None:

@@ -6,7 +6,6 @@ contain only the fill value are written too, so that a missing chunk always mean
 """
 
 import contextlib
-import hashlib
 import importlib.metadata
 import json
 import math
@@ -18,9 +17,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from covariant._cases import content_hash, optional
 from covariant._files import attended, sweep, temporary
 from covariant.metrics._grid import Blocks, Grid
-from covariant.metrics._optional import optional
 
 if TYPE_CHECKING:
     import xarray
@@ -28,9 +27,7 @@ if TYPE_CHECKING:
 FORMAT = "covariant grid 1"
 DONE = "done"
 FUNCTION = "function"
-"""Attribute with the content hash of the function, which stores of earlier versions lack."""
-ALL_CHUNKS = "all_chunks"
-"""Attribute of stores in which every finished block has a chunk of every variable."""
+"""Attribute with the content hash of the function."""
 
 
 class Variable(NamedTuple):
@@ -81,10 +78,8 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     counts = [-(-n // side) for n, side in zip(attributes["grid"]["counts"], attributes["block"], strict=True)]
     # The flags first: a block that another process writes meanwhile has all its chunks before its flag.
     flagged = math.prod(counts) if attributes["complete"] else len(_chunks(path / DONE, len(counts)))
-    whole = written(path, len(counts)) if attributes.get(ALL_CHUNKS) or not attributes["complete"] else None
-    lost = whole is not None and len(whole) < flagged
-    if whole is not None and (lost or (complete and not attributes["complete"])):
-        missing = math.prod(counts) - len(whole)
+    missing = math.prod(counts) - len(written(path, len(counts)))
+    if missing > math.prod(counts) - flagged or (complete and not attributes["complete"]):
         raise ValueError(
             f"{path} is not complete: {missing} of {math.prod(counts)} blocks are missing; run its map_grid again"
         )
@@ -111,7 +106,7 @@ def configuration(
     except (TypeError, ValueError) as error:
         raise ValueError(f"provenance must be made of texts, finite numbers, lists and dicts: {error}") from error
     plain = json.loads(text)
-    return plain | {"digest": hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()}
+    return plain | {"digest": content_hash(plain)}
 
 
 def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
@@ -123,7 +118,7 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     compared, begun = set(settings), bool(written(path, len(blocks.sides)))
     other_version = _versions() not in attributes["versions"]
     # An empty store mixes nothing, nor does a finished one, whose hash of another version tells nothing either.
-    if not begun or (attributes["complete"] and (FUNCTION not in attributes or other_version)):
+    if not begun or (attributes["complete"] and other_version):
         compared -= {FUNCTION, "digest"}
     stored, asked = ({name: each.get(name) for name in settings if name in compared} for each in (attributes, settings))
     if stored != asked:
@@ -159,7 +154,7 @@ def written(path: Path, n: int) -> set[tuple[int, ...]]:
     attributes = _attributes(path)
     blocks = _chunks(path / DONE, n)  # a chunk of `done` exists only where the flag is set
     # A chunk may be lost while its flag is set, for example by an incomplete copy.
-    for name, variable in attributes["variables"].items() if attributes.get(ALL_CHUNKS) else ():
+    for name, variable in attributes["variables"].items():
         # The axes of the variable itself are never cut: each has one chunk, 0.
         blocks &= {index[:n] for index in _chunks(path / name, n + len(variable["shape"]))}
     return blocks
@@ -197,7 +192,7 @@ def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
 
 def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    head = {"format": FORMAT, "created": created, "versions": [_versions()], "complete": False, ALL_CHUNKS: True}
+    head = {"format": FORMAT, "created": created, "versions": [_versions()], "complete": False}
     store.attrs.put(head | settings)
     names, shape = settings["grid"]["names"], tuple(map(len, blocks.axes))
     for name, units, axis in zip(names, settings["grid"]["units"], blocks.axes, strict=True):

@@ -22,6 +22,7 @@ from ._metric import MetricResult as MetricResult, design_metric as design_metri
 from ._model_output import check_model_output as check_model_output
 from ._outcome import Pushes as Pushes
 from ._outputs import FIGURES as FIGURES, TABLES as TABLES, check_output as check_output
+from ._over_logs import LogsResult as LogsResult, over_logs as over_logs
 from ._progress import Progress as Progress
 from ._reduced_order import ReducedOrderResult as ReducedOrderResult, design_reduced_order as design_reduced_order
 from ._reproduce import ReproduceResult as ReproduceResult, reproduce_paper as reproduce_paper
@@ -29,6 +30,7 @@ from ._result import AbstractResult as AbstractResult, AbstractTable as Abstract
 from ._robot_file import RobotFileResult as RobotFileResult
 from ._simulate import SimulateResult as SimulateResult, simulate as simulate
 from ._smooth import SmoothResult as SmoothResult, smooth as smooth
+from ._sweep import SweepResult as SweepResult, sweep as sweep
 from ._tune import TuneResult as TuneResult, tune as tune
 
 __all__ = [

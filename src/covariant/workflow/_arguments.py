@@ -17,6 +17,8 @@ Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file, as for `models.load`, for verbs that check before they load."""
 OverridesOfLogs = Overrides | Sequence[Mapping[str, Any]]
 """`Overrides` for all logs, or a mapping for each of several logs."""
+Scheduler = Any
+"""Address of the scheduler of a Dask cluster, or a `distributed.Client`."""
 ColumnNames = Mapping[str, str | Sequence[str] | None]
 """Columns of a log for the fields t, q, u, v and truth: names, or one text with names separated by commas."""
 

@@ -16,10 +16,12 @@ from covariant.models import Overrides
 from covariant.observers import on_legs
 from covariant.signals import Record, acting_inputs
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, load
+from covariant.workflow._over_logs import each_log
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
 
 
+@each_log
 def check(
     model: Any,
     log: Any,

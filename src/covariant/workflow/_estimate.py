@@ -24,14 +24,7 @@ from covariant.workflow._bands import narrow_bands
 from covariant.workflow._design import default_observer, design, tells_noise, widens
 from covariant.workflow._determined import Determinacy, determined
 from covariant.workflow._holes import LONGEST_SHOWN
-from covariant.workflow._inputs import (
-    ColumnNames,
-    Job,
-    Loaded,
-    last_known,
-    load,
-    with_sensor_delays,
-)
+from covariant.workflow._inputs import ColumnNames, Job, Loaded, last_known, load, with_sensor_delays
 from covariant.workflow._outcome import (
     Outcome,
     Pushes,
@@ -47,6 +40,7 @@ from covariant.workflow._outcome import (
     unexplained,
     with_units,
 )
+from covariant.workflow._over_logs import each_log
 from covariant.workflow._pages import AbstractEstimates, accuracy, estimate_report
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._refusals import LISTED, Refusal, refusals, refused_text
@@ -57,6 +51,7 @@ INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
 """Observers that predict with the model."""
 
 
+@each_log
 def estimate(
     model: Any,
     log: Any,

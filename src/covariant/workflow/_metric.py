@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from covariant import models
 from covariant.metrics import Equation, Grid, MetricSummary, metric_on_grid, metric_summary, rate_from_gramian
 from covariant.models import ModelFile, Overrides, StateSpace
-from covariant.workflow._arguments import Amounts, Region, above_zero, bounds, numbers
+from covariant.workflow._arguments import Amounts, Region, Scheduler, above_zero, bounds, numbers
 from covariant.workflow._inputs import numbered
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, notebook_line
@@ -43,7 +43,7 @@ def design_metric(
     input: Amounts | None = None,
     block: int = 4096,
     workers: int | None = None,
-    scheduler: str | None = None,
+    scheduler: Scheduler | None = None,
     overrides: Overrides = (),
     progress: Progress = notebook_line,
 ) -> "MetricResult":
@@ -72,7 +72,7 @@ def design_metric(
         input: Constant inputs; zeros by default.
         block: Points that a worker computes at a time.
         workers: Threads; as many as processors by default.
-        scheduler: Address of a Dask scheduler whose workers compute.
+        scheduler: Address of a Dask scheduler, or a `distributed.Client`, whose workers compute.
         overrides: Values that replace those of the model file.
         progress: Called with a description and the fraction of the points that are done.
 
@@ -106,7 +106,7 @@ def design_metric(
     u = None if input is None else jnp.asarray(numbers("input", input, numbered("u", system.inputs)))
     equation = _equation(system, axes, rate, window, process_cov, measurement_cov, u)
     box = None if domain is None else _domain(system, bounds("domain", domain, system.coordinates))
-    if scheduler is not None:
+    if isinstance(scheduler, str):
         _check_scheduler(scheduler)
     done, began = 0, time.perf_counter()
 

@@ -19,10 +19,12 @@ from covariant.workflow._inputs import (
     refuse_delays,
 )
 from covariant.workflow._outcome import KEPT, deviations, rounded, scored, with_units
+from covariant.workflow._over_logs import each_log
 from covariant.workflow._pages import AbstractEstimates, estimate_report
 from covariant.workflow._progress import Progress, notebook_line
 
 
+@each_log
 def smooth(
     model: Any,
     log: Any,

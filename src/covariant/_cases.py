@@ -1,0 +1,180 @@
+"""Many cases by one function: in threads, in processes, or by the workers of a Dask cluster.
+
+Whoever has cases cuts them into chunks and leaves out those that are in its store already; here they are computed, few
+at a time, and come back as they are done. A process that dies takes nothing with it but the chunk that killed it.
+"""
+
+import concurrent.futures
+import contextlib
+import functools
+import hashlib
+import itertools
+import json
+import multiprocessing
+import os
+import pickle
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Future
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from covariant._files import write_atomically
+from covariant._optional import load_optional
+
+optional = functools.partial(load_optional, use="many cases need", extra="scale")
+
+IN_FLIGHT = 1024
+"""Chunks submitted to a scheduler at a time: enough to keep a big cluster busy, few enough not to burden it."""
+
+Work = Callable[[], Callable[[Any], Any]]
+"""Called once in each process; returns the function of a chunk, for instance after it has compiled it."""
+
+
+class Crew(NamedTuple):
+    """Who computes.
+
+    Attributes:
+        workers: Number of threads or processes; by default one for each processor.
+        cluster: Address of the scheduler of a Dask cluster, or a `distributed.Client`, in place of these.
+        processes: Whether workers are processes, for Python that holds the lock of its interpreter, and not threads.
+    """
+
+    workers: int | None = None
+    cluster: Any = None
+    processes: bool = False
+
+    def check(self) -> "Crew":
+        """Raise `ValueError` for workers that make no sense."""
+        if self.cluster is not None and self.workers is not None:
+            raise ValueError("the scheduler has its own workers; give scheduler or workers, not both")
+        if self.workers is not None and self.workers < 1:
+            raise ValueError(f"workers must be 1 or more; got {self.workers}")
+        return self
+
+    @contextlib.contextmanager
+    def pool(self, work: Work) -> Iterator[tuple[Callable[[Any], Future], int]]:
+        """Context of a function that submits a chunk, and the number of chunks that it shall have at a time."""
+        if self.cluster is not None:
+            named = isinstance(self.cluster, str)
+            connect = optional("distributed").Client(self.cluster, set_as_default=False) if named else None
+            with connect or contextlib.nullcontext(self.cluster) as client:
+                # A task and not a scattered value: it can be computed again when the worker that holds it dies.
+                shared = client.submit(bytes, optional("cloudpickle").dumps(work))
+                # A chunk may be written, not returned: no result of an earlier call may replace a call.
+                executor = client.get_executor(pure=False)
+                yield lambda chunk: executor.submit(_compute, shared, chunk), IN_FLIGHT
+            return
+        workers = self.workers or os.cpu_count() or 1
+        if self.processes:
+            # Not forked: JAX has threads.
+            context = multiprocessing.get_context("spawn")
+            executor = concurrent.futures.ProcessPoolExecutor(workers, context, initializer=_end_with_parent)
+            function = functools.partial(_compute, pickle.dumps(work))
+        else:
+            executor, function = concurrent.futures.ThreadPoolExecutor(workers), work()
+        try:
+            # One chunk in work and one that waits for each worker, so that none is idle and few are pending.
+            yield lambda chunk: executor.submit(function, chunk), 2 * workers
+        finally:
+            executor.shutdown(cancel_futures=True)
+
+
+def run_chunks(work: Work, chunks: Iterable[Any], crew: Crew) -> Generator[tuple[Any, Any], None, None]:
+    """Compute chunks, and yield each with its result when it is done.
+
+    What the function raises is raised here. In place of the result of a chunk that kills its process, even alone, there
+    is a `BrokenExecutor`.
+    """
+    todo = iter(chunks)
+    while lost := (yield from _run_until_lost(work, todo, crew)):
+        for chunk in lost:
+            if (yield from _run_until_lost(work, iter([chunk]), crew._replace(workers=1))):
+                yield chunk, BrokenExecutor("its process died, as one does that runs out of memory")
+
+
+def _run_until_lost(work: Work, todo: Iterator[Any], crew: Crew) -> Generator[tuple[Any, Any], None, list[Any]]:
+    """Compute chunks until there are none, or until a process dies; returns the chunks that were lost with it."""
+    pending: dict[Future, Any] = {}
+    lost: list[Any] = []
+    with crew.pool(work) as (submit, limit):
+        while True:
+            for chunk in itertools.islice(todo, 0 if lost else limit - len(pending)):
+                try:
+                    pending[submit(chunk)] = chunk
+                except BrokenExecutor:
+                    lost.append(chunk)
+            if not pending:
+                return lost
+            for future in concurrent.futures.wait(pending, return_when=concurrent.futures.FIRST_COMPLETED).done:
+                chunk = pending.pop(future)
+                try:
+                    result = future.result()
+                except BrokenExecutor:
+                    lost.append(chunk)
+                    continue
+                yield chunk, result
+
+
+def _end_with_parent() -> None:
+    """Leave Ctrl-C to the parent, and end when it was killed, as its pool does not see to that."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent: Any = multiprocessing.parent_process()
+    threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+def _compute(pickled: bytes, chunk: Any) -> Any:
+    with _LOADING:
+        function = _load(pickled)
+    return function(chunk)
+
+
+_LOADING = threading.Lock()
+"""Lock by which the threads of one process wait for the function instead of each making it."""
+
+
+@functools.lru_cache(maxsize=4)
+def _load(pickled: bytes) -> Callable[[Any], Any]:
+    return pickle.loads(pickled)()
+
+
+def content_hash(value: Any) -> str:
+    """SHA-256 of plain data, as JSON writes it."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def chunks_of(cases: Sequence[Any], costs: Sequence[float], most: float) -> list[list[Any]]:
+    """Cases in their order, cut where the sum of their costs would exceed `most`."""
+    chunks: list[list[Any]] = []
+    total = most
+    for case, cost in zip(cases, costs, strict=True):
+        if not chunks or total + cost > most:
+            chunks.append([])
+            total = 0.0
+        chunks[-1].append(case)
+        total += cost
+    return chunks
+
+
+class CaseTable(NamedTuple):
+    """Rows of finished cases in a folder, a Parquet file for each chunk, each row under the hash of its case."""
+
+    folder: Path
+
+    def rows(self) -> dict[str, dict[str, Any]]:
+        """Rows of all finished cases, by the hash of the case."""
+        read = load_optional("pyarrow.parquet", use="tables of cases need", extra="logs").read_table
+        parts = sorted(self.folder.glob("*.parquet"))
+        return {row.pop("case"): row for part in parts for row in read(part).to_pylist()}
+
+    def write(self, rows: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write the rows of a chunk, all or none."""
+        arrow = load_optional("pyarrow", use="tables of cases need", extra="logs")
+        parquet = load_optional("pyarrow.parquet", use="tables of cases need", extra="logs")
+        names = dict.fromkeys(name for row in rows.values() for name in row)
+        columns = {name: [row.get(name) for row in rows.values()] for name in names}
+        table = arrow.table({"case": list(rows)} | columns)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / f"{content_hash(list(rows))[:32]}.parquet"
+        write_atomically(path, lambda file: parquet.write_table(table, file))

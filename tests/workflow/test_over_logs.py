@@ -1,0 +1,128 @@
+"""Verbs over many logs: each its row or its reason, resumed by content; and what the rows say together."""
+
+import json
+import shutil
+import sys
+
+import numpy as np
+import pytest
+
+import covariant
+from covariant import workflow
+from covariant.cli import main
+from covariant.workflow._among_logs import LogRow, among_logs
+
+NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.2}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    """Three good logs, one that is no table, a folder, and one in milliseconds."""
+    folder = tmp_path_factory.mktemp("logs")
+    for k in range(4):
+        log = covariant.simulate("oscillator", duration=10.0, rate=50.0, q0=[1.0], noise=1e-3, seed=k)
+        log.save(folder / f"log{k}.csv")
+    late = covariant.simulate("oscillator", duration=10.0, rate=50.0, q0=[1.0], noise=1e-3, seed=3).to_pandas()
+    late.assign(t=1e3 * late.t).to_csv(folder / "log3.csv", index=False)
+    (folder / "broken.csv").write_bytes(b"\x00\x01 no table")
+    (folder / "folder").mkdir()
+    return sorted(folder.iterdir())
+
+
+@pytest.mark.long
+def test_each_log_has_its_row_or_its_reason_and_the_rest_is_done(logs, tmp_path, capsys, monkeypatch):
+    asked = ["check", "oscillator", *map(str, logs), "--set", "measurement.std=1e-3", "-o", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", ["covariant", *asked, "--workers", "1", "--json"])
+    with pytest.raises(SystemExit) as done:
+        main()
+    assert done.value.code == 1
+    result = json.loads(capsys.readouterr().out)
+    rows = {row["log"].rpartition("/")[2]: row for row in result["logs"]}
+    assert [rows[f"log{k}.csv"]["verdict"] for k in range(4)] == ["ok", "ok", "ok", "WRONG"]
+    assert rows["log3.csv"]["wrong"] == "unit of time"
+    assert {name for name, row in rows.items() if "failed" in row} == {"broken.csv", "folder"}
+    assert all("\n" not in reason for reason in result["failed"].values())
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"cases", "check.csv", "check.html"}
+
+
+@pytest.mark.long
+def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path):
+    names = []
+    for path in logs[2:5]:
+        names.append(shutil.copy(path, tmp_path))
+    settings = {"overrides": NOISE, "out": tmp_path / "out", "alpha": 40.0, "beta": 800.0}
+
+    def run(**changed):
+        called = []
+        result = workflow.over_logs(
+            "estimate",
+            "oscillator",
+            names,
+            progress=lambda description, fraction=None: called.append((description, fraction)),
+            **settings | changed,
+        )
+        return result, called[0][0]
+
+    first, began = run()
+    assert began == "estimate: 0 of 3 logs"
+    again, began = run()
+    assert began == "estimate: 3 of 3 logs"
+    assert again.each == first.each
+    shutil.copy(logs[2], names[1])
+    (tmp_path / "out" / "log2.parquet").unlink()
+    changed, began = run()
+    assert began == "estimate: 1 of 3 logs", "one has another content, one has lost its file"
+    assert [changed.each[k] == first.each[k] for k in range(3)] == [True, False, True]
+    assert changed.columns["innovation_rms1"][1] == changed.columns["innovation_rms1"][0]
+    assert run(alpha=50.0)[1] == "estimate: 0 of 3 logs"
+    alone = covariant.estimate("oscillator", names[0], overrides=NOISE, alpha=40.0, beta=800.0)
+    assert first.each[0].row["innovation_rms1"] == alone.summary["innovation_rms"][0]
+    assert (
+        covariant.estimate("oscillator", names, overrides=NOISE, alpha=40.0, beta=800.0).columns["rows"].tolist()
+        == [501.0] * 3
+    )
+
+
+@pytest.mark.long
+def test_processes_find_what_one_finds(logs, tmp_path):
+    one, two = (workflow.over_logs("check", "oscillator", logs, overrides=NOISE, workers=workers) for workers in (1, 2))
+    assert one.each == two.each
+
+
+def test_logs_that_are_unlike_the_others_are_named():
+    rng = np.random.default_rng(0)
+    rows = [
+        LogRow(f"arm{k % 2}/log{k // 2:02d}.csv", {"nis": float(np.exp(0.1 * rng.normal())), "wrong": ""})
+        for k in range(40)
+    ]
+    assert among_logs(rows) == ()
+    rows[5].row["nis"] = 30.0
+    for k in range(20, 40, 2):
+        rows[k].row["wrong"] = "delay of inputs"
+    rows[3].row["wrong"] = rows[8].row["wrong"] = "unit of q1"
+    found = among_logs(rows)
+    assert found[0] == "WRONG delay of inputs in 10 of 40 logs: all of arm0 from log10.csv on, and none before"
+    assert found[1] == "WRONG unit of q1 in 2 of 40 logs: arm1/log01.csv, arm0/log04.csv"
+    assert found[2].startswith("ODD arm1/log02.csv: nis is 30, and ")
+    assert len(found) == 3
+
+
+def test_numbers_of_many_logs_are_shared_differ_or_drift():
+    rng = np.random.default_rng(1)
+    rows = [
+        LogRow(
+            f"arm{k % 10}/log{k // 10:02d}.csv",
+            {
+                "viscous": 0.1 + 0.003 * rng.normal() + (0.002 * (k // 10) if k % 10 == 3 else 0.0),
+                "viscous_std": 0.003,
+                "mass": 1.0 + 0.002 * rng.normal() + 0.3 * (k % 10 == 5),
+                "mass_std": 0.002,
+            },
+        )
+        for k in range(300)
+    ]
+    found = among_logs(rows)
+    drifts = [line for line in found if "drifts" in line]
+    assert len(drifts) == 1
+    assert drifts[0].startswith("  viscous drifts on arm3: +0.05")
+    assert sum(line.startswith("mass = 1.0") for line in found) == 1

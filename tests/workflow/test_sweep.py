@@ -1,0 +1,75 @@
+"""Sweeps: a study in a small file, run over all its cases; errors follow noise, gains, rates and starts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from covariant import models, workflow
+from covariant.metrics import open_grid
+from covariant.workflow._design import design
+
+HEAD = 'model = "oscillator"\nobservers = ["intrinsic", "intrinsic-kalman"]\nduration = 2.0\nbelow = 0.05\n'
+SET = '[set]\n"measurement.std" = 1e-3\n"uncertainty.acceleration" = 1.0\n'
+
+
+def run(folder, axes, head=HEAD + "rate = 50.0\n", name="study"):
+    (folder / f"{name}.toml").write_text(f"{head}{SET}[axes]\n{axes}\n")
+    return workflow.sweep(folder / f"{name}.toml", folder / f"{name}.zarr", workers=1)
+
+
+@pytest.mark.long
+def test_each_axis_is_what_it_says(tmp_path):
+    axes = 'noise = [1e-3, 1e-2]\n"parameters.stiffness" = [1.0, 3.0]\nrate = [20.0, 100.0]\ndraw = 40'
+    result = run(tmp_path, axes, HEAD.replace("below = 0.05", "rate = 50.0") + "[start]\nq1 = 1.0\n")
+    table = result.columns
+    assert len(table["observer"]) == 2 * 2 * 2 * 2
+    assert result.runs == 2 * 8 * 40
+    known = {key: table[key] for key in ("noise", "parameters.stiffness", "rate")}
+    kalman = table["observer"] == "intrinsic-kalman"
+
+    def error(noise, stiffness, rate, rows=kalman):
+        (place,) = np.flatnonzero(
+            rows & (known["noise"] == noise) & (known["parameters.stiffness"] == stiffness) & (known["rate"] == rate)
+        )
+        return table["median error"][place], table["NEES"][place]
+
+    assert error(1e-2, 1.0, 100.0)[0] > 2 * error(1e-3, 1.0, 100.0)[0]
+    assert error(1e-3, 3.0, 100.0)[0] > 2 * error(1e-3, 1.0, 100.0)[0]
+    assert error(1e-3, 1.0, 20.0)[0] > 1.2 * error(1e-3, 1.0, 100.0)[0]
+    assert 0.02 < error(1e-3, 1.0, 100.0)[1] < 1.5
+    assert error(1e-2, 1.0, 100.0)[1] > 20 * error(1e-3, 1.0, 100.0)[1]
+
+
+@pytest.mark.long
+def test_a_run_is_that_of_the_observer_in_python(tmp_path):
+    """A start, without noise: the same steps as by hand."""
+    result = run(tmp_path, '"start.v1" = [0.0, 2.0]')
+    file = models.load("oscillator", {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0})
+    model = file.need_mechanical("oscillator", "a test")
+    observer = design(file, "intrinsic", rate=50.0).observer
+    motion, h, off = models.Motion(jnp.zeros(1), jnp.array([2.0])), 1 / 50, []
+    state, step = observer.init(motion.q), jax.jit(observer.step)
+    advance = jax.jit(lambda motion: models.advance(model, 0.0, motion, jnp.zeros(1), h, 4))
+    for _ in range(100):
+        motion = advance(motion)
+        state, _info = step(state, jnp.zeros(1), motion.q, h)
+        off.append(float(file.model.sought.of(observer.estimate(state))[0] - motion.v[0]))
+    stored = open_grid(result.store).intrinsic_error.values
+    assert stored[0] < 1e-12
+    assert stored[1] == pytest.approx(np.sqrt(np.mean(np.square(off[80:]))), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("durations = 1\n", "unknown key"),
+        ("", "rate is missing"),
+        ("rate = 50.0\n[start]\nq2 = 1.0\n", "unknown state"),
+    ],
+)
+def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
+    with pytest.raises(ValueError, match=message):
+        run(tmp_path, "noise = [0.1, 0.2]", HEAD + text)
+    with pytest.raises(ValueError, match="needs two values"):
+        run(tmp_path, "noise = [0.1]", HEAD + "rate = 50.0\n")
