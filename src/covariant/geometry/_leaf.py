@@ -131,8 +131,9 @@ class Leaf(AbstractSpace):
             >>> Leaf.closing(Euclidean(), twice, jnp.array([1.9, 0.1])).constraint(jnp.array([2.0, 0.0])).shape
             (1,)
         """
-        start = _closed(space, constraint, jnp.asarray(near, float))
-        return cls(space, _independent(space, constraint, start), start)
+        look = _Look.of(space, constraint)
+        start = _closed(look, jnp.asarray(near, float))
+        return cls(space, _independent(look, constraint, start), start)
 
     @property
     def manifold(self) -> AbstractManifold:
@@ -463,13 +464,29 @@ def _is_regular(matrix: Matrix) -> Flag:
     return jnp.all(pivots(scaled) > SINGULAR)
 
 
-def _closed(space: AbstractSpace, constraint: Callable, near: Configuration) -> Configuration:
+class _Look(NamedTuple):
+    """Compiled functions of configurations, for the many at which a loop is looked at before it is used."""
+
+    rows: Callable[[Configuration], tuple[Array, Array]]
+    retract: Callable[[Configuration, Vector], Configuration]
+
+    @classmethod
+    def of(cls, space: AbstractSpace, constraint: Callable) -> "_Look":
+        return cls(
+            jax.jit(lambda x: (constraint(x), _rows(space, constraint, x))),
+            jax.jit(lambda x, s: space.manifold.retract(x, s)),
+        )
+
+
+def _closed(look: _Look, near: Configuration) -> Configuration:
     """A configuration on the leaf, by Newton steps of least length that allow dependent rows."""
-    x, manifold = near, space.manifold
+    x, left = near, np.inf
     for _ in range(50):
-        c, rows = constraint(x), np.asarray(_rows(space, constraint, x))
-        x = manifold.retract(x, -jnp.asarray(np.linalg.pinv(rows, rcond=SINGULAR) @ np.asarray(c)))
-    left = float(np.max(np.abs(constraint(x))))
+        c, rows = map(np.asarray, look.rows(x))
+        last, left = left, float(np.max(np.abs(c)))
+        if left < CLOSED and left >= last / 2:  # what is left is rounding
+            break
+        x = look.retract(x, -jnp.asarray(np.linalg.pinv(rows, rcond=SINGULAR) @ c))
     if not left < CLOSED:
         raise ValueError(
             f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give a configuration "
@@ -478,10 +495,9 @@ def _closed(space: AbstractSpace, constraint: Callable, near: Configuration) -> 
     return x
 
 
-def _independent(space: AbstractSpace, constraint: Callable, start: Configuration) -> Callable:
+def _independent(look: _Look, constraint: Callable, start: Configuration) -> Callable:
     """The constraint without combinations of its rows that are zero everywhere on the leaf."""
-    samples = _samples(space, constraint, start)
-    rows = [np.asarray(_rows(space, constraint, x)) for x in samples]
+    rows = [np.asarray(look.rows(x)[1]) for x in _samples(look, start)]
     ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
     least, most, count = min(ranks), max(ranks), len(rows[0])
     if least < most:
@@ -507,15 +523,15 @@ def _combined(constraint: Callable, kept: Float[Array, "k m"], x: Configuration)
     return kept @ constraint(x)
 
 
-def _samples(space: AbstractSpace, constraint: Callable, start: Configuration) -> list[Configuration]:
+def _samples(look: _Look, start: Configuration) -> list[Configuration]:
     """Configurations of a random walk along the leaf."""
     random, samples, x = np.random.default_rng(0), [start], start
     for _ in range(SAMPLES):
-        rows = np.asarray(_rows(space, constraint, x))
+        rows = np.asarray(look.rows(x)[1])
         step = random.normal(size=rows.shape[1])
         step = step - np.linalg.pinv(rows, rcond=SINGULAR) @ (rows @ step)
         try:
-            x = _closed(space, constraint, space.manifold.retract(x, jnp.asarray(0.3 * step / np.linalg.norm(step))))
+            x = _closed(look, look.retract(x, jnp.asarray(0.3 * step / np.linalg.norm(step))))
         except ValueError:  # the end of the motion: the walk goes on from the place before
             continue
         samples.append(x)

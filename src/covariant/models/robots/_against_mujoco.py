@@ -84,7 +84,7 @@ def _written_back(mujoco: Any, robot: Description, motors: Sequence[Motor]) -> A
     robot = gathered(robot)
     joints = tuple(with_motors(joint, motors)._replace(friction=0.0, follows=None) for joint in robot.joints)
     links = robot.links | {joint.child: ANY_INERTIA for joint in robot.joints if joint.kind != "fixed"}
-    text = mjcf_text(robot._replace(joints=joints, links=links, motors=()), STEP)
+    text = mjcf_text(robot._replace(joints=joints, links=links, motors=(), loops=()), STEP)
     model = mujoco.MjModel.from_xml_string(text)
     for joint in robot.joints:
         if joint.kind != "fixed":

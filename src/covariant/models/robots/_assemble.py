@@ -18,6 +18,7 @@ from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
 from covariant.models.robots._description import BodyInertia, Description, Joint, negative_inertia, numbers
 from covariant.models.robots._forces import Potential, dissipation, force, inputs_of, with_motors
+from covariant.models.robots._loops import close_loops
 from covariant.models.robots._servos import ServoForce, loss, servo_of
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
@@ -60,10 +61,10 @@ def assemble(
         payload: Point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link].
 
     Returns:
-        The system, with its configuration space as a `RobotSpace`.
+        The system, with its configuration space as a `RobotSpace`, or a `Leaf` of one where it has closed loops.
 
     Raises:
-        ValueError: A name does not exist, no joint moves, or a joint moves no mass.
+        ValueError: A name does not exist, a loop does not close, no joint moves, or a joint moves no mass.
 
     Example:
         >>> from covariant.models import robots
@@ -77,7 +78,7 @@ def assemble(
         model, moved = _assemble(robot, floating, dict(lock or {}), actuated, loads)
         if numbers:
             _check_inertia(model, moved)
-        return model
+        return close_loops(model, robot) if robot.loops else model
 
 
 def _assemble(

@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from covariant._optional import load_optional
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
     Description,
+    Coincide,
+    Coupled,
     Follows,
     Joint,
     Motor,
@@ -23,6 +26,7 @@ from covariant.models.robots._description import (
     exact,
     in_order,
     limits_in_doubt,
+    rows,
     turn_about,
 )
 from covariant.models.robots._mjcf_compile import compiled_model
@@ -45,6 +49,8 @@ IGNORED = {
 }
 """Entries that have no meaning here: sizes of the compiled model, and the names under which they are reported."""
 
+CLOSES = 1e-3
+"""Largest gap [m or rad] of a pose, written to a few digits, in which the loops of a file count as closed."""
 
 MOTOR_LIMITS = {
     "actuator_ctrllimited": "actuator/ctrlrange",
@@ -94,7 +100,8 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
     joints: list[Joint] = []
     for i in range(1, model.nbody):
         _body(read, i, links, joints)
-    joints = _with_actuators(read, _couple_joints(read, joints))
+    joints, loops = _couple_joints(read, joints)
+    joints = _with_actuators(read, joints)
     motors = _motors(read)  # first, since the counts below are complete only then
     for size, what in IGNORED.items():
         if getattr(model, size):
@@ -115,6 +122,8 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
         dict(read.ignored),
         tuple(read.doubts),
         motors,
+        loops=tuple(loops),
+        assembly=_assembly(read, loops),
     )
     return robot, model
 
@@ -142,17 +151,15 @@ def _refuse(read: _Reader) -> None:
     for i in range(model.neq):
         if not model.eq_active0[i] or read.off("EQUALITY"):
             read.ignored["equality (inactive)"] += 1
-        elif model.eq_type[i] != int(read.mujoco.mjtEq.mjEQ_JOINT):
-            kind = read.mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
-            if kind == "tendon":
-                raise ValueError(
-                    f"equality {read.name('EQUALITY', i)!r}: coupled tendons are not supported; couple the joints by "
-                    "equality/joint, or make it inactive"
-                )
+        elif (kind := _kind(read, i)) not in ("connect", "weld", "joint"):
             raise ValueError(
-                f"equality {read.name('EQUALITY', i)!r} ({kind}): closed loops are not supported; cut the loop, or "
-                "make it inactive and let the joints carry the constraint"
+                f"equality {read.name('EQUALITY', i)!r} ({kind}) is not supported; couple the joints by equality/joint, "
+                "the bodies by connect or weld, or make it inactive"
             )
+
+
+def _kind(read: _Reader, i: int) -> str:
+    return read.mujoco.mjtEq(int(read.model.eq_type[i])).name.removeprefix("mjEQ_").lower()
 
 
 def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joint]) -> None:
@@ -241,31 +248,74 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     return joint
 
 
-def _couple_joints(read: _Reader, joints: list[Joint]) -> list[Joint]:
-    """The joints, with the constraints of equalities by which they follow another joint or stand still."""
-    model, coupled = read.model, {joint.name: joint for joint in joints}
+def _couple_joints(read: _Reader, joints: list[Joint]) -> tuple[list[Joint], list[Coincide | Coupled]]:
+    """The joints, with the equalities by which they follow another joint or stand still, and all other equalities."""
+    model, coupled, loops = read.model, {joint.name: joint for joint in joints}, []
     for i in range(model.neq):
         if not model.eq_active0[i] or read.off("EQUALITY"):
             continue
+        kind = _kind(read, i)
+        read.used[f"equality/{kind}"] += 1
+        if kind != "joint":
+            loops.append(_coincide(read, i, kind))
+            continue
         one, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
-        constant, ratio, *higher = (float(number) for number in model.eq_data[i, :5])
+        constant, *slopes = (float(number) for number in model.eq_data[i, :5])
         name = read.names[one]
-        if any(higher):
-            raise ValueError(
-                f"equality {read.name('EQUALITY', i)!r}: joint {name!r} follows by a polynomial of an order above 1, "
-                "which is not supported; give polycoef two numbers"
-            )
         start = float(model.qpos0[model.jnt_qposadr[one]])
-        read.used["equality/joint"] += 1
+        # MuJoCo's polynomial holds between deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀) + …
+        deviation = Polynomial([0.0 if other < 0 else -float(model.qpos0[model.jnt_qposadr[other]]), 1.0])
+        polynomial = (start + Polynomial([constant, *(slopes if other >= 0 else ())])(deviation)).trim().coef
+        if len(polynomial) > 2:
+            numbers = tuple(float(number) for number in polynomial)
+            loops.append(Coupled(read.name("EQUALITY", i), (name, read.names[other]), numbers))
+            continue
         if coupled[name].follows is not None:
             raise ValueError(f"joint {name!r} is in two equalities; keep one")
-        if other < 0:
-            coupled[name] = coupled[name]._replace(follows=Follows("", 0.0, start + constant))
-        else:
-            # MuJoCo's polynomial holds between deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀).
-            offset = start + constant - ratio * float(model.qpos0[model.jnt_qposadr[other]])
-            coupled[name] = coupled[name]._replace(follows=Follows(read.names[other], ratio, offset))
-    return list(coupled.values())
+        offset, ratio = (*polynomial, 0.0)[:2]
+        follows = Follows("" if other < 0 else read.names[other], float(ratio), float(offset))
+        coupled[name] = coupled[name]._replace(follows=follows)
+    return list(coupled.values()), loops
+
+
+def _coincide(read: _Reader, i: int, kind: str) -> Coincide:
+    """The loop that a connect or weld closes, with its points in the frames of the links."""
+    model, ends = read.model, (int(read.model.eq_obj1id[i]), int(read.model.eq_obj2id[i]))
+    data, turned = np.array(model.eq_data[i]), np.eye(3)
+    if int(model.eq_objtype[i]) == int(read.mujoco.mjtObj.mjOBJ_SITE):
+        bodies = [int(model.site_bodyid[site]) for site in ends]
+        points = [np.array(model.site_pos[site]) for site in ends]
+        first, second = (_rotation(model.site_quat[site]) for site in ends)
+        turned = first @ second.T
+    else:
+        bodies = list(ends)
+        # A weld has its point in the second body first.
+        points = [data[:3], data[3:6]] if kind == "connect" else [data[3:6], data[:3]]
+        turned = _rotation(data[6:10]) if kind == "weld" else turned
+    points = [point - _anchor(read, body) for point, body in zip(points, bodies, strict=True)]
+    links = tuple(read.bodies[body] for body in bodies)
+    return Coincide(read.name("EQUALITY", i), links, rows(points), rows(exact(turned)) if kind == "weld" else None)
+
+
+def _assembly(read: _Reader, loops: list[Coincide | Coupled]) -> dict[str, Any] | None:
+    """Positions of the joints in the first pose of the file, qpos0 or a keyframe, in which the loops are closed."""
+    mujoco, model = read.mujoco, read.model
+    if not loops:
+        return None
+    data = mujoco.MjData(model)
+    for pose in (model.qpos0, *model.key_qpos):
+        data.qpos[:] = pose
+        mujoco.mj_forward(model, data)
+        gaps = data.efc_pos[data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)]
+        if np.abs(gaps).max(initial=0.0) < CLOSES:
+            sizes = [{mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}.get(k, 1) for k in model.jnt_type]
+            at = zip(read.names, model.jnt_qposadr, sizes, strict=True)
+            return {
+                name: pose[place : place + size].tolist() if size > 1 else float(pose[place])
+                for name, place, size in at
+                if size < 7
+            }
+    return None
 
 
 def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
