@@ -46,6 +46,7 @@ def read(
     sensors: Sequence[tuple[Columns, str]] = (),
     periods: Sequence[float] = (),
     missing_inputs: bool = False,
+    absent: Collection[str] = (),
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
@@ -78,6 +79,8 @@ def read(
             removed from the whole log, before rows are left out.
         missing_inputs: Whether an empty cell of u is a missing input, NaN, for an estimate that may run over it; False
             by default.
+        absent: Columns of positions that the log may lack, or hold without a number, as those of joints without an
+            encoder: they are NaN then. One position at least must be there.
 
     Returns:
         The rows that were asked for, in SI units and radians.
@@ -121,11 +124,11 @@ def read(
     if isinstance(log, Record):
         whole = _of_record(log, columns, missing_inputs)._replace(readings=(None,) * len(sensors))
     else:
-        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs)
+        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent)
     if any(periods):
         y = unwrap(np.asarray(whole.record.y), (), periods)
         whole = whole._replace(record=whole.record._replace(y=y))
-    return _select_rows(name, whole, every, until, start)
+    return _select_rows(name, whole, every, until, start, [column in absent for column in columns.q])
 
 
 def record(
@@ -174,9 +177,12 @@ def _of_columns(
     optional: Collection[str],
     sensors: Sequence[tuple[Columns, str]],
     missing_inputs: bool,
+    absent: Collection[str],
 ) -> Log:
     """All rows of a log that has columns."""
-    columns, present, table, source = _columns_and_table(name, log, columns, optional, [each for each, _ in sensors])
+    columns, present, table, source = _columns_and_table(
+        name, log, columns, optional, [each for each, _ in sensors], absent
+    )
     units = source.units
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         # Dates and durations state their unit by their type.
@@ -188,9 +194,12 @@ def _of_columns(
         for field in fields:
             for place, column in enumerate(getattr(columns, field)):
                 unit = columns.unit_of(field, place)
+                if column in absent and column not in table.column_names:
+                    cells.append(np.full(len(table), np.nan))
+                    continue
                 values = numbers(_where(name, column, unit), table.column(column), needed)
                 # Without a number in any row it is another column, and not a sensor with gaps.
-                if not empty and len(values) and np.isnan(values).all():
+                if not empty and column not in absent and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
                 if has_sign_bit(values):
                     raise LogError(f"{name}: {sign_bit_fault(column)}")
@@ -266,8 +275,10 @@ def _of_record(log: Record, columns: Columns, missing_inputs: bool) -> Log:
     return Log(log)
 
 
-def _select_rows(name: str, log: Log, every: int, until: float | None, start: float | None) -> Log:
-    """Every k-th row of a log between two times since its first row."""
+def _select_rows(
+    name: str, log: Log, every: int, until: float | None, start: float | None, may_lack: Sequence[bool]
+) -> Log:
+    """Every k-th row of a log between two times since its first row; `may_lack` says which positions have no sensor."""
     t = log.record.t
     since = t - t[0]
     # Both ends are included: "left" at the start, "right" at the end.
@@ -278,7 +289,9 @@ def _select_rows(name: str, log: Log, every: int, until: float | None, start: fl
         given = ", ".join(f"{word}={value:g}" for word, value in asked if value is not None)
         raise LogError(f"{name}: {given} keep {len(t[rows])} of {len(t)} rows, and two are needed")
     # An observer starts from a measurement, which has to be complete.
-    if np.isnan(log.record.y[rows][0]).any():
+    first = np.isnan(log.record.y[rows][0])
+    unmeasured = np.isnan(log.record.y).all(0) & may_lack if any(may_lack) else np.zeros(1, bool)
+    if (first & ~unmeasured).any() or first.all():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
     record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
@@ -373,7 +386,12 @@ def _check_record(name: str, record: Record, missing_inputs: bool) -> Record:
 
 
 def _columns_and_table(
-    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns]
+    name: str,
+    log: Any,
+    columns: Columns,
+    optional: Collection[str],
+    sensors: Sequence[Columns],
+    may_lack: Collection[str],
 ) -> tuple[Columns, list[Columns], Any, LogSource]:
     """The columns without the optional ones that the log lacks, those of the sensors that it has, a table of all, and
     the source of these.
@@ -385,6 +403,8 @@ def _columns_and_table(
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
+        if set(columns.measured) & set(names):
+            wanted = [column for column in wanted if column in names or column not in may_lack]
         # A sensor of which some columns are there is not absent either.
         present = [each for each in sensors if set(each.measured) & set(names)]
         beside = [name for each in present for name in each.measured if name not in wanted]

@@ -121,6 +121,10 @@ class AbstractMechanical(AbstractKind):
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
         q, v = or_zeros("q0", q0, self._start_names), or_zeros("v0", v0, self.estimates.names)
         manifold = self.model.manifold
+        if manifold.redundant and manifold.commuting:
+            # A linkage begins as it is assembled, or near the positions that are given.
+            start = manifold.origin() if q0 is None else manifold.checked(jnp.asarray(q))
+            return self.model.state(Motion(start, self.model.space.projected(start, jnp.asarray(v))))
         return self.model.state(Motion(manifold.retract(manifold.origin(), jnp.asarray(q)), jnp.asarray(v)))
 
     @property
@@ -160,7 +164,8 @@ class InCoordinates(AbstractMechanical):
         return self.file.columns.q
 
     def check(self, y: np.ndarray) -> None:
-        measured = y[np.isfinite(y).all(axis=1)]
+        manifold = self.model.manifold
+        measured = np.asarray(manifold.origin())[None] if manifold.redundant else y[np.isfinite(y).all(axis=1)]
         models.check_metric(self.model, measured[:: max(1, len(measured) // 20)])
 
     def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:

@@ -41,17 +41,10 @@ class Closure(Functional):
         return jnp.concatenate([GAPS[type(loop)](self.space, loop, x) for loop in self.loops])
 
 
-def robot_space(model: MechanicalSystem) -> RobotSpace | None:
-    """Space of the tree of a robot, which is that of its open loops; None for a model that is no robot.
-
-    Args:
-        model: The model.
-
-    Returns:
-        The space, with links and joints by name.
-    """
-    space = model.space.space if isinstance(model.space, Leaf) else model.space
-    return space if isinstance(space, RobotSpace) else None
+def robot_space(space: Any) -> RobotSpace | None:
+    """The space of a robot with links and joints by name: of one with closed loops, that of its tree; else None."""
+    tree = space.space if isinstance(space, Leaf) else space
+    return tree if isinstance(tree, RobotSpace) else None
 
 
 def loops_of(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Coincide | Coupled, ...]:
@@ -61,7 +54,7 @@ def loops_of(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Coincide | Couple
 
 def close_loops(model: MechanicalSystem, robot: Description) -> MechanicalSystem:
     """The robot with its loops closed: its space is a leaf of that of the tree."""
-    space = robot_space(model)
+    space = robot_space(model.space)
     assert space is not None
     for loop in robot.loops:
         _check_names(space, robot, loop)
