@@ -122,13 +122,13 @@ def read(
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
     if isinstance(log, Record):
-        whole = _of_record(log, columns, missing_inputs)._replace(readings=(None,) * len(sensors))
+        whole = _of_record(log, columns, missing_inputs, absent)._replace(readings=(None,) * len(sensors))
     else:
         whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent)
     if any(periods):
         y = unwrap(np.asarray(whole.record.y), (), periods)
         whole = whole._replace(record=whole.record._replace(y=y))
-    return _select_rows(name, whole, every, until, start, [column in absent for column in columns.q])
+    return _select_rows(name, whole, every, until, start, _unmeasured(whole.record, columns, absent))
 
 
 def record(
@@ -221,7 +221,7 @@ def _of_columns(
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
     try:
-        record = _check_record(name, Record(t, u, y), missing_inputs)
+        record = _check_record(name, Record(t, u, y), columns, missing_inputs, absent)
     except ClockError as error:
         fault = episodes_fault(t, source.shown, lambda each: _whole_column(name, source, each))
         if fault is None:
@@ -264,9 +264,9 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
             )
 
 
-def _of_record(log: Record, columns: Columns, missing_inputs: bool) -> Log:
+def _of_record(log: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Log:
     """A log that is a record already, with as many positions and inputs as there are columns of them."""
-    log = _check_record("record", log, missing_inputs)
+    log = _check_record("record", log, columns, missing_inputs, absent)
     log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
     if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
         raise LogError(f"record: it has positions of shape {log.y.shape[1:]}, needs {len(columns.q)} of them")
@@ -276,9 +276,9 @@ def _of_record(log: Record, columns: Columns, missing_inputs: bool) -> Log:
 
 
 def _select_rows(
-    name: str, log: Log, every: int, until: float | None, start: float | None, may_lack: Sequence[bool]
+    name: str, log: Log, every: int, until: float | None, start: float | None, unmeasured: np.ndarray
 ) -> Log:
-    """Every k-th row of a log between two times since its first row; `may_lack` says which positions have no sensor."""
+    """Every k-th row of a log between two times since its first row; `unmeasured` are the positions without sensor."""
     t = log.record.t
     since = t - t[0]
     # Both ends are included: "left" at the start, "right" at the end.
@@ -289,9 +289,7 @@ def _select_rows(
         given = ", ".join(f"{word}={value:g}" for word, value in asked if value is not None)
         raise LogError(f"{name}: {given} keep {len(t[rows])} of {len(t)} rows, and two are needed")
     # An observer starts from a measurement, which has to be complete.
-    first = np.isnan(log.record.y[rows][0])
-    unmeasured = np.isnan(log.record.y).all(0) & may_lack if any(may_lack) else np.zeros(1, bool)
-    if (first & ~unmeasured).any() or first.all():
+    if (np.isnan(log.record.y[rows][0]).ravel() & ~unmeasured).any():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
     record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
@@ -375,10 +373,23 @@ def _where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
-def _check_record(name: str, record: Record, missing_inputs: bool) -> Record:
+def _unmeasured(record: Record, columns: Columns, absent: Collection[str]) -> np.ndarray:
+    """Mask of the entries of a measurement without a number in any row, where they may be absent."""
+    y = np.asarray(record.y, float).reshape(len(record.t), -1)
+    may = np.zeros(y.shape[1], bool)
+    if absent:  # the joints come last
+        may[y.shape[1] - len(columns.q) :] = np.isin(columns.q, list(absent))
+    empty = np.isnan(y).all(0)
+    return empty & may & ~empty.all()
+
+
+def _check_record(
+    name: str, record: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]
+) -> Record:
     """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
-        return record.check(missing_inputs=missing_inputs)
+        start = np.flatnonzero(~_unmeasured(record, columns, absent)) if absent else None
+        return record.check(start, missing_inputs=missing_inputs)
     except StampError as error:
         raise ClockError(f"{name}: {error}", record) from error
     except ValueError as error:
