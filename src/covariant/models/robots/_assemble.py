@@ -107,6 +107,11 @@ def _assemble(
     return _system(robot, axes, freedom, space, actuated, free_joint), moved
 
 
+def space_of(robot: Description) -> RobotSpace:
+    """The space of the tree of a robot, whose loops are open and whose inertia matrix is not checked."""
+    return _assemble(robot._replace(motors=()), False, {}, None, {})[0].space  # pyright: ignore[reportReturnType]
+
+
 def _moved(
     axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, base_joint: str, of_base: int
 ) -> list[Moved]:

@@ -38,7 +38,7 @@ class Closure(Functional):
     loops: tuple[Coincide | Coupled, ...] = eqx.field(static=True)
 
     def __call__(self, x: Array) -> Vector:
-        return jnp.concatenate([GAPS[type(loop)](self.space, loop, x) for loop in self.loops])
+        return jnp.concatenate([gap(self.space, loop, x) for loop in self.loops])
 
 
 def robot_space(space: Any) -> RobotSpace | None:
@@ -138,6 +138,11 @@ def _loop(name: str, table: Any) -> Coincide | Coupled:
     return Coincide(name, tuple(table["links"]), rows(points), rows(turned) if "rpy" in table else None)
 
 
+def gap(space: RobotSpace, loop: Coincide | Coupled, x: Array) -> Vector:
+    """By how much (m,) a loop is open [m or rad]: zero where it is closed."""
+    return _apart(space, loop, x) if isinstance(loop, Coincide) else _off_curve(space, loop, x)
+
+
 def _apart(space: RobotSpace, loop: Coincide, x: Array) -> Vector:
     """Distance (3,) of the points, and the turn (3,) of the second frame from where it coincides."""
     rotation, place = space.between(x, *loop.links)
@@ -158,5 +163,3 @@ def _off_curve(space: RobotSpace, loop: Coupled, x: Array) -> Float[Array, "1"]:
         value = value * other + coefficient
     return (one - value)[None]
 
-
-GAPS = {Coincide: _apart, Coupled: _off_curve}

@@ -294,7 +294,8 @@ def _coincide(read: _Reader, i: int, kind: str) -> Coincide:
         turned = _rotation(data[6:10]) if kind == "weld" else turned
     points = [point - _anchor(read, body) for point, body in zip(points, bodies, strict=True)]
     links = tuple(read.bodies[body] for body in bodies)
-    return Coincide(read.name("EQUALITY", i), links, rows(points), rows(exact(turned)) if kind == "weld" else None)
+    whole = kind == "weld" and data[10] > 0  # without a scale of its torque a weld holds a point
+    return Coincide(read.name("EQUALITY", i), links, rows(points), rows(exact(turned)) if whole else None)
 
 
 def _assembly(read: _Reader, loops: list[Coincide | Coupled]) -> dict[str, Any] | None:
