@@ -60,7 +60,7 @@ class AbstractMechanical(AbstractKind):
 
     def slopes(self, log: logs.Log) -> tuple[np.ndarray, str]:
         full, at = log.all_rows, np.asarray(log.record.t)
-        t, y, order = np.asarray(full.t), np.asarray(full.y), int(self.file.reference_order)
+        t, y, order = np.asarray(full.t), self.complete(np.asarray(full.y)), int(self.file.reference_order)
         if np.isfinite(y).sum(axis=0).min() < order + 3:  # a polynomial of this order needs more than its coefficients
             return np.full((len(at), self.file.dimension), np.nan), "velocity, unknown in so short a log"
         return self._slopes(t, y, at, self.file.reference_half, order), "zero-phase reference"
@@ -180,6 +180,20 @@ class InCoordinates(AbstractMechanical):
 
     def without_outliers(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.where(outliers(t, y, self.model.circles)[0], np.nan, y)
+
+    def complete(self, y: np.ndarray) -> np.ndarray:
+        manifold, lacking = self.model.manifold, np.isnan(y).all(0)
+        if not manifold.redundant or not lacking.any():
+            return y
+        first, rows = manifold.checked(jnp.asarray(y[0])), jnp.asarray(y)
+
+        def follow(q, row):
+            q = manifold.measured(q, row)
+            return q, q
+
+        whole = np.asarray(jax.jit(lambda: jax.lax.scan(follow, first, rows)[1])())
+        known = ~np.isnan(y[:, ~lacking]).any(1)
+        return np.where(lacking & known[:, None], whole, y)
 
     def drawn(self, y: np.ndarray) -> np.ndarray:
         return scoring.unwrap(y, self.model.circles)
