@@ -10,6 +10,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from covariant import logs, models
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
