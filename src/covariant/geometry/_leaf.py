@@ -28,6 +28,7 @@ from covariant.geometry import _geodesics as geodesics
 from covariant.geometry._geodesics import Budget, Shot, Transported
 from covariant.geometry._manifold import AbstractManifold, Configuration
 from covariant.geometry._space import AbstractSpace, derivative, differential
+from covariant.lowering import on_batches
 
 NEWTON_STEPS = 2
 """Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""
@@ -131,9 +132,10 @@ class Leaf(AbstractSpace):
             >>> Leaf.closing(Euclidean(), twice, jnp.array([1.9, 0.1])).constraint(jnp.array([2.0, 0.0])).shape
             (1,)
         """
-        look = _Look.of(space, constraint)
-        start = _closed(look, jnp.asarray(near, float))
-        return cls(space, _independent(look, constraint, start), start)
+        near = jnp.asarray(near, float)
+        look = _Look.of(space, constraint, near)
+        start = _closed(look, np.asarray(near))
+        return cls(space, _independent(look, constraint, start), jnp.asarray(start))
 
     @property
     def manifold(self) -> AbstractManifold:
@@ -465,28 +467,30 @@ def _is_regular(matrix: Matrix) -> Flag:
 
 
 class _Look(NamedTuple):
-    """Compiled functions of configurations, for the many at which a loop is looked at before it is used."""
+    """Functions of configurations in NumPy, which need no compiling before a loop is looked at in some places."""
 
-    rows: Callable[[Configuration], tuple[Array, Array]]
-    retract: Callable[[Configuration, Vector], Configuration]
+    rows: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    retract: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
     @classmethod
-    def of(cls, space: AbstractSpace, constraint: Callable) -> "_Look":
+    def of(cls, space: AbstractSpace, constraint: Callable, x: Configuration) -> "_Look":
+        rows = on_batches(lambda x: (constraint(x), _rows(space, constraint, x)), x)
+        retract = on_batches(space.manifold.retract, x, space.manifold.zero(x))
         return cls(
-            jax.jit(lambda x: (constraint(x), _rows(space, constraint, x))),
-            jax.jit(lambda x, s: space.manifold.retract(x, s)),
+            lambda x: tuple(part[0] for part in rows(x[None])),
+            lambda x, s: retract(x[None], s[None])[0],
         )
 
 
-def _closed(look: _Look, near: Configuration) -> Configuration:
+def _closed(look: _Look, near: np.ndarray) -> np.ndarray:
     """A configuration on the leaf, by Newton steps of least length that allow dependent rows."""
     x, left = near, np.inf
     for _ in range(50):
-        c, rows = map(np.asarray, look.rows(x))
+        c, rows = look.rows(x)
         last, left = left, float(np.max(np.abs(c)))
         if left < CLOSED and left >= last / 2:  # what is left is rounding
             break
-        x = look.retract(x, -jnp.asarray(np.linalg.pinv(rows, rcond=SINGULAR) @ c))
+        x = look.retract(x, -np.linalg.pinv(rows, rcond=SINGULAR) @ c)
     if not left < CLOSED:
         raise ValueError(
             f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give a configuration "
@@ -495,9 +499,9 @@ def _closed(look: _Look, near: Configuration) -> Configuration:
     return x
 
 
-def _independent(look: _Look, constraint: Callable, start: Configuration) -> Callable:
+def _independent(look: _Look, constraint: Callable, start: np.ndarray) -> Callable:
     """The constraint without combinations of its rows that are zero everywhere on the leaf."""
-    rows = [np.asarray(look.rows(x)[1]) for x in _samples(look, start)]
+    rows = [look.rows(x)[1] for x in _samples(look, start)]
     ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
     least, most, count = min(ranks), max(ranks), len(rows[0])
     if least < most:
@@ -523,15 +527,15 @@ def _combined(constraint: Callable, kept: Float[Array, "k m"], x: Configuration)
     return kept @ constraint(x)
 
 
-def _samples(look: _Look, start: Configuration) -> list[Configuration]:
+def _samples(look: _Look, start: np.ndarray) -> list[np.ndarray]:
     """Configurations of a random walk along the leaf."""
     random, samples, x = np.random.default_rng(0), [start], start
     for _ in range(SAMPLES):
-        rows = np.asarray(look.rows(x)[1])
+        rows = look.rows(x)[1]
         step = random.normal(size=rows.shape[1])
         step = step - np.linalg.pinv(rows, rcond=SINGULAR) @ (rows @ step)
         try:
-            x = _closed(look, look.retract(x, jnp.asarray(0.3 * step / np.linalg.norm(step))))
+            x = _closed(look, look.retract(x, 0.3 * step / np.linalg.norm(step)))
         except ValueError:  # the end of the motion: the walk goes on from the place before
             continue
         samples.append(x)

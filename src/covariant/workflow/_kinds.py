@@ -202,7 +202,12 @@ class InCoordinates(AbstractMechanical):
         return dict(zip(names, np.split(np.asarray(x), 2, axis=1)[0].T, strict=True))
 
     def _displaced(self, displacement: np.ndarray) -> np.ndarray:
-        circles = np.isin(np.arange(self.file.dimension), self.model.manifold.circles)
+        manifold = self.model.manifold
+        if manifold.redundant:  # moved as it is assembled; an outlier is not along the motion
+            small, begin = np.clip(displacement, -SWING, SWING), manifold.origin()
+            moved = jax.jit(jax.vmap(lambda s: manifold.retract(begin, self.model.space.projected(begin, s))))(small)
+            return np.asarray(moved) + displacement - small
+        circles = np.isin(np.arange(self.file.dimension), manifold.circles)
         return displacement + np.where(circles, np.pi, CENTRE)
 
     def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:

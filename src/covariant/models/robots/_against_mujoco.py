@@ -11,11 +11,11 @@ import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from covariant._optional import load_optional
+from covariant.lowering import evaluate_batch
 from covariant.models.robots._assemble import space_of
 from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
 from covariant.models.robots._forces import with_motors
@@ -74,21 +74,24 @@ def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
     space, data = space_of(robot), mujoco.MjData(engine)
     names, joints = names_of(mujoco, engine, "EQUALITY", engine.neq), names_of(mujoco, engine, "JOINT", engine.njnt)
     balls = [space.limits[first][0] for first in space.tree.balls]
-    x, rng = np.array(space.manifold.origin()), np.random.default_rng(0)
-    for scale in SCALES:
-        q = x.reshape(-1)[16 * space.floating + 9 * len(balls) :]
-        q[:] = scale * rng.normal(size=len(q))
-        positions = dict(zip((name for name, _, _ in space.limits), np.asarray(space.joint_angles(jnp.asarray(x))), strict=True))
+    origin, rng = np.array(space.manifold.origin()), np.random.default_rng(0)
+    poses = np.repeat(origin[None], len(SCALES), axis=0)
+    q = poses.reshape(len(SCALES), -1)[:, 16 * space.floating + 9 * len(balls) :]
+    q[:] = np.array(SCALES)[:, None] * rng.normal(size=q.shape)
+    angles, *gaps = evaluate_batch(
+        lambda x: [space.joint_angles(x), *(gap(space, each, x) for each in robot.loops)], poses
+    )
+    for k, positions in enumerate(angles):
         data.qpos[:] = engine.qpos0
-        for name, position in positions.items():
+        for (name, _, _), position in zip(space.limits, positions, strict=True):
             if name not in balls:
                 data.qpos[engine.jnt_qposadr[joints.index(name)]] = position
         mujoco.mj_forward(engine, data)
-        for loop in robot.loops:
+        for loop, open_by in zip(robot.loops, gaps, strict=True):
             i = names.index(loop.name)
             rows = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (data.efc_id == i)
             theirs = _sizes(data.efc_pos[rows], float(engine.eq_data[i, 10]))
-            ours = _sizes(np.asarray(gap(space, loop, jnp.asarray(x))))
+            ours = _sizes(open_by[k])
             if not np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE):
                 raise ValueError(
                     f"equality {loop.name!r} is open by {ours[0]:.4g} at random positions, and by {theirs[0]:.4g} in "

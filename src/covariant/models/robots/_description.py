@@ -422,8 +422,8 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
         if joint.child in carrier:
             raise ValueError(
                 f"link {joint.child!r} is carried by two joints, {carrier[joint.child].name!r} and {joint.name!r}: "
-                f"they close a loop; leave {joint.name!r} out, and write a table [loop.{joint.name}] into a model file: "
-                "two links and the point of each at which they meet"
+                f"they close a loop; leave {joint.name!r} out, and write a table [loop.{joint.name}] into a model "
+                "file: two links and the point of each at which they meet"
             )
         carrier[joint.child] = joint
     roots = [name for name in links if name not in carrier]

@@ -5,7 +5,7 @@ planar loop does not need are zero wherever an arm carries it, and no joint befo
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -162,4 +162,3 @@ def _off_curve(space: RobotSpace, loop: Coupled, x: Array) -> Float[Array, "1"]:
     for coefficient in reversed(loop.polynomial):
         value = value * other + coefficient
     return (one - value)[None]
-

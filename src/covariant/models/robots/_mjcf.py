@@ -16,9 +16,9 @@ from covariant._optional import load_optional
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
-    Description,
     Coincide,
     Coupled,
+    Description,
     Follows,
     Joint,
     Motor,
@@ -153,8 +153,8 @@ def _refuse(read: _Reader) -> None:
             read.ignored["equality (inactive)"] += 1
         elif (kind := _kind(read, i)) not in ("connect", "weld", "joint"):
             raise ValueError(
-                f"equality {read.name('EQUALITY', i)!r} ({kind}) is not supported; couple the joints by equality/joint, "
-                "the bodies by connect or weld, or make it inactive"
+                f"equality {read.name('EQUALITY', i)!r} ({kind}) is not supported; couple the joints by "
+                "equality/joint, the bodies by connect or weld, or make it inactive"
             )
 
 
