@@ -11,20 +11,29 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from covariant import models, observers
+from covariant.lowering import evaluate_batch
 from covariant.models import acceleration, robots
 from covariant.models.robots import located, robot_space
+from covariant.signals import StepCode
 
 LOOPED = ("four_bar", "five_bar", "parallel_ankle", "delta")
 FLOATING = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint name="free"/>
  <inertial pos="0.01 0 0.02" mass="1" diaginertia="0.01 0.02 0.03"/>
  <body name="a"><joint name="a" axis="0 -1 0"/><inertial pos=".075 0 0" mass=".5" diaginertia=".002 .002 .002"/>
-  <body name="b" pos=".15 0 0"><joint name="b" axis="0 -1 0"/><inertial pos=".2 0 0" mass=".6" diaginertia=".01 .01 .01"/>
-  </body></body>
- <body name="c" pos=".35 0 0"><joint name="c" axis="0 -1 0"/><inertial pos=".15 0 0" mass=".8" diaginertia=".008 .008 .008"/>
- </body></body></worldbody>
+  <body name="b" pos=".15 0 0"><joint name="b" axis="0 -1 0"/>
+   <inertial pos=".2 0 0" mass=".6" diaginertia=".01 .01 .01"/></body></body>
+ <body name="c" pos=".35 0 0"><joint name="c" axis="0 -1 0"/>
+  <inertial pos=".15 0 0" mass=".8" diaginertia=".008 .008 .008"/></body></body></worldbody>
 <equality><connect body1="b" body2="c" anchor=".2 0 0"/></equality></mujoco>"""
-LINK = '<link name="{0}"><inertial><mass value="{1}"/><origin xyz="{2} 0 0"/><inertia ixx="{3}" iyy="{3}" izz="{3}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-JOINT = '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/><origin xyz="{3} 0 0" rpy="{4} 0 0"/><axis xyz="{5}"/></joint>'
+LINK = (
+    '<link name="{0}"><inertial><mass value="{1}"/><origin xyz="{2} 0 0"/>'
+    '<inertia ixx="{3}" iyy="{3}" izz="{3}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>'
+    '<origin xyz="{3} 0 0" rpy="{4} 0 0"/><axis xyz="{5}"/></joint>'
+)
+ZERO = jnp.zeros(())
 PIN = {"pin": {"links": ["coupler", "rocker"], "points": [[0.4, 0, 0], [0.3, 0, 0]]}}
 BUILT = {"crank": 0.328, "coupler": 0.271, "rocker": 1.151}
 
@@ -65,8 +74,13 @@ def state(model, seed=0, size=1.0):
     return q, space.projected(q, size * jnp.asarray(random.normal(size=n)))
 
 
+def moved(model, q, v, u):
+    """The acceleration, by NumPy: nothing is compiled."""
+    return evaluate_batch(lambda q, v, u: acceleration(model, ZERO, q, v, u), q[None], v[None], u[None])[0]
+
+
 def of_multipliers(model):
-    """Compiled: acceleration by the tree's equations with Lagrange multipliers, these, and both as the leaf has them."""
+    """Acceleration and multipliers by the equations of the tree, and both as the leaf has them."""
     space, tree = model.space, robot_space(model.space)
 
     @jax.jit
@@ -75,8 +89,8 @@ def of_multipliers(model):
             return space.constraint(tree.manifold.retract(q, t * v))
 
         rows = jax.jacfwd(lambda s: space.constraint(tree.manifold.retract(q, s)))(jnp.zeros_like(v))
-        bent = jax.jvp(lambda t: jax.jvp(along, (t,), (jnp.ones(()),))[1], (jnp.zeros(()),), (jnp.ones(()),))[1]
-        zero = jnp.zeros(())
+        bent = jax.jvp(lambda t: jax.jvp(along, (t,), (jnp.ones(()),))[1], (ZERO,), (jnp.ones(()),))[1]
+        zero = ZERO
         force = models.applied_force(model, zero, q, u) + models.resistance(model, zero, q, v, u)
         leaf = acceleration(model, zero, q, v, u), space.load(q, v, force)
         return tree(q), rows, bent, force - tree.connection_force(q, v, v), leaf
@@ -116,18 +130,18 @@ def test_a_floating_base_may_carry_a_loop(tmp_path):
 
 
 @pytest.mark.long
-def test_a_spatial_loop_flows_as_a_dae(name="parallel_ankle", end=0.3):
+def test_a_spatial_loop_flows_as_a_dae():
     """Both by an integrator of order 8; and in steps of 2 ms the loop stays closed to rounding at every sample."""
-    model = loaded(name)
+    model, end = loaded("parallel_ankle"), 0.3
     q, v = state(model, size=2.0)
     u, n, solved = jnp.array([0.4, -0.3]), len(q), of_multipliers(model)
-    flow = jax.jit(lambda x: jnp.concatenate([x[n:], acceleration(model, jnp.zeros(()), x[:n], x[n:], u)]))
+    flow = jax.jit(lambda x: jnp.concatenate([x[n:], acceleration(model, ZERO, x[:n], x[n:], u)]))
     rates = (lambda t, x: np.asarray(flow(x))), (lambda t, x: np.concatenate([x[n:], solved(x[:n], x[n:], u)[0][0]]))
     x = np.concatenate([q, v])
     ends = [solve_ivp(rate, (0, end), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1] for rate in rates]
     assert np.abs(ends[0] - x).max() > 0.1
     assert_allclose(ends[0], ends[1], rtol=0, atol=1e-10 * np.abs(ends[1]).max())
-    step = jax.jit(lambda x: models.advance(model, 0.0, x, lambda t, x: u, 2e-3))
+    step = jax.jit(lambda x: models.advance(model, ZERO, x, lambda t, x: u, 2e-3))
     gap = jax.jit(model.space.constraint)
     for _ in range(150):
         x = step(x)
@@ -144,7 +158,7 @@ def test_the_slope_against_mujocos_soft_constraint_is_one():
         np.asarray(model.space.projected(model.space.assembly, jnp.array([2.5, 0, 0]))),
     )
     x, u, end = jnp.concatenate([q, v]), jnp.array([0.3]), 0.4
-    step = jax.jit(lambda x: models.advance(model, 0.0, x, lambda t, x: u, 2e-3))
+    step = jax.jit(lambda x: models.advance(model, ZERO, x, lambda t, x: u, 2e-3))
     for _ in range(200):
         x = step(x)
     off = []
@@ -160,7 +174,7 @@ def test_the_slope_against_mujocos_soft_constraint_is_one():
         off.append(np.abs(data.qpos - x[:3]).max())
     slopes = np.diff(np.log(off)) / np.diff(np.log([1e-3, 2.5e-4, 5e-5]))
     assert off[-1] < 1e-3
-    assert np.all((0.8 < slopes) & (slopes < 1.25)), (off, slopes)
+    assert np.all((slopes > 0.8) & (slopes < 1.25)), (off, slopes)
 
 
 @pytest.mark.long
@@ -181,18 +195,20 @@ def test_rows_span_those_of_mujoco(name):
 @pytest.mark.long
 def test_a_table_closes_the_loop_of_a_tree(tmp_path):
     path = four_bar(tmp_path)
-    with pytest.raises(ValueError, match=r"do not close where all joints are at 0.*the closest is assembly = \{crank"):
+    with pytest.raises(ValueError, match="loop 'pin': the loop does not close near.*give the assembly"):
         robots.load(path, loops=PIN)
+    with pytest.raises(ValueError, match=r"do not close where assembly says.*the closest is assembly = \{crank"):
+        robots.load(path, loops=PIN, assembly=BUILT | {"rocker": 0.8})
     model, other = robots.load(path, loops=PIN, assembly=BUILT, actuated=["crank"]), loaded("four_bar")
     assert model.space.constraint(model.space.assembly).shape == (2,)
     q, v = state(other)
-    free = [acceleration(m, 0.0, q, v, jnp.ones(1)) for m in (model, other)]
+    free = [moved(m, q, v, jnp.ones(1)) for m in (model, other)]
     # The tree has none of the friction of the shipped file.
-    assert_allclose(free[0], acceleration(loaded("four_bar", dry=True), 0.0, q, v, jnp.ones(1)), rtol=1e-10)
+    assert_allclose(free[0], moved(loaded("four_bar", dry=True), q, v, jnp.ones(1)), rtol=1e-10)
     assert np.abs(free[0] - free[1]).max() > 1e-3
     text = robots.robot_text(".xml", path, 1e-3, loops=PIN, assembly=BUILT, actuated=["crank"]).text
     (tmp_path / "back.xml").write_text(text)
-    assert_allclose(acceleration(robots.load(tmp_path / "back.xml"), 0.0, q, v, jnp.ones(1)), free[0], rtol=1e-9)
+    assert_allclose(moved(robots.load(tmp_path / "back.xml"), q, v, jnp.ones(1)), free[0], rtol=1e-9)
     with pytest.raises(ValueError, match="URDF has no closed loops, such as 'pin'"):
         robots.robot_text(".urdf", path, 1e-3, loops=PIN, assembly=BUILT)
 
@@ -214,7 +230,7 @@ def test_a_polynomial_between_joints(tmp_path):
     loops = {"cam": {"joints": ["lift", "cart"], "polynomial": [0.0, 0.0, 0.5]}}
     model, x, v, force = robots.load(path, loops=loops, actuated=["cart"]), 0.7, 1.3, 4.0
     q, rate = jnp.array([x, 0.5 * x**2]), jnp.array([v, x * v])
-    found = acceleration(model, 0.0, q, rate, jnp.array([force]))
+    found = moved(model, q, rate, jnp.array([force]))
     assert_allclose(found[0], (force - 3.0 * x * v**2) / (2.0 + 3.0 * x**2), rtol=1e-12)
     assert_allclose(found[1], v**2 + x * found[0], rtol=1e-12)
 
@@ -263,8 +279,8 @@ def test_overconstrained_and_branching_linkages_are_refused(tmp_path):
     with pytest.raises(ValueError, match="such a change point it can go on in two ways"):
         robots.load(path, loops=pin)
     model = robots.load(path, loops=pin, assembly={"crank": crank, "coupler": -crank, "rocker": crank})
-    assert bool(model.space.regular(model.space.assembly))
-    assert not bool(model.space.regular(jnp.zeros(3)))
+    places = jnp.stack([model.space.assembly, jnp.zeros(3)])
+    assert evaluate_batch(model.space.regular, places).tolist() == [True, False]
 
 
 @pytest.mark.long
@@ -278,9 +294,11 @@ def test_constant_gains_refuse_a_dead_centre():
     dead = jnp.array([crank, 0.0, rocker])
     assert np.abs(model.space.constraint(dead)).max() < 1e-12
     y = dead.at[:2].set(jnp.nan)
-    assert bool(model.manifold.dead_centre(dead, y))
-    assert not bool(model.manifold.dead_centre(model.space.assembly, model.space.assembly.at[:2].set(jnp.nan)))
+    places = jnp.stack([dead, model.space.assembly])
+    assert evaluate_batch(model.manifold.dead_centre, places, places.at[:, :2].set(jnp.nan)).tolist() == [True, False]
     observer = observers.Intrinsic(model, 40.0, 800.0)
-    state = observer.init(dead)
-    _, info = observer.step(state, jnp.zeros(1), y, jnp.asarray(0.005))
-    assert int(info.result) == int(observers.StepCode.NOT_RECONSTRUCTIBLE)
+
+    def result(y):
+        return observer.step(observer.init(dead), jnp.zeros(1), y, jnp.asarray(0.005))[1].result
+
+    assert int(evaluate_batch(result, y[None])[0]) == StepCode.NOT_RECONSTRUCTIBLE

@@ -462,7 +462,8 @@ def _rows(space: AbstractSpace, constraint: Callable, x: Configuration) -> Float
 
 def _is_regular(matrix: Matrix) -> Flag:
     scale = jnp.sqrt(jnp.diag(matrix))
-    scaled = matrix / jnp.where(scale > 0, scale, 1.0)[:, None] / jnp.where(scale > 0, scale, 1.0)
+    scale = jnp.where(scale > 0, scale, 1.0)
+    scaled = matrix / scale[:, None] / scale[None]
     return jnp.all(pivots(scaled) > SINGULAR)
 
 
@@ -493,8 +494,8 @@ def _closed(look: _Look, near: np.ndarray) -> np.ndarray:
         x = look.retract(x, -np.linalg.pinv(rows, rcond=SINGULAR) @ c)
     if not left < CLOSED:
         raise ValueError(
-            f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give a configuration "
-            "in which it is assembled"
+            f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give the assembly, "
+            "a configuration in which it is closed as it is built"
         )
     return x
 

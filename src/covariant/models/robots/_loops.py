@@ -63,7 +63,10 @@ def close_loops(model: MechanicalSystem, robot: Description) -> MechanicalSystem
     near = _assembled(model, space, robot)
     # Inertias may be traced; the loops close whatever they are.
     with jax.ensure_compile_time_eval():
-        leaf = Leaf.closing(space, Closure(space, robot.loops), near)
+        try:
+            leaf = Leaf.closing(space, Closure(space, robot.loops), near)
+        except ValueError as error:
+            raise ValueError(f"loop {', '.join(repr(loop.name) for loop in robot.loops)}: {error}") from error
         _refuse_far(model, space, near, leaf.assembly, robot.assembly is not None)
     return eqx.tree_at(lambda each: each.space, model, leaf)
 
@@ -132,7 +135,7 @@ def _loop(name: str, table: Any) -> Coincide | Coupled:
     points = np.asarray(table["points"], float)
     if points.shape != (2, 3) or not np.isfinite(points).all():
         raise ValueError(f"{where}: points must be two of three numbers [m]; got {table['points']!r}")
-    roll, pitch, yaw = table.get("rpy", (0.0, 0.0, 0.0))
+    roll, pitch, yaw = map(float, table.get("rpy", (0.0, 0.0, 0.0)))
     x, y, z = np.eye(3)
     turned = turn_about(z, yaw) @ turn_about(y, pitch) @ turn_about(x, roll)
     return Coincide(name, tuple(table["links"]), rows(points), rows(turned) if "rpy" in table else None)
