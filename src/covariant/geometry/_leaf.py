@@ -409,7 +409,7 @@ class _LeafManifold(AbstractManifold):
             return self._closer(q, jnp.where(jnp.isnan(y), y, waypoint))
 
         q = jax.lax.fori_loop(0, STAGES + 4, follow, begin)
-        if not isinstance(y, Tracer):
+        if not isinstance(q, Tracer):
             self._refuse_undetermined(q, y)
         return q
 

@@ -192,8 +192,9 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
         lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead), lagging
     )
     if not job.anyway:
-        known = log._replace(record=_with_inputs_only(log.record))
-        _refuse_misfit(job, file, known, _with_inputs_only(record))
+        whole = kind.complete(np.asarray(record.y))
+        known = log._replace(record=_with_inputs_only(log.record._replace(y=whole)))
+        _refuse_misfit(job, file, known, _with_inputs_only(record._replace(y=whole)))
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)
