@@ -142,7 +142,7 @@ def test_a_spatial_loop_flows_as_a_dae():
     ends = [solve_ivp(rate, (0, end), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1] for rate in rates]
     assert np.abs(ends[0] - x).max() > 0.1
     assert_allclose(ends[0], ends[1], rtol=0, atol=1e-10 * np.abs(ends[1]).max())
-    step = jax.jit(lambda x: models.advance(model, ZERO, x, lambda t, x: u, 2e-3, 1))
+    step = jax.jit(lambda x: model.state(models.advance(model, ZERO, model.motion(x), u, 2e-3, 1)))
     gap = jax.jit(model.space.constraint)
     for _ in range(150):
         x = step(x)
@@ -159,7 +159,7 @@ def test_the_slope_against_mujocos_soft_constraint_is_one():
         np.asarray(model.space.projected(model.space.assembly, jnp.array([2.5, 0, 0]))),
     )
     x, u, end = jnp.concatenate([q, v]), jnp.array([0.3]), 0.4
-    step = jax.jit(lambda x: models.advance(model, ZERO, x, lambda t, x: u, 2e-3, 1))
+    step = jax.jit(lambda x: model.state(models.advance(model, ZERO, model.motion(x), u, 2e-3, 1)))
     for _ in range(200):
         x = step(x)
     off = []

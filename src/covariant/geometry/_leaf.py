@@ -19,9 +19,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from covariant._functional import Functional
 from covariant._linalg import pivots, solve
 from covariant._typing import Flag, Matrix, Vector, Vectors
 from covariant.geometry import _geodesics as geodesics
@@ -501,7 +503,7 @@ def _closed(look: _Look, near: np.ndarray) -> np.ndarray:
 
 
 def _independent(look: _Look, constraint: Callable, start: np.ndarray) -> Callable:
-    """The constraint without combinations of its rows that are zero everywhere on the leaf."""
+    """The constraint without rows that others determine in the same way everywhere on the leaf."""
     rows = [look.rows(x)[1] for x in _samples(look, start)]
     ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
     least, most, count = min(ranks), max(ranks), len(rows[0])
@@ -520,12 +522,20 @@ def _independent(look: _Look, constraint: Callable, start: np.ndarray) -> Callab
             "an overconstrained linkage, which closes by its exact lengths alone; open it at another joint, or give the "
             "independent rows"
         )
-    kept = vectors[:, values > SINGULAR**2].T
-    return eqx.Partial(_combined, constraint, jnp.asarray(np.where(np.abs(kept) < SINGULAR, 0.0, kept)))
+    # Rows that are as independent as any: rows themselves, and no combinations, so that their loads have a meaning.
+    order = scipy.linalg.qr(vectors[:, values > SINGULAR**2].T, mode="r", pivoting=True)[1]
+    return _Rows(constraint, tuple(sorted(order[:most].tolist())))
 
 
-def _combined(constraint: Callable, kept: Float[Array, "k m"], x: Configuration) -> Float[Array, "k"]:
-    return kept @ constraint(x)
+class _Rows(Functional):
+    """Some rows of a constraint."""
+
+    constraint: Callable[[Configuration], Array]
+    kept: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, x: Configuration) -> Float[Array, "k"]:
+        c = self.constraint(x)
+        return jnp.stack([c[i] for i in self.kept])
 
 
 def _samples(look: _Look, start: np.ndarray) -> list[np.ndarray]:
