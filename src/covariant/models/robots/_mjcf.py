@@ -153,7 +153,7 @@ def _refuse(read: _Reader) -> None:
             read.ignored["equality (inactive)"] += 1
         elif (kind := _kind(read, i)) not in ("connect", "weld", "joint"):
             raise ValueError(
-                f"equality {read.name('EQUALITY', i)!r} ({kind}) is not supported; couple the joints by "
+                f"equality {read.name('EQUALITY', i)!r}: coupled {kind}s are not supported; couple the joints by "
                 "equality/joint, the bodies by connect or weld, or make it inactive"
             )
 
