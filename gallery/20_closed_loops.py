@@ -64,7 +64,8 @@ for color, name, found in (
 ):
     rate.plot(t, found[:, 2], color=color, label=name, linewidth=0.8)
     error.plot(t, found[:, 2] - v[:, 2], color=color, linewidth=0.8)
-rate.legend(loc="upper right")
+rate.set_ylim(-22, 32)
+rate.legend(loc="upper right", ncols=3)
 error.set_xlabel("t [s]")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

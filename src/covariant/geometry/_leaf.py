@@ -523,7 +523,7 @@ def _independent(look: _Look, constraint: Callable, start: np.ndarray) -> Callab
             "independent rows"
         )
     # Rows that are as independent as any: rows themselves, and no combinations, so that their loads have a meaning.
-    order = scipy.linalg.qr(vectors[:, values > SINGULAR**2].T, mode="r", pivoting=True)[1]
+    order = scipy.linalg.qr(vectors[:, values > SINGULAR**2].T, pivoting=True)[-1]
     return _Rows(constraint, tuple(sorted(order[:most].tolist())))
 
 

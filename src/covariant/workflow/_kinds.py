@@ -182,7 +182,7 @@ class InCoordinates(AbstractMechanical):
         return np.where(outliers(t, y, self.model.circles)[0], np.nan, y)
 
     def complete(self, y: np.ndarray) -> np.ndarray:
-        manifold, lacking = self.model.manifold, np.isnan(y).all(0)
+        manifold, lacking = self.model.manifold, np.asarray(np.isnan(y).all(0))
         if not manifold.redundant or not lacking.any():
             return y
         first, rows = manifold.checked(jnp.asarray(y[0])), jnp.asarray(y)

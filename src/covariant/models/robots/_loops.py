@@ -97,7 +97,7 @@ def _assembled(model: MechanicalSystem, space: RobotSpace, robot: Description) -
     for ball, first in enumerate(space.tree.balls):
         pose = assembly.get(space.limits[first][0])
         if pose is not None:
-            flat[start + 9 * ball : start + 9 * ball + 9] = np.ravel(rotation_from_quaternion(np.asarray(pose, float)))
+            flat[start + 9 * ball : start + 9 * ball + 9] = np.ravel(rotation_from_quaternion(jnp.asarray(pose, float)))
     for i, name in enumerate(model.coordinates):
         flat[start + 9 * balls + i] = float(assembly.get(name, 0.0))
     return jnp.asarray(x)
@@ -148,7 +148,7 @@ def gap(space: RobotSpace, loop: Coincide | Coupled, x: Array) -> Vector:
 
 def _apart(space: RobotSpace, loop: Coincide, x: Array) -> Vector:
     """Distance (3,) of the points, and the turn (3,) of the second frame from where it coincides."""
-    rotation, place = space.between(x, *loop.links)
+    rotation, place = space.relative(x, *loop.links)
     first, second = (jnp.asarray(point, x.dtype) for point in loop.points)
     moved = place + rotation @ second - first
     if loop.rotation is None:

@@ -350,7 +350,7 @@ class RobotSpace(AbstractSpace):
         pose = jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), last])
         return x.reshape(-1)[:16].reshape(4, 4) @ pose if self.floating else pose
 
-    def between(self, x: Configuration, link: str, other: str) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
+    def relative(self, x: Configuration, link: str, other: str) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
         """Rotation and origin of the frame of another link in that of a link, through the joints between them alone.
 
         Args:

@@ -166,10 +166,10 @@ def _add_equalities(whole: Element, robot: Description) -> None:
 
 def _add_loops(whole: Element, robot: Description) -> None:
     """Add what closes the loops, between sites, and a keyframe in which they are closed: at qpos0 they need not be."""
-    bodies, table = {body.get("name"): body for body in whole.iter("body")}, whole.find("equality")
-    if not robot.loops or table is None:
+    table, world = whole.find("equality"), whole.find("worldbody")
+    if not robot.loops or table is None or world is None:
         return
-    bodies["world"] = whole.find("worldbody")
+    bodies = {"world": world} | {body.get("name", ""): body for body in whole.iter("body")}
     for loop in robot.loops:
         if isinstance(loop, Coupled):
             if len(loop.polynomial) > MOST_COEFFICIENTS:
