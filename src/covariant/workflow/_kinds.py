@@ -182,7 +182,7 @@ class InCoordinates(AbstractMechanical):
         return np.where(outliers(t, y, self.model.circles)[0], np.nan, y)
 
     def complete(self, y: np.ndarray) -> np.ndarray:
-        manifold, lacking = self.model.manifold, np.asarray(np.isnan(y).all(0))
+        manifold, lacking = self.model.manifold, np.isnan(y).all(axis=0)
         if not manifold.redundant or not lacking.any():
             return y
         first, rows = manifold.checked(jnp.asarray(y[0])), jnp.asarray(y)
@@ -192,8 +192,8 @@ class InCoordinates(AbstractMechanical):
             return q, q
 
         whole = np.asarray(jax.jit(lambda: jax.lax.scan(follow, first, rows)[1])())
-        known = ~np.isnan(y[:, ~lacking]).any(1)
-        return np.where(lacking & known[:, None], whole, y)
+        known = np.all(lacking | np.isfinite(y), axis=1, keepdims=True)
+        return np.where(lacking & known, whole, y)
 
     def drawn(self, y: np.ndarray) -> np.ndarray:
         return scoring.unwrap(y, self.model.circles)
