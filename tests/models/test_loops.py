@@ -25,7 +25,7 @@ FLOATING = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint name=
    <inertial pos=".2 0 0" mass=".6" diaginertia=".01 .01 .01"/></body></body>
  <body name="c" pos=".35 0 0"><joint name="c" axis="0 -1 0"/>
   <inertial pos=".15 0 0" mass=".8" diaginertia=".008 .008 .008"/></body></body></worldbody>
-<equality><connect body1="b" body2="c" anchor=".2 0 0"/></equality></mujoco>"""
+<equality><connect body1="b" body2="c" anchor=".4 0 0"/></equality></mujoco>"""
 LINK = (
     '<link name="{0}"><inertial><mass value="{1}"/><origin xyz="{2} 0 0"/>'
     '<inertia ixx="{3}" iyy="{3}" izz="{3}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
@@ -122,7 +122,7 @@ def test_a_floating_base_may_carry_a_loop(tmp_path):
     path.write_text(FLOATING)
     with pytest.raises(ValueError, match="rank 1 and 2"):  # at qpos0 all links are in one line: a change point
         robots.load(path)
-    path.write_text(FLOATING.replace('anchor=".2 0 0"/>', 'anchor=".2 0 .3"/>'))
+    path.write_text(FLOATING.replace('anchor=".4 0 0"/>', 'anchor=".2 0 .3"/>'))
     model = robots.load(path, actuated=["a"])
     q, v = state(model, size=0.5)
     theirs, ours = of_multipliers(model)(q, v, jnp.ones(1))
@@ -190,7 +190,7 @@ def test_rows_span_those_of_mujoco(name):
         mujoco.mj_forward(engine, data)
         theirs, rows = data.efc_J.reshape(data.nefc, -1), np.asarray(rows_at(q))
         assert np.linalg.matrix_rank(theirs, tol=1e-9) == len(rows)
-        assert np.abs(theirs - theirs @ np.linalg.pinv(rows) @ rows).max() < 1e-12
+        assert np.abs(theirs - theirs @ np.linalg.pinv(rows) @ rows).max() < 1e-11
 
 
 @pytest.mark.long

@@ -11,12 +11,13 @@ import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from covariant._optional import load_optional
 from covariant.lowering import evaluate_batch
-from covariant.models.robots._assemble import space_of
+from covariant.models.robots._assemble import geometry_of
 from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
 from covariant.models.robots._forces import with_motors
 from covariant.models.robots._loops import gap
@@ -51,7 +52,8 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
     mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
     # Assembling the robot refuses a motor that is not supported; until then all are compared without their forces.
     if robot.loops:
-        _refuse_other_gaps(mujoco, engine, robot)
+        with jax.ensure_compile_time_eval():  # the file's numbers are known, also where those of the model are traced
+            _refuse_other_gaps(mujoco, engine, robot)
     motors = () if actuated is not None or any(motor.unsupported for motor in robot.motors) else robot.motors
     joints = [joint for joint in robot.joints if joint.kind != "fixed"]
     if not joints:
@@ -71,7 +73,7 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
 
 def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
     """Raise `ValueError` where a loop is open by another distance or angle than in MuJoCo's model of the file."""
-    space, data = space_of(robot), mujoco.MjData(engine)
+    space, data = geometry_of(robot), mujoco.MjData(engine)
     names, joints = names_of(mujoco, engine, "EQUALITY", engine.neq), names_of(mujoco, engine, "JOINT", engine.njnt)
     balls = [space.limits[first][0] for first in space.tree.balls]
     origin, rng = np.array(space.manifold.origin()), np.random.default_rng(0)

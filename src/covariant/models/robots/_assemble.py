@@ -16,7 +16,14 @@ from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
-from covariant.models.robots._description import BodyInertia, Description, Joint, negative_inertia, numbers
+from covariant.models.robots._description import (
+    NO_INERTIA,
+    BodyInertia,
+    Description,
+    Joint,
+    negative_inertia,
+    numbers,
+)
 from covariant.models.robots._forces import Potential, dissipation, force, inputs_of, with_motors
 from covariant.models.robots._loops import close_loops
 from covariant.models.robots._servos import ServoForce, loss, servo_of
@@ -78,7 +85,9 @@ def assemble(
         model, moved = _assemble(robot, floating, dict(lock or {}), actuated, loads)
         if numbers:
             _check_inertia(model, moved)
-        return close_loops(model, robot) if robot.loops else model
+    if not robot.loops:
+        return model
+    return close_loops(model, robot, geometry_of(robot, floating, lock))
 
 
 def _assemble(
@@ -107,9 +116,14 @@ def _assemble(
     return _system(robot, axes, freedom, space, actuated, free_joint), moved
 
 
-def space_of(robot: Description) -> RobotSpace:
-    """The space of the tree of a robot, whose loops are open and whose inertia matrix is not checked."""
-    return _assemble(robot._replace(motors=()), False, {}, None, {})[0].space  # pyright: ignore[reportReturnType]
+def geometry_of(robot: Description, floating: bool = False, lock: Mapping[str, float] | None = None) -> RobotSpace:
+    """The space of a robot's tree without inertias, in known numbers, also where others of the robot are traced."""
+    none = {"armature": 0.0, "damping": 0.0, "friction": 0.0, "law": None, "servo": None, "torque_constant": 1.0}
+    joints = tuple(joint._replace(**none) for joint in robot.joints)
+    links = dict.fromkeys(robot.links, NO_INERTIA)
+    bare = robot._replace(joints=joints, links=links, motors=(), motor_torques=False, gravity=np.zeros(3))
+    with jax.ensure_compile_time_eval():
+        return _assemble(bare, floating, dict(lock or {}), None, {})[0].space  # pyright: ignore[reportReturnType]
 
 
 def _moved(

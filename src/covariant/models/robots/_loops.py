@@ -52,23 +52,21 @@ def loops_of(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Coincide | Couple
     return tuple(_loop(name, table) for name, table in tables.items())
 
 
-def close_loops(model: MechanicalSystem, robot: Description) -> MechanicalSystem:
-    """The robot with its loops closed: its space is a leaf of that of the tree."""
-    space = robot_space(model.space)
-    assert space is not None
+def close_loops(model: MechanicalSystem, robot: Description, geometry: RobotSpace) -> MechanicalSystem:
+    """The robot with its loops closed: its space is a leaf of that of the tree, which has the known `geometry`."""
     for loop in robot.loops:
-        _check_names(space, robot, loop)
-    if not known((space.tree.rotation, space.tree.place, space.tree.offset)):
-        raise ValueError("a loop's lengths and encoder offsets cannot be fitted: open it, or leave offsets out")
-    near = _assembled(model, space, robot)
+        _check_names(geometry, robot, loop)
+    if not known(geometry.tree.offset):
+        raise ValueError("encoder offsets of a robot with closed loops cannot be fitted; leave offsets out")
     # Inertias may be traced; the loops close whatever they are.
     with jax.ensure_compile_time_eval():
+        near = _assembled(model, geometry, robot)
         try:
-            leaf = Leaf.closing(space, Closure(space, robot.loops), near)
+            leaf = Leaf.closing(geometry, Closure(geometry, robot.loops), near)
         except ValueError as error:
             raise ValueError(f"loop {', '.join(repr(loop.name) for loop in robot.loops)}: {error}") from error
-        _refuse_far(model, space, near, leaf.assembly, robot.assembly is not None)
-    return eqx.tree_at(lambda each: each.space, model, leaf)
+        _refuse_far(model, geometry, near, leaf.assembly, robot.assembly is not None)
+    return eqx.tree_at(lambda each: each.space, model, Leaf(model.space, leaf.constraint, leaf.assembly))
 
 
 def _check_names(space: RobotSpace, robot: Description, loop: Coincide | Coupled) -> None:
