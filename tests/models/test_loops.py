@@ -298,3 +298,8 @@ def test_constant_gains_refuse_a_dead_centre():
     assert evaluate_batch(model.manifold.dead_centre, places, places.at[:, :2].set(jnp.nan)).tolist() == [True, False]
     codes = evaluate_batch(lambda q, y: readability(model, q, y), places, places.at[:, :2].set(jnp.nan))
     assert codes.tolist() == [StepCode.NOT_RECONSTRUCTIBLE, StepCode.OK]
+
+
+def test_numbers_of_a_linkage_are_not_fitted():
+    with pytest.raises(models.ModelError, match="numbers of a robot with closed loops are not fitted"):
+        models.robot_family("four_bar", ["friction"])
