@@ -210,7 +210,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
         raise ValueError("a robot is fitted in joint coordinates: its base must stand still; lock its ball joints")
     if file.model.manifold.redundant:
         raise ValueError(
-            "numbers of a robot with closed loops are not fitted: forces in the loops are part of what each joint feels; "
+            "numbers of a robot with closed loops are not fitted: each joint feels the forces in the loops; "
             "fit its parts with the loops open"
         )
     parameters = parameters_of(content)
