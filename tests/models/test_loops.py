@@ -69,10 +69,13 @@ def state(model, seed=0, size=1.0):
     """A configuration on the leaf near the assembly, and a velocity along it."""
     random, space = np.random.default_rng(seed), model.space
     n = len(model.manifold.zero(space.assembly))
-    q = model.manifold.retract(
-        space.assembly, space.projected(space.assembly, 0.2 * jnp.asarray(random.normal(size=n)))
-    )
-    return q, space.projected(q, size * jnp.asarray(random.normal(size=n)))
+
+    def along(way, v):
+        q = model.manifold.retract(space.assembly, space.projected(space.assembly, way))
+        return space.restored(space.restored(q, v)[0], v)  # so long a way needs more Newton steps
+
+    q, v = evaluate_batch(along, 0.2 * random.normal(size=(1, n)), size * random.normal(size=(1, n)))
+    return jnp.asarray(q[0]), jnp.asarray(v[0])
 
 
 def moved(model, q, v, u):

@@ -19,7 +19,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
@@ -523,6 +522,8 @@ def _independent(look: _Look, constraint: Callable, start: np.ndarray) -> Callab
             "independent rows"
         )
     # Rows that are as independent as any: rows themselves, and no combinations, so that their loads have a meaning.
+    import scipy.linalg
+
     order = scipy.linalg.qr(vectors[:, values > SINGULAR**2].T, pivoting=True)[-1]
     return _Rows(constraint, tuple(sorted(order[:most].tolist())))
 

@@ -376,16 +376,12 @@ def _where(name: str, column: str, unit: str | None) -> str:
 def _unmeasured(record: Record, columns: Columns, absent: Collection[str]) -> np.ndarray:
     """Mask of the entries of a measurement without a number in any row, where they may be absent."""
     y = np.asarray(record.y, float).reshape(len(record.t), -1)
-    may = np.zeros(y.shape[1], bool)
-    if absent:  # the joints come last
-        may[y.shape[1] - len(columns.q) :] = np.isin(columns.q, list(absent))
-    empty = np.isnan(y).all(0)
+    may, empty = np.zeros(y.shape[1], bool), np.isnan(y).all(0)
+    may[y.shape[1] - len(columns.q) :] = np.isin(columns.q, list(absent))  # the joints come last
     return empty & may & ~empty.all()
 
 
-def _check_record(
-    name: str, record: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]
-) -> Record:
+def _check_record(name: str, record: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Record:
     """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
         start = np.flatnonzero(~_unmeasured(record, columns, absent)) if absent else None
@@ -397,12 +393,7 @@ def _check_record(
 
 
 def _columns_and_table(
-    name: str,
-    log: Any,
-    columns: Columns,
-    optional: Collection[str],
-    sensors: Sequence[Columns],
-    may_lack: Collection[str],
+    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns], may_lack: Any
 ) -> tuple[Columns, list[Columns], Any, LogSource]:
     """The columns without the optional ones that the log lacks, those of the sensors that it has, a table of all, and
     the source of these.

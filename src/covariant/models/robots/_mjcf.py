@@ -10,26 +10,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from covariant._optional import load_optional
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
-    Coincide,
-    Coupled,
     Description,
-    Follows,
     Joint,
     Motor,
     doubts_on,
     exact,
     in_order,
     limits_in_doubt,
-    rows,
     turn_about,
 )
 from covariant.models.robots._mjcf_compile import compiled_model
+from covariant.models.robots._mjcf_equalities import anchor_of, assembly_of, couple_joints, kind_of, rotation_of
 
 IGNORED = {
     "ngeom": "geom (contacts, shapes)",
@@ -48,9 +44,6 @@ IGNORED = {
     "nskin": "skin",
 }
 """Entries that have no meaning here: sizes of the compiled model, and the names under which they are reported."""
-
-CLOSES = 1e-3
-"""Largest gap [m or rad] of a pose, written to a few digits, in which the loops of a file count as closed."""
 
 MOTOR_LIMITS = {
     "actuator_ctrllimited": "actuator/ctrlrange",
@@ -100,7 +93,7 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
     joints: list[Joint] = []
     for i in range(1, model.nbody):
         _body(read, i, links, joints)
-    joints, loops = _couple_joints(read, joints)
+    joints, loops = couple_joints(read, joints)
     joints = _with_actuators(read, joints)
     motors = _motors(read)  # first, since the counts below are complete only then
     for size, what in IGNORED.items():
@@ -123,7 +116,7 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
         tuple(read.doubts),
         motors,
         loops=tuple(loops),
-        assembly=_assembly(read, loops),
+        assembly=assembly_of(read, loops),
     )
     return robot, model
 
@@ -151,21 +144,17 @@ def _refuse(read: _Reader) -> None:
     for i in range(model.neq):
         if not model.eq_active0[i] or read.off("EQUALITY"):
             read.ignored["equality (inactive)"] += 1
-        elif (kind := _kind(read, i)) not in ("connect", "weld", "joint"):
+        elif (kind := kind_of(read, i)) not in ("connect", "weld", "joint"):
             raise ValueError(
                 f"equality {read.name('EQUALITY', i)!r}: coupled {kind}s are not supported; couple the joints by "
                 "equality/joint, the bodies by connect or weld, or make it inactive"
             )
 
 
-def _kind(read: _Reader, i: int) -> str:
-    return read.mujoco.mjtEq(int(read.model.eq_type[i])).name.removeprefix("mjEQ_").lower()
-
-
 def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joint]) -> None:
     """Add a body, its joints, and a link without mass between any two of them."""
     model = read.model
-    axes = _rotation(model.body_iquat[i])
+    axes = rotation_of(model.body_iquat[i])
     # `ipos`, `iquat`: the compiler gives the moments along principal axes, about the centre of mass.
     inertia = BodyInertia.of(
         float(model.body_mass[i]), np.array(model.body_ipos[i]), axes @ np.diag(model.body_inertia[i]) @ axes.T
@@ -174,8 +163,8 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
     read.used["body"] += 1
     parent = int(model.body_parentid[i])
     # The frame of a link is that of its body, moved to the anchor of its last joint.
-    above, rotation = read.bodies[parent], _rotation(model.body_quat[i])
-    place = np.array(model.body_pos[i]) - _anchor(read, parent)
+    above, rotation = read.bodies[parent], rotation_of(model.body_quat[i])
+    place = np.array(model.body_pos[i]) - anchor_of(read, parent)
     first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
     if not count:
         links[read.bodies[i]] = inertia
@@ -191,12 +180,6 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
         links[below] = inertia.moved(np.eye(3), -anchor) if last else NO_INERTIA
         # Further joints of a body are in its frame, each at its own anchor.
         above, rotation, place, origin = below, np.eye(3), np.zeros(3), anchor
-
-
-def _anchor(read: _Reader, body: int) -> np.ndarray:
-    """Origin of the frame of a body's link, in the frame of the body: the anchor of its last joint."""
-    count = int(read.model.body_jntnum[body])
-    return np.array(read.model.jnt_pos[read.model.body_jntadr[body] + count - 1]) if count else np.zeros(3)
 
 
 def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray, place: np.ndarray) -> Joint:
@@ -246,77 +229,6 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     )._replace(**forces)
     read.doubts += limits_in_doubt(joint)
     return joint
-
-
-def _couple_joints(read: _Reader, joints: list[Joint]) -> tuple[list[Joint], list[Coincide | Coupled]]:
-    """The joints, with the equalities by which they follow another joint or stand still, and all other equalities."""
-    model, coupled, loops = read.model, {joint.name: joint for joint in joints}, []
-    for i in range(model.neq):
-        if not model.eq_active0[i] or read.off("EQUALITY"):
-            continue
-        kind = _kind(read, i)
-        read.used[f"equality/{kind}"] += 1
-        if kind != "joint":
-            loops.append(_coincide(read, i, kind))
-            continue
-        one, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
-        constant, *slopes = (float(number) for number in model.eq_data[i, :5])
-        name = read.names[one]
-        start = float(model.qpos0[model.jnt_qposadr[one]])
-        # MuJoCo's polynomial holds between deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀) + …
-        deviation = Polynomial([0.0 if other < 0 else -float(model.qpos0[model.jnt_qposadr[other]]), 1.0])
-        polynomial = (start + Polynomial([constant, *(slopes if other >= 0 else ())])(deviation)).trim().coef
-        if len(polynomial) > 2:
-            numbers = tuple(float(number) for number in polynomial)
-            loops.append(Coupled(read.name("EQUALITY", i), (name, read.names[other]), numbers))
-            continue
-        if coupled[name].follows is not None:
-            raise ValueError(f"joint {name!r} is in two equalities; keep one")
-        offset, ratio = (*polynomial, 0.0)[:2]
-        follows = Follows("" if other < 0 else read.names[other], float(ratio), float(offset))
-        coupled[name] = coupled[name]._replace(follows=follows)
-    return list(coupled.values()), loops
-
-
-def _coincide(read: _Reader, i: int, kind: str) -> Coincide:
-    """The loop that a connect or weld closes, with its points in the frames of the links."""
-    model, ends = read.model, (int(read.model.eq_obj1id[i]), int(read.model.eq_obj2id[i]))
-    data, turned = np.array(model.eq_data[i]), np.eye(3)
-    if int(model.eq_objtype[i]) == int(read.mujoco.mjtObj.mjOBJ_SITE):
-        bodies = [int(model.site_bodyid[site]) for site in ends]
-        points = [np.array(model.site_pos[site]) for site in ends]
-        first, second = (_rotation(model.site_quat[site]) for site in ends)
-        turned = first @ second.T
-    else:
-        bodies = list(ends)
-        # A weld has its point in the second body first.
-        points = [data[:3], data[3:6]] if kind == "connect" else [data[3:6], data[:3]]
-        turned = _rotation(data[6:10]) if kind == "weld" else turned
-    points = [point - _anchor(read, body) for point, body in zip(points, bodies, strict=True)]
-    links = tuple(read.bodies[body] for body in bodies)
-    whole = kind == "weld" and data[10] > 0  # without a scale of its torque a weld holds a point
-    return Coincide(read.name("EQUALITY", i), links, rows(points), rows(exact(turned)) if whole else None)
-
-
-def _assembly(read: _Reader, loops: list[Coincide | Coupled]) -> dict[str, Any] | None:
-    """Positions of the joints in the first pose of the file, qpos0 or a keyframe, in which the loops are closed."""
-    mujoco, model = read.mujoco, read.model
-    if not loops:
-        return None
-    data = mujoco.MjData(model)
-    for pose in (model.qpos0, *model.key_qpos):
-        data.qpos[:] = pose
-        mujoco.mj_forward(model, data)
-        gaps = data.efc_pos[data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)]
-        if np.abs(gaps).max(initial=0.0) < CLOSES:
-            sizes = [{mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}.get(k, 1) for k in model.jnt_type]
-            at = zip(read.names, model.jnt_qposadr, sizes, strict=True)
-            return {
-                name: pose[place : place + size].tolist() if size > 1 else float(pose[place])
-                for name, place, size in at
-                if size < 7
-            }
-    return None
 
 
 def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
@@ -420,10 +332,3 @@ def _with_limit(read: _Reader, i: int, gear: float, servo: Motor) -> Motor:
             return servo._replace(unsupported=f"has a {what} from {low:g} to {high:g}, not the same in both directions")
     limit = min((high for _, (_, high) in ranges), default=np.inf)
     return servo._replace(limit=float(limit), delay=float(read.entry("actuator_delay", i)))
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation matrix of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    hat = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * hat + 2 * hat @ hat
