@@ -50,7 +50,6 @@ __all__ = [
     "Product",
     "ProductManifold",
     "Pullback",
-    "as_space",
     "christoffel",
     "curvature",
     "distance",

@@ -33,10 +33,10 @@ from covariant.lowering import on_batches
 
 NEWTON_STEPS = 2
 """Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""
+READING_STEPS = 3
+"""Steps from an estimate to the configuration that measured coordinates tell, each with the square of the error before."""
 STAGES = 32
 """Steps in which the first measurement is reached from the configuration that tells how the loop is assembled."""
-DAMPING = 1e-9
-"""Weight of the last iterate beside a measured coordinate: it decides only what no measured coordinate tells."""
 SINGULAR = 1e-6
 """Smallest pivot, of a matrix with ones on its diagonal, with which it counts as regular."""
 SAMPLES = 24
@@ -373,7 +373,7 @@ class _LeafManifold(AbstractManifold):
     def measured(self, x: Configuration, y: Configuration) -> Configuration:
         """The configuration on the leaf whose measured entries are closest to those of y, by Gauss–Newton steps."""
         q = x
-        for _ in range(NEWTON_STEPS):
+        for _ in range(READING_STEPS):
             q = self._closer(q, y)
         return q
 
@@ -382,7 +382,7 @@ class _LeafManifold(AbstractManifold):
         return _Fit.of(rows, present).step(rows, e, jnp.zeros_like(rows[:, 0]))
 
     def told(self, x: Configuration, present: Bool[Array, "n"]) -> Bool[Array, "n"]:
-        return present | _is_regular(_Fit.of(self.leaf.normals(x).rows, present, 0.0).matrix)
+        return present | _is_regular(_Fit.of(self.leaf.normals(x).rows, present, damped=False).matrix)
 
     def seen(self, x: Configuration, y: Configuration) -> Configuration:
         return jnp.where(self._complete(x, y) & jnp.isnan(y), 0.0, y)
@@ -443,10 +443,11 @@ class _Fit(NamedTuple):
     present: Bool[Array, "n"]
 
     @classmethod
-    def of(cls, rows: Float[Array, "m n"], present: Bool[Array, "n"], damping: float = DAMPING) -> "_Fit":
+    def of(cls, rows: Float[Array, "m n"], present: Bool[Array, "n"], damped: bool = True) -> "_Fit":
         # On the directions across the leaf the matrix is made regular, without an effect on the solution.
         across = rows.T @ solve(rows @ rows.T, rows)
-        weights = present.astype(rows.dtype) + damping
+        # A small weight of the last iterate decides what no measured coordinate tells, and nothing else.
+        weights = present.astype(rows.dtype) + damped * float(jnp.finfo(rows.dtype).eps) ** 0.5
         return cls(across + jnp.diag(weights), present)
 
     def step(self, rows: Float[Array, "m n"], e: Vector, c: Float[Array, "m"]) -> Vector:

@@ -47,9 +47,14 @@ def mechanical(model: Any) -> bool:
     return model.sought.what == "velocity"
 
 
+def free(model: Any) -> bool:
+    """Mechanical systems without closed loops."""
+    return mechanical(model) and not model.manifold.redundant
+
+
 def coordinates(model: Any) -> bool:
-    """Mechanical systems in coordinates, not on a group."""
-    return mechanical(model) and model.manifold.commuting
+    """Mechanical systems in coordinates, not on a group, each of which is measured."""
+    return free(model) and model.manifold.commuting
 
 
 def rotations(model: Any) -> bool:
@@ -222,6 +227,7 @@ REGISTRY = (
         about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
+        fits=free,
         has_gate=True,
     ),
     Entry(
@@ -232,6 +238,7 @@ REGISTRY = (
         about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
         when="known noise, strong nonlinearity between few samples",
         source="Julier & Uhlmann 2004; Brossard, Barrau & Bonnabel 2020",
+        fits=free,
         has_gate=True,
     ),
     Entry(

@@ -163,7 +163,7 @@ class LeftInvariant(AbstractSpace):
         return (self.inertia(self.group.lie_bracket(a, b)) - self._coadjoint_sum(a, b)) / 2
 
     # The energy ½<Iv, v> of a body velocity does not depend on the configuration.
-    def kinetic_force(self, x: Element, v: Vector) -> Vector:
+    def kinetic_force(self, x: Element, v: Vector, momentum: Vector | None = None) -> Vector:
         return jnp.zeros_like(v)
 
     def connection(self, x: Element, a: Vector, b: Vector) -> Vector:

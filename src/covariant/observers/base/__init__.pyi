@@ -22,6 +22,7 @@ from ._protocol import (
     as_numbers as as_numbers,
     at_rest as at_rest,
     check_finite as check_finite,
+    check_free as check_free,
     check_not_negative as check_not_negative,
     check_positive as check_positive,
     check_whole as check_whole,

@@ -498,6 +498,15 @@ def check_positive(whose: str, **gains: Any) -> None:
             raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
 
 
+def check_free(whose: str, model: MechanicalSystem) -> None:
+    """Check that a model has no closed loop, whose coordinates are more than an error in coordinates may have."""
+    if model.manifold.redundant:
+        raise ValueError(
+            f"{whose}: its errors are differences of all coordinates, but a closed loop ties some of them together; take "
+            "IntrinsicKalman, whose errors stay along the loop"
+        )
+
+
 def check_not_negative(whose: str, **gains: Any) -> None:
     """Check that gains are finite numbers ≥ 0; a traced gain has no value to check."""
     for name, gain in gains.items():

@@ -26,6 +26,7 @@ from covariant.observers.base import (
     as_gain,
     at_rest,
     check_finite,
+    check_free,
     isotropic,
     normalised_square,
     predict,
@@ -141,6 +142,7 @@ class EKF(AbstractMechanicalFilter):
     def __check_init__(self):
         check_finite("EKF", process_cov=self.process_cov, measurement_cov=self.measurement_cov)
         check_finite("EKF", initial_velocity_std=self.initial_velocity_std)
+        check_free("EKF", self.model)
 
     def init(self, y: Array, t: Number = 0.0) -> EKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)

@@ -439,7 +439,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     def _without_offset(self, y: Array, like: Vector, slow: SlowVector) -> Array:
         """The configuration whose measurement is y."""
-        return self.model.manifold.retract(y, -self._slow.offset(slow, like)) if self._slow.measured else y
+        return self.model.manifold.ambient.retract(y, -self._slow.offset(slow, like)) if self._slow.measured else y
 
     def _output(self, state: KalmanState, y: Array) -> MeasuredOutput:
         without_offset = self._without_offset(y, state.v, state.slow)
@@ -450,7 +450,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         # The measurement is y = retract(retract(q, offset), w) with the noise w; its estimated offset is removed.
         if not self._slow.measured:
             return self._noise(q), None
-        manifold, k = self.model.manifold, slow.shape[0]
+        manifold, k = self.model.manifold.ambient, slow.shape[0]
 
         def innovation(change):
             true = manifold.retract(q, self._slow.offset(slow + change[:k], like))
@@ -471,7 +471,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         # Encoders count in coordinates: these rows map (ε, ν, slow) to differences of position and velocity there.
         rows = _with_slow(apart(space, state.q, state.v), state)
         position = rows[:n] if output.slope is None else rows[:n].at[:, 2 * n :].set(output.slope)
-        moved = self.model.manifold.towards(state.readings.y, y)
+        moved = self.model.manifold.ambient.towards(state.readings.y, y)
         noise = jnp.diag(covariance_at(self.measurement_cov, space, state.q))
         parts = position, rows[n : 2 * n]
         step = self.quantum.astype(noise.dtype)

@@ -33,6 +33,7 @@ from covariant.observers.base import (
     at_rest,
     check_covariance,
     check_finite,
+    check_free,
     covariance_at,
     diagonal,
     isotropic,
@@ -124,6 +125,7 @@ class UKF(AbstractMechanicalFilter):
         check_covariance("UKF", "process_cov", self.process_cov)
         check_covariance("UKF", "measurement_cov", self.measurement_cov, positive=True)
         check_finite("UKF", initial_velocity_std=self.initial_velocity_std)
+        check_free("UKF", self.model)
         # The weight 4 − α⁻² − α² of the central point is positive for α² between 2 − √3 and 2 + √3.
         if not 0.52 <= self.spread <= 1.93:
             raise ValueError(f"UKF: spread must be between 0.52 and 1.93; got {self.spread}")
