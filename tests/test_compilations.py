@@ -33,7 +33,13 @@ def scara(mass: float = 4.2):
         return models.robots.load(path)
 
 
-FACTORIES["robot"] = scara
+def legged_base(radius: float = 0.02, slip: float = 1e-3):
+    """The base of the robot `quadruped` on two feet."""
+    feet = {"FL_FOOT": (0.0, 0.0, 0.0), "HR_FOOT": (0.0, 0.0, 0.0)}
+    return system("legged_base")("quadruped", feet, radius, slip=slip).model
+
+
+FACTORIES["robot"], FACTORIES["legged_base"] = scara, legged_base
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
 

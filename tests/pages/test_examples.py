@@ -23,6 +23,7 @@ each_page = over(EXECUTED)
     "forces.md",
     "groups.md",
     "identification.md",
+    "legged-base.md",
     "metrics.md",
     "policies.md",
     "robot-geometry.md",

@@ -3,7 +3,7 @@ from ._names import (
     SMOOTHED as SMOOTHED,
     STATE_OBSERVER_NAMES as STATE_OBSERVER_NAMES,
 )
-from ._registry import REGISTRY as REGISTRY, Entry as Entry
+from ._registry import REGISTRY as REGISTRY, Entry as Entry, on_legs as on_legs
 from .base import (
     AbstractFlowObserver as AbstractFlowObserver,
     AbstractMechanicalObserver as AbstractMechanicalObserver,
@@ -79,6 +79,9 @@ from .filters import (
     JointState as JointState,
     KalmanInfo as KalmanInfo,
     KalmanState as KalmanState,
+    LeggedBase as LeggedBase,
+    LeggedBaseInfo as LeggedBaseInfo,
+    LeggedBaseState as LeggedBaseState,
     NoiseStep as NoiseStep,
     Riccati as Riccati,
     Smoothed as Smoothed,
@@ -87,6 +90,7 @@ from .filters import (
     StateEKFState as StateEKFState,
     StateNoise as StateNoise,
     UKFState as UKFState,
+    legged_base as legged_base,
     noise_step as noise_step,
     smooth as smooth,
 )
@@ -149,6 +153,7 @@ __all__ = [
     "IntrinsicForce",
     "IntrinsicKalman",
     "JointKalman",
+    "LeggedBase",
     "Levant",
     "ModelCopy",
     "MomentumObserver",
@@ -168,7 +173,6 @@ __all__ = [
     "lyapunov_gains",
     "observed_forces",
     "point_sensor",
-    "pose_sensor",
     "run",
     "sensor_bias",
     "smooth",

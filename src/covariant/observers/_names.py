@@ -19,7 +19,7 @@ OBSERVER_NAMES = (
     "salcudean",
 )
 """Names of the first entries of `REGISTRY`, those for mechanical systems, in the order of the registry."""
-STATE_OBSERVER_NAMES = ("covariance-ekf", "information-ekf", "riccati")
+STATE_OBSERVER_NAMES = ("covariance-ekf", "information-ekf", "riccati", "legged-base")
 """Names of the entries of `REGISTRY` for state-space models, in the order of the registry."""
 SMOOTHED = ("intrinsic-kalman", "ekf", "ukf", "joint-kalman", "covariance-ekf")
 """Names of the entries of `REGISTRY` that `smooth` accepts, the filters with a covariance and a gate, in order."""

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from covariant._typing import Matrix, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import MechanicalSystem
+from covariant.models.robots import Legs
 from covariant.observers.base import AbstractObserver, Covariance
 from covariant.observers.constant_gain import (
     Geodesic,
@@ -30,10 +31,12 @@ from covariant.observers.filters import (
     InformationEKF,
     IntrinsicKalman,
     JointKalman,
+    LeggedBase,
     Riccati,
     StateEKF,
     covariance_ekf,
     information_ekf,
+    legged_base,
     riccati,
 )
 from covariant.observers.sensors import MissingInputs, Sensor, SlowVariables
@@ -63,8 +66,13 @@ def rotations(model: Any) -> bool:
 
 
 def states(model: Any) -> bool:
-    """Every state-space model."""
-    return model.sought.what == "state"
+    """Every state-space model but bases on legs."""
+    return model.sought.what == "state" and not on_legs(model)
+
+
+def on_legs(model: Any) -> bool:
+    """Bases of robots on legs."""
+    return model.sought.what == "state" and isinstance(model.f, Legs)
 
 
 def intrinsic_kalman(
@@ -341,6 +349,17 @@ REGISTRY = (
         when="a gain that depends on the estimate alone, and not on how it got there",
         source="Sanfelice & Praly 2015, (11)",
         fits=states,
+    ),
+    Entry(
+        name="legged-base",
+        observer=LeggedBase,
+        make=legged_base,
+        tuned_by="state noise",
+        about="an IMU integrated, with feet that stand as anchors; a foot that is off is anchored anew at once",
+        when="the velocity of a robot on legs, without flags of contact, masses or torques",
+        source="Hartley, Ghaffari, Eustice & Grizzle 2020, in the axes of the base",
+        fits=on_legs,
+        has_gate=True,
     ),
 )
 """The observers that the verbs know by name, with what each needs and when to choose it.

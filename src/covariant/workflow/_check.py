@@ -15,6 +15,7 @@ import numpy as np
 from covariant import logs, models
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
+from covariant.observers import on_legs
 from covariant.signals import Record, acting_inputs
 from covariant.workflow._inputs import ColumnNames, Job, Loaded, load
 from covariant.workflow._progress import Progress, notebook_line
@@ -38,7 +39,7 @@ def check(
     delay, bias and noise.
 
     Args:
-        model: A mechanical model, in any of the forms that `estimate` takes.
+        model: A mechanical model, or the base of a robot on legs, in any of the forms that `estimate` takes.
         log: A path, a `Record`, a DataFrame, or an xarray Dataset.
         overrides, every, start, until, progress: As for `estimate`.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
@@ -74,13 +75,15 @@ def check(
 
 def _diagnose(job: Job) -> tuple[Loaded, Diagnosis]:
     clock: tuple[Finding, ...] = ()
+    file = models.load(job.model, job.overrides)
+    why = "" if on_legs(file.model) else "logs are compared with"
     try:
-        loaded = load(job, score=False, why="logs are compared with")
+        loaded = load(job, score=False, why=why)
     except logs.ClockError as error:
         record, clock = mended_clock(error.record)
-        loaded = load(job._replace(log=record), score=False, why="logs are compared with")
+        loaded = load(job._replace(log=record), score=False, why=why)
     # The quantum is that of the model file: loading removes it where positions are not such ticks.
-    quantum = models.load(job.model, job.overrides).quantum
+    quantum = file.quantum
     pairs = zip(loaded.sensors, loaded.log.readings, strict=False)  # no sensors where the log has none of their columns
     sensors = [Beside(*part, read) for part, read in pairs if read is not None]
     record = loaded.log.record._replace(y=loaded.kind.complete(np.asarray(loaded.log.record.y)))

@@ -155,14 +155,15 @@ def export(
         check_wasm_compiler()
     label = models.spec_name(model)
     progress("reading the model")
-    family = open_family(model, overrides, parameters)
-    file = models.load(model, overrides) if family is None else family.file
+    file = models.load(model, overrides)
+    family = open_family(model, overrides, parameters) if file.mechanical else None
+    file = file if family is None else family.file
     logged = None if log is None else load(Job(model, log, overrides), score=False)
     if logged is not None:
         file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
     if not file.mechanical and certificate is not None:
         raise ValueError(f"certificate is for mechanical models; {label} is a state-space model")
-    if not file.mechanical and float(np.max(file.delay)) > 0:
+    if not kind_of(file).makes_up_for_delays and float(np.max(file.delay)) > 0:
         raise ValueError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
     designed = design(file, observer, gains, rate, logged, metric=metric, spec=label)
     refusals, assumed = designed.explain_gate() if gate else (UNGATED, "")

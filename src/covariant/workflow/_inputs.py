@@ -266,8 +266,10 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     longest = max(float(np.max(loaded.file.delay)), sensors)
     if longest == 0:
         return dict(observers)
-    if not loaded.file.mechanical:
-        raise ValueError(f"{loaded.file.name}: readings that are late are made up for in mechanical models only")
+    if not loaded.kind.makes_up_for_delays:
+        raise ValueError(
+            f"{loaded.file.name}: readings that are late are made up for in mechanical models and bases on legs only"
+        )
     rate = densest_rate(np.asarray(loaded.record.t), longest)
     informed = {entry.name for entry in REGISTRY if entry.knows_model}
     wrapped = dict(observers)

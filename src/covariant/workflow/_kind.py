@@ -58,6 +58,7 @@ class AbstractKind(abc.ABC):
         title: The same, as the first word of a title.
         draws_innovations: Whether the panels of a page are also those of the innovations.
         has_model_free_filters: Whether filters that know no model fit it.
+        makes_up_for_delays: Whether readings that are late are made up for.
         has_ticks: Whether its positions can be ticks of encoders.
         without_gate: Why an observer of it has no gate, where it has none.
         gates: A sentence on the gates of all observers that are compared.
@@ -67,6 +68,7 @@ class AbstractKind(abc.ABC):
     title: str
     draws_innovations = True
     has_model_free_filters = False
+    makes_up_for_delays = True
     has_ticks = True
     without_gate: str
     gates = ""

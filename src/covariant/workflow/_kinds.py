@@ -22,7 +22,7 @@ from covariant.calibration import (
 )
 from covariant.codegen import ROWS, Signals
 from covariant.models import ModelFile, Motion
-from covariant.observers import AbstractObserver
+from covariant.observers import AbstractObserver, on_legs
 from covariant.simulation import PositionSensor
 from covariant.workflow._arguments import Amounts, numbers
 from covariant.workflow._kind import AbstractKind, Labels, numbered
@@ -285,6 +285,7 @@ class InStates(AbstractKind):
     what = "state"
     title = "States"
     draws_innovations = False
+    makes_up_for_delays = False
     without_gate = "It has no gate, on a log either, and refuses no measurement."
 
     @property
@@ -330,10 +331,28 @@ class InStates(AbstractKind):
         return {}, dict(zip(self.model.coordinates, x.T, strict=True))
 
 
+class OnLegs(InStates):
+    """The base of a robot on legs: its outputs are the joints, which its states do not tell."""
+
+    makes_up_for_delays = True
+    without_gate = "A foot that is off its anchor is refused, and anchored anew where the encoders say it is."
+
+    def self_test(self, rate: float, sheet: Callable[[], DataSheet] | None) -> np.ndarray:
+        k, outputs, joints = np.arange(ROWS + 1)[:, None], len(self.model.outputs), self.model.f.joints
+        y = CENTRE + SWING * np.sin(k / (4.0 + np.arange(outputs)) + np.arange(outputs))
+        return np.where(np.arange(outputs) < joints, y, k % 3 < 2)  # flags of contact come and go
+
+    def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
+        raise ValueError(f"{self.file.name}: how the legs move is no part of the model, so that it cannot be simulated")
+
+    def note(self, sheet: Callable[[], DataSheet], rate: float, name: str | None = None) -> str:
+        return "Designed from the noise of IMU and encoders and from the slip of feet in the model file."
+
+
 def kind_of(file: ModelFile) -> AbstractKind:
     """The kind of the model of a model file."""
     if not file.mechanical:
-        return InStates(file)
+        return OnLegs(file) if on_legs(file.model) else InStates(file)
     return InCoordinates(file) if file.model.manifold.commuting else OnGroup(file)
 
 

@@ -73,7 +73,10 @@ def smooth(
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score, missing_inputs=True)
-    name = observer or next(name for name in SMOOTHED if name in estimators(loaded.model))
+    fitting = [name for name in SMOOTHED if name in estimators(loaded.model)]
+    if not fitting:
+        raise ValueError(f"{job.model_name}: its observers cannot be smoothed; these can: {', '.join(SMOOTHED)}")
+    name = observer or fitting[0]
     chosen, notes = choose_observer(job, loaded, name)
     refuse_delays(job, loaded, chosen, "a smoother does not compensate late readings")
     rows = None if lag is None else lag_rows(np.asarray(loaded.record.t), lag)

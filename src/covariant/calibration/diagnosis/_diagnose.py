@@ -45,6 +45,7 @@ from covariant.calibration.diagnosis._jumps import (
 )
 from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
 from covariant.calibration.diagnosis._on_group import group_findings
+from covariant.calibration.diagnosis._on_legs import late_encoders
 from covariant.calibration.diagnosis._readings import (
     known_ticks,
     missing_cells,
@@ -69,6 +70,7 @@ from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, THRES
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
 from covariant.calibration.diagnosis._unexplained import unexplained
 from covariant.models import ModelFile
+from covariant.observers import on_legs
 from covariant.scoring import unwrap
 from covariant.signals import Record
 
@@ -139,7 +141,7 @@ def diagnose(
 
     Args:
         file: The model and its data sheet. For a machine that is not in coordinates, and for a `StateSpace`, only the
-            stamps and missing measurements are checked.
+            stamps and missing measurements are checked, and the delay of the encoders of a robot on legs.
         record: The log as it was read, without a lag of the inputs. Of more than `MOST_ROWS` rows, the stretch in which
             the positions move most is compared with the model.
         quantum: One tick of the encoders that the model file states, or one for each coordinate, where `file` no longer
@@ -187,7 +189,8 @@ def _findings(
     checks = ("clock", "missing rows", "irregular stamps", "missing measurements")
     if not in_coordinates(file):
         if not file.mechanical:
-            return findings, checks
+            late = late_encoders(file, record) if on_legs(file.model) else None
+            return (findings, checks) if late is None else ([*findings, *late], (*checks, "delays"))
         model: Any = file.model
         on_group = group_findings(model, record, file.columns.t, rows)
         clock = [] if any(each.what == "unit of time" for each in on_group) else findings

@@ -221,7 +221,7 @@ def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
     """The document of a model file; the path of a robot's file in it is relative to the folder of the model file."""
     parameters = content.get("parameters")
     if (
-        content.get("system") != "robot"
+        content.get("system") not in ("robot", "legged_base")
         or not isinstance(parameters, dict)
         or not isinstance(parameters.get("path"), str)
     ):

@@ -21,6 +21,7 @@ SYSTEMS = {
     "heavy_top": "systems._heavy_top:heavy_top",
     "hovercraft": "systems._hovercraft:hovercraft",
     "induction_motor": "systems._induction_motor:induction_motor",
+    "legged_base": "systems._legged_base:legged_base",
     "lorenz": "systems._lorenz:lorenz",
     "manoeuvring_ship": "marine:manoeuvring_ship",
     "odin": "marine:odin",

@@ -17,6 +17,7 @@ from ._description import (
     Servo as Servo,
 )
 from ._forces import dry_friction as dry_friction
+from ._legs import Legs as Legs, legs as legs
 from ._library import ROBOTS as ROBOTS, located as located
 from ._load import load as load, read as read
 from ._loops import robot_space as robot_space

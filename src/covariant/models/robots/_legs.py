@@ -1,0 +1,136 @@
+"""Feet of a robot as its base sees them: their places and attitudes from the joints, and the forces on them.
+
+Everything is in the axes of the base, so that neither the place of the robot in the world nor its heading enters.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._functional import Functional
+from covariant._linalg import solve_square
+from covariant._typing import Number, Scalar, Vector
+from covariant.geometry.lie import SO3
+from covariant.models.robots._space import RobotSpace
+
+
+class Legs(Functional):
+    """The motion of anchors of feet in the axes of a base with an IMU: `x' = f(t, x, u)`.
+
+    The state x is the velocity of the base, gravity, the place of each foot that stands, and the biases of gyro and
+    accelerometer; the input u is what gyro and accelerometer read. It is linear in the state but for the products with
+    the bias of the gyro, and nothing of the dynamics of the robot enters.
+
+    Attributes:
+        space: Configuration space of the robot, whose base is free.
+        radius: Radius () of the spherical feet [m], which roll; 0 for points.
+        places: Place (F, 3) of the centre of each foot in the frame of its link [m].
+        links: Link of each of the F feet.
+        carrying: Joints that carry each foot.
+    """
+
+    space: RobotSpace
+    radius: Scalar
+    places: Float[Array, "F 3"]
+    links: tuple[str, ...] = eqx.field(static=True)
+    carrying: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+
+    def __call__(self, t: Scalar, x: Vector, u: Float[Array, "6"]) -> Vector:
+        start = jnp.zeros((), x.dtype)
+        return jax.jvp(lambda dt: self.step(x, u, dt), (start,), (jnp.ones_like(start),))[1]
+
+    def step(self, x: Vector, u: Float[Array, "6"], dt: Scalar) -> Vector:
+        """The state dt later, for constant readings of the IMU, to the third order in what the base turns meanwhile."""
+        velocity, gravity, feet = x[:3], x[3:6], x[6:-6].reshape(-1, 3)
+        spin, force = u[:3] - x[-6:-3], u[3:] - x[-3:]
+        turn = spin * dt
+        # Means over dt and over the times before, in the axes at the start, of a force that turns with the base.
+        once = jnp.cross(turn, force)
+        mean, weighted = force + once / 2 + jnp.cross(turn, once) / 6, force + once / 3
+        # A ball that rolls moves its centre by the spin about the ground, which is the radius below the centre.
+        change = jnp.cross(turn, self.up(gravity)) - dt * velocity - dt**2 / 2 * (gravity + weighted)
+        back = SO3.exp(-turn)
+        vectors = jnp.concatenate([(velocity + dt * (gravity + mean))[None], gravity[None], feet + change[None]])
+        return jnp.concatenate([(vectors @ back.T).ravel(), x[-6:]])
+
+    def up(self, gravity: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Vector from the ground to the centre of a foot that stands, in the axes of the base [m]."""
+        return -self.radius.astype(gravity.dtype) / jnp.sqrt(gravity @ gravity) * gravity
+
+    def feet(self, q: Float[Array, "n"]) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 3"], Float[Array, "F 3 n"]]:
+        """Feet at positions q of the joints, in the axes of the base.
+
+        Returns:
+            Centres of the feet, rotations of their links, and derivatives of the centres by q.
+        """
+        tree, joints = self.space.tree, self.space.joints(jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q]))
+        turn, slide, rates = (part.astype(q.dtype) for part in (tree.turn, tree.slide, tree.coordinates))
+        every = []
+        for link, place in zip(self.links, self.places.astype(q.dtype), strict=True):
+            body, rotation, origin = self.space.links.of(link)
+            path: list[int] = []
+            while body >= 0:
+                path, body = [body, *path], tree.parents[body]
+            attitude, at, axes = jnp.eye(3, dtype=q.dtype), jnp.zeros(3, q.dtype), []
+            for body in path:
+                at, attitude = at + attitude @ joints.place[body], attitude @ joints.rotation[body]
+                axes.append((attitude @ turn[body], attitude @ slide[body], at, rates[body]))
+            rotation, origin = rotation.astype(q.dtype), origin.astype(q.dtype)
+            foot = at + attitude @ (origin + rotation @ place)
+            slope = sum(jnp.outer(jnp.cross(axis, foot - hinge) + along, rate) for axis, along, hinge, rate in axes)
+            every.append((foot, attitude @ rotation, slope))
+        centres, rotations, slopes = (jnp.stack(part) for part in zip(*every, strict=True))
+        return centres, rotations, slopes
+
+    @property
+    def joints(self) -> int:
+        """Number of joints."""
+        return self.space.tree.coordinates.shape[1]
+
+    def forces(
+        self, q: Vector, dq: Vector, ddq: Vector, u: Float[Array, "6"], turning: Float[Array, "3"], torque: Vector
+    ) -> Float[Array, "F 3"]:
+        """Forces of the ground on the feet [N] in the axes of the base, from `Jᵀf = M_jb (a, ω') + M_jj q̈ + C − τ`.
+
+        The accelerometer holds gravity, so that neither the attitude nor the velocity of the base is needed.
+
+        Args:
+            q: Positions (n,) of the joints.
+            dq: Their rates (n,).
+            ddq: Their accelerations (n,).
+            u: Angular velocity (3,) [rad/s] and specific force (3,) [m/s²] of the base.
+            turning: Angular acceleration (3,) of the base [rad/s²].
+            torque: Torques (n,) of the joints.
+
+        Returns:
+            Force (F, 3) on each foot, for legs of three joints or more; of more, the part that the torques tell.
+        """
+        x = jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q])
+        still = jnp.zeros(3, q.dtype)
+        rates = jnp.concatenate([still, u[:3], dq])
+        accelerations = jnp.concatenate([u[3:], turning, ddq])
+        needed = self.space(x) @ accelerations + self.space.connection_force(x, rates, rates)
+        residual, moved = needed[6:] - torque, self.feet(q)[2].reshape(-1, len(q))
+        return solve_square(moved @ moved.T, moved @ residual).reshape(-1, 3)
+
+
+def legs(space: Any, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:
+    """Legs of a robot with a free base, with feet at `{link: (x, y, z)}`; raises `ValueError` for others."""
+    if not (space.floating and len(space.tree.balls) == 0):
+        raise ValueError("legged_base: the base must be free, and no joint a ball joint")
+    if not feet or any(len(place) != 3 for place in feet.values()):
+        raise ValueError("legged_base: feet needs the place of each foot in its link, {LINK: [x, y, z]} in m")
+    tree, links = space.tree, tuple(feet)
+    carried, rates = tree.carried(), np.asarray(tree.coordinates) != 0
+    bodies = [space.links.of(link)[0] for link in links]
+    joints = [(carried[:, body] @ rates).nonzero()[0].tolist() if body >= 0 else [] for body in bodies]
+    for link, carrying in zip(links, joints, strict=True):
+        if len(carrying) < 3:
+            raise ValueError(f"legged_base: {link} is carried by {len(carrying)} joints; a foot needs three or more")
+    places = jnp.asarray(list(map(list, feet.values())), float)
+    return Legs(space, jnp.asarray(radius, float), places, links, tuple(map(tuple, joints)))

@@ -1,0 +1,339 @@
+"""Velocity of the base of a robot on legs: an IMU integrated, and feet that stand as anchors.
+
+The IMU is the input of the prediction. The encoders say where each foot is in the axes of the base; as long as it
+stands, it is where the filter carried its anchor. In these axes the filter is linear but for the bias of the gyro, so
+that a wrong first attitude does no harm; position and heading, which nothing measures, are no states.
+
+What decides is the gate: a foot that is not on its anchor is refused, and *anchored anew at once* where the encoders
+say it is. So feet in the air need no flags. A gate that refuses and waits locks itself out.
+
+Source: Bloesch et al. 2012, State estimation for legged robots, RSS; Hartley, Ghaffari, Eustice & Grizzle 2020,
+Contact-aided invariant extended Kalman filtering for robot state estimation, IJRR 39(4).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from covariant._linalg import solve
+from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant.models import StateSpace
+from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
+from covariant.observers.filters._state_noise import StateNoise
+from covariant.signals import Record, StepCode
+
+THRESHOLD = 5.0
+"""Squared distance of a foot from its anchor, by its covariance, from which on it is anchored anew: χ² at 17 %."""
+FIRST = slice(6, 9)
+"""Anchor of the first foot in a state."""
+PATIENCE = 0.5
+"""Time [s] without any foot on its anchor after which the estimate starts anew: longer than a jump."""
+
+
+class LeggedBaseState(NamedTuple):
+    """State of a `LeggedBase`.
+
+    Attributes:
+        x: Velocity of the base, gravity, anchors of the feet, biases of gyro and accelerometer (n,), in its axes.
+        t: Time [s].
+        cov: Covariance (n, n).
+        turned: Rotation (F, 3, 3) of the link of each foot in the axes of the base when it was last read.
+        alone: Time [s] since a foot was on its anchor.
+        last_input: Last finite reading (6,) of the IMU.
+    """
+
+    x: Vector
+    t: Scalar
+    cov: Matrix
+    turned: Float[Array, "F 3 3"]
+    alone: Scalar
+    last_input: LastInput = None
+
+
+class LeggedBaseInfo(NamedTuple):
+    """Diagnostics of a step of a `LeggedBase`.
+
+    Attributes:
+        innovation: Smallest change (p,) of the joints that puts each foot on its anchor [rad or m]; 0 for feet that
+            were anchored anew, and for flags.
+        distance: Square root of the sum of `squares`.
+        squares: Squared distance (F,) of each foot that stood from its anchor, by its covariance; 0 for others.
+        state_std: Standard deviations (n,) of the states.
+        standing: Which feet (F,) were on their anchors.
+        result: A `covariant.signals.StepCode` code.
+    """
+
+    innovation: Vector
+    distance: Scalar
+    squares: Float[Array, "F"]
+    state_std: Vector
+    standing: Bool[Array, "F"]
+    result: Code
+
+
+class LeggedBase(AbstractObserver):
+    """Velocity and attitude of the base of a robot on legs, from an IMU and the encoders of its legs.
+
+    Flags of contact are not needed, and neither are masses or torques: dynamics adds nothing to an accelerometer. Where
+    a log has flags, 0 keeps a foot from being an anchor. A measurement is the positions of the joints, followed by
+    flags where the model has them. Where encoders are late against the IMU put it into a `Delayed`.
+
+    Attributes:
+        model: State-space model of the base, as the system `legged_base` makes it.
+        process_cov: Spectral density (n, n), diagonal: noise of the accelerometer [(m/s²)²/Hz], of the gyro times
+            gravity squared, creep of the feet [m²/s], drift of the biases.
+        measurement_cov: Covariance (p, p) of a reading of the joints [rad² or m²].
+        start: First estimate (n,), anchors left open.
+        start_cov: Its covariance (n, n).
+        threshold: Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew.
+
+    Raises:
+        ValueError: A covariance or the start is not finite, or the threshold is not positive.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant import models, observers
+        >>> feet = {f"{leg}_FOOT": [0.0, 0.0, 0.0] for leg in ("FL", "FR", "HL", "HR")}
+        >>> model = models.load("legged_base", {"parameters.path": "quadruped", "parameters.feet": feet}).model
+        >>> start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -9.81, *18 * [0.0]])
+        >>> base = observers.LeggedBase(model, 1e-6 * np.eye(24), 1e-7 * np.eye(12), start, np.eye(24))
+        >>> state = base.init(np.zeros(12))
+        >>> base.estimate(state)[6:9].round(3).tolist()  # the anchor of a stretched leg
+        [0.195, 0.147, -0.32]
+    """
+
+    model: StateSpace
+    process_cov: Matrix
+    measurement_cov: Float[Array, "p p"]
+    start: Vector
+    start_cov: Matrix
+    threshold: float | Scalar = THRESHOLD
+
+    def __check_init__(self):
+        check_finite(
+            "LeggedBase",
+            process_cov=self.process_cov,
+            measurement_cov=self.measurement_cov,
+            start=self.start,
+            start_cov=self.start_cov,
+        )
+        check_positive("LeggedBase", threshold=self.threshold)
+
+    @property
+    def _legs(self) -> Any:
+        return self.model.f
+
+    @property
+    def _joints(self) -> int:
+        """Number of joints."""
+        return self._legs.joints
+
+    def configuration(self, y: Any) -> Any:
+        return y[: self._joints]
+
+    def init(self, y: Float[Array, "p"], t: Number = 0.0) -> LeggedBaseState:
+        """State at the first positions of the joints, with an anchor at each foot.
+
+        Args:
+            y: Positions of the joints, all of them, and flags where the model has them.
+            t: Time [s].
+
+        Returns:
+            The state.
+        """
+        places, turned, noise, _ = self._read(y)
+        x, cov = self._start(places, noise)
+        t = jnp.asarray(t, y.dtype)
+        return LeggedBaseState(x, t, cov, turned, jnp.zeros_like(t), no_input(self.model, x))
+
+    def _start(self, places: Array, noise: Array) -> tuple[Vector, Matrix]:
+        """First estimate and its covariance, with an anchor at each foot."""
+        x, cov = jnp.asarray(self.start, places.dtype), jnp.asarray(self.start_cov, places.dtype)
+        for i in range(len(places)):
+            at = slice(6 + 3 * i, 9 + 3 * i)
+            x, cov = x.at[at].set(places[i]), _with_block(cov, at, noise[i])
+        return self._on_sphere(x, cov)
+
+    def estimate(self, state: LeggedBaseState) -> Vector:
+        return state.x
+
+    def predict(self, state: LeggedBaseState, u: Float[Array, "6"], dt: Scalar) -> LeggedBaseState:
+        """Integrate the IMU over dt.
+
+        Args:
+            state: State after the previous sample.
+            u: Angular velocity (3,) [rad/s] and specific force (3,) [m/s²], constant over dt.
+            dt: Length of the prediction [s].
+
+        Returns:
+            The predicted state.
+        """
+        real = state.x.dtype
+
+        def ahead(x, u):
+            new = self._legs.step(x, u, dt)
+            return new, new
+
+        (by_state, by_input), x = jax.jacfwd(ahead, (0, 1), has_aux=True)(state.x, u)
+        density = jnp.diag(jnp.asarray(self.process_cov, real))
+        gravity = jnp.asarray(self.start, real)[3:6]
+        # Noise of the IMU enters where its readings do, that of the gyro in all vectors that turn with the base; its
+        # mean over dt has the variance of its density over dt.
+        imu = jnp.concatenate([density[3:6] / (gravity @ gravity), density[:3]])
+        pushed = by_input * jnp.sqrt(imu)[None]
+        spacing = jnp.where(dt > 0, dt, 1.0)
+        added = jnp.diag(jnp.where(jnp.arange(len(x)) < 6, 0.0, density) * dt)
+        cov = _symmetric(by_state @ (state.cov @ by_state.T) + pushed @ pushed.T / spacing + added)
+        return state._replace(x=x, t=state.t + dt, cov=cov, alone=state.alone + dt)
+
+    def correct(
+        self, state: LeggedBaseState, u: Float[Array, "6"], y: Float[Array, "p"]
+    ) -> tuple[LeggedBaseState, LeggedBaseInfo]:
+        """Compare each foot with its anchor, foot by foot; one that is off is anchored anew.
+
+        Args:
+            state: State that `predict` returned.
+            u: Readings of the IMU over the prediction.
+            y: Positions of the joints, NaN where missing, and flags, NaN where unknown.
+
+        Returns:
+            The corrected state and the info.
+        """
+        joints, real = self._joints, y.dtype
+        places, turned, noise, slopes = self._read(y)
+        read = jnp.stack([~jnp.any(jnp.isnan(y[jnp.asarray(carrying)])) for carrying in self._legs.carrying])
+        feet = len(places)
+        down = ~(y[joints:] < 0.5) if len(y) > joints else jnp.ones(feet, bool)
+        turned = jnp.where(read[:, None, None], turned, state.turned)
+        # A foot that rolls on the ground moves its centre by what its link has turned in the base; the turn of the
+        # base itself is in the prediction.
+        x = state.x
+        moved = _turns(turned, state.turned)
+        rolled = jnp.cross(moved, self._legs.up(x[3:6])[None])
+        x = x.at[6:-6].add(rolled.ravel())
+        # Each turn handles the foot whose anchor comes first, and moves it behind the others.
+        order = np.concatenate([np.arange(6), np.roll(np.arange(6, len(x) - 6), -3), np.arange(len(x) - 6, len(x))])
+
+        def foot(carry: tuple[Array, Array], item: tuple[Array, ...]) -> Any:
+            x, cov = carry
+            place, noise, read, down = item
+            spread = cov[FIRST, FIRST] + noise
+            innovation = place - x[FIRST]
+            square: Any = innovation @ solve(spread, innovation)
+            stands = read & down & (square < jnp.asarray(self.threshold, real))
+            gain = solve(spread, cov[FIRST]).T
+            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H takes three entries out.
+            once = cov - gain @ cov[FIRST]
+            used, used_cov = self._on_sphere(x + gain @ innovation, once - (once[:, FIRST] - gain @ noise) @ gain.T)
+            anew, anew_cov = x.at[FIRST].set(place), _with_block(cov, FIRST, noise)
+            x = jnp.where(stands, used, jnp.where(read, anew, x))
+            cov = jnp.where(stands, used_cov, jnp.where(read, anew_cov, cov))
+            ours = jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0), stands
+            return (x[order], cov[np.ix_(order, order)]), ours
+
+        scanned: Any = jax.lax.scan(foot, (x, state.cov), (places, noise, read, down))
+        (x, cov), (off, squares, standing) = scanned
+        alone = jnp.where(jnp.any(standing), 0.0, state.alone)
+        lost = (alone > PATIENCE) & jnp.all(read)
+        x, cov = jax.tree.map(lambda new, old: jnp.where(lost, new, old), self._start(places, noise), (x, cov))
+        new = state._replace(x=x, cov=_symmetric(cov), turned=turned, alone=jnp.where(lost, 0.0, alone))
+        result = jnp.where(jnp.any(read), int(StepCode.OK), int(StepCode.COASTED))
+        result = jnp.where(lost, int(StepCode.RESTARTED), result)
+        finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(cov))
+        result = jnp.where(finite, result, int(StepCode.NOT_FINITE)).astype(jnp.int32)
+        # The least change of the joints of a foot that moves it by `off`.
+        each = jnp.stack([slopes[i].T @ solve(_regular(slopes[i]), off[i]) for i in range(feet)])
+        innovation = jnp.concatenate([jnp.sum(each, axis=0), jnp.zeros(len(y) - joints, real)])
+        std = jnp.sqrt(jnp.diag(new.cov))
+        return new, LeggedBaseInfo(innovation, jnp.sqrt(jnp.sum(squares)), squares, std, standing, result)
+
+    def contact_forces(
+        self, record: Record, torque: Float[np.ndarray, "T n"], cutoff: float = 100.0
+    ) -> Float[np.ndarray, "T F 3"]:
+        """Forces of the ground on the feet along a log, for a look at contacts: no part of the estimate.
+
+        The accelerometer holds gravity and the motion of the base, so that only masses and torques enter besides. What
+        joints lose in friction counts as force.
+
+        Args:
+            record: A log of this observer, in rows that are evenly spaced.
+            torque: Torques (T, n) of the joints, each from its row to the next [N m].
+            cutoff: Cutoff [Hz] of the low-pass filter of the forces; joint rates are filtered at 40 % of it.
+
+        Returns:
+            Force (T, F, 3) [N] on each foot in the axes of the base. Its part along minus the estimated gravity is the
+            load of the foot.
+        """
+        t, u, y = (np.asarray(part, float) for part in (record.t, record.u, record.y))
+        q, dt = y[:, : self._joints], float(np.median(np.diff(t)))
+        difference = np.diff(q, axis=0, prepend=q[:1]) / dt
+        rates = _low_pass(difference, 0.4 * cutoff * dt)
+        accelerations = np.diff(difference, axis=0, prepend=difference[:1]) / dt
+        # What the IMU and the torques were from a row to the next is known at the next, as its positions are.
+        u, torque = (np.concatenate([part[:1], part[:-1]]) for part in (u, np.asarray(torque, float)))
+        turning = np.diff(u[:, :3], axis=0, prepend=u[:1, :3]) / dt
+        forces = jax.jit(jax.vmap(self._legs.forces))(q, rates, accelerations, u, turning, torque)
+        return _low_pass(np.asarray(forces), cutoff * dt)
+
+    def _read(self, y: Float[Array, "p"]) -> tuple[Array, Array, Array, Array]:
+        """Places and rotations of the feet, the covariance of the places, and their slopes by the joints."""
+        joints = self._joints
+        q = jnp.where(jnp.isnan(y[:joints]), 0.0, y[:joints])
+
+        places, turned, slopes = self._legs.feet(q)
+        noise = jnp.asarray(self.measurement_cov, y.dtype)[:joints, :joints]
+        least = 1e-10 * jnp.eye(3, dtype=y.dtype)[None]  # straight legs show one direction poorly, and not exactly
+        return places, turned, slopes @ noise @ jnp.swapaxes(slopes, 1, 2) + least, slopes
+
+    def _on_sphere(self, x: Vector, cov: Matrix) -> tuple[Vector, Matrix]:
+        """The state whose gravity has the magnitude that it has at the start, and a covariance across it only."""
+        start = jnp.asarray(self.start, x.dtype)[3:6]
+        gravity = jnp.sqrt(start @ start / (x[3:6] @ x[3:6])) * x[3:6]
+        across = jnp.eye(3, dtype=x.dtype) - jnp.outer(gravity, gravity) / (start @ start)
+        cov = cov.at[3:6].set(across @ cov[3:6])
+        return x.at[3:6].set(gravity), _symmetric(cov.at[:, 3:6].set(cov[:, 3:6] @ across))
+
+
+def _symmetric(cov: Matrix) -> Matrix:
+    """A symmetric matrix without its rounding; when lowered, half the work."""
+    return jnp.where(np.tri(len(cov), dtype=bool).T, cov, cov.T)
+
+
+def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
+    """A covariance in which some entries have their own, and none with the others."""
+    return cov.at[at].set(0.0).at[:, at].set(0.0).at[at, at].set(block)
+
+
+def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
+    """First-order low-pass filter along the first axis, for a cutoff in cycles a sample."""
+    kept = math.exp(-2 * math.pi * cutoff)
+
+    def step(y: Any, x: Any) -> Any:
+        return (kept * y + (1 - kept) * x,) * 2
+
+    return np.asarray(jax.lax.scan(step, jnp.zeros(x.shape[1:]), x)[1])
+
+
+def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:
+    """Product of a slope with its transpose, regular where a leg is straight."""
+    return slope @ slope.T + 1e-6 * jnp.eye(3, dtype=slope.dtype)
+
+
+def _turns(new: Float[Array, "F 3 3"], old: Float[Array, "F 3 3"]) -> Float[Array, "F 3"]:
+    """Small rotation vectors, in the axes of the base, that lead from old rotations to new ones."""
+    change = jnp.sum(new[:, :, None, :] * old[:, None, :, :], axis=3)
+    return (
+        jnp.stack(
+            [change[:, 2, 1] - change[:, 1, 2], change[:, 0, 2] - change[:, 2, 0], change[:, 1, 0] - change[:, 0, 1]], 1
+        )
+        / 2
+    )
+
+
+def legged_base(model: StateSpace, noise: StateNoise) -> LeggedBase:
+    """Observer of the base of a robot on legs."""
+    return LeggedBase(model, noise.process_cov, noise.measurement_cov, noise.start, noise.start_cov)
