@@ -15,21 +15,19 @@ Source: Kobayashi & Nomizu 1969, Foundations of Differential Geometry II, chapte
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from covariant._functional import Functional
 from covariant._linalg import pivots, solve
 from covariant._typing import Flag, Matrix, Vector, Vectors
 from covariant.geometry import _geodesics as geodesics
 from covariant.geometry._geodesics import Budget, Shot, Transported
+from covariant.geometry._leaf_rows import CLOSED, SINGULAR, Look, closed, independent, rows_of
 from covariant.geometry._manifold import AbstractManifold, Configuration
 from covariant.geometry._space import AbstractSpace, derivative, differential
-from covariant.lowering import on_batches
 
 NEWTON_STEPS = 2
 """Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""
@@ -37,10 +35,6 @@ READING_STEPS = 3
 """Steps from an estimate to the configuration that measured coordinates tell, each with the square of the error before."""
 STAGES = 32
 """Steps in which the first measurement is reached from the configuration that tells how the loop is assembled."""
-SINGULAR = 1e-6
-"""Smallest pivot, of a matrix with ones on its diagonal, with which it counts as regular."""
-SAMPLES = 24
-"""Random configurations of the leaf at which the rows of the constraint are compared."""
 
 
 class Normals(NamedTuple):
@@ -134,9 +128,9 @@ class Leaf(AbstractSpace):
             (1,)
         """
         near = jnp.asarray(near, float)
-        look = _Look.of(space, constraint, near)
-        start = _closed(look, np.asarray(near))
-        return cls(space, _independent(look, constraint, start), jnp.asarray(start))
+        look = Look.of(space, constraint, near)
+        start = closed(look, np.asarray(near))
+        return cls(space, independent(look, constraint, start), jnp.asarray(start))
 
     @property
     def manifold(self) -> AbstractManifold:
@@ -253,7 +247,7 @@ class Leaf(AbstractSpace):
         Returns:
             The rows A (m, n), their vectors, and `A g⁻¹Aᵀ`.
         """
-        rows = _rows(self.space, self.constraint, x)
+        rows = rows_of(self.space, self.constraint, x)
         raised = jax.vmap(lambda row: self.space.raise_(x, row))(rows)
         return Normals(rows, raised, rows @ raised.T)
 
@@ -432,10 +426,6 @@ class _LeafManifold(AbstractManifold):
             )
 
 
-CLOSED = 1e-6
-"""Largest value of the constraint at which a loop counts as closed."""
-
-
 class _Fit(NamedTuple):
     """The matrix (n, n) of the least squares whose solutions are along a leaf, and the mask of what is measured."""
 
@@ -457,99 +447,8 @@ class _Fit(NamedTuple):
         return free - across @ solve(rows @ across, rows @ free + c)
 
 
-def _rows(space: AbstractSpace, constraint: Callable, x: Configuration) -> Float[Array, "m n"]:
-    manifold = space.manifold
-    return jax.jacrev(lambda a: constraint(manifold.nudged(x, a)))(manifold.zero(x))
-
-
 def _is_regular(matrix: Matrix) -> Flag:
     scale = jnp.sqrt(jnp.diag(matrix))
     scale = jnp.where(scale > 0, scale, 1.0)
     scaled = matrix / scale[:, None] / scale[None]
     return jnp.all(pivots(scaled) > SINGULAR)
-
-
-class _Look(NamedTuple):
-    """Functions of configurations in NumPy, which need no compiling before a loop is looked at in some places."""
-
-    rows: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-    retract: Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-    @classmethod
-    def of(cls, space: AbstractSpace, constraint: Callable, x: Configuration) -> "_Look":
-        rows = on_batches(lambda x: (constraint(x), _rows(space, constraint, x)), x)
-        retract = on_batches(space.manifold.retract, x, space.manifold.zero(x))
-        return cls(
-            lambda x: tuple(part[0] for part in rows(x[None])),
-            lambda x, s: retract(x[None], s[None])[0],
-        )
-
-
-def _closed(look: _Look, near: np.ndarray) -> np.ndarray:
-    """A configuration on the leaf, by Newton steps of least length that allow dependent rows."""
-    x, left = near, np.inf
-    for _ in range(50):
-        c, rows = look.rows(x)
-        last, left = left, float(np.max(np.abs(c)))
-        if left < CLOSED and left >= last / 2:  # what is left is rounding
-            break
-        x = look.retract(x, -np.linalg.pinv(rows, rcond=SINGULAR) @ c)
-    if not left < CLOSED:
-        raise ValueError(
-            f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give the assembly, "
-            "a configuration in which it is closed as it is built"
-        )
-    return x
-
-
-def _independent(look: _Look, constraint: Callable, start: np.ndarray) -> Callable:
-    """The constraint without rows that others determine in the same way everywhere on the leaf."""
-    rows = [look.rows(x)[1] for x in _samples(look, start)]
-    ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
-    least, most, count = min(ranks), max(ranks), len(rows[0])
-    if least < most:
-        raise ValueError(
-            f"the rows of the loop have rank {least} and {most} along its motion: at such a change point it can go on in "
-            "two ways; keep away from it, or couple the links otherwise"
-        )
-    if most == count:
-        return constraint
-    # A combination that is zero at all samples is an eigenvector of this sum with the eigenvalue zero.
-    values, vectors = np.linalg.eigh(sum(a @ a.T / np.linalg.norm(a, 2) ** 2 for a in rows) / len(rows))
-    if np.sum(values > SINGULAR**2) > most:
-        raise ValueError(
-            f"the {count} rows of the loop have rank {most}, and depend on each other differently from place to place: "
-            "an overconstrained linkage, which closes by its exact lengths alone; open it at another joint, or give the "
-            "independent rows"
-        )
-    # Rows that are as independent as any: rows themselves, and no combinations, so that their loads have a meaning.
-    import scipy.linalg
-
-    order = scipy.linalg.qr(vectors[:, values > SINGULAR**2].T, pivoting=True)[-1]
-    return _Rows(constraint, tuple(sorted(order[:most].tolist())))
-
-
-class _Rows(Functional):
-    """Some rows of a constraint."""
-
-    constraint: Callable[[Configuration], Array]
-    kept: tuple[int, ...] = eqx.field(static=True)
-
-    def __call__(self, x: Configuration) -> Float[Array, "k"]:
-        c = self.constraint(x)
-        return jnp.stack([c[i] for i in self.kept])
-
-
-def _samples(look: _Look, start: np.ndarray) -> list[np.ndarray]:
-    """Configurations of a random walk along the leaf."""
-    random, samples, x = np.random.default_rng(0), [start], start
-    for _ in range(SAMPLES):
-        rows = look.rows(x)[1]
-        step = random.normal(size=rows.shape[1])
-        step = step - np.linalg.pinv(rows, rcond=SINGULAR) @ (rows @ step)
-        try:
-            x = _closed(look, look.retract(x, 0.3 * step / np.linalg.norm(step)))
-        except ValueError:  # the end of the motion: the walk goes on from the place before
-            continue
-        samples.append(x)
-    return samples
