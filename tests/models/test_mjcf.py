@@ -118,8 +118,6 @@ def test_with_joints_named_the_motors_are_left_out(folder):
 
 
 WRONG = {
-    "closed loops": ("</equality>", '<connect body1="elbow" body2="stand" anchor="0 0 0"/></equality>'),
-    "polynomial of an order above 1": ('"0.01 -0.5 0 0 0"', '"0.01 -0.5 0.1 0 0"'),
     "has a state of its own": ('<motor name="m1"', '<general dyntype="filter" dynprm="0.1" name="m1"'),
     "fluid": ('gravity="0.3 0 -9.7"', 'density="1.2"'),
     "gravcomp": ('<body name="elbow"', '<body gravcomp="1" name="elbow"'),

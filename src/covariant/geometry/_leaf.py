@@ -15,7 +15,6 @@ Source: Kobayashi & Nomizu 1969, Foundations of Differential Geometry II, chapte
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +25,7 @@ from covariant._linalg import pivots, solve
 from covariant._typing import Flag, Matrix, Vector, Vectors
 from covariant.geometry import _geodesics as geodesics
 from covariant.geometry._geodesics import Budget, Shot, Transported
+from covariant.geometry._leaf_rows import CLOSED, SINGULAR, Look, closed, independent, rows_of
 from covariant.geometry._manifold import AbstractManifold, Configuration
 from covariant.geometry._space import AbstractSpace, derivative, differential
 
@@ -35,10 +35,6 @@ READING_STEPS = 3
 """Steps from an estimate to the configuration that measured coordinates tell, each with the square of the error before."""
 STAGES = 32
 """Steps in which the first measurement is reached from the configuration that tells how the loop is assembled."""
-SINGULAR = 1e-6
-"""Smallest pivot, of a matrix with ones on its diagonal, with which it counts as regular."""
-SAMPLES = 24
-"""Random configurations of the leaf at which the rows of the constraint are compared."""
 
 
 class Normals(NamedTuple):
@@ -131,8 +127,10 @@ class Leaf(AbstractSpace):
             >>> Leaf.closing(Euclidean(), twice, jnp.array([1.9, 0.1])).constraint(jnp.array([2.0, 0.0])).shape
             (1,)
         """
-        start = _closed(space, constraint, jnp.asarray(near, float))
-        return cls(space, _independent(space, constraint, start), start)
+        near = jnp.asarray(near, float)
+        look = Look.of(space, constraint, near)
+        start = closed(look, np.asarray(near))
+        return cls(space, independent(look, constraint, start), jnp.asarray(start))
 
     @property
     def manifold(self) -> AbstractManifold:
@@ -249,7 +247,7 @@ class Leaf(AbstractSpace):
         Returns:
             The rows A (m, n), their vectors, and `A g⁻¹Aᵀ`.
         """
-        rows = _rows(self.space, self.constraint, x)
+        rows = rows_of(self.space, self.constraint, x)
         raised = jax.vmap(lambda row: self.space.raise_(x, row))(rows)
         return Normals(rows, raised, _gram(rows, raised))
 
@@ -441,7 +439,7 @@ class _LeafManifold(AbstractManifold):
             return self._closer(q, jnp.where(jnp.isnan(y), y, waypoint))
 
         q = jax.lax.fori_loop(0, STAGES + 4, follow, begin)
-        if not isinstance(y, Tracer):
+        if not isinstance(q, Tracer):
             self._refuse_undetermined(q, y)
         return q
 
@@ -461,10 +459,6 @@ class _LeafManifold(AbstractManifold):
                 "the measured coordinates do not determine the others at the first measurement, as at a dead centre: "
                 "begin elsewhere, measure another coordinate, or give a complete first configuration"
             )
-
-
-CLOSED = 1e-6
-"""Largest value of the constraint at which a loop counts as closed."""
 
 
 class _Fit(NamedTuple):
@@ -493,72 +487,8 @@ def _gram(rows: Float[Array, "m n"], raised: Float[Array, "m n"]) -> Float[Array
     return rows @ raised.T + jnp.diag(jnp.all(rows == 0, axis=1).astype(rows.dtype))
 
 
-def _rows(space: AbstractSpace, constraint: Callable, x: Configuration) -> Float[Array, "m n"]:
-    manifold = space.manifold
-    return jax.jacrev(lambda a: constraint(manifold.nudged(x, a)))(manifold.zero(x))
-
-
 def _is_regular(matrix: Matrix) -> Flag:
     scale = jnp.sqrt(jnp.diag(matrix))
     scale = jnp.where(scale > 0, scale, 1.0)
     scaled = matrix / scale[:, None] / scale[None, :]
     return jnp.all(pivots(scaled) > SINGULAR)
-
-
-def _closed(space: AbstractSpace, constraint: Callable, near: Configuration) -> Configuration:
-    """A configuration on the leaf, by Newton steps of least length that allow dependent rows."""
-    x, manifold = near, space.manifold
-    for _ in range(50):
-        c, rows = constraint(x), np.asarray(_rows(space, constraint, x))
-        x = manifold.retract(x, -jnp.asarray(np.linalg.pinv(rows, rcond=SINGULAR) @ np.asarray(c)))
-    left = float(np.max(np.abs(constraint(x))))
-    if not left < CLOSED:
-        raise ValueError(
-            f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give a configuration "
-            "in which it is assembled"
-        )
-    return x
-
-
-def _independent(space: AbstractSpace, constraint: Callable, start: Configuration) -> Callable:
-    """The constraint without combinations of its rows that are zero everywhere on the leaf."""
-    samples = _samples(space, constraint, start)
-    rows = [np.asarray(_rows(space, constraint, x)) for x in samples]
-    ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
-    least, most, count = min(ranks), max(ranks), len(rows[0])
-    if least < most:
-        raise ValueError(
-            f"the rows of the loop have rank {least} and {most} along its motion: at such a change point it can go on in "
-            "two ways; keep away from it, or couple the links otherwise"
-        )
-    if most == count:
-        return constraint
-    # A combination that is zero at all samples is an eigenvector of this sum with the eigenvalue zero.
-    values, vectors = np.linalg.eigh(sum(a @ a.T / np.linalg.norm(a, 2) ** 2 for a in rows) / len(rows))
-    if np.sum(values > SINGULAR**2) > most:
-        raise ValueError(
-            f"the {count} rows of the loop have rank {most}, and depend on each other differently from place to place: "
-            "an overconstrained linkage, which closes by its exact lengths alone; open it at another joint, or give the "
-            "independent rows"
-        )
-    kept = vectors[:, values > SINGULAR**2].T
-    return eqx.Partial(_combined, constraint, jnp.asarray(np.where(np.abs(kept) < SINGULAR, 0.0, kept)))
-
-
-def _combined(constraint: Callable, kept: Float[Array, "k m"], x: Configuration) -> Float[Array, "k"]:
-    return kept @ constraint(x)
-
-
-def _samples(space: AbstractSpace, constraint: Callable, start: Configuration) -> list[Configuration]:
-    """Configurations of a random walk along the leaf."""
-    random, samples, x = np.random.default_rng(0), [start], start
-    for _ in range(SAMPLES):
-        rows = np.asarray(_rows(space, constraint, x))
-        step = random.normal(size=rows.shape[1])
-        step = step - np.linalg.pinv(rows, rcond=SINGULAR) @ (rows @ step)
-        try:
-            x = _closed(space, constraint, space.manifold.retract(x, jnp.asarray(0.3 * step / np.linalg.norm(step))))
-        except ValueError:  # the end of the motion: the walk goes on from the place before
-            continue
-        samples.append(x)
-    return samples

@@ -46,6 +46,7 @@ def read(
     sensors: Sequence[tuple[Columns, str]] = (),
     periods: Sequence[float] = (),
     missing_inputs: bool = False,
+    absent: Collection[str] = (),
 ) -> Log:
     """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
 
@@ -78,6 +79,8 @@ def read(
             removed from the whole log, before rows are left out.
         missing_inputs: Whether an empty cell of u is a missing input, NaN, for an estimate that may run over it; False
             by default.
+        absent: Columns of positions that the log may lack, or hold without a number, as those of joints without an
+            encoder: they are NaN then. One position at least must be there.
 
     Returns:
         The rows that were asked for, in SI units and radians.
@@ -119,13 +122,13 @@ def read(
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
     if isinstance(log, Record):
-        whole = _of_record(log, columns, missing_inputs)._replace(readings=(None,) * len(sensors))
+        whole = _of_record(log, columns, missing_inputs, absent)._replace(readings=(None,) * len(sensors))
     else:
-        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs)
+        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent)
     if any(periods):
         y = unwrap(np.asarray(whole.record.y), (), periods)
         whole = whole._replace(record=whole.record._replace(y=y))
-    return _select_rows(name, whole, every, until, start)
+    return _select_rows(name, whole, every, until, start, _unmeasured(whole.record, columns, absent))
 
 
 def record(
@@ -174,9 +177,12 @@ def _of_columns(
     optional: Collection[str],
     sensors: Sequence[tuple[Columns, str]],
     missing_inputs: bool,
+    absent: Collection[str],
 ) -> Log:
     """All rows of a log that has columns."""
-    columns, present, table, source = _columns_and_table(name, log, columns, optional, [each for each, _ in sensors])
+    columns, present, table, source = _columns_and_table(
+        name, log, columns, optional, [each for each, _ in sensors], absent
+    )
     units = source.units
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         # Dates and durations state their unit by their type.
@@ -188,9 +194,12 @@ def _of_columns(
         for field in fields:
             for place, column in enumerate(getattr(columns, field)):
                 unit = columns.unit_of(field, place)
+                if column in absent and column not in table.column_names:
+                    cells.append(np.full(len(table), np.nan))
+                    continue
                 values = numbers(_where(name, column, unit), table.column(column), needed)
                 # Without a number in any row it is another column, and not a sensor with gaps.
-                if not empty and len(values) and np.isnan(values).all():
+                if not empty and column not in absent and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
                 if has_sign_bit(values):
                     raise LogError(f"{name}: {sign_bit_fault(column)}")
@@ -212,7 +221,7 @@ def _of_columns(
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
     try:
-        record = _check_record(name, Record(t, u, y), missing_inputs)
+        record = _check_record(name, Record(t, u, y), columns, missing_inputs, absent)
     except ClockError as error:
         fault = episodes_fault(t, source.shown, lambda each: _whole_column(name, source, each))
         if fault is None:
@@ -255,9 +264,9 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
             )
 
 
-def _of_record(log: Record, columns: Columns, missing_inputs: bool) -> Log:
+def _of_record(log: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Log:
     """A log that is a record already, with as many positions and inputs as there are columns of them."""
-    log = _check_record("record", log, missing_inputs)
+    log = _check_record("record", log, columns, missing_inputs, absent)
     log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
     if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
         raise LogError(f"record: it has positions of shape {log.y.shape[1:]}, needs {len(columns.q)} of them")
@@ -266,8 +275,10 @@ def _of_record(log: Record, columns: Columns, missing_inputs: bool) -> Log:
     return Log(log)
 
 
-def _select_rows(name: str, log: Log, every: int, until: float | None, start: float | None) -> Log:
-    """Every k-th row of a log between two times since its first row."""
+def _select_rows(
+    name: str, log: Log, every: int, until: float | None, start: float | None, unmeasured: np.ndarray
+) -> Log:
+    """Every k-th row of a log between two times since its first row; `unmeasured` are the positions without sensor."""
     t = log.record.t
     since = t - t[0]
     # Both ends are included: "left" at the start, "right" at the end.
@@ -278,7 +289,7 @@ def _select_rows(name: str, log: Log, every: int, until: float | None, start: fl
         given = ", ".join(f"{word}={value:g}" for word, value in asked if value is not None)
         raise LogError(f"{name}: {given} keep {len(t[rows])} of {len(t)} rows, and two are needed")
     # An observer starts from a measurement, which has to be complete.
-    if np.isnan(log.record.y[rows][0]).any():
+    if (np.isnan(log.record.y[rows][0]).ravel() & ~unmeasured).any():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
     record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
@@ -362,10 +373,19 @@ def _where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
 
-def _check_record(name: str, record: Record, missing_inputs: bool) -> Record:
+def _unmeasured(record: Record, columns: Columns, absent: Collection[str]) -> np.ndarray:
+    """Mask of the entries of a measurement without a number in any row, where they may be absent."""
+    y = np.asarray(record.y, float).reshape(len(record.t), -1)
+    may, empty = np.zeros(y.shape[1], bool), np.isnan(y).all(0)
+    may[y.shape[1] - len(columns.q) :] = np.isin(columns.q, list(absent))  # the joints come last
+    return empty & may & ~empty.all()
+
+
+def _check_record(name: str, record: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Record:
     """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
     try:
-        return record.check(missing_inputs=missing_inputs)
+        start = np.flatnonzero(~_unmeasured(record, columns, absent)) if absent else None
+        return record.check(start, missing_inputs=missing_inputs)
     except StampError as error:
         raise ClockError(f"{name}: {error}", record) from error
     except ValueError as error:
@@ -373,7 +393,7 @@ def _check_record(name: str, record: Record, missing_inputs: bool) -> Record:
 
 
 def _columns_and_table(
-    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns]
+    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns], may_lack: Any
 ) -> tuple[Columns, list[Columns], Any, LogSource]:
     """The columns without the optional ones that the log lacks, those of the sensors that it has, a table of all, and
     the source of these.
@@ -385,6 +405,8 @@ def _columns_and_table(
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
+        if set(columns.measured) & set(names):
+            wanted = [column for column in wanted if column in names or column not in may_lack]
         # A sensor of which some columns are there is not absent either.
         present = [each for each in sensors if set(each.measured) & set(names)]
         beside = [name for each in present for name in each.measured if name not in wanted]

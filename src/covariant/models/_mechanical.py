@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Inexact
 from covariant._functional import Functional
 from covariant._integrate import rk4_step
 from covariant._typing import Element, MatrixField, Number, Scalar, Vector
-from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, as_space, differential
+from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, as_space, differential
 from covariant.geometry.lie import AbstractGroup, LeftInvariant
 from covariant.models._parameters import Parameter, Parametric
 
@@ -205,6 +205,29 @@ class MechanicalSystem(Functional):
         except ValueError:  # some built-in functions have no signature
             pass
         return False
+
+    def loop_load(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Float[Array, "c"]:
+        """Forces in the joints that close the loops of a machine, on a `covariant.geometry.Leaf`.
+
+        Args:
+            t: Time [s].
+            q: Configuration.
+            v: Velocity (n,).
+            u: Input (m,).
+
+        Returns:
+            Force (c,) per unit of each row of the constraint [N for a distance, N m for an angle]: for a point of two
+            links that coincide, on the second link in the frame of the first. Empty without loops.
+
+        Example:
+            >>> import jax.numpy as jnp
+            >>> from covariant import models
+            >>> models.oscillator().loop_load(jnp.zeros(()), jnp.zeros(1), jnp.zeros(1), jnp.zeros(1)).shape
+            (0,)
+        """
+        if not isinstance(self.space, Leaf):
+            return jnp.zeros(0, v.dtype)
+        return self.space.load(q, v, applied_force(self, t, q, u) + resistance(self, t, q, v, u))
 
     def state(self, motion: Motion) -> Any:
         """Convert a motion to a state x.

@@ -41,6 +41,8 @@ def aligned(job: Job) -> Aligned:
     # Read without a delay: here the delay moves the inputs instead, by `late`.
     undelayed = job._replace(overrides=_with(job.overrides, "measurement.delay", 0))
     loaded = load(undelayed, why="this command takes")
+    complete = loaded.kind.complete(np.asarray(loaded.log.record.y))
+    loaded = loaded._replace(log=loaded.log._replace(record=loaded.log.record._replace(y=complete)))
     whole = loaded.log.all_rows
     if np.ptp(delay) > 0:
         loaded = _together(loaded, delay)

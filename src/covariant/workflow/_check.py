@@ -10,6 +10,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from covariant import logs, models
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
@@ -86,7 +88,7 @@ def _diagnose(job: Job) -> tuple[Loaded, Diagnosis]:
     quantum = file.quantum
     pairs = zip(loaded.sensors, loaded.log.readings, strict=False)  # no sensors where the log has none of their columns
     sensors = [Beside(*part, read) for part, read in pairs if read is not None]
-    record = loaded.log.record
+    record = loaded.log.record._replace(y=loaded.kind.complete(np.asarray(loaded.log.record.y)))
     if loaded.file.input_between == "held":  # what acted between two rows that are used counts in their interval
         record = acting_inputs(loaded.log.all_rows, rows=record)
     diagnosis = diagnose(loaded.file, record, quantum, loaded.log.first_row, loaded.log.every, sensors)

@@ -183,15 +183,18 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     sensors = [(part.columns, part.unit) for part in parts]
     kind = kind_of(file)
     part, periods = (job.every, job.until, job.start), _periods(job, file)
-    log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods, missing_inputs))
+    # In a closed loop a few encoders tell all positions.
+    absent = columns.q if file.mechanical and model.manifold.redundant else ()
+    log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods, missing_inputs, absent))
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
     lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, MOST_MISSING)
     record = _around_missing(
         lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead), lagging
     )
     if not job.anyway:
-        known = log._replace(record=_with_inputs_only(log.record))
-        _refuse_misfit(job, file, known, _with_inputs_only(record))
+        whole = kind.complete(np.asarray(record.y))
+        known = log._replace(record=_with_inputs_only(log.record._replace(y=whole)))
+        _refuse_misfit(job, file, known, _with_inputs_only(record._replace(y=whole)))
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)

@@ -144,6 +144,10 @@ class AbstractKind(abc.ABC):
         """Measurements (T, *n), NaN where they are outliers of coordinates."""
         return y
 
+    def complete(self, y: np.ndarray) -> np.ndarray:
+        """Measurements (T, *n) with the positions that no sensor measures, as far as the others determine them."""
+        return y
+
     def drawn(self, y: np.ndarray) -> np.ndarray | None:
         """Measurements (T, n) to draw beside the estimates; None where these are other quantities."""
         return None

@@ -60,7 +60,7 @@ class AbstractMechanical(AbstractKind):
 
     def slopes(self, log: logs.Log) -> tuple[np.ndarray, str]:
         full, at = log.all_rows, np.asarray(log.record.t)
-        t, y, order = np.asarray(full.t), np.asarray(full.y), int(self.file.reference_order)
+        t, y, order = np.asarray(full.t), self.complete(np.asarray(full.y)), int(self.file.reference_order)
         if np.isfinite(y).sum(axis=0).min() < order + 3:  # a polynomial of this order needs more than its coefficients
             return np.full((len(at), self.file.dimension), np.nan), "velocity, unknown in so short a log"
         return self._slopes(t, y, at, self.file.reference_half, order), "zero-phase reference"
@@ -121,6 +121,10 @@ class AbstractMechanical(AbstractKind):
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
         q, v = or_zeros("q0", q0, self._start_names), or_zeros("v0", v0, self.estimates.names)
         manifold = self.model.manifold
+        if manifold.redundant and manifold.commuting:
+            # A linkage begins as it is assembled, or near the positions that are given.
+            start = manifold.origin() if q0 is None else manifold.checked(jnp.asarray(q))
+            return self.model.state(Motion(start, self.model.space.projected(start, jnp.asarray(v))))
         return self.model.state(Motion(manifold.retract(manifold.origin(), jnp.asarray(q)), jnp.asarray(v)))
 
     @property
@@ -160,7 +164,8 @@ class InCoordinates(AbstractMechanical):
         return self.file.columns.q
 
     def check(self, y: np.ndarray) -> None:
-        measured = y[np.isfinite(y).all(axis=1)]
+        manifold = self.model.manifold
+        measured = np.asarray(manifold.origin())[None] if manifold.redundant else y[np.isfinite(y).all(axis=1)]
         models.check_metric(self.model, measured[:: max(1, len(measured) // 20)])
 
     def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
@@ -176,6 +181,20 @@ class InCoordinates(AbstractMechanical):
     def without_outliers(self, t: np.ndarray, y: np.ndarray) -> np.ndarray:
         return np.where(outliers(t, y, self.model.circles)[0], np.nan, y)
 
+    def complete(self, y: np.ndarray) -> np.ndarray:
+        manifold, lacking = self.model.manifold, np.isnan(y).all(axis=0)
+        if not manifold.redundant or not lacking.any():
+            return y
+        first, rows = manifold.checked(jnp.asarray(y[0])), jnp.asarray(y)
+
+        def follow(q, row):
+            q = manifold.measured(q, row)
+            return q, q
+
+        whole = np.asarray(jax.jit(lambda: jax.lax.scan(follow, first, rows)[1])())
+        known = np.all(lacking | np.isfinite(y), axis=1, keepdims=True)
+        return np.where(lacking & known, whole, y)
+
     def drawn(self, y: np.ndarray) -> np.ndarray:
         return scoring.unwrap(y, self.model.circles)
 
@@ -183,7 +202,12 @@ class InCoordinates(AbstractMechanical):
         return dict(zip(names, np.split(np.asarray(x), 2, axis=1)[0].T, strict=True))
 
     def _displaced(self, displacement: np.ndarray) -> np.ndarray:
-        circles = np.isin(np.arange(self.file.dimension), self.model.manifold.circles)
+        manifold = self.model.manifold
+        if manifold.redundant:  # moved as it is assembled; an outlier is not along the motion
+            small, begin = np.clip(displacement, -SWING, SWING), manifold.origin()
+            moved = jax.jit(jax.vmap(lambda s: manifold.retract(begin, self.model.space.projected(begin, s))))(small)
+            return np.asarray(moved) + displacement - small
+        circles = np.isin(np.arange(self.file.dimension), manifold.circles)
         return displacement + np.where(circles, np.pi, CENTRE)
 
     def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:

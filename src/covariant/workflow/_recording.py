@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.models.robots import RobotSpace
+from covariant.models.robots import robot_space
 from covariant.report import PALETTE, MovingBody, PlottedCurve, write_rerun
 from covariant.signals import StepCode
 from covariant.workflow._outcome import slow_units
@@ -67,8 +67,8 @@ def _rows_of_frames(t: np.ndarray) -> np.ndarray:
 
 def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
     """The bodies of a robot, each in the frame of its first link, at its estimated configurations."""
-    space = getattr(result.loaded.model, "space", None)
-    if not isinstance(space, RobotSpace):
+    space = robot_space(getattr(result.loaded.model, "space", None))
+    if space is None:
         return []
     estimate = result.run.estimate
     q = jnp.asarray(getattr(estimate, "q", estimate))[rows]
@@ -89,13 +89,13 @@ def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
         # From the frame of the body, whose origin is on its joint, to that of the link: v @ R is Rᵀ v.
         segments = (segments - np.asarray(links.place[i])) @ np.asarray(links.rotation[i])
         joint = -np.asarray(links.place[i]) @ np.asarray(links.rotation[i])
-        bodies.append(MovingBody(names[body], _joint(result.loaded, body), joint, segments, pose))
+        bodies.append(MovingBody(names[body], _joint(tree, result.loaded, body), joint, segments, pose))
     return bodies
 
 
-def _joint(loaded: Any, body: int) -> str:
+def _joint(tree: Any, loaded: Any, body: int) -> str:
     """Names of the positions that move a body on its parent, as in the curves; "" where they are not by joint."""
-    tree, names = loaded.model.space.tree, loaded.kind.positions.names
+    names = loaded.kind.positions.names
     if body < 0 or tree.coordinates.shape[1] != len(names):
         return ""
     return ", ".join(names[k] for k in np.flatnonzero(np.asarray(tree.coordinates[body])))

@@ -92,8 +92,8 @@ def simulated_log(
 
 def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: Any) -> tuple[str, ...]:
     """A warning if joints of a robot leave their limits."""
-    space = file.need_mechanical("", "").space if file.mechanical else None
-    if not isinstance(space, models.robots.RobotSpace):
+    space = models.robots.robot_space(file.need_mechanical("", "").space) if file.mechanical else None
+    if space is None:
         return ()
     positions = np.asarray(jax.vmap(space.joint_angles)(jnp.asarray(q)))
     left = []

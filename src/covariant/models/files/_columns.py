@@ -58,7 +58,7 @@ def _name_columns(model: Any, names: dict[str, Any]) -> Columns:
 
 def unnamed_attitudes(model: Model, columns: Columns) -> int:
     """Number of attitudes in a log of the model whose representation no column states."""
-    return 0 if any(getattr(columns, kind) for kind in ATTITUDES) else _needs(model.manifold).attitudes
+    return 0 if any(getattr(columns, kind) for kind in ATTITUDES) else _needs(model.manifold.ambient).attitudes
 
 
 def _in_coordinates(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
@@ -90,7 +90,7 @@ def _of_outputs(model: StateSpace, names: dict[str, Any]) -> Columns:
 
 
 def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
-    needs, n = _needs(model.manifold), len(model.velocities)
+    needs, n = _needs(model.manifold.ambient), len(model.velocities)
     inputs = input_count(model, n)
     attitudes = [kind for kind in ATTITUDES if names.get(kind)]
     if names.get("q") and not needs.q:

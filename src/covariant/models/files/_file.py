@@ -26,7 +26,7 @@ def finish(spec: str, content: dict[str, Any]) -> ModelFile:
 
 def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
     """Build the model file of a model object, with the tables of a document applied to it."""
-    for table in ("system", "parameters", "servo"):
+    for table in ("system", "parameters", _toml.SERVO, _toml.LOOP):
         if table in content:
             raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
     loaded = _build(type(given).__name__, given, {})
@@ -85,13 +85,14 @@ def made(spec: str, content: dict[str, Any]) -> ModelFile:
 
 
 def parameters_of(content: dict[str, Any]) -> dict[str, Any]:
-    """The parameters of the system of a document, with the servos that it has as tables of their own."""
+    """The parameters of the system of a document, with the servos and loops that it has as tables of their own."""
     parameters = content.get("parameters", {})
-    if "servo" not in content:
-        return parameters
-    if content.get("system") != "robot":
-        raise ValueError(f'[servo] is for robots, system = "robot"; this model is {content.get("system")!r}')
-    return parameters | {"servos": servo_tables(content)}
+    own = {table: content[table] for table in (_toml.SERVO, _toml.LOOP) if table in content}
+    for table in own:
+        if content.get("system") != "robot":
+            raise ValueError(f'[{table}] is for robots, system = "robot"; this model is {content.get("system")!r}')
+    servos = {"servos": servo_tables(content)} if _toml.SERVO in own else {}
+    return parameters | servos | ({"loops": own[_toml.LOOP]} if _toml.LOOP in own else {})
 
 
 def servo_tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:

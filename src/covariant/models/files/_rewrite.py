@@ -55,10 +55,11 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
 
 
 def _tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The tables of a document by the names in their headers; each servo has a table of its own."""
+    """The tables of a document by the names in their headers; each servo and each loop has a table of its own."""
     tables = {name: values for name, values in content.items() if isinstance(values, dict)}
-    servos = tables.pop(_toml.SERVO, {})
-    return tables | {f"{_toml.SERVO}.{_key(name)}": table for name, table in servos.items()}
+    for several in (_toml.SERVO, _toml.LOOP):
+        tables |= {f"{several}.{_key(name)}": table for name, table in tables.pop(several, {}).items()}
+    return tables
 
 
 def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None) -> str:

@@ -208,6 +208,11 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     file = finish(spec, content)
     if not file.model.manifold.commuting:
         raise ValueError("a robot is fitted in joint coordinates: its base must stand still; lock its ball joints")
+    if file.model.manifold.redundant:
+        raise ValueError(
+            "numbers of a robot with closed loops are not fitted: each joint feels the forces in the loops; "
+            "fit its parts with the loops open"
+        )
     parameters = parameters_of(content)
     robot = read(parameters["path"], motor_torques=parameters.get("motor_torques", False))
     tables = {key: parameters[key] for key in (*GROUPS, "servos") if key in parameters and key != "payload"}

@@ -27,6 +27,9 @@ SENSORS = "sensors"
 SERVO = "servo"
 """Table of the servos of a robot, with one table for each joint; `models.robots` defines its keys."""
 
+LOOP = "loop"
+"""Table of the closed loops of a robot, with one table for each loop; `models.robots` defines its keys."""
+
 _NAMES = tuple(field for field in Columns._fields if field != "units")
 """Keys of [columns], and of [units] except attitudes, which have no unit."""
 _PLACES = [key.path.split(".") for key in KEYS.values()]
@@ -103,7 +106,7 @@ def _value(text: str, value: str) -> Any:
 def check_layout(document: dict[str, Any]) -> None:
     """Check that a document has no table or key but those of a model file."""
     for table, content in document.items():
-        refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS, SERVO))
+        refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS, SERVO, LOOP))
         if table != "system" and not isinstance(content, dict):
             raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
         if table in _OF_TABLE:

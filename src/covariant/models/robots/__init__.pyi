@@ -7,6 +7,8 @@ from ._changes import (
 )
 from ._description import (
     BodyInertia as BodyInertia,
+    Coincide as Coincide,
+    Coupled as Coupled,
     Description as Description,
     Follows as Follows,
     FrictionLaw as FrictionLaw,
@@ -18,6 +20,7 @@ from ._forces import dry_friction as dry_friction
 from ._legs import Legs as Legs, legs as legs
 from ._library import ROBOTS as ROBOTS, located as located
 from ._load import load as load, read as read
+from ._loops import robot_space as robot_space
 from ._servos import (
     OF_GEAR as OF_GEAR,
     OF_SERVO as OF_SERVO,

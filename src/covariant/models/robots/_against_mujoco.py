@@ -3,19 +3,24 @@
 The description is written back as a plain MuJoCo model, which has links, joints with springs, dampers and rotors, and
 weight, and nothing else. At random states and inputs both models need the same generalised force: an entry that the
 description lacks shows at the joint on which it acts. Both run in MuJoCo, which takes milliseconds. Contacts, limits,
-loops and dry friction are constraints in MuJoCo, and none of them acts here; loops are refused where the file is read.
+loops and dry friction are constraints in MuJoCo, and none of them acts here. The constraints of closed loops are soft
+there, so that motions differ by its step; but how far a loop is open at random positions is a number of both.
 """
 
 import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from covariant._optional import load_optional
+from covariant.lowering import evaluate_batch
+from covariant.models.robots._assemble import geometry_of
 from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
 from covariant.models.robots._forces import with_motors
+from covariant.models.robots._loops import gap
 from covariant.models.robots._mjcf import names_of
 from covariant.models.robots._write_mjcf import gathered, mjcf_text
 
@@ -46,6 +51,9 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
     """Raise `ValueError` where the motion of a described robot is not that of MuJoCo's compiled model of its file."""
     mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
     # Assembling the robot refuses a motor that is not supported; until then all are compared without their forces.
+    if robot.loops:
+        with jax.ensure_compile_time_eval():  # the file's numbers are known, also where those of the model are traced
+            _refuse_other_gaps(mujoco, engine, robot)
     motors = () if actuated is not None or any(motor.unsupported for motor in robot.motors) else robot.motors
     joints = [joint for joint in robot.joints if joint.kind != "fixed"]
     if not joints:
@@ -61,6 +69,44 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
         worst = int(np.argmax(relative))
         if not relative[worst] <= TOLERANCE:  # NaN is refused
             raise ValueError(_difference(worst, joints, plain, file))
+
+
+def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
+    """Raise `ValueError` where a loop is open by another distance or angle than in MuJoCo's model of the file."""
+    space, data = geometry_of(robot), mujoco.MjData(engine)
+    names, joints = names_of(mujoco, engine, "EQUALITY", engine.neq), names_of(mujoco, engine, "JOINT", engine.njnt)
+    balls = [space.limits[first][0] for first in space.tree.balls]
+    origin, rng = np.array(space.manifold.origin()), np.random.default_rng(0)
+    poses = np.repeat(origin[None], len(SCALES), axis=0)
+    q = poses.reshape(len(SCALES), -1)[:, 16 * space.floating + 9 * len(balls) :]
+    q[:] = np.array(SCALES)[:, None] * rng.normal(size=q.shape)
+    angles, *gaps = evaluate_batch(
+        lambda x: [space.joint_angles(x), *(gap(space, each, x) for each in robot.loops)], poses
+    )
+    for k, positions in enumerate(angles):
+        data.qpos[:] = engine.qpos0
+        for (name, _, _), position in zip(space.limits, positions, strict=True):
+            if name not in balls:
+                data.qpos[engine.jnt_qposadr[joints.index(name)]] = position
+        mujoco.mj_forward(engine, data)
+        for loop, open_by in zip(robot.loops, gaps, strict=True):
+            i = names.index(loop.name)
+            rows = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (data.efc_id == i)
+            theirs = _sizes(data.efc_pos[rows], float(engine.eq_data[i, 10]))
+            ours = _sizes(open_by[k])
+            if not np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE):
+                raise ValueError(
+                    f"equality {loop.name!r} is open by {ours[0]:.4g} at random positions, and by {theirs[0]:.4g} in "
+                    "MuJoCo; an entry of it is not supported: make it inactive, or write it with sites"
+                )
+
+
+def _sizes(gap: np.ndarray, scale: float | None = None) -> np.ndarray:
+    """Lengths of the distance and, for six rows, of the sine of the turn; MuJoCo has that of half of it, scaled."""
+    if scale is None or len(gap) < 6:
+        return np.linalg.norm(gap.reshape(-1, min(3, len(gap))), axis=1)
+    half = np.linalg.norm(gap[3:]) / scale
+    return np.array([np.linalg.norm(gap[:3]), 2 * half * np.sqrt(max(1 - half**2, 0.0))])
 
 
 def _smooth(mujoco: Any, engine: Any, actuated: bool) -> Any:
@@ -84,7 +130,7 @@ def _written_back(mujoco: Any, robot: Description, motors: Sequence[Motor]) -> A
     robot = gathered(robot)
     joints = tuple(with_motors(joint, motors)._replace(friction=0.0, follows=None) for joint in robot.joints)
     links = robot.links | {joint.child: ANY_INERTIA for joint in robot.joints if joint.kind != "fixed"}
-    text = mjcf_text(robot._replace(joints=joints, links=links, motors=()), STEP)
+    text = mjcf_text(robot._replace(joints=joints, links=links, motors=(), loops=()), STEP)
     model = mujoco.MjModel.from_xml_string(text)
     for joint in robot.joints:
         if joint.kind != "fixed":

@@ -16,8 +16,16 @@ from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
-from covariant.models.robots._description import BodyInertia, Description, Joint, negative_inertia, numbers
+from covariant.models.robots._description import (
+    NO_INERTIA,
+    BodyInertia,
+    Description,
+    Joint,
+    negative_inertia,
+    numbers,
+)
 from covariant.models.robots._forces import Potential, dissipation, force, inputs_of, with_motors
+from covariant.models.robots._loops import close_loops
 from covariant.models.robots._servos import ServoForce, loss, servo_of
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
@@ -60,10 +68,10 @@ def assemble(
         payload: Point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link].
 
     Returns:
-        The system, with its configuration space as a `RobotSpace`.
+        The system, with its configuration space as a `RobotSpace`, or a `Leaf` of one where it has closed loops.
 
     Raises:
-        ValueError: A name does not exist, no joint moves, or a joint moves no mass.
+        ValueError: A name does not exist, a loop does not close, no joint moves, or a joint moves no mass.
 
     Example:
         >>> from covariant.models import robots
@@ -77,7 +85,9 @@ def assemble(
         model, moved = _assemble(robot, floating, dict(lock or {}), actuated, loads)
         if numbers:
             _check_inertia(model, moved)
+    if not robot.loops:
         return model
+    return close_loops(model, robot, geometry_of(robot, floating, lock))
 
 
 def _assemble(
@@ -104,6 +114,16 @@ def _assemble(
     manifold = _product(floating, len(tree.balls), of_joints)
     space = RobotSpace(tree, _links(frames), manifold=manifold, floating=floating, limits=tuple(map(_limits, axes)))
     return _system(robot, axes, freedom, space, actuated, free_joint), moved
+
+
+def geometry_of(robot: Description, floating: bool = False, lock: Mapping[str, float] | None = None) -> RobotSpace:
+    """The space of a robot's tree without inertias, in known numbers, also where others of the robot are traced."""
+    none = {"armature": 0.0, "damping": 0.0, "friction": 0.0, "law": None, "servo": None, "torque_constant": 1.0}
+    joints = tuple(joint._replace(**none) for joint in robot.joints)
+    links = dict.fromkeys(robot.links, NO_INERTIA)
+    bare = robot._replace(joints=joints, links=links, motors=(), motor_torques=False, gravity=np.zeros(3))
+    with jax.ensure_compile_time_eval():
+        return _assemble(bare, floating, dict(lock or {}), None, {})[0].space  # pyright: ignore[reportReturnType]
 
 
 def _moved(

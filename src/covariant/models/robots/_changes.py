@@ -15,6 +15,7 @@ from covariant.models.robots._description import (
     doubts_on,
     negative_inertia,
 )
+from covariant.models.robots._loops import loops_of
 from covariant.models.robots._servos import checked_law, with_servos
 
 OF_INERTIA = ("mass", "cx", "cy", "cz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -31,6 +32,8 @@ def changed(
     torque_constants: Mapping[str, Number] | None = None,
     offsets: Mapping[str, Number] | None = None,
     servos: Mapping[str, Mapping[str, Any]] | None = None,
+    loops: Mapping[str, Mapping[str, Any]] | None = None,
+    assembly: Mapping[str, Any] | None = None,
 ) -> Description:
     """Replace parameters of a robot; see `load`.
 
@@ -43,6 +46,8 @@ def changed(
         torque_constants: Factor of the logged torque, by joint.
         offsets: Offset to add to a logged position, by joint [rad or m].
         servos: Keys of `[servo.JOINT]`, by joint.
+        loops: Keys of `[loop.NAME]`, by name, beside the loops of the file.
+        assembly: Positions of the joints where the loops are closed as they are built.
 
     Returns:
         The changed description.
@@ -81,6 +86,8 @@ def changed(
         links=links,
         joints=tuple(replaced(joint) for joint in robot.joints),
         gravity=robot.gravity if gravity is None else _gravity(robot.gravity, gravity),
+        loops=robot.loops + loops_of(loops or {}),
+        assembly=robot.assembly if assembly is None else assembly,
     )
     return with_servos(robot, servos or {})
 

@@ -1,6 +1,6 @@
 """Descriptions of robots, whatever the format of the file: links, joints and the forces in them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -299,6 +299,46 @@ class Motor(NamedTuple):
     delay: float = 0.0
 
 
+class Coincide(NamedTuple):
+    """A loop in which a point of one link stays at a point of another, or a frame of one in that of another.
+
+    Attributes:
+        name: Name of the loop.
+        links: The two links.
+        points: A point (3,) of each, in its own frame [m].
+        rotation: Rotation (3, 3) of the frame of the second link in that of the first; None for a point alone.
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robots.read("four_bar").loops[0].links
+        ('coupler', 'rocker')
+    """
+
+    name: str
+    links: tuple[str, ...]
+    points: tuple[tuple[float, ...], ...]
+    rotation: tuple[tuple[float, ...], ...] | None = None
+
+
+class Coupled(NamedTuple):
+    """A constraint between the positions of two joints, `one = c0 + c1 other + c2 other² + …`.
+
+    Attributes:
+        name: Name of the constraint.
+        joints: The joint that is a function of the other, and the other.
+        polynomial: The coefficients c0, c1, c2, …
+
+    Example:
+        >>> from covariant.models import robots
+        >>> robots.Coupled("cam", ("lift", "shaft"), (0.0, 0.0, 0.02)).joints
+        ('lift', 'shaft')
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    polynomial: tuple[float, ...]
+
+
 class Description(NamedTuple):
     """A robot as a file describes it.
 
@@ -313,6 +353,9 @@ class Description(NamedTuple):
         doubts: Sentences on what looks wrong in the file but does not prevent its use.
         motors: Motors that the file names; where there are none, every joint has an input.
         motor_torques: Whether the inputs are torques of the motors, before the reductions of their joints.
+        loops: What couples links or joints beyond the tree of the joints.
+        assembly: Positions of the joints where the loops are closed as they are built, by name [rad or m, a ball joint
+            by its quaternion wxyz]; None where the file has no such pose.
 
     Example:
         >>> from covariant.models import robots
@@ -331,6 +374,8 @@ class Description(NamedTuple):
     doubts: tuple[str, ...]
     motors: tuple[Motor, ...] = ()
     motor_torques: bool = False
+    loops: tuple[Coincide | Coupled, ...] = ()
+    assembly: Mapping[str, Any] | None = None
 
 
 def numbers(values: Iterable[Any]) -> Any:
@@ -342,6 +387,11 @@ def numbers(values: Iterable[Any]) -> Any:
 def exact(rotation: np.ndarray) -> np.ndarray:
     """A rotation (3, 3) or axis (3,) with entries below `SMALLEST_ENTRY` set to 0."""
     return np.where(np.abs(rotation) < SMALLEST_ENTRY, 0.0, rotation)
+
+
+def rows(matrix: Iterable[Iterable[float]]) -> tuple[tuple[float, ...], ...]:
+    """The rows of a matrix as tuples."""
+    return tuple(tuple(float(entry) for entry in row) for row in matrix)
 
 
 def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
@@ -372,7 +422,8 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
         if joint.child in carrier:
             raise ValueError(
                 f"link {joint.child!r} is carried by two joints, {carrier[joint.child].name!r} and {joint.name!r}: "
-                "closed loops are not supported; cut the loop"
+                f"they close a loop; leave {joint.name!r} out, and write a table [loop.{joint.name}] into a model "
+                "file: two links and the point of each at which they meet"
             )
         carrier[joint.child] = joint
     roots = [name for name in links if name not in carrier]

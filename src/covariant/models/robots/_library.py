@@ -1,9 +1,13 @@
-"""The robots that come with the library, each a URDF file without shapes that states the source of its numbers."""
+"""The robots that come with the library: URDF files, and MJCF files of those with closed loops.
+
+They have no shapes, and each states the source of its numbers.
+"""
 
 from pathlib import Path
 
 FOLDER = Path(__file__).parent / "files"
-ROBOTS = tuple(sorted(path.stem for path in FOLDER.glob("*.urdf")))
+_FILES = {path.stem: path for path in FOLDER.iterdir() if path.suffix in (".urdf", ".xml")}
+ROBOTS = tuple(sorted(_FILES))
 """Names of the robots that come with the library; `load` and every command take a name in place of a path."""
 
 
@@ -24,4 +28,4 @@ def located(path: str | Path) -> Path:
         >>> models.robots.located("panda").name
         'panda.urdf'
     """
-    return FOLDER / f"{path}.urdf" if str(path) in ROBOTS else Path(path)
+    return _FILES.get(str(path), Path(path))

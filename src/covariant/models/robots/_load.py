@@ -83,6 +83,8 @@ def load(
     torque_constants: Mapping[str, Number] | None = None,
     offsets: Mapping[str, Number] | None = None,
     servos: Mapping[str, Any] | None = None,
+    loops: Mapping[str, Mapping[str, Any]] | None = None,
+    assembly: Mapping[str, Any] | None = None,
 ) -> MechanicalSystem:
     """Load the mechanical system of a robot from its URDF or MJCF file.
 
@@ -117,13 +119,22 @@ def load(
         offsets: What has to be added to a logged position for the true one, by joint [rad or m].
         servos: Keys of the tables `[servo.JOINT]` of a model file, by joint: such a joint is told positions, and holds
             them by its own controller, `{joint: {"stiffness": 20.0, "delay": 0.04}}`. Its input is the command.
+        loops: Keys of the tables `[loop.NAME]` of a model file, by name, for loops that a URDF file cannot state: a
+            point of each of two links that coincide, `{name: {"links": [a, b], "points": [[0.4, 0, 0], [0.3, 0, 0]]}}`
+            [m], in the frame of each link; also `"rpy": [0, 0, 0]`, roll, pitch and yaw [rad] of the second link in the
+            first, for frames that coincide; or a polynomial between positions of two joints,
+            `{name: {"joints": ["lift", "shaft"], "polynomial": [c0, c1, c2]}}`.
+        assembly: Positions of the joints [rad or m] where the loops are closed as they are built, to a few digits, as
+            `{"motor": 0.6, "coupler": 0.3}`; 0 for others. By default the pose of an MJCF file, or one of its
+            keyframes. The same motor angles may be assembled in several ways, of which none is guessed.
 
     Returns:
-        The system, with its configuration space as a `RobotSpace`.
+        The system, with its configuration space as a `RobotSpace`, or a `covariant.geometry.Leaf` of one if the robot
+        has closed loops.
 
     Raises:
-        ValueError: One line with the path, for what is wrong in the file, for names it does not have, and for an MJCF
-            file whose robot moves otherwise in MuJoCo.
+        ValueError: One line with the path, for what is wrong in the file, for names it does not have, for loops that do
+            not close or that close by exact lengths alone, and for an MJCF file whose robot moves otherwise in MuJoCo.
         ImportError: The file is MJCF and MuJoCo is not installed.
 
     Example:
@@ -140,6 +151,8 @@ def load(
         "torque_constants": torque_constants,
         "offsets": offsets,
         "servos": servos,
+        "loops": loops,
+        "assembly": assembly,
     }
     robot = described(path, actuated, dry_friction=dry_friction, motor_torques=motor_torques, **numbers)
     try:

@@ -16,7 +16,6 @@ from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
     Description,
-    Follows,
     Joint,
     Motor,
     doubts_on,
@@ -26,6 +25,7 @@ from covariant.models.robots._description import (
     turn_about,
 )
 from covariant.models.robots._mjcf_compile import compiled_model
+from covariant.models.robots._mjcf_equalities import anchor_of, assembly_of, couple_joints, kind_of, rotation_of
 
 IGNORED = {
     "ngeom": "geom (contacts, shapes)",
@@ -44,7 +44,6 @@ IGNORED = {
     "nskin": "skin",
 }
 """Entries that have no meaning here: sizes of the compiled model, and the names under which they are reported."""
-
 
 MOTOR_LIMITS = {
     "actuator_ctrllimited": "actuator/ctrlrange",
@@ -94,7 +93,8 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
     joints: list[Joint] = []
     for i in range(1, model.nbody):
         _body(read, i, links, joints)
-    joints = _with_actuators(read, _couple_joints(read, joints))
+    joints, loops = couple_joints(read, joints)
+    joints = _with_actuators(read, joints)
     motors = _motors(read)  # first, since the counts below are complete only then
     for size, what in IGNORED.items():
         if getattr(model, size):
@@ -115,6 +115,8 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
         dict(read.ignored),
         tuple(read.doubts),
         motors,
+        loops=tuple(loops),
+        assembly=assembly_of(read, loops),
     )
     return robot, model
 
@@ -142,23 +144,17 @@ def _refuse(read: _Reader) -> None:
     for i in range(model.neq):
         if not model.eq_active0[i] or read.off("EQUALITY"):
             read.ignored["equality (inactive)"] += 1
-        elif model.eq_type[i] != int(read.mujoco.mjtEq.mjEQ_JOINT):
-            kind = read.mujoco.mjtEq(int(model.eq_type[i])).name.removeprefix("mjEQ_").lower()
-            if kind == "tendon":
-                raise ValueError(
-                    f"equality {read.name('EQUALITY', i)!r}: coupled tendons are not supported; couple the joints by "
-                    "equality/joint, or make it inactive"
-                )
+        elif (kind := kind_of(read, i)) not in ("connect", "weld", "joint"):
             raise ValueError(
-                f"equality {read.name('EQUALITY', i)!r} ({kind}): closed loops are not supported; cut the loop, or "
-                "make it inactive and let the joints carry the constraint"
+                f"equality {read.name('EQUALITY', i)!r}: coupled {kind}s are not supported; couple the joints by "
+                "equality/joint, the bodies by connect or weld, or make it inactive"
             )
 
 
 def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joint]) -> None:
     """Add a body, its joints, and a link without mass between any two of them."""
     model = read.model
-    axes = _rotation(model.body_iquat[i])
+    axes = rotation_of(model.body_iquat[i])
     # `ipos`, `iquat`: the compiler gives the moments along principal axes, about the centre of mass.
     inertia = BodyInertia.of(
         float(model.body_mass[i]), np.array(model.body_ipos[i]), axes @ np.diag(model.body_inertia[i]) @ axes.T
@@ -167,8 +163,8 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
     read.used["body"] += 1
     parent = int(model.body_parentid[i])
     # The frame of a link is that of its body, moved to the anchor of its last joint.
-    above, rotation = read.bodies[parent], _rotation(model.body_quat[i])
-    place = np.array(model.body_pos[i]) - _anchor(read, parent)
+    above, rotation = read.bodies[parent], rotation_of(model.body_quat[i])
+    place = np.array(model.body_pos[i]) - anchor_of(read, parent)
     first, count = int(model.body_jntadr[i]), int(model.body_jntnum[i])
     if not count:
         links[read.bodies[i]] = inertia
@@ -184,12 +180,6 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
         links[below] = inertia.moved(np.eye(3), -anchor) if last else NO_INERTIA
         # Further joints of a body are in its frame, each at its own anchor.
         above, rotation, place, origin = below, np.eye(3), np.zeros(3), anchor
-
-
-def _anchor(read: _Reader, body: int) -> np.ndarray:
-    """Origin of the frame of a body's link, in the frame of the body: the anchor of its last joint."""
-    count = int(read.model.body_jntnum[body])
-    return np.array(read.model.jnt_pos[read.model.body_jntadr[body] + count - 1]) if count else np.zeros(3)
 
 
 def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray, place: np.ndarray) -> Joint:
@@ -239,33 +229,6 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     )._replace(**forces)
     read.doubts += limits_in_doubt(joint)
     return joint
-
-
-def _couple_joints(read: _Reader, joints: list[Joint]) -> list[Joint]:
-    """The joints, with the constraints of equalities by which they follow another joint or stand still."""
-    model, coupled = read.model, {joint.name: joint for joint in joints}
-    for i in range(model.neq):
-        if not model.eq_active0[i] or read.off("EQUALITY"):
-            continue
-        one, other = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
-        constant, ratio, *higher = (float(number) for number in model.eq_data[i, :5])
-        name = read.names[one]
-        if any(higher):
-            raise ValueError(
-                f"equality {read.name('EQUALITY', i)!r}: joint {name!r} follows by a polynomial of an order above 1, "
-                "which is not supported; give polycoef two numbers"
-            )
-        start = float(model.qpos0[model.jnt_qposadr[one]])
-        read.used["equality/joint"] += 1
-        if coupled[name].follows is not None:
-            raise ValueError(f"joint {name!r} is in two equalities; keep one")
-        if other < 0:
-            coupled[name] = coupled[name]._replace(follows=Follows("", 0.0, start + constant))
-        else:
-            # MuJoCo's polynomial holds between deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀).
-            offset = start + constant - ratio * float(model.qpos0[model.jnt_qposadr[other]])
-            coupled[name] = coupled[name]._replace(follows=Follows(read.names[other], ratio, offset))
-    return list(coupled.values())
 
 
 def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
@@ -369,10 +332,3 @@ def _with_limit(read: _Reader, i: int, gear: float, servo: Motor) -> Motor:
             return servo._replace(unsupported=f"has a {what} from {low:g} to {high:g}, not the same in both directions")
     limit = min((high for _, (_, high) in ranges), default=np.inf)
     return servo._replace(limit=float(limit), delay=float(read.entry("actuator_delay", i)))
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation matrix of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    hat = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + 2 * w * hat + 2 * hat @ hat

@@ -350,6 +350,33 @@ class RobotSpace(AbstractSpace):
         pose = jnp.concatenate([jnp.concatenate([rotation, place[:, None]], axis=1), last])
         return x.reshape(-1)[:16].reshape(4, 4) @ pose if self.floating else pose
 
+    def relative(self, x: Configuration, link: str, other: str) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
+        """Rotation and origin of the frame of another link in that of a link, through the joints between them alone.
+
+        Args:
+            x: Configuration.
+            link: Name of the link.
+            other: Name of the other link.
+
+        Returns:
+            Rotation (3, 3) and origin (3,) [m].
+
+        Raises:
+            ValueError: There is no such link.
+        """
+        joints, frames = self.joints(x), []
+        for name in (link, other):
+            body, rotation, place = self.links.of(name)
+            frames.append((body, rotation.astype(x.dtype), place.astype(x.dtype)))
+        while frames[0][0] != frames[1][0]:
+            # Parents come first, so that the later body is not the one that carries both.
+            later = int(frames[1][0] > frames[0][0])
+            body, rotation, place = frames[later]
+            rotation, place = joints.rotation[body] @ rotation, joints.rotation[body] @ place + joints.place[body]
+            frames[later] = self.tree.parents[body], rotation, place
+        (_, first, origin), (_, second, place) = frames
+        return first.T @ second, first.T @ (place - origin)
+
     def jacobian(self, x: Configuration, link: str) -> Float[Array, "6 n"]:
         """Jacobian of a link: its twist (v, ω), in its own frame, for each component of the velocity.
 

@@ -10,7 +10,16 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Follows, Joint, Motor, Servo
+from covariant.models.robots._description import (
+    NO_INERTIA,
+    BodyInertia,
+    Coupled,
+    Description,
+    Follows,
+    Joint,
+    Motor,
+    Servo,
+)
 from covariant.models.robots._servos import drive_limit
 from covariant.models.robots._write_xml import numbers_text, xml_text
 
@@ -20,6 +29,8 @@ STICKING = "0.999 0.999 0.001"
 """Impedance of dry friction: MuJoCo's own default lets a joint creep under a load that friction could hold."""
 ROUNDING = 1e-9
 """Part of a step that is rounding."""
+MOST_COEFFICIENTS = 5
+"""Coefficients of a polynomial between joints."""
 SPARE_SAMPLES = 2
 """Samples of a delayed command beyond those of the delay: one is read before it is written, one for rounding."""
 
@@ -43,6 +54,7 @@ def mjcf_text(robot: Description, step: float, about: Sequence[str] = ()) -> str
         below.setdefault(joint.parent, []).append(joint)
     _add_bodies(world, robot, robot.root, below, step)
     _add_equalities(whole, robot)
+    _add_loops(whole, robot)
     _add_actuators(whole, robot, step)
     return xml_text(whole, about)
 
@@ -143,13 +155,48 @@ def plain_friction(joint: Joint) -> tuple[float, float]:
 def _add_equalities(whole: Element, robot: Description) -> None:
     """Add the constraints of joints that follow others: between deviations from `ref`, which are angles of the file."""
     followers = [(joint.name, joint.follows) for joint in robot.joints if joint.follows and joint.kind != "fixed"]
-    if not followers:
+    if not followers and not robot.loops:
         return
     table = SubElement(whole, "equality")
     for name, follows in followers:
         entry = SubElement(table, "joint", joint1=name, polycoef=_polynomial(follows))
         if follows.joint:
             entry.set("joint2", follows.joint)
+
+
+def _add_loops(whole: Element, robot: Description) -> None:
+    """Add what closes the loops, between sites, and a keyframe in which they are closed: at qpos0 they need not be."""
+    table, world = whole.find("equality"), whole.find("worldbody")
+    if not robot.loops or table is None or world is None:
+        return
+    bodies = {"world": world} | {body.get("name", ""): body for body in whole.iter("body")}
+    for loop in robot.loops:
+        if isinstance(loop, Coupled):
+            if len(loop.polynomial) > MOST_COEFFICIENTS:
+                raise ValueError(f"loop {loop.name!r}: MJCF has polynomials of order {MOST_COEFFICIENTS - 1} at most")
+            entry = SubElement(table, "joint", name=loop.name, joint1=loop.joints[0], joint2=loop.joints[1])
+            entry.set("polycoef", numbers_text(np.pad(loop.polynomial, (0, MOST_COEFFICIENTS - len(loop.polynomial)))))
+            continue
+        entry = SubElement(table, "connect" if loop.rotation is None else "weld", name=loop.name)
+        # Where the frames coincide, that of the second link is turned against the first by `rotation`.
+        turns = np.eye(3) if loop.rotation is None else np.array(loop.rotation), np.eye(3)
+        for number, (link, point, turn) in enumerate(zip(loop.links, loop.points, turns, strict=True), 1):
+            body = bodies.get(link)
+            if body is None:
+                raise ValueError(f"loop {loop.name!r} holds link {link!r}, which has no mass; give it some")
+            site = SubElement(body, "site", name=f"{loop.name} {number}", pos=numbers_text(point))
+            if not np.array_equal(turn, np.eye(3)):
+                site.set("xyaxes", numbers_text(turn.T[:2].ravel()))
+            entry.set(f"site{number}", f"{loop.name} {number}")
+    if robot.assembly is not None:
+        kinds = {joint.name: joint.kind for joint in robot.joints}
+        pose: list[float] = []
+        for entry in whole.iter("joint"):
+            if "type" in entry.attrib:  # those of bodies, in the order of qpos
+                name = entry.get("name", "")
+                still = {"floating": [0, 0, 0, 1, 0, 0, 0], "ball": [1, 0, 0, 0]}.get(kinds[name], 0.0)
+                pose += np.ravel(robot.assembly.get(name, still)).tolist()
+        SubElement(SubElement(whole, "keyframe"), "key", name="assembled", qpos=numbers_text(pose))
 
 
 def _polynomial(follows: Follows) -> str:

@@ -57,6 +57,8 @@ def urdf_text(path: str | Path, robot: Description, about: Sequence[str] = ()) -
 
     Positions of joints are then those of the log: an encoder offset goes into the pose of the joint.
     """
+    if robot.loops:
+        raise ValueError(f"URDF has no closed loops, such as {robot.loops[0].name!r}; write an .xml file, MJCF")
     whole = _parse_urdf(path)
     before = read_urdf(whole, robot.name)
     links = {link.get("name", ""): link for link in whole.findall("link")}

@@ -19,7 +19,7 @@ from covariant._typing import Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.geometry.lie import SO3
 from covariant.models import ModelFile
-from covariant.models.robots import RobotSpace
+from covariant.models.robots import RobotSpace, robot_space
 from covariant.observers.base import as_numbers, check_positive
 from covariant.observers.sensors._sensors import Instant, Sensor
 from covariant.observers.sensors._slow import SlowVariables, SlowVector
@@ -531,10 +531,11 @@ def _on_link(
     whose: str, space: AbstractSpace, link: str, axes: Any, place: Numbers
 ) -> tuple[RobotSpace, str, Array, Array]:
     """The arguments of a sensor on a link, checked."""
-    if not isinstance(space, RobotSpace):
+    tree = robot_space(space)
+    if tree is None:
         raise ValueError(f"{whose}: {type(space).__name__} has no links; give the space of a robot")
     try:
-        space.links.of(link)
+        tree.links.of(link)
     except ValueError as error:
         raise ValueError(f"{whose}: {error}") from error
     try:
@@ -545,7 +546,7 @@ def _on_link(
         raise ValueError(f"{whose}: axes must be a rotation matrix (3, 3); got {axes}")
     if np.linalg.det(rotation) < 0:
         raise ValueError(f"{whose}: axes must be right-handed, of determinant 1; one axis of {axes} is reversed")
-    return space, link, jnp.asarray(rotation), jnp.asarray(as_numbers(whose, "place", place, 3))
+    return tree, link, jnp.asarray(rotation), jnp.asarray(as_numbers(whose, "place", place, 3))
 
 
 def _stds(whose: str, what: str, value: Numbers, count: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Number, Numbers, Vector
 from covariant.geometry import AbstractSpace
-from covariant.models.robots import RobotSpace
+from covariant.models.robots import RobotSpace, robot_space
 from covariant.observers.base import as_numbers, check_positive
 from covariant.observers.sensors._slow import SlowVariables, forgotten_force
 
@@ -92,9 +92,10 @@ def wrench(
     acting = np.flatnonzero(stds > 0)
     if not acting.size:
         raise ValueError("wrench: force_std and torque_std are all zero; give the usual size of a component that acts")
-    if not isinstance(space, RobotSpace):
+    tree = robot_space(space)
+    if tree is None:
         raise ValueError(f"wrench: {type(space).__name__} has no links; give the space of a robot")
-    force = _OnLink(space, jnp.asarray(np.eye(6)[:, acting]), jnp.asarray(place), link, frame)
+    force = _OnLink(tree, jnp.asarray(np.eye(6)[:, acting]), jnp.asarray(place), link, frame)
     q = jax.eval_shape(space.manifold.origin)
     v = jax.eval_shape(space.manifold.zero, q)
     try:

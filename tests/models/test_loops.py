@@ -1,0 +1,309 @@
+"""Closed loops of robots: the same constraints as MuJoCo's, the motion of a DAE with multipliers, refusals by name."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+
+from covariant import models
+from covariant.lowering import evaluate_batch
+from covariant.models import acceleration, robots
+from covariant.models.robots import located, robot_space
+from covariant.observers.base import readability
+from covariant.signals import StepCode
+
+LOOPED = ("four_bar", "five_bar", "parallel_ankle", "delta")
+FLOATING = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint name="free"/>
+ <inertial pos="0.01 0 0.02" mass="1" diaginertia="0.01 0.02 0.03"/>
+ <body name="a"><joint name="a" axis="0 -1 0"/><inertial pos=".075 0 0" mass=".5" diaginertia=".002 .002 .002"/>
+  <body name="b" pos=".15 0 0"><joint name="b" axis="0 -1 0"/>
+   <inertial pos=".2 0 0" mass=".6" diaginertia=".01 .01 .01"/></body></body>
+ <body name="c" pos=".35 0 0"><joint name="c" axis="0 -1 0"/>
+  <inertial pos=".15 0 0" mass=".8" diaginertia=".008 .008 .008"/></body></body></worldbody>
+<equality><connect body1="b" body2="c" anchor=".4 0 0"/></equality></mujoco>"""
+LINK = (
+    '<link name="{0}"><inertial><mass value="{1}"/><origin xyz="{2} 0 0"/>'
+    '<inertia ixx="{3}" iyy="{3}" izz="{3}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>'
+    '<origin xyz="{3} 0 0" rpy="{4} 0 0"/><axis xyz="{5}"/></joint>'
+)
+ZERO = jnp.zeros(())
+PIN = {"pin": {"links": ["coupler", "rocker"], "points": [[0.4, 0, 0], [0.3, 0, 0]]}}
+BUILT = {"crank": 0.328, "coupler": 0.271, "rocker": 1.151}
+
+
+@functools.cache
+def loaded(name, dry=False):
+    """A shipped robot; `dry` without the friction of its joints."""
+    none = {joint.name: {"viscous": 0.0} for joint in robots.read(name).joints} if dry else None
+    return robots.load(name, friction=none)
+
+
+def urdf(folder, *parts):
+    path = folder / "robot.urdf"
+    path.write_text(f'<robot name="r"><link name="base"/>{"".join(parts)}</robot>')
+    return path
+
+
+def four_bar(folder):
+    """The shipped four-bar as a tree without friction."""
+    return urdf(
+        folder,
+        LINK.format("crank", 0.5, 0.075, 0.002),
+        LINK.format("coupler", 0.6, 0.2, 0.01),
+        LINK.format("rocker", 0.8, 0.15, 0.008),
+        JOINT.format("crank", "base", "crank", 0, 0, "0 -1 0"),
+        JOINT.format("coupler", "crank", "coupler", 0.15, 0, "0 -1 0"),
+        JOINT.format("rocker", "base", "rocker", 0.35, 0, "0 -1 0"),
+    )
+
+
+def state(model, seed=0, size=1.0):
+    """A configuration on the leaf near the assembly, and a velocity along it."""
+    random, space = np.random.default_rng(seed), model.space
+    n = len(model.manifold.zero(space.assembly))
+
+    def along(way, v):
+        q = model.manifold.retract(space.assembly, space.projected(space.assembly, way))
+        return space.restored(space.restored(q, v)[0], v)  # so long a way needs more Newton steps
+
+    q, v = evaluate_batch(along, 0.2 * random.normal(size=(1, n)), size * random.normal(size=(1, n)))
+    return jnp.asarray(q[0]), jnp.asarray(v[0])
+
+
+def moved(model, q, v, u):
+    """The acceleration, by NumPy: nothing is compiled."""
+    return evaluate_batch(lambda q, v, u: acceleration(model, ZERO, q, v, u), q[None], v[None], u[None])[0]
+
+
+def of_multipliers(model):
+    """Acceleration and multipliers by the equations of the tree, and both as the leaf has them."""
+    space, tree = model.space, robot_space(model.space)
+
+    @jax.jit
+    def terms(q, v, u):
+        def along(t):
+            return space.constraint(tree.manifold.retract(q, t * v))
+
+        rows = jax.jacfwd(lambda s: space.constraint(tree.manifold.retract(q, s)))(jnp.zeros_like(v))
+        bent = jax.jvp(lambda t: jax.jvp(along, (t,), (jnp.ones(()),))[1], (ZERO,), (jnp.ones(()),))[1]
+        zero = ZERO
+        force = models.applied_force(model, zero, q, u) + models.resistance(model, zero, q, v, u)
+        leaf = acceleration(model, zero, q, v, u), space.load(q, v, force)
+        return tree(q), rows, bent, force - tree.connection_force(q, v, v), leaf
+
+    def solved(q, v, u):
+        matrix, rows, bent, force, leaf = (jax.tree.map(np.asarray, part) for part in terms(q, v, u))
+        both = np.block([[matrix, -rows.T], [rows, np.zeros((len(bent),) * 2)]])
+        found = np.linalg.solve(both, np.concatenate([force, -bent]))
+        return np.split(found, [-len(bent)]), leaf
+
+    return solved
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["four_bar", "delta"])
+def test_loops_move_as_multipliers_say(name):
+    model = loaded(name)
+    q, v = state(model)
+    theirs, ours = of_multipliers(model)(q, v, jnp.linspace(0.5, 1.0, model.inputs))
+    for one, other in zip(theirs, ours, strict=True):
+        assert_allclose(other, one, rtol=1e-10, atol=1e-10 * np.abs(one).max())
+    assert np.abs(model.space.constraint(q)).max() < 1e-14
+
+
+@pytest.mark.long
+def test_a_floating_base_may_carry_a_loop(tmp_path):
+    path = tmp_path / "floating.xml"
+    path.write_text(FLOATING)
+    with pytest.raises(ValueError, match="rank 1 and 2"):  # at qpos0 all links are in one line: a change point
+        robots.load(path)
+    path.write_text(FLOATING.replace('anchor=".4 0 0"/>', 'anchor=".2 0 .3"/>'))
+    model = robots.load(path, actuated=["a"])
+    q, v = state(model, size=0.5)
+    theirs, ours = of_multipliers(model)(q, v, jnp.ones(1))
+    for one, other in zip(theirs, ours, strict=True):
+        assert_allclose(other, one, rtol=1e-10, atol=1e-10 * np.abs(one).max())
+
+
+@pytest.mark.long
+def test_a_spatial_loop_flows_as_a_dae():
+    """Both by an integrator of order 8; and in steps of 2 ms the loop stays closed to rounding at every sample."""
+    model, end = loaded("parallel_ankle"), 0.3
+    q, v = state(model, size=2.0)
+    u, n, solved = jnp.array([0.4, -0.3]), len(q), of_multipliers(model)
+    flow = jax.jit(lambda x: jnp.concatenate([x[n:], acceleration(model, ZERO, x[:n], x[n:], u)]))
+    rates = (lambda t, x: np.asarray(flow(x))), (lambda t, x: np.concatenate([x[n:], solved(x[:n], x[n:], u)[0][0]]))
+    x = np.concatenate([q, v])
+    ends = [solve_ivp(rate, (0, end), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1] for rate in rates]
+    assert np.abs(ends[0] - x).max() > 0.1
+    assert_allclose(ends[0], ends[1], rtol=0, atol=1e-10 * np.abs(ends[1]).max())
+    step = jax.jit(lambda x: model.state(models.advance(model, ZERO, model.motion(x), u, 2e-3, 1)))
+    gap = jax.jit(model.space.constraint)
+    for _ in range(150):
+        x = step(x)
+        assert np.abs(gap(x[:n])).max() <= 1e-14
+    assert_allclose(x, ends[1], rtol=0, atol=1e-5)
+
+
+@pytest.mark.long
+def test_the_slope_against_mujocos_soft_constraint_is_one():
+    """MuJoCo's loop is a stiff spring and its integrator of first order: the difference falls with its step."""
+    model = loaded("four_bar")
+    q, v = (
+        np.asarray(model.space.assembly),
+        np.asarray(model.space.projected(model.space.assembly, jnp.array([2.5, 0, 0]))),
+    )
+    x, u, end = jnp.concatenate([q, v]), jnp.array([0.3]), 0.4
+    step = jax.jit(lambda x: model.state(models.advance(model, ZERO, model.motion(x), u, 2e-3, 1)))
+    for _ in range(200):
+        x = step(x)
+    off = []
+    for h in (1e-3, 2.5e-4, 5e-5):
+        engine = mujoco.MjModel.from_xml_path(str(located("four_bar")))
+        engine.opt.timestep, engine.opt.tolerance, engine.opt.iterations = h, 1e-14, 200
+        engine.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        engine.eq_solref[:], engine.eq_solimp[:, :3] = (2 * h, 1.0), (0.9999, 0.9999, 0.001)
+        data = mujoco.MjData(engine)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, 0.3
+        for _ in range(round(end / h)):
+            mujoco.mj_step(engine, data)
+        off.append(np.abs(data.qpos - x[:3]).max())
+    slopes = np.diff(np.log(off)) / np.diff(np.log([1e-3, 2.5e-4, 5e-5]))
+    assert off[-1] < 1e-3
+    assert np.all((slopes > 0.8) & (slopes < 1.25)), (off, slopes)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", LOOPED)
+def test_rows_span_those_of_mujoco(name):
+    model, engine = loaded(name), mujoco.MjModel.from_xml_path(str(located(name)))
+    data = mujoco.MjData(engine)
+    rows_at = jax.jit(lambda q: model.space.normals(q).rows)
+    for seed in range(3):
+        q, _ = state(model, seed)
+        data.qpos[:] = q
+        mujoco.mj_forward(engine, data)
+        theirs, rows = data.efc_J.reshape(data.nefc, -1), np.asarray(rows_at(q))
+        assert np.linalg.matrix_rank(theirs, tol=1e-9) == len(rows)
+        assert np.abs(theirs - theirs @ np.linalg.pinv(rows) @ rows).max() < 1e-11
+
+
+@pytest.mark.long
+def test_a_table_closes_the_loop_of_a_tree(tmp_path):
+    path = four_bar(tmp_path)
+    with pytest.raises(ValueError, match=r"loop 'pin': the loop does not close near.*give the assembly"):
+        robots.load(path, loops=PIN)
+    with pytest.raises(ValueError, match=r"do not close where assembly says.*the closest is assembly = \{crank"):
+        robots.load(path, loops=PIN, assembly=BUILT | {"rocker": 0.8})
+    model, other = robots.load(path, loops=PIN, assembly=BUILT, actuated=["crank"]), loaded("four_bar")
+    assert model.space.constraint(model.space.assembly).shape == (2,)
+    q, v = state(other)
+    free = [moved(m, q, v, jnp.ones(1)) for m in (model, other)]
+    # The tree has none of the friction of the shipped file.
+    assert_allclose(free[0], moved(loaded("four_bar", dry=True), q, v, jnp.ones(1)), rtol=1e-10)
+    assert np.abs(free[0] - free[1]).max() > 1e-3
+    text = robots.robot_text(".xml", path, 1e-3, loops=PIN, assembly=BUILT, actuated=["crank"]).text
+    (tmp_path / "back.xml").write_text(text)
+    assert_allclose(moved(robots.load(tmp_path / "back.xml"), q, v, jnp.ones(1)), free[0], rtol=1e-9)
+    with pytest.raises(ValueError, match="URDF has no closed loops, such as 'pin'"):
+        robots.robot_text(".urdf", path, 1e-3, loops=PIN, assembly=BUILT)
+
+
+@pytest.mark.long
+def test_a_polynomial_between_joints(tmp_path):
+    """A cam of second order moves as its coordinate alone does, with the inertia m + m₂ (2 c₂ x)²."""
+    path = urdf(
+        tmp_path,
+        LINK.format("cart", 2.0, 0, 1.0),
+        LINK.format("lift", 3.0, 0, 1.0),
+        *(
+            JOINT.format(name, "base", name, 0, 0, axis)
+            .replace("continuous", "prismatic")
+            .replace("</joint>", '<limit lower="-9" upper="9" effort="9" velocity="9"/></joint>')
+            for name, axis in (("cart", "1 0 0"), ("lift", "0 1 0"))
+        ),
+    )
+    loops = {"cam": {"joints": ["lift", "cart"], "polynomial": [0.0, 0.0, 0.5]}}
+    model, x, v, force = robots.load(path, loops=loops, actuated=["cart"]), 0.7, 1.3, 4.0
+    q, rate = jnp.array([x, 0.5 * x**2]), jnp.array([v, x * v])
+    found = moved(model, q, rate, jnp.array([force]))
+    assert_allclose(found[0], (force - 3.0 * x * v**2) / (2.0 + 3.0 * x**2), rtol=1e-12)
+    assert_allclose(found[1], v**2 + x * found[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"links": ["coupler", "rocker"]}, "needs links and points"),
+        ({"links": ["coupler", "rocker"], "points": [[0.4, 0], [0.3, 0]]}, "two of three numbers"),
+        ({"links": ["coupler", "roker"], "points": [[0.4, 0, 0], [0.3, 0, 0]]}, "Did you mean 'rocker'"),
+        ({"joints": ["coupler", "roker"], "polynomial": [0.0, 1.0]}, "Did you mean 'rocker'"),
+        ({"link": ["coupler"]}, "key of .loop.pin."),
+    ],
+)
+def test_wrong_tables_are_named(tmp_path, table, message):
+    with pytest.raises(ValueError, match=message):
+        robots.load(four_bar(tmp_path), loops={"pin": table}, assembly=BUILT)
+
+
+def test_a_joint_that_closes_a_loop_is_written_as_a_table(tmp_path):
+    path = four_bar(tmp_path)
+    closing = JOINT.format("pin", "coupler", "rocker", 0.4, 0, "0 -1 0")
+    path.write_text(path.read_text().replace("</robot>", f"{closing}</robot>"))
+    with pytest.raises(ValueError, match=r"close a loop; leave 'pin' out, and write a table \[loop.pin\]"):
+        robots.load(path)
+
+
+@pytest.mark.long
+def test_overconstrained_and_branching_linkages_are_refused(tmp_path):
+    # Bennett's linkage moves only by its exact lengths and twists: sin(α)/a = sin(β)/b.
+    a, alpha, beta, first = 0.3, 0.6, 1.1, 1.0
+    b = a * np.sin(beta) / np.sin(alpha)
+    second = 2 * np.arctan(np.sin((alpha + beta) / 2) / np.sin((beta - alpha) / 2) / np.tan(first / 2))
+    lengths, twists = (0.0, a, b, a), (0.0, alpha, beta, alpha)
+    names = ("base", "l1", "l2", "l3", "l4")
+    parts = [LINK.format(name, 1.0, 0.1, 0.01) for name in names[1:]]
+    parts += [JOINT.format(f"j{k + 1}", names[k], names[k + 1], lengths[k], twists[k], "0 0 1") for k in range(4)]
+    loops = {"weld": {"links": ["l4", "base"], "points": [[b, 0, 0], [0, 0, 0]], "rpy": [beta, 0, 0]}}
+    assembly = dict(zip(("j1", "j2", "j3", "j4"), (first, second, -first, -second), strict=True))
+    with pytest.raises(ValueError, match="an overconstrained linkage, which closes by its exact lengths alone"):
+        robots.load(urdf(tmp_path, *parts), loops=loops, assembly=assembly)
+    # A parallelogram in one line may go on as a parallelogram or crossed.
+    crank = 0.25
+    pin = {"pin": {"links": ["coupler", "rocker"], "points": [[0.35, 0, 0], [0.15, 0, 0]]}}
+    path = four_bar(tmp_path)
+    with pytest.raises(ValueError, match="such a change point it can go on in two ways"):
+        robots.load(path, loops=pin)
+    model = robots.load(path, loops=pin, assembly={"crank": crank, "coupler": -crank, "rocker": crank})
+    places = jnp.stack([model.space.assembly, jnp.zeros(3)])
+    assert evaluate_batch(model.space.regular, places).tolist() == [True, False]
+
+
+@pytest.mark.long
+def test_constant_gains_refuse_a_dead_centre():
+    """The rocker alone does not tell the crank where crank and coupler are in line; the filter goes on there."""
+    model = loaded("four_bar")
+    # Stretched: the rocker's tip is at 0.55 m from the crank's axis.
+    cosine = (0.35**2 + 0.3**2 - 0.55**2) / (2 * 0.35 * 0.3)
+    rocker = np.pi - np.arccos(cosine)
+    crank = np.arctan2(0.3 * np.sin(rocker), 0.35 + 0.3 * np.cos(rocker))
+    dead = jnp.array([crank, 0.0, rocker])
+    assert np.abs(model.space.constraint(dead)).max() < 1e-12
+    places = jnp.stack([dead, model.space.assembly])
+    assert evaluate_batch(model.manifold.dead_centre, places, places.at[:, :2].set(jnp.nan)).tolist() == [True, False]
+    codes = evaluate_batch(lambda q, y: readability(model, q, y), places, places.at[:, :2].set(jnp.nan))
+    assert codes.tolist() == [StepCode.NOT_RECONSTRUCTIBLE, StepCode.OK]
+
+
+@pytest.mark.long
+def test_numbers_of_a_linkage_are_not_fitted():
+    with pytest.raises(models.ModelError, match="numbers of a robot with closed loops are not fitted"):
+        models.robot_family("four_bar", ["friction"])
