@@ -1,0 +1,80 @@
+"""No verdict is given about the coordinates of a machine with closed loops, of which a box contains open loops."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import covariant
+from covariant import certificates, models, observers, workflow
+from covariant.certificates import audit
+from covariant.geometry import Coordinates, KineticEnergy, Leaf
+from covariant.models import MechanicalSystem
+
+CRANK, COUPLER, ROCKER, FRAME = 0.15, 0.4, 0.3, 0.35
+"""Lengths of the links [m]."""
+
+
+def turned(angle):
+    return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+
+
+def tips(q):
+    """Ends of coupler and rocker, of the angles of crank, coupler against crank, and rocker."""
+    return CRANK * turned(q[0]) + COUPLER * turned(q[0] + q[1]), jnp.array([FRAME, 0.0]) + ROCKER * turned(q[2])
+
+
+def gap(q):
+    ends = tips(q)
+    return ends[0] - ends[1]
+
+
+def energy(q, v):
+    """Kinetic energy of three slender rods of 1 kg/m."""
+    rate = v[0] + v[1]
+    swing = CRANK**2 * v[0] ** 2 + CRANK * COUPLER * jnp.cos(q[1]) * v[0] * rate + COUPLER**2 * rate**2 / 3
+    return (CRANK**3 * v[0] ** 2 / 3 + COUPLER * swing + ROCKER**3 * v[2] ** 2 / 3) / 2
+
+
+@pytest.fixture(scope="module")
+def four_bar():
+    space = Leaf(KineticEnergy(energy, manifold=Coordinates((), 3)), gap, jnp.array([0.9379, -0.5265, 1.2120]))
+    return MechanicalSystem(space, coordinates=("crank", "coupler", "rocker"), units=("rad",) * 3)
+
+
+REGION = {"position": (np.full(3, -1.0), np.full(3, 1.0)), "velocity": 1.0, "error": 0.1}
+NAMED = {"crank": (0.0, 1.0), "coupler": (-1.0, 0.0), "rocker": (1.0, 2.0)}
+STATES = NAMED | {f"{name}_dot": (-1.0, 1.0) for name in NAMED}
+ENTRIES = {
+    "certify": lambda model: certificates.certify(observers.Intrinsic(model, 4.0, 8.0), **REGION),
+    "certify, sampled": lambda model: certificates.certify(
+        observers.Intrinsic(model, 4.0, 8.0), interval=(0.01, 0.01), **REGION
+    ),
+    "certify_distance": lambda model: certificates.certify_distance(
+        observers.ImplicitGeodesic(model, 4.0, 8.0), interval=0.01, **REGION
+    ),
+    "error_system": lambda model: certificates.error_system(observers.Intrinsic(model, 4.0, 8.0), np.eye(2)),
+    "error_system of the exact observer": lambda model: certificates.error_system(
+        observers.Geodesic(model, 4.0, 8.0), np.eye(2)
+    ),
+    "sampled_system": lambda model: certificates.sampled_system(
+        observers.Intrinsic(model, 4.0, 8.0), np.eye(2), certificates.Sampling(np.array([0.01, 0.01]))
+    ),
+    "tangent_metric": lambda model: certificates.tangent_metric(model.space, np.eye(2)),
+    "audit": lambda model: audit.audit(observers.Intrinsic(model, 4.0, 8.0)),
+    "verb certify": lambda model: covariant.certify(
+        model, alpha=4.0, beta=8.0, velocity=1.0, error=0.1, region=NAMED, checker="off"
+    ),
+    "verb certify, find": lambda model: covariant.certify(
+        model, alpha=4.0, beta=8.0, velocity=1.0, error=0.1, region=NAMED, find="error"
+    ),
+    "verb audit": workflow.audit_observer,
+    "reduced_order": lambda model: certificates.reduced_order(models.state_space(model), rate=0.1),
+    "verb reduced order": lambda model: workflow.design_reduced_order(model, rate=0.1, region=STATES),
+    "verb metric": lambda model: workflow.design_metric(model, "unwritten.zarr", grid=4, region=STATES, rate=1.0),
+}
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_a_closed_loop_is_refused_by_name(entry, four_bar):
+    with pytest.raises(ValueError, match="closed loops"):
+        ENTRIES[entry](four_bar)
