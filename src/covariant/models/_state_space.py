@@ -167,8 +167,8 @@ def state_space(model: MechanicalSystem) -> StateSpace:
     """
     if model.manifold.redundant:
         raise ValueError(
-            "a machine with closed loops has no state-space form: its coordinates depend on each other, so that a box of "
-            "states, a gain or a metric in them would be about open loops; use Intrinsic or IntrinsicKalman"
+            "a machine with closed loops has no state-space form: its coordinates depend on each other, so that a box "
+            "of states, a gain or a metric in them would be about open loops; use Intrinsic or IntrinsicKalman"
         )
     names = model.coordinates
     rates = tuple(f"{name}_dot" for name in names)
