@@ -7,7 +7,8 @@ import pytest
 import covariant
 from covariant import certificates, models, observers, workflow
 from covariant.certificates import audit
-from covariant.geometry import Coordinates, KineticEnergy, Leaf
+from covariant.geometry import Coordinates, KineticEnergy, Leaf, Metric
+from covariant.lowering import lower, numbers
 from covariant.models import MechanicalSystem
 
 CRANK, COUPLER, ROCKER, FRAME = 0.15, 0.4, 0.3, 0.35
@@ -37,7 +38,8 @@ def energy(q, v):
 
 @pytest.fixture(scope="module")
 def four_bar():
-    space = Leaf(KineticEnergy(energy, manifold=Coordinates((), 3)), gap, jnp.array([0.9379, -0.5265, 1.2120]))
+    tree = KineticEnergy(energy, manifold=Coordinates((), 3))
+    space = Leaf.closing(tree, gap, jnp.array([0.9379, -0.5265, 1.2120]))
     return MechanicalSystem(space, coordinates=("crank", "coupler", "rocker"), units=("rad",) * 3)
 
 
@@ -78,3 +80,66 @@ ENTRIES = {
 def test_a_closed_loop_is_refused_by_name(entry, four_bar):
     with pytest.raises(ValueError, match="closed loops"):
         ENTRIES[entry](four_bar)
+
+
+def cross(a, b):
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def inertia(theta):
+    """Inertia (1, 1) of the loop in the angle (1,) of its crank: coupler and rocker meet where two circles do."""
+    crank = turned(theta[0])
+    base = jnp.array([FRAME, 0.0]) - CRANK * crank
+    square = base @ base
+    part = (COUPLER**2 - ROCKER**2 + square) / (2 * square)
+    height = jnp.sqrt(COUPLER**2 / square - part**2)
+    coupler = (part * base + height * jnp.stack([-base[1], base[0]])) / COUPLER
+    rocker = (COUPLER * coupler - base) / ROCKER
+    rate = -CRANK * cross(crank, rocker) / (COUPLER * cross(coupler, rocker))
+    rocking = CRANK * cross(crank, coupler) / (ROCKER * cross(rocker, coupler))
+    swing = CRANK**2 + CRANK * COUPLER * (crank @ coupler) * rate + COUPLER**2 * rate**2 / 3
+    return (CRANK**3 / 3 + COUPLER * swing + ROCKER**3 * rocking**2 / 3)[None, None]
+
+
+def reduced():
+    return MechanicalSystem(Metric(inertia), coordinates=("crank",), units=("rad",))
+
+
+@pytest.mark.long
+def test_in_the_angle_of_its_crank_the_observer_of_a_loop_is_the_same_to_first_order(four_bar):
+    # One freedom has no curvature, and that of the loop would take most of the time.
+    space, single = four_bar.space, observers.Intrinsic(reduced(), 20.0, 200.0, curvature=False)
+    loop = observers.Intrinsic(four_bar, 20.0, 200.0, curvature=False)
+    q, theta, torque = space.assembly, space.assembly[:1], jnp.array([0.01])
+    along = space.projected(q, jnp.array([1.0, 0.0, 0.0]))
+    v, at_rest = 0.8 * along / along[0], single.init(theta)
+
+    def change(error):
+        """Velocity and acceleration of the crank by the observer of the loop, and by that in its angle."""
+        measured = jnp.concatenate([theta - error, jnp.full(2, jnp.nan)])
+        state = at_rest._replace(q=q, v=v)
+        whole = loop.flow(state.t, state, jnp.pad(torque, (0, 2)), measured)
+        # The flow keeps the loop closed to first order in the error, and the projection after each step entirely.
+        turn = space.connection(q, whole.q, v)
+        closed = space.projected(q, whole.v + turn) - turn
+        one = single.flow(state.t, at_rest._replace(v=v[:1]), torque, theta - error)
+        return jnp.stack([whole.q[0], closed[0]]) - jnp.concatenate([one.q, one.v])
+
+    apart = np.abs(numbers(lower(change, jnp.zeros(())), np.array([[0.0], [0.01], [0.02]])))
+    assert (apart[0] < 1e-10).all()
+    assert (apart[2] / apart[1] > 3.5).all(), apart
+
+
+@pytest.mark.long
+def test_in_the_angle_of_its_crank_it_is_certified():
+    certificate = certificates.certify(
+        observers.Intrinsic(reduced(), 20.0, 200.0),
+        position=([0.98], [1.02]),
+        velocity=0.5,
+        error=0.02,
+        input=0.005,
+        rate=2.0,
+        checker="off",
+    )
+    assert certificate.statement.proved
+    assert certificate.radius > 2e-4

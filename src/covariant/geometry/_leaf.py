@@ -459,7 +459,8 @@ def _rows(space: AbstractSpace, constraint: Callable, x: Configuration) -> Float
 
 def _is_regular(matrix: Matrix) -> Flag:
     scale = jnp.sqrt(jnp.diag(matrix))
-    scaled = matrix / jnp.where(scale > 0, scale, 1.0)[:, None] / jnp.where(scale > 0, scale, 1.0)
+    scale = jnp.where(scale > 0, scale, 1.0)
+    scaled = matrix / scale[:, None] / scale[None]
     return jnp.all(pivots(scaled) > SINGULAR)
 
 
