@@ -105,6 +105,20 @@ def reduced():
     return MechanicalSystem(Metric(inertia), coordinates=("crank",), units=("rad",))
 
 
+def test_the_loop_has_this_inertia_and_its_connection_in_the_angle_of_the_crank(four_bar):
+    space, single = four_bar.space, reduced().space
+    q, theta, one = space.assembly, space.assembly[:1], jnp.ones(1)
+
+    def apart(theta):
+        along = space.projected(q, jnp.array([1.0, 0.0, 0.0]))
+        along = along / along[0]
+        bend = space.connection(q, along, along)[0] - single.connection(theta, one, one)[0]
+        return jnp.stack([space.inner(q, along, along) - inertia(theta)[0, 0], bend])
+
+    # A wrong sign of the part across the leaf is seen: that part is of the order of 1 here.
+    assert (np.abs(numbers(lower(apart, theta), np.asarray(theta))) < 1e-12).all()
+
+
 @pytest.mark.long
 def test_in_the_angle_of_its_crank_the_observer_of_a_loop_is_the_same_to_first_order(four_bar):
     # One freedom has no curvature, and that of the loop would take most of the time.
