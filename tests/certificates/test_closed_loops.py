@@ -9,7 +9,7 @@ import pytest
 import covariant
 from covariant import certificates, models, observers, workflow
 from covariant.certificates import audit
-from covariant.geometry import Coordinates, KineticEnergy, Leaf, Metric
+from covariant.geometry import Coordinates, Euclidean, KineticEnergy, Leaf, Metric
 from covariant.lowering import lower, numbers
 from covariant.models import MechanicalSystem
 
@@ -170,3 +170,16 @@ def test_in_the_angle_of_its_crank_it_is_certified():
     )
     assert certificate.statement.proved
     assert certificate.radius > 2e-4
+
+
+class Clipped(Euclidean):
+    """A flat space that changes estimates after each step, which the flow of a proof does not."""
+
+    def restored(self, x, v):
+        return jnp.clip(x, -1.0, 1.0), v
+
+
+def test_a_space_that_changes_estimates_after_a_step_is_refused():
+    model = MechanicalSystem(Clipped(), coordinates=("x",), units=("m",))
+    with pytest.raises(ValueError, match="`restored`, which no certificate covers"):
+        certificates.error_system(observers.Intrinsic(model, 4.0, 8.0), np.eye(2))

@@ -24,9 +24,11 @@ MODELS = MechanicalSystem, Lagrangian, GroupSystem
 MANIFOLDS = Coordinates, ProductManifold, Product, MatrixGroup, SU, *map(type, (SO2, SO3, SE2, SE3))
 OF_SPACES = {
     **{"lower": 1, "raise_": 1, "inner": 2, "norm": 1, "kinetic_force": 1},
-    **{"connection_force": 2, "connection": 2, "curvature": 3},
+    **{"connection_force": 2, "connection": 2, "acceleration": 2, "curvature": 3, "projected": 1},
 }
 """Operations of a space that observers and proofs use, with the number of vectors that each takes."""
+IDENTITIES = "restored", "restored_momentum", "between"
+"""Operations that change nothing where no loop is closed; the flow of a proof is without them."""
 
 
 def need_no_loops(what: str, space: AbstractSpace) -> None:
@@ -47,6 +49,11 @@ def need_known(model: MechanicalSystem) -> None:
             f"{type(model).__name__}, which may replace what these derive: build one of them from its functions"
         )
     need_no_loops("a certificate", model.space)
+    changed = [name for name in IDENTITIES if getattr(type(model.space), name) is not getattr(AbstractSpace, name)]
+    if changed:
+        raise ValueError(
+            f"the space of this model changes estimates after a step by `{changed[0]}`, which no certificate covers"
+        )
     unknown = next((each for each in _all_factors(model.manifold) if type(each) not in MANIFOLDS), None)
     if unknown is not None:
         raise ValueError(
