@@ -157,11 +157,19 @@ def state_space(model: MechanicalSystem) -> StateSpace:
     Returns:
         The state-space model, with the names, units, circles and parameters of `model`.
 
+    Raises:
+        ValueError: The machine has closed loops, whose coordinates depend on each other.
+
     Example:
         >>> from covariant import models
         >>> models.state_space(models.ball_and_beam()).coordinates
         ('r', 'theta', 'r_dot', 'theta_dot')
     """
+    if model.manifold.redundant:
+        raise ValueError(
+            "a machine with closed loops has no state-space form: its coordinates depend on each other, so that a box "
+            "of states, a gain or a metric in them would be about open loops; use Intrinsic or IntrinsicKalman"
+        )
     names = model.coordinates
     rates = tuple(f"{name}_dot" for name in names)
 

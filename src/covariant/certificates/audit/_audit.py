@@ -28,6 +28,7 @@ from covariant.certificates.audit._laws import (
     order_of,
     own,
 )
+from covariant.certificates.base import need_no_loops
 from covariant.models import MechanicalSystem, input_count, source
 from covariant.observers import AbstractFlowObserver, AbstractObserver
 from covariant.proofs import Box, check_box
@@ -321,6 +322,7 @@ def _error_system(
         raise ValueError(f"audit: {kind} is no differential equation; give an Intrinsic or a Geodesic")
     candidate = own(observer, "model") if model is None else model
     if mechanical(candidate):
+        need_no_loops("audit", candidate.space)
         return observer, candidate
     lacks = (
         "no model of its own; give model=" if candidate is None else f"a {type(candidate).__name__}; give an Intrinsic"

@@ -93,6 +93,7 @@ from ._properties import (
     PERIODIC as PERIODIC,
     lower_model as lower_model,
     need_known as need_known,
+    need_no_loops as need_no_loops,
     need_symmetry as need_symmetry,
 )
 from ._radius_recursion import Recursion as Recursion

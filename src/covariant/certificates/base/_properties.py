@@ -8,11 +8,12 @@ frictions may be of any class, since their graphs show what they depend on.
 import functools
 from collections.abc import Iterator
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from covariant.certificates.base._error_system import inputs_of
-from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
+from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, ProductManifold
 from covariant.geometry.lie import SE2, SE3, SO2, SO3, SU, MatrixGroup, Product
 from covariant.lowering import Graph, Lowered, expand, lower, numbers
 from covariant.models import GroupSystem, Lagrangian, MechanicalSystem, applied_force, input_count, resistance
@@ -23,9 +24,21 @@ MODELS = MechanicalSystem, Lagrangian, GroupSystem
 MANIFOLDS = Coordinates, ProductManifold, Product, MatrixGroup, SU, *map(type, (SO2, SO3, SE2, SE3))
 OF_SPACES = {
     **{"lower": 1, "raise_": 1, "inner": 2, "norm": 1, "kinetic_force": 1},
-    **{"connection_force": 2, "connection": 2, "curvature": 3},
+    **{"connection_force": 2, "connection": 2, "acceleration": 2, "curvature": 3, "projected": 1},
 }
 """Operations of a space that observers and proofs use, with the number of vectors that each takes."""
+IDENTITIES = "restored", "restored_momentum", "between"
+"""Operations that change nothing where no loop is closed; the flow of a proof is without them."""
+
+
+def need_no_loops(what: str, space: AbstractSpace) -> None:
+    """Refuse the leaf of a machine with closed loops: in a box of its coordinates nearly every loop is open."""
+    parts = jax.tree.leaves(space, is_leaf=lambda part: isinstance(part, Leaf))
+    if any(isinstance(part, Leaf) for part in parts):
+        raise ValueError(
+            f"{what} does not cover closed loops: their coordinates depend on each other, and a statement on a box of "
+            "them would be about configurations in which the loops are open; nothing is decided about this machine"
+        )
 
 
 def need_known(model: MechanicalSystem) -> None:
@@ -34,6 +47,12 @@ def need_known(model: MechanicalSystem) -> None:
         raise ValueError(
             "certificates are about a MechanicalSystem, a Lagrangian or a GroupSystem itself; got "
             f"{type(model).__name__}, which may replace what these derive: build one of them from its functions"
+        )
+    need_no_loops("a certificate", model.space)
+    changed = [name for name in IDENTITIES if getattr(type(model.space), name) is not getattr(AbstractSpace, name)]
+    if changed:
+        raise ValueError(
+            f"the space of this model changes estimates after a step by `{changed[0]}`, which no certificate covers"
         )
     unknown = next((each for each in _all_factors(model.manifold) if type(each) not in MANIFOLDS), None)
     if unknown is not None:

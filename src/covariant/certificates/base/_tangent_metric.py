@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import MatrixField, Number, Numbers
 from covariant.certificates.base._contraction import StateMetric
+from covariant.certificates.base._properties import need_no_loops
 from covariant.geometry import as_space
 
 TwoByTwo = Float[np.ndarray, "2 2"]
@@ -216,6 +217,9 @@ def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
     Returns:
         The metric on states (2n,).
 
+    Raises:
+        ValueError: the space is a `Leaf`, on which the metric of the whole space would count errors across it.
+
     Example:
         >>> import jax.numpy as jnp
         >>> import numpy as np
@@ -225,6 +229,7 @@ def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
         [[1.0, 0.0], [0.0, 1.0]]
     """
     geometry = as_space(metric)
+    need_no_loops("tangent_metric", geometry)
     lower = np.array([[0.0, 0.0], [1.0, 0.0]])
 
     def connection(x):

@@ -142,12 +142,12 @@ def certify_distance(
     if type(observer) is not ImplicitGeodesic:
         raise TypeError(f"certify_distance is about ImplicitGeodesic itself; got {type(observer).__name__}")
     model = observer.model
+    need_known(model)
     if not model.manifold.commuting or dimension(model) != 2:
         raise ValueError(
             "certify_distance needs a model of two coordinates; one alone has part_limits, at any distance"
         )
     need_doubles("certify_distance")
-    need_known(model)
     _need_no_friction(model)
     check_recipe(model, recipe)
     region = region_of(model, position, input, None)
