@@ -1,4 +1,4 @@
-"""Laws of closed loops: a leaf of a space against its constraint, its metric, and the same machine described otherwise."""
+"""Laws of closed loops: a leaf against its constraint, its metric, and the same machine described otherwise."""
 
 import functools
 from collections.abc import Callable

@@ -513,7 +513,9 @@ def trace_program(
             part = jax.ShapeDtypeStruct((count,), dtype)
             alone_traced.append((name, trace(step_alone, open_numbers, state, acting, part, scalar)))
             at += count
-    leaves = tuple(Member(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers))  # as JAX orders them
+    leaves = tuple(
+        Member(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers)
+    )  # as JAX orders them
     return TracedProgram(
         traced_init,
         traced_step,

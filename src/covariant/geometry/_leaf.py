@@ -1,4 +1,4 @@
-"""Machines with closed loops: the configurations of a space at which a constraint holds, with a connection of their own.
+"""Machines with closed loops: the configurations of a space at which a constraint holds, with their own connection.
 
 With `A = dc` the rows of the constraint c, `A⁺ = g⁻¹Aᵀ(A g⁻¹Aᵀ)⁻¹` and the orthogonal projection `P = I − A⁺A`, the
 connection of a leaf c = 0 is that of the whole space, changed to
@@ -6,8 +6,8 @@ connection of a leaf c = 0 is that of the whole space, changed to
     B̃(a, b) = P B(a, b) + A⁺(∂_a A) b
 
 on the whole space. It has no torsion, every leaf c = const is totally geodesic in it, and on vectors with A b = 0 it is
-the Levi-Civita connection of the leaf. Configurations and vectors stay those of the whole space, n numbers each, so that
-no coordinates on the leaf are chosen, and none can become singular.
+the Levi-Civita connection of the leaf. Configurations and vectors stay those of the whole space, n numbers each: no
+coordinates on the leaf are chosen, and none can become singular.
 
 Source: Kobayashi & Nomizu 1969, Foundations of Differential Geometry II, chapter VII, for the equation of Gauss.
 """
@@ -32,7 +32,7 @@ from covariant.geometry._space import AbstractSpace, derivative, differential
 NEWTON_STEPS = 2
 """Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""
 READING_STEPS = 3
-"""Steps from an estimate to the configuration that measured coordinates tell, each with the square of the error before."""
+"""Steps from an estimate to what measured coordinates tell, each with the square of the error before."""
 STAGES = 32
 """Steps in which the first measurement is reached from the configuration that tells how the loop is assembled."""
 
@@ -68,7 +68,7 @@ class Normals(NamedTuple):
 class Leaf(AbstractSpace):
     """The configurations of a space at which a constraint holds, such as those of a machine with closed loops.
 
-    Use it for linkages, parallel mechanisms and grippers: open the loops, describe the tree that is left, and state what
+    Use it for linkages, parallel mechanisms and grippers: open the loops, describe the tree that is left, and say what
     closes them. Any observer of mechanical systems runs on it unchanged. Configurations and velocities are those of the
     tree, and every estimate stays on the leaf. A coordinate without an encoder is NaN in the measurements; those that
     are measured must determine the others, or only `IntrinsicKalman` estimates them.
@@ -255,8 +255,8 @@ class Leaf(AbstractSpace):
         """Second fundamental form `II(a, b)` of the leaf: how a geodesic of the leaf bends in the whole space.
 
         It is the part across the leaf of the connection of the whole space. In a parallel frame the velocity error of
-        an observer changes by `II(ξ, v)` as a foot lifts off, and in an `impact` by S ξ, with `<S ξ, a> = <II(ξ, a), n>`
-        for the velocity n that is lost.
+        an observer changes by `II(ξ, v)` as a foot lifts off, and in an `impact` by S ξ, for which
+        `<S ξ, a> = <II(ξ, a), n>` with the velocity n that is lost.
 
         Args:
             x: Configuration.

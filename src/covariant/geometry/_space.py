@@ -203,7 +203,7 @@ class AbstractSpace(Functional):
         return x, v
 
     def between(self, x: Configuration, y: Configuration, matrix: Float[Array, "N N"]) -> Float[Array, "N N"]:
-        """A linear map of errors (position (n,), velocity (n,), others) at x to those at y, without a part off a `Leaf`.
+        """A linear map of errors (position (n,), velocity (n,), others) at x to those at y, without a part off a leaf.
 
         Args:
             x: configuration before.

@@ -478,7 +478,7 @@ def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
 
 
 def readability(model: MechanicalSystem, q: Array, y: Array) -> Code:
-    """As `uniqueness`, for observers with constant gains: `NOT_RECONSTRUCTIBLE` at a dead centre of what is measured."""
+    """As `uniqueness`, for constant gains: `NOT_RECONSTRUCTIBLE` at a dead centre of what is measured."""
     dead = model.manifold.dead_centre(q, y)
     return jnp.where(dead, int(StepCode.NOT_RECONSTRUCTIBLE), uniqueness(model, q, y)).astype(jnp.int32)
 
@@ -502,7 +502,7 @@ def check_free(whose: str, model: MechanicalSystem) -> None:
     """Check that a model has no closed loop, whose coordinates are more than an error in coordinates may have."""
     if model.manifold.redundant:
         raise ValueError(
-            f"{whose}: its errors are differences of all coordinates, but a closed loop ties some of them together; take "
+            f"{whose}: its errors are differences of all coordinates, but a closed loop ties some together; take "
             "IntrinsicKalman, whose errors stay along the loop"
         )
 

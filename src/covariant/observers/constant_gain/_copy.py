@@ -81,14 +81,15 @@ class ModelCopy(AbstractMechanicalObserver):
 
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
         (q, v, t), waited = state[:3], time_since_measurement(state)
-        e = -self.innovation(state, u, y)
+        e = -self.model.manifold.towards(q, y)
         # The prediction used S(q̂); the observer (15) uses S at the measurement.
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
         gains = sampled_gains(self.alpha, self.beta, waited)
         correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, e, missing)
-        new_q, new_v = self.model.manifold.retract(q, -correction.part * e), v + correction.velocity
+        new_q = self.model.manifold.retract(q, -correction.part * e)
+        new_v = self.model.space.projected(new_q, v + correction.velocity)
         result = outcome(
             new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, readability(self.model, q, y))
         )
         new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))
-        return new, Info(-e, self.model.space.norm(q, e), result)
+        return new, Info(self.innovation(state, u, y), self.model.space.norm(q, e), result)

@@ -198,7 +198,7 @@ class Geodesic(AbstractMechanicalObserver):
         corrected, displacement = v + correction.velocity, correction.part * path.log
         end = space.transport_along(q, displacement, corrected, self.budget)
         new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
-        new_v = jnp.where(path.exact, end.w, corrected - space.connection(q, displacement, v))
+        new_v = jnp.where(path.exact, end.w, space.projected(new_q, corrected - space.connection(q, displacement, v)))
         result = outcome(new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, path.result))
         info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
         # The same geodesic from the measurement, shortened: its initial velocity shrinks with its length.

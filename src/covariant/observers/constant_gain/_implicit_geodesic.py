@@ -113,8 +113,8 @@ class ImplicitGeodesic(AbstractMechanicalObserver):
         # The kick is along the geodesic, so that transport takes it to the same multiple of the velocity there.
         end = space.transport_along(q, displacement, kicked, self.budget)
         new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
-        new_v = jnp.where(path.exact, end.w, kicked - space.connection(q, displacement, kicked))
-        result = outcome(new_q, new_v, y, path.result)
+        new_v = jnp.where(path.exact, end.w, space.projected(new_q, kicked - space.connection(q, displacement, kicked)))
+        result = outcome(new_q, new_v, space.manifold.seen(q, y), path.result)
         info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
         # The rest of the geodesic, seen from the measurement: the next search starts from it.
         log = (1 - part) * path.back

@@ -178,7 +178,8 @@ class Intrinsic(AbstractMechanicalObserver):
         """
         # v̂ keeps its direction along the displacement to first order: parallel transport from q̂ to the new q̂.
         carried = v - self.model.space.connection(q, displacement, v)
-        return Motion(self.model.manifold.retract(q, displacement), carried + velocity)
+        end = self.model.manifold.retract(q, displacement)
+        return Motion(end, self.model.space.projected(end, carried + velocity))
 
     def smooth_correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array, age: Scalar) -> Motion:
         """Correct an estimate as `correct` does to first order in the missing acceleration, without a restart.
@@ -261,7 +262,8 @@ class Intrinsic(AbstractMechanicalObserver):
         at = measured if self.coefficients == "measured" else q
         s = source(self.model, t, measured, u)
         # ξ leads from the measurement to the estimate: transport along it subtracts B(ξ, S), (5).
-        return self.bend(at, s - self.model.space.connection(at, xi, s), xi, v)
+        # A first-order transport may leave a part across a leaf.
+        return self.model.space.projected(q, self.bend(at, s - self.model.space.connection(at, xi, s), xi, v))
 
 
 def second_order(space: AbstractSpace, q: Any, e: Vector) -> Vector:

@@ -188,7 +188,7 @@ class IntrinsicForce(AbstractMechanicalObserver):
         learnt = k3 * space.lower(q, xi + waited * waited / 12 * missing)
         force = state.force - jnp.where(correction.restarted, 0.0, learnt)
         code = step_result(correction, readability(self.model, q, y))
-        result = outcome(new_q, jnp.concatenate([new_v, force]), y, code)
+        result = outcome(new_q, jnp.concatenate([new_v, force]), self.model.manifold.seen(q, y), code)
         info = IntrinsicForceInfo(self.innovation(state, u, y), space.norm(q, xi), force, result)
         return state._replace(q=new_q, v=new_v, force=force, age=aged(self.model, state, y)), info
 

@@ -1,11 +1,10 @@
 from ._ekf import EKF as EKF, EKFInfo as EKFInfo, EKFState as EKFState
 from ._fixed_lag import FixedLag as FixedLag, FixedLagState as FixedLagState, FixedLagWindow as FixedLagWindow
+from ._flow import apart as apart, parallel as parallel
 from ._intrinsic_kalman import (
     IntrinsicKalman as IntrinsicKalman,
     KalmanInfo as KalmanInfo,
     KalmanState as KalmanState,
-    apart as apart,
-    parallel as parallel,
 )
 from ._joint_kalman import JointInfo as JointInfo, JointKalman as JointKalman, JointState as JointState
 from ._legged_base import (

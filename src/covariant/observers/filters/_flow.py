@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from covariant._integrate import linearised, rk4_step
 from covariant._typing import Scalar, Vector
-from covariant.geometry import AbstractManifold
+from covariant.geometry import AbstractManifold, AbstractSpace
 from covariant.models import MechanicalSystem, Motion, acceleration, advance
 from covariant.observers.sensors import SlowStates, SlowVector
 
@@ -61,3 +61,15 @@ def flow_with_slope(
     end_q, end_v, _ = jnp.split(end, [n, 2 * n])
     end_q, end_v = model(mean).space.restored(end_q, end_v)
     return (end_q, end_v, end_slow), jnp.concatenate([slope[: 2 * n], of_slow])
+
+
+def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
+    """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
+    axes = jnp.eye(v.shape[0], dtype=v.dtype)
+    connections = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
+    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * connections, axes]])
+
+
+def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
+    """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame."""
+    return parallel(space, q, v, -1)

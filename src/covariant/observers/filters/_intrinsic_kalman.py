@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
-from covariant.geometry import AbstractManifold, AbstractSpace, Budget
+from covariant.geometry import AbstractManifold, Budget
 from covariant.models import MechanicalSystem
 from covariant.observers.base import (
     Covariance,
@@ -45,7 +45,7 @@ from covariant.observers.base import (
     white_acceleration,
     with_block,
 )
-from covariant.observers.filters._flow import flow_with_slope
+from covariant.observers.filters._flow import apart, flow_with_slope, parallel
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers.filters._noise_scale import NoiseScale, factor_of, scaled
 from covariant.observers.sensors import (
@@ -574,18 +574,6 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 def _with_slow(matrix: Array, state: KalmanState) -> Array:
     """A matrix for (ε, ν), extended to one for (ε, ν, slow) that leaves the slow states unchanged."""
     return diagonal(matrix, jnp.eye(state.slow.shape[0], dtype=matrix.dtype))
-
-
-def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
-    """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
-    axes = jnp.eye(v.shape[0], dtype=v.dtype)
-    connections = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
-    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * connections, axes]])
-
-
-def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
-    """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame."""
-    return parallel(space, q, v, -1)
 
 
 def _too_uncertain(manifold: AbstractManifold, cov: Matrix, noise: Matrix) -> Array:
