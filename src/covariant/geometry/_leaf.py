@@ -97,6 +97,14 @@ class Leaf(AbstractSpace):
     constraint: Callable[[Configuration], Float[Array, "m"]]
     assembly: Configuration
 
+    def __init__(
+        self,
+        space: AbstractSpace,
+        constraint: Callable[[Configuration], Float[Array, "m"]],
+        assembly: Configuration,
+    ):
+        self.space, self.constraint, self.assembly = space, constraint, assembly
+
     @classmethod
     def closing(
         cls, space: AbstractSpace, constraint: Callable[[Configuration], Float[Array, "m"]], near: Configuration
@@ -133,7 +141,7 @@ class Leaf(AbstractSpace):
         return cls(space, independent(look, constraint, start), jnp.asarray(start))
 
     @property
-    def manifold(self) -> AbstractManifold:
+    def manifold(self) -> AbstractManifold:  # pyright: ignore[reportIncompatibleVariableOverride]
         return _LeafManifold(self)
 
     def lower(self, x: Configuration, a: Vector) -> Vector:
@@ -311,8 +319,11 @@ class _EveryLeaf(AbstractSpace):
 
     leaf: Leaf
 
+    def __init__(self, leaf: Leaf):
+        self.leaf = leaf
+
     @property
-    def manifold(self) -> AbstractManifold:
+    def manifold(self) -> AbstractManifold:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.leaf.space.manifold
 
     def lower(self, x: Configuration, a: Vector) -> Vector:
@@ -414,7 +425,7 @@ class _LeafManifold(AbstractManifold):
         return present | _is_regular(_Fit.of(self.leaf.normals(x).rows, present, damped=False).matrix)
 
     def seen(self, x: Configuration, y: Configuration) -> Configuration:
-        return jnp.where(self._complete(x, y) & jnp.isnan(y), 0.0, y)
+        return jnp.where(jnp.isnan(y) & ~jnp.all(self.missing(y)), 0.0, y)
 
     def dead_centre(self, x: Configuration, y: Configuration) -> Flag:
         return ~self._complete(x, y) & ~jnp.all(self.missing(y))

@@ -293,14 +293,14 @@ class AbstractManifold(eqx.Module):
         return present
 
     def seen(self, x: Configuration, y: Configuration) -> Configuration:
-        """The measurement y with NaN only in what neither it nor the rest of it tells.
+        """The measurement y, with NaN only where it says nothing.
 
         Args:
             x: configuration close to the measurement.
             y: measurement, in the shape of x, with NaN where it is missing.
 
         Returns:
-            y itself, or on a `Leaf` without NaN where it is `complete`.
+            y itself, or on a `Leaf`, where a part of it tells of the rest, with NaN only if all of it is missing.
         """
         return y
 

@@ -741,9 +741,10 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     """
     shape = np.shape(record.y)[1:]
     start = observer.configuration(np.arange(math.prod(shape)).reshape(shape)).ravel() if shape else None
-    manifold = getattr(getattr(observer, "model", None), "manifold", None)
+    manifold: Any = getattr(getattr(observer, "model", None), "manifold", None)
     redundant = manifold is not None and manifold.redundant
-    if redundant and start is not None and not isinstance(record.y, Tracer) and len(np.shape(record.t)):
+    if redundant and start is not None and not isinstance(record.y, Tracer) and len(record.t):
+        # What is missing, the rest may tell; where it does not, `AbstractManifold.checked` says so.
         start = start[~np.isnan(np.asarray(record.y, float)[0].ravel()[start])]
     y = record.check(start, missing_inputs=True).y
     if isinstance(y, Tracer):
