@@ -44,6 +44,13 @@ class LeggedBaseState(NamedTuple):
         turned: Rotation (F, 3, 3) of the link of each foot in the axes of the base when it was last read.
         alone: Time [s] since a foot was on its anchor.
         last_input: Last finite reading (6,) of the IMU.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> state = observers.LeggedBaseState(jnp.zeros(15), jnp.zeros(()), jnp.eye(15), jnp.eye(3)[None], jnp.zeros(()))
+        >>> state.turned.shape, state.last_input is None
+        ((1, 3, 3), True)
     """
 
     x: Vector
@@ -65,6 +72,14 @@ class LeggedBaseInfo(NamedTuple):
         state_std: Standard deviations (n,) of the states.
         standing: Which feet (F,) were on their anchors.
         result: A `covariant.signals.StepCode` code.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from covariant import observers
+        >>> down, ok = jnp.array([True, False]), jnp.zeros((), int)
+        >>> info = observers.LeggedBaseInfo(jnp.zeros(6), jnp.zeros(()), jnp.zeros(2), jnp.ones(18), down, ok)
+        >>> int(info.standing.sum())
+        1
     """
 
     innovation: Vector
