@@ -291,7 +291,7 @@ def test_a_motion_that_escapes_is_not_written(folder, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("estimate", "model.toml"), "log"),
+        (("estimate", "model.toml"), "LOG"),
         ((*ESTIMATE, "--every", "0"), "--every"),
         ((*ESTIMATE, "--until", "soon"), "--until"),
         ((*ESTIMATE, "--observr", "copy"), "--observr"),

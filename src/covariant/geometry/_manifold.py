@@ -273,12 +273,12 @@ class AbstractManifold(eqx.Module):
         Args:
             x: configuration.
             present: mask (n,) of the entries that are measured.
-            e: their differences (n,); others are not used.
+            e: their differences (n,), 0 for others.
 
         Returns:
             The displacement (n,): e itself, or of a `Leaf` the one along it that fits best.
         """
-        return jnp.where(present, e, 0.0)
+        return e
 
     def told(self, x: Configuration, present: Bool[Array, "n"]) -> Bool[Array, "n"]:
         """Which components are known where some are measured.

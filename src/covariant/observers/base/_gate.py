@@ -242,7 +242,7 @@ def with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
 
 def start(manifold: AbstractManifold, q: Array, innovation: Vector, y: Array, anew: Bool[Array, "n"]) -> Array:
     """The configuration of a new start."""
-    partly = manifold.retract(q, manifold.shown(q, anew, innovation))
+    partly = manifold.retract(q, manifold.shown(q, anew, jnp.where(anew, innovation, 0.0)))
     # In coordinates the two are the same. A group element is taken as it is, without a logarithm in between.
     return partly if manifold.commuting else jnp.where(jnp.all(anew), manifold.measured(q, y), partly)
 
