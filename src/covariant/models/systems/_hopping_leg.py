@@ -1,5 +1,7 @@
 """A body on a leg of two links in a vertical plane, whose foot touches the ground."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 
 from covariant._typing import Number
@@ -11,9 +13,9 @@ _UNITS = {"body": "kg", "mass": "kg", "inertia": "kg m^2", "length": "m", "gravi
 
 def hopping_leg(
     body: Number = 4.0,
-    mass: tuple[Number, Number] = (1.0, 0.4),
-    inertia: tuple[Number, Number] = (0.01, 0.004),
-    length: tuple[Number, Number] = (0.3, 0.3),
+    mass: Sequence[Number] = (1.0, 0.4),
+    inertia: Sequence[Number] = (0.01, 0.004),
+    length: Sequence[Number] = (0.3, 0.3),
     gravity: Number = 9.81,
 ) -> Lagrangian:
     """A body on a leg of two links with a foot, in a vertical plane; the body does not turn.
