@@ -48,7 +48,8 @@ class LeggedBaseState(NamedTuple):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import observers
-        >>> state = observers.LeggedBaseState(jnp.zeros(15), jnp.zeros(()), jnp.eye(15), jnp.eye(3)[None], jnp.zeros(()))
+        >>> zero, turned = jnp.zeros(()), jnp.eye(3)[None]
+        >>> state = observers.LeggedBaseState(jnp.zeros(15), zero, jnp.eye(15), turned, zero)
         >>> state.turned.shape, state.last_input is None
         ((1, 3, 3), True)
     """
