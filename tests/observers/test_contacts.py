@@ -354,3 +354,14 @@ def test_a_log_has_a_column_of_contacts(tmp_path):
     assert np.abs(result.velocity - record.x[:700, 4:])[400:].max() < 0.01
     with pytest.raises(ValueError, match="has feet: no certificate covers impacts"):
         covariant.certify(model, velocity=1.0, error=0.1, alpha=60.0, beta=1800.0)
+
+
+@pytest.mark.long
+def test_a_missing_position_in_the_air_is_coasted_as_without_contacts():
+    """On no leaf nothing tells of it, and nothing is refused."""
+    leg = models.hopping_leg()
+    observer = observers.Contacts(observers.ModelCopy(leg, 20.0, 200.0, substeps=1))
+    q = jnp.array([0.0, 0.6, 0.5, -1.0])
+    step = jax.jit(lambda y: observer.step(observer.init(q), jnp.zeros(3), y, jnp.asarray(0.01))[1].result)
+    assert int(step(q)) == StepCode.OK
+    assert int(step(q.at[3].set(jnp.nan))) == StepCode.COASTED

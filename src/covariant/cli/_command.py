@@ -88,6 +88,8 @@ class Command:
 
     def _is_folder(self, out: Path | None, logs: list[Path]) -> bool:
         """Whether each log is computed by itself."""
+        if len(logs) > 1 and self.verb != "fit" and out is not None and out.suffix and not out.is_dir():
+            raise ValueError(f"--out {out}: of several logs it is a folder; give its name without a suffix")
         return (out is not None and (not out.suffix or out.is_dir())) or (len(logs) > 1 and self.verb != "fit")
 
     def _over_logs(self, read: Any, own: Any, crew: Any, json: bool, flags: Mapping[str, str]) -> int:
@@ -103,7 +105,10 @@ class Command:
                     self.verb, model, logs, out=own["out"], progress=progress, **crew, **arguments
                 )
         except KeyboardInterrupt:
-            say("covariant: stopped; the same command goes on where it stopped" * (own["out"] is not None), sys.stderr)
+            say(
+                "covariant: stopped" + "; the same command goes on where it stopped" * (own["out"] is not None),
+                sys.stderr,
+            )
             raise SystemExit(130) from None  # 128 + 2, what shells report of a process that SIGINT ended
         call.show(result)
         return int(result.wrong)

@@ -44,6 +44,12 @@ def _tune(call: Invocation, out: Path | None, report: Path | None, overwrite: bo
     return call.show(call(), out, report, overwrite=overwrite)
 
 
+def _check(call: Invocation, out: Path | None, report: Path | None) -> Any:
+    if out is not None:
+        raise ValueError(f"--out {out}: it is of many logs; give the name of a folder, or --report FILE")
+    return call.show(call(), report=report)
+
+
 def _init(call: Invocation, out: Path) -> Any:
     if out.exists():
         raise ValueError(f"{out}: there is such a file already, and it is not overwritten; give another name")
@@ -148,7 +154,7 @@ COMMANDS = (
         own=(Option("out", PATH, "Of many logs: folder for a table and a page.", None, ("-o", "--out")), PAGE),
         changes={"log": EACH},
         exit_code=lambda result: bool(result.wrong),
-        run=lambda call, out, report: call.show(call(), report=report),
+        run=_check,
         over_logs=True,
         note="Exit code 1 where something is wrong.",
     ),

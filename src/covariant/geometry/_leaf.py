@@ -32,7 +32,7 @@ from covariant.geometry._space import AbstractSpace, derivative, differential
 NEWTON_STEPS = 2
 """Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""
 READING_STEPS = 3
-"""Steps from an estimate to what measured coordinates tell, each with the square of the error before."""
+"""Gauss–Newton steps from an estimate to the measured coordinates; each squares the error that is left."""
 STAGES = 32
 """Steps in which the first measurement is reached from the configuration that tells how the loop is assembled."""
 
@@ -69,9 +69,10 @@ class Leaf(AbstractSpace):
     """The configurations of a space at which a constraint holds, such as those of a machine with closed loops.
 
     Use it for linkages, parallel mechanisms and grippers: open the loops, describe the tree that is left, and say what
-    closes them. Any observer of mechanical systems runs on it unchanged. Configurations and velocities are those of the
-    tree, and every estimate stays on the leaf. A coordinate without an encoder is NaN in the measurements; those that
-    are measured must determine the others, or only `IntrinsicKalman` estimates them.
+    closes them. Observers with constant gains and `IntrinsicKalman` run on it unchanged. Configurations and velocities
+    are those of the tree, and every estimate stays on the leaf. A coordinate without an encoder is NaN in the
+    measurements; those that are measured must determine the others, or only `IntrinsicKalman` estimates them, from a
+    complete first measurement on.
 
     Attributes:
         space: The whole space, such as that of the tree.
@@ -425,10 +426,14 @@ class _LeafManifold(AbstractManifold):
         return present | _is_regular(_Fit.of(self.leaf.normals(x).rows, present, damped=False).matrix)
 
     def seen(self, x: Configuration, y: Configuration) -> Configuration:
-        return jnp.where(jnp.isnan(y) & ~jnp.all(self.missing(y)), 0.0, y)
+        return jnp.where(jnp.isnan(y) & ~jnp.all(self.missing(y)) & ~self._free(x), 0.0, y)
 
     def dead_centre(self, x: Configuration, y: Configuration) -> Flag:
-        return ~self._complete(x, y) & ~jnp.all(self.missing(y))
+        return ~self._complete(x, y) & ~jnp.all(self.missing(y)) & ~self._free(x)
+
+    def _free(self, x: Configuration) -> Flag:
+        """Whether nothing holds at x, as with all feet in the air."""
+        return jnp.all(self.leaf.normals(x).rows == 0)
 
     def _complete(self, x: Configuration, y: Configuration) -> Flag:
         return jnp.all(self.told(x, ~self.missing(y)))

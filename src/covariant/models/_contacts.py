@@ -18,25 +18,6 @@ ON_THE_GROUND = 0.5
 """An input that says whether a foot is on the ground does so above this value."""
 
 
-def foot_count(model: MechanicalSystem, q: Any) -> int:
-    """Number k of feet of a model, which are its last inputs; 0 where it states none.
-
-    Args:
-        model: The model.
-        q: A configuration, of which only shape and type are used.
-
-    Returns:
-        The number.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant import models
-        >>> models.foot_count(models.hopping_leg(), jnp.zeros(4)), models.foot_count(models.oscillator(), jnp.zeros(1))
-        (1, 0)
-    """
-    return 0 if model.feet is None else eqx.filter_eval_shape(model.feet, q).shape[0]
-
-
 def contacts(u: Float[Array, "*T m"], count: int) -> Bool[Array, "*T k"]:
     """Which feet are on the ground, by the last inputs.
 
@@ -80,7 +61,7 @@ def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array
         (True, True)
     """
     assert model.feet is not None
-    # The assembly of a loop is what nothing needs here: a foot lands in one way only.
+    # Nothing needs the assembly here: a foot lands in one way only.
     constraint, assembly = eqx.Partial(_slipped, model.feet, down, spots), model.manifold.origin(spots.dtype)
     leaf = Leaf(model.space, constraint, assembly)  # pyright: ignore[reportCallIssue]
     return eqx.tree_at(lambda m: m.space, model, leaf)

@@ -51,19 +51,19 @@ def mechanical(model: Any) -> bool:
     return model.sought.what == "velocity"
 
 
-def free(model: Any) -> bool:
+def without_loops(model: Any) -> bool:
     """Mechanical systems without closed loops."""
     return mechanical(model) and not model.manifold.redundant
 
 
 def coordinates(model: Any) -> bool:
-    """Mechanical systems in coordinates, not on a group, each of which is measured."""
-    return free(model) and model.manifold.commuting
+    """Mechanical systems in coordinates, not on a group, without closed loops."""
+    return without_loops(model) and model.manifold.commuting
 
 
-def never_held(model: Any) -> bool:
+def without_contacts(model: Any) -> bool:
     """Mechanical systems without closed loops or feet."""
-    return free(model) and model.feet is None
+    return without_loops(model) and model.feet is None
 
 
 def rotations(model: Any) -> bool:
@@ -254,7 +254,7 @@ REGISTRY = (
         about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
-        fits=never_held,
+        fits=without_contacts,
         has_gate=True,
     ),
     Entry(
@@ -265,7 +265,7 @@ REGISTRY = (
         about="unscented Kalman filter, square-root form; on a group its points are drawn in the frame",
         when="known noise, strong nonlinearity between few samples",
         source="Julier & Uhlmann 2004; Brossard, Barrau & Bonnabel 2020",
-        fits=never_held,
+        fits=without_contacts,
         has_gate=True,
     ),
     Entry(

@@ -92,11 +92,11 @@ def over_logs(
     folder = None if out is None else Path(out).absolute()  # the workers of a cluster have their own working folders
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
-    table = None if folder is None else CaseTable(folder / "cases")
+    table = None if folder is None or in_memory else CaseTable(folder / "cases")
     cases = _cases(verb, model, logs, folder, settings)
     rows = {} if table is None else _finished(cases, table)
     todo, costs = [case for case in cases if case.key not in rows], {case.key: case.cost for case in cases}
-    total, done, first, began = sum(costs.values()), sum(costs[key] for key in rows), 0.0, time.monotonic()
+    total, done, began = sum(costs.values()), sum(costs[key] for key in rows), time.monotonic()
     # The largest first, so that no worker ends long after the others.
     todo.sort(key=lambda case: -case.cost)
     workers = crew.workers or os.cpu_count() or 1
@@ -175,7 +175,7 @@ def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, sett
     )
     of_stems, of_places, cases = Counter(stems), Counter(places), []
     for log, name, stem, place in zip(logs, names, stems, places, strict=True):
-        # Not by number: a log that is added later shall not give others another name.
+        # Not by number, so that a name does not depend on the order.
         long = place if of_places[place] == 1 else f"{place}_{content_hash(name)[:8]}"
         unique = stem if of_stems[stem] == 1 else long
         path = folder / f"{unique}{FILES[verb]}" if folder is not None and verb in FILES else None
@@ -205,7 +205,7 @@ def _model_hash(model: Any) -> list[str]:
     """Hashes of the files that a model is read from."""
     contents = list(read_sources(model).values())
     module = str(model).partition(":")[0]
-    if isinstance(model, str) and ":" in model and module.isidentifier():
+    if isinstance(model, str) and ":" in model and all(part.isidentifier() for part in module.split(".")):
         spec = importlib.util.find_spec(module)
         if spec is not None and spec.origin is not None:
             contents.append(Path(spec.origin).read_bytes())

@@ -177,12 +177,12 @@ class _Machine(NamedTuple):
             def body(k, carry, family=family, numbers=numbers, sample=sample):
                 q, v, state, squares, nees = carry
                 u = jnp.asarray(amplitude) * jnp.sin(jnp.asarray(omega) * (k.astype(float) * h))
-                q, v, state, off, ratio = family.step(numbers, q, v, state, u, sample(k + 1), h)
+                q, v, state, off, ratio = family.step(numbers, k * h, q, v, state, u, sample(k + 1), h)
                 last = k >= late
                 return q, v, state, squares + jnp.where(last, off, 0.0), nees + jnp.where(last, ratio, 0.0)
 
             q, v = self.model.manifold.retract(self.model.manifold.origin(), both[:n]), both[n:]
-            state = family.init(numbers, self.model.manifold.retract(q, sample(0)))
+            state = family.init(numbers, self.model.manifold.ambient.retract(q, sample(0)))
             *_, squares, nees = jax.lax.fori_loop(0, count, body, (q, v, state, jnp.zeros(()), jnp.zeros(())))
             result[f"{_plain(name)}_error"] = jnp.sqrt(squares / counted)
             if family.tells_std:
@@ -198,6 +198,8 @@ def _compiled(text: str) -> _Machine:
     overrides = content.get("set", {})
     file = models.load(plan.model, overrides)
     model: Any = file.need_mechanical(plan.model, "a sweep simulates")
+    if model.feet is not None:
+        raise ValueError(f"{plan.model}: a sweep simulates no contacts; take a model without feet")
     n, inputs = file.dimension, models.input_count(model, file.dimension)
     names = (*(f"q{k + 1}" for k in range(n)), *(f"v{k + 1}" for k in range(n)))
     states = {**content.get("start", {}), **{a.key[6:]: 0.0 for a in plan.axes if a.key.startswith("start.")}}
@@ -247,11 +249,11 @@ def _family(model: Any, observers: Sequence[Any], inputs: int) -> _Family:
     def init(values: Sequence[Any], y: Any) -> Any:
         return as_numbers(observer(values).init(y))
 
-    def step(values: Any, q: Any, v: Any, state: Any, u: Any, noise: Any, h: Any) -> Any:
+    def step(values: Any, t: Any, q: Any, v: Any, state: Any, u: Any, noise: Any, h: Any) -> Any:
         each = observer(values)
-        motion = models.advance(model, 0.0, models.Motion(q, v), u, h, FINE)
+        motion = models.advance(model, t, models.Motion(q, v), u, h, FINE)
         state = jax.tree.map(lambda leaf, kind: leaf.astype(kind.dtype), state, kinds)
-        state, info = each.step(state, u, model.manifold.retract(motion.q, noise), h)
+        state, info = each.step(state, u, model.manifold.ambient.retract(motion.q, noise), h)
         off = model.sought.of(each.estimate(state)) - motion.v
         std = getattr(info, "velocity_std", None)
         nees = jnp.zeros(()) if std is None else jnp.sum((off / std) ** 2)
@@ -259,7 +261,7 @@ def _family(model: Any, observers: Sequence[Any], inputs: int) -> _Family:
 
     first = [leaf[0] for leaf in numbers]
     zero, state = model.manifold.zero(origin), jax.eval_shape(init, first, origin)
-    compiled = engine.compiled(step, first, origin, zero, state, jnp.zeros(inputs), zero, jnp.zeros(()))
+    compiled = engine.compiled(step, first, jnp.zeros(()), origin, zero, state, jnp.zeros(inputs), zero, jnp.zeros(()))
     _, info = jax.eval_shape(lambda q: observers[0].step(observers[0].init(q), jnp.zeros(inputs), q, 0.01), origin)
     return _Family(compiled, init, numbers, getattr(info, "velocity_std", None) is not None)
 

@@ -31,11 +31,11 @@ def late_encoders(file: ModelFile, record: Record) -> list[Finding] | None:
     smallest at the right shift. Only readings count of feet that stand at every shift: which feet stand depends on it.
     """
     t, u, y = (np.asarray(part, float)[:MOST_ROWS] for part in record[:3])
-    if file.measurement_std is None or not np.isfinite(y[0]).all():
+    model: Any = file.model
+    if file.measurement_std is None or not np.isfinite(y[0, : model.f.joints]).all():
         return None
     usual = float(np.median(np.diff(t)))
     step = max(LEAST_STEP, usual)
-    model: Any = file.model
     process, reading, first = (
         jnp.diag(jnp.broadcast_to(jnp.asarray(std), count) ** 2)
         for std, count in (
@@ -66,8 +66,9 @@ def late_encoders(file: ModelFile, record: Record) -> list[Finding] | None:
     if worse < CLEARLY:
         return []
     delay = round(known + float(step * (SHIFTS[best] + vertex)), 4)
+    more = " or more" * (np.argmin(squares) in (0, len(SHIFTS) - 1))
     evidence = (
-        f"the feet that stand fit the IMU best if the encoders are read {1e3 * abs(delay):.3g} ms "
+        f"the feet that stand fit the IMU best if the encoders are read {1e3 * abs(delay):.3g} ms{more} "
         f"{'late' if delay > 0 else 'early'}: squared innovations are {worse:.2g} times as large as then"
     )
     line = f"[measurement] delay = {delay:.4g}"

@@ -65,6 +65,14 @@ def close_loops(model: MechanicalSystem, robot: Description, geometry: RobotSpac
             leaf = Leaf.closing(geometry, Closure(geometry, robot.loops), near)
         except ValueError as error:
             raise ValueError(f"loop {', '.join(repr(loop.name) for loop in robot.loops)}: {error}") from error
+        for loop in robot.loops:
+            # The rows of a weld are sines, which vanish at half a turn too.
+            if isinstance(loop, Coincide) and loop.rotation is not None:
+                turned = np.asarray(loop.rotation).T @ np.asarray(geometry.relative(leaf.assembly, *loop.links)[0])
+                if np.trace(turned) < 1:
+                    raise ValueError(
+                        f"loop {loop.name!r} closes only with its frames turned against each other; mend rpy"
+                    )
         _refuse_far(model, geometry, near, leaf.assembly, robot.assembly is not None)
     return eqx.tree_at(lambda each: each.space, model, Leaf(model.space, leaf.constraint, leaf.assembly))
 
@@ -79,7 +87,7 @@ def _check_names(space: RobotSpace, robot: Description, loop: Coincide | Coupled
                     "links of the robot: let its base stand, or remove the loop"
                 )
         return
-    for joint in filter(None, loop.joints):
+    for joint in loop.joints:
         refuse_unknown(f"joint of loop {loop.name!r}", joint, [each.name for each in robot.joints])
         if [name for name, _, _ in space.limits].count(joint) != 1:
             raise ValueError(f"loop {loop.name!r}: joint {joint!r} is locked, or has several axes; remove the loop")

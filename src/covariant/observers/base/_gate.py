@@ -242,6 +242,8 @@ def with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
 
 def start(manifold: AbstractManifold, q: Array, innovation: Vector, y: Array, anew: Bool[Array, "n"]) -> Array:
     """The configuration of a new start."""
+    if manifold.redundant and manifold.commuting:
+        return manifold.measured(q, jnp.where(anew, y, jnp.nan))
     partly = manifold.retract(q, manifold.shown(q, anew, jnp.where(anew, innovation, 0.0)))
     # In coordinates the two are the same. A group element is taken as it is, without a logarithm in between.
     return partly if manifold.commuting else jnp.where(jnp.all(anew), manifold.measured(q, y), partly)

@@ -94,9 +94,9 @@ class LeggedBaseInfo(NamedTuple):
 class LeggedBase(AbstractObserver):
     """Velocity and attitude of the base of a robot on legs, from an IMU and the encoders of its legs.
 
-    Flags of contact are not needed, and neither are masses or torques: dynamics adds nothing to an accelerometer. Where
-    a log has flags, 0 keeps a foot from being an anchor. A measurement is the positions of the joints, followed by
-    flags where the model has them. Where encoders are late against the IMU put it into a `Delayed`.
+    Flags of contact are not needed, and neither are masses or torques: beside a usable accelerometer dynamics adds
+    nothing. Where a log has flags, 0 keeps a foot from being an anchor. A measurement is the positions of the joints,
+    followed by flags where the model has them. If encoders are late against the IMU, put it into a `Delayed`.
 
     Attributes:
         model: State-space model of the base, as the system `legged_base` makes it.

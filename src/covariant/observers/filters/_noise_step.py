@@ -201,7 +201,7 @@ def _of_step(observer: Any, parts: Array, state: Any, row: Rows, step: Step, err
 
 def _of_reading(observer: Any, state: Any, y: Array, error: Smoothing) -> Vector:
     """Expected squares (n,) of the noise of a reading, relative to what is assumed."""
-    left = observer.model.manifold.towards(state.q, y)
+    left = observer.model.manifold.ambient.towards(state.q, y)
     n = len(left)
     noise = covariance_at(observer.measurement_cov, observer.model.space, state.q)
     return ((left - error.error[:n]) ** 2 + jnp.sum(error.root[:n] ** 2, axis=1)) / jnp.diag(noise)
