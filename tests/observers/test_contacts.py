@@ -15,7 +15,7 @@ from covariant import engine, models, observers
 from covariant._linalg import solve
 from covariant.certificates import JumpGrowth, dwell_time, jump_growth
 from covariant.geometry import Metric
-from covariant.signals import Record
+from covariant.signals import Record, StepCode
 from covariant.simulation import simulate_contacts
 
 LEG = models.hopping_leg()
