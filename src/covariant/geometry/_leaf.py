@@ -80,6 +80,8 @@ class Leaf(AbstractSpace):
             independent along every motion, see `Leaf.closing`.
         assembly: A configuration on the leaf. A linkage can be assembled in several ways from the same angles of its
             motors, so that this one is never guessed.
+        held: Which rows of the constraint hold (m,); the others have to be zero everywhere, as those of feet in the air.
+            All of them where it is None (default).
 
     Example:
         A mass on a rod of 2 m, in the plane. It turns without force, and its acceleration is v²/r towards the centre:
@@ -97,14 +99,16 @@ class Leaf(AbstractSpace):
     space: AbstractSpace
     constraint: Callable[[Configuration], Float[Array, "m"]]
     assembly: Configuration
+    held: Bool[Array, "m"] | None
 
     def __init__(
         self,
         space: AbstractSpace,
         constraint: Callable[[Configuration], Float[Array, "m"]],
         assembly: Configuration,
+        held: Bool[Array, "m"] | None = None,
     ):
-        self.space, self.constraint, self.assembly = space, constraint, assembly
+        self.space, self.constraint, self.assembly, self.held = space, constraint, assembly, held
 
     @classmethod
     def closing(
@@ -258,7 +262,7 @@ class Leaf(AbstractSpace):
         """
         rows = rows_of(self.space, self.constraint, x)
         raised = jax.vmap(lambda row: self.space.raise_(x, row))(rows)
-        return Normals(rows, raised, _gram(rows, raised))
+        return Normals(rows, raised, _gram(rows, raised, self.held))
 
     def second_form(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         """Second fundamental form `II(a, b)` of the leaf: how a geodesic of the leaf bends in the whole space.
@@ -420,20 +424,21 @@ class _LeafManifold(AbstractManifold):
 
     def shown(self, x: Configuration, present: Bool[Array, "n"], e: Vector) -> Vector:
         rows = self.leaf.normals(x).rows
-        return _Fit.of(rows, present).step(rows, e, jnp.zeros_like(rows[:, 0]))
+        return _Fit.of(rows, present, self.leaf.held).step(rows, e, jnp.zeros_like(rows[:, 0]))
 
     def told(self, x: Configuration, present: Bool[Array, "n"]) -> Bool[Array, "n"]:
-        return present | _is_regular(_Fit.of(self.leaf.normals(x).rows, present, damped=False).matrix)
+        return present | _is_regular(_Fit.of(self.leaf.normals(x).rows, present, self.leaf.held, damped=False).matrix)
 
     def seen(self, x: Configuration, y: Configuration) -> Configuration:
-        return jnp.where(jnp.isnan(y) & ~jnp.all(self.missing(y)) & ~self._free(x), 0.0, y)
+        return jnp.where(jnp.isnan(y) & ~jnp.all(self.missing(y)) & ~self._free, 0.0, y)
 
     def dead_centre(self, x: Configuration, y: Configuration) -> Flag:
-        return ~self._complete(x, y) & ~jnp.all(self.missing(y)) & ~self._free(x)
+        return ~self._complete(x, y) & ~jnp.all(self.missing(y)) & ~self._free
 
-    def _free(self, x: Configuration) -> Flag:
-        """Whether nothing holds at x, as with all feet in the air."""
-        return jnp.all(self.leaf.normals(x).rows == 0)
+    @property
+    def _free(self) -> Flag:
+        """Whether nothing holds, as with all feet in the air."""
+        return jnp.zeros((), bool) if self.leaf.held is None else ~jnp.any(self.leaf.held)
 
     def _complete(self, x: Configuration, y: Configuration) -> Flag:
         return jnp.all(self.told(x, ~self.missing(y)))
@@ -461,7 +466,7 @@ class _LeafManifold(AbstractManifold):
 
     def _closer(self, q: Configuration, y: Configuration) -> Configuration:
         rows = self.leaf.normals(q).rows
-        fit = _Fit.of(rows, ~self.missing(y))
+        fit = _Fit.of(rows, ~self.missing(y), self.leaf.held)
         return self.ambient.retract(q, fit.step(rows, self.ambient.towards(q, y), self.leaf.constraint(q)))
 
     def _refuse_undetermined(self, q: Configuration, y: Configuration) -> None:
@@ -482,25 +487,27 @@ class _Fit(NamedTuple):
 
     matrix: Matrix
     present: Bool[Array, "n"]
+    held: Bool[Array, "m"] | None
 
     @classmethod
-    def of(cls, rows: Float[Array, "m n"], present: Bool[Array, "n"], damped: bool = True) -> "_Fit":
+    def of(cls, rows: Float[Array, "m n"], present: Bool[Array, "n"], held: Any, damped: bool = True) -> "_Fit":
         # On the directions across the leaf the matrix is made regular, without an effect on the solution.
-        across = rows.T @ solve(_gram(rows, rows), rows)
+        across = rows.T @ solve(_gram(rows, rows, held), rows)
         # A small weight of the last iterate decides what no measured coordinate tells, and nothing else.
         weights = present.astype(rows.dtype) + damped * float(jnp.finfo(rows.dtype).eps) ** 0.5
-        return cls(across + jnp.diag(weights), present)
+        return cls(across + jnp.diag(weights), present, held)
 
     def step(self, rows: Float[Array, "m n"], e: Vector, c: Float[Array, "m"]) -> Vector:
         """The displacement closest to e in its measured entries, along which the constraint falls by c."""
         free = solve(self.matrix, jnp.where(self.present, e, 0.0))
         across = solve(self.matrix, rows.T)
-        return free - across @ solve(_gram(rows, across.T), rows @ free + c)
+        return free - across @ solve(_gram(rows, across.T, self.held), rows @ free + c)
 
 
-def _gram(rows: Float[Array, "m n"], raised: Float[Array, "m n"]) -> Float[Array, "m m"]:
-    """`rows raisedᵀ`, with 1 on the diagonal for rows that are zero: those of a foot in the air constrain nothing."""
-    return rows @ raised.T + jnp.diag(jnp.all(rows == 0, axis=1).astype(rows.dtype))
+def _gram(rows: Float[Array, "m n"], raised: Float[Array, "m n"], held: Bool[Array, "m"] | None) -> Float[Array, "m m"]:
+    """`rows raisedᵀ`, with 1 on the diagonal for rows that hold nothing, and are zero."""
+    gram = rows @ raised.T
+    return gram if held is None else gram + jnp.diag((~held).astype(rows.dtype))
 
 
 def _is_regular(matrix: Matrix) -> Flag:

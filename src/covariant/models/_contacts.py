@@ -63,7 +63,8 @@ def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array
     assert model.feet is not None
     # Nothing needs the assembly here: a foot lands in one way only.
     constraint, assembly = eqx.Partial(_slipped, model.feet, down, spots), model.manifold.origin(spots.dtype)
-    leaf = Leaf(model.space, constraint, assembly)  # pyright: ignore[reportCallIssue]
+    held = jnp.repeat(down, spots.shape[1])
+    leaf = Leaf(model.space, constraint, assembly, held)
     return eqx.tree_at(lambda m: m.space, model, leaf)
 
 
