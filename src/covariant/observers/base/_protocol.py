@@ -749,7 +749,7 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     y = record.check(start, missing_inputs=True).y
     if isinstance(y, Tracer):
         return record
-    if redundant:
+    if manifold is not None and redundant:
         manifold.checked(jnp.asarray(observer.configuration(np.asarray(y)[0])))
     first = np.asarray(y)[0]  # a value even inside a compiled function, where indexing in JAX is traced
     if (np.abs(first) > observer.largest(first)).any():
