@@ -80,8 +80,8 @@ class Leaf(AbstractSpace):
             independent along every motion, see `Leaf.closing`.
         assembly: A configuration on the leaf. A linkage can be assembled in several ways from the same angles of its
             motors, so that this one is never guessed.
-        held: Which rows of the constraint hold (m,); others have to be zero everywhere, as those of feet in the air. All
-            of them where it is None (default).
+        held: Which rows of the constraint hold (m,); others have to be zero everywhere, as those of feet in the air.
+            All of them where it is None (default).
 
     Example:
         A mass on a rod of 2 m, in the plane. It turns without force, and its acceleration is v²/r towards the centre:
