@@ -28,6 +28,7 @@ from .files import (
     ModelFile as ModelFile,
     Overrides as Overrides,
     RobotFamily as RobotFamily,
+    attribute as attribute,
     check_metric as check_metric,
     check_spec as check_spec,
     document as document,

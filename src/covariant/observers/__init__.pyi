@@ -24,6 +24,7 @@ from .base import (
     needed_substeps as needed_substeps,
     run as run,
     with_fixed_substeps as with_fixed_substeps,
+    with_velocity as with_velocity,
 )
 from .constant_gain import (
     Contracting as Contracting,

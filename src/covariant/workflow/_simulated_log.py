@@ -142,15 +142,20 @@ def _add_push(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Call
     if scenario.push is None:
         return file.model, None
     model = file.need_mechanical(name, "pushes are for")
-    force = Parametric(_pushes, largest=numbers("push", scenario.push, kind_of(file).estimates.names))
+    force = Parametric(pushes, largest=numbers("push", scenario.push, kind_of(file).estimates.names))
+    return pushed(model, lambda t, q: force(t)), force
+
+
+def pushed(model: Any, force: Callable[[Any, Any], Any]) -> Any:
+    """The model with a force (n,) of time and configuration that acts on it."""
 
     def dissipation(t, q, v, u):
-        return models.resistance(model, t, q, v, u) + force(t)
+        return models.resistance(model, t, q, v, u) + force(t, q)
 
-    return eqx.tree_at(lambda m: m.dissipation, model, dissipation), force
+    return eqx.tree_at(lambda m: m.dissipation, model, dissipation)
 
 
-def _pushes(t: Any, largest: Any) -> Any:
+def pushes(t: Any, largest: Any) -> Any:
     """Pushes (n,) at a time, as `workflow.simulate` describes them."""
     n, since = largest.shape[0], (t - FIRST_PUSH) / BETWEEN_PUSHES
     k = jnp.floor(since)

@@ -1,7 +1,9 @@
 """A study of many runs: what its file says, checked."""
 
+import functools
 import itertools
 import json
+import operator
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,21 +15,54 @@ import numpy as np
 from covariant._names import unknown
 from covariant.metrics import Grid
 
-KEYS = ("model", "observers", "duration", "rate", "noise", "amplitude", "frequency", "below", "seed", "start", "set")
-"""Keys of a study beside its axes."""
+KEYS = ("model", "observers", "duration", "rate", "below", "seed", "gate", "feedback", "amplitude", "frequency", "push")
+"""Keys of a study beside its tables and what a run has of its own."""
+OF_RUN = ("noise", "acceleration")
+"""What a run has of its own, beside its states."""
+STATES = ("start", "spread", "error")
+"""Tables of a study with a number for each position and velocity."""
+WHAT = {"rate": "samples a second [Hz]", "duration": "length of a run [s]"}
+OF_DESIGN = ("rate", "duration", "push")
+"""Keys of the study that a design may have of its own."""
+
+
+def of_run(key: str) -> bool:
+    """Whether a key is a number of a run, and not one that observers are designed with."""
+    return key in OF_RUN or key.partition(".")[0] in STATES
+
+
+def designed_with(each: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the values of a design that are keys of the model file."""
+    return {key: value for key, value in each.items() if not (of_run(key) or key in OF_DESIGN)}
 
 
 class Axis(NamedTuple):
-    """What varies: its key, its values, and whether observers are designed for each."""
+    """What varies: its key and its values, tables of several keys among them."""
 
     key: str
     values: Sequence[Any]
-    designs: bool
 
     @property
     def name(self) -> str:
         """Its name in the store."""
         return self.key.replace(".", "_")
+
+    @property
+    def designs(self) -> bool:
+        """Whether its values are numbered, and observers designed for each."""
+        return not (of_run(self.key) or self.key in ("draw", "error")) or isinstance(self.values[0], dict)
+
+    @property
+    def inner(self) -> bool:
+        """Whether a row of the result is of all its values."""
+        return not self.designs and (self.key in ("draw", "error") or self.key.partition(".")[0] in STATES)
+
+    @property
+    def labels(self) -> list[Any]:
+        """Its values as the result names them."""
+        if isinstance(self.values[0], dict):
+            return [value.get("name", k + 1) for k, value in enumerate(self.values)]
+        return [str(value) if isinstance(value, list) else value for value in self.values]
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -69,12 +104,23 @@ class Study(NamedTuple):
 
     @property
     def designs(self) -> list[dict[str, Any]]:
-        """Values of the axes for which observers are designed, in all combinations."""
-        axes = [axis for axis in self.axes if axis.designs]
-        return [
-            dict(zip((axis.key for axis in axes), each, strict=True))
-            for each in itertools.product(*(a.values for a in axes))
+        """Values of the axes for which observers are designed, in all combinations, by key."""
+        axes = [
+            [
+                {k: v for k, v in value.items() if k != "name"} if isinstance(value, dict) else {axis.key: value}
+                for value in axis.values
+            ]
+            for axis in self.axes
+            if axis.designs
         ]
+        return [functools.reduce(operator.or_, each, {}) for each in itertools.product(*axes)]
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What every run has of its own, by key, if no axis says otherwise."""
+        content = self.content
+        tables = {f"{table}.{name}": v for table in STATES for name, v in content.get(table, {}).items()}
+        return {key: content[key] for key in OF_RUN if key in content} | tables
 
     @property
     def grid(self) -> Grid:
@@ -96,10 +142,11 @@ def read_study(path: Path) -> Study:
 def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = Path()) -> Study:
     """Check the content of a study."""
     content = dict(content)
+    known = (*KEYS, *OF_RUN, *STATES, "set", "axes")
     for key in content:
-        if key not in (*KEYS, "axes"):
-            raise ValueError(f"{name}: {unknown('key', key, (*KEYS, 'axes'))}")
-    for key in ("model", "observers", "duration", "axes"):
+        if key not in known:
+            raise ValueError(f"{name}: {unknown('key', key, known)}")
+    for key in ("model", "observers", "axes"):
         if not content.get(key):
             raise ValueError(f"{name}: {key} is missing")
     if (folder / str(content["model"])).exists():
@@ -116,8 +163,13 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
             values = list(range(int(values)))
         if not isinstance(values, list) or len(values) < 2:
             raise ValueError(f"{name}: axes.{key} needs two values or more; put a single one into [set] or [start]")
-        axes.append(Axis(key, values, not (key.startswith("start.") or key in ("noise", "draw"))))
-    if "rate" not in content and "rate" not in content["axes"]:
-        raise ValueError(f"{name}: rate is missing: samples a second [Hz], or an axis of them")
+        if len({isinstance(value, dict) for value in values}) > 1:
+            raise ValueError(f"{name}: axes.{key} has tables and other values; give all as tables")
+        axes.append(Axis(key, values))
     text = json.dumps(content)  # axes keep their order
-    return Study(text, content["model"], tuple(content["observers"]), tuple(axes))
+    study = Study(text, content["model"], tuple(content["observers"]), tuple(axes))
+    for each in study.designs:
+        for key in ("rate", "duration"):
+            if not {**content, **each}.get(key):
+                raise ValueError(f"{name}: {key} is missing: {WHAT[key]}, or an axis of it")
+    return study

@@ -4,7 +4,7 @@ import functools
 import itertools
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,17 +16,29 @@ import numpy as np
 from covariant import engine, models
 from covariant._names import unknown
 from covariant.metrics import Variable, map_grid, open_grid
+from covariant.observers import with_velocity
 from covariant.workflow._arguments import Scheduler
 from covariant.workflow._design import design
 from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._pages import write_result_page
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
-from covariant.workflow._simulated_log import DETUNED
-from covariant.workflow._study import Study, parse_study, read_study
+from covariant.workflow._simulated_log import DETUNED, pushed, pushes
+from covariant.workflow._study import Axis, Study, designed_with, of_run, parse_study, read_study
 
 SETTLED = 0.8
 """Part of a run after which errors count."""
+TOLD = {
+    "error": "root mean square of the velocity errors",
+    "nees": "mean NEES of each velocity",
+    "band": "part of the velocities in the 95 % band",
+    "nis": "mean NIS of each velocity",
+}
+"""What a run tells of an observer."""
+HEADINGS = {"nees": "NEES", "nis": "NIS", "band": "in band"}
+"""Columns of their means over the runs that converged."""
+BAND = 1.96
+"""Standard deviations in half of a 95 % band."""
 FINE = 4
 """Steps of the integration of the truth in an interval of the samples."""
 
@@ -42,10 +54,11 @@ def sweep(
     """Run observers over a table of cases: starts, noise, gains, rates and errors of the model.
 
     A study is a small TOML file. Its table [axes] has what varies: `"start.q1"` and other initial positions and
-    velocities of the machine, `noise` of its positions, the `rate` of the samples, `draw`, a number of random draws,
-    and any key of the model file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which the observers are
-    designed with and the machine is not. All combinations are run, by compiled C. A run that was stopped goes on when
-    it is called again.
+    velocities of the machine, `"error.q1"` and other first errors of the observers, `noise` of its positions, random
+    `acceleration` of the machine, the `rate` of the samples, `draw`, a number of random draws, and any key of the model
+    file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which the observers are designed with and the
+    machine is not; or tables of several of these, which vary together. All combinations are run, by compiled C. A run
+    that was stopped goes on when it is called again.
 
     Use it for basins of attraction, for the consistency of a filter, and for what a gain costs at another rate.
 
@@ -57,8 +70,9 @@ def sweep(
         progress: Called with a description and the fraction of the runs that are done.
 
     Returns:
-        For each observer and each combination of what varies but starts and draws: how many runs end near the truth,
-        median error, and mean NEES of those.
+        For each observer and each combination of what varies but starts, first errors and draws: how many runs end near
+        the truth, median error, and mean NEES and NIS of those; with an axis `error`, which multiplies the first error,
+        up to which multiple all runs end there.
 
     Raises:
         ValueError: For a study that makes no sense, or a store of another one.
@@ -113,9 +127,8 @@ class _Runs:
         made = _compiled(self.text)
         result = {}
         for name, family in made.families.items():
-            result[f"{_plain(name)}_error"] = Variable((), "1", f"root mean square of the velocity errors of {name}")
-            if family.tells_std:
-                result[f"{_plain(name)}_nees"] = Variable((), "1", f"mean NEES of {name} for each velocity")
+            for what in ("error", *family.tells):
+                result[f"{_plain(name)}_{what}"] = Variable((), "1", f"{TOLD[what]} of {name}")
         return result
 
 
@@ -129,64 +142,76 @@ class _Family(NamedTuple):
     step: Callable[..., Any]
     init: Callable[..., Any]
     numbers: list[Any]
-    tells_std: bool
+    tells: tuple[str, ...]
 
 
 class _Machine(NamedTuple):
-    """The truth, and observers of it, for any case."""
+    """The truth, and observers of it, for any case.
+
+    Attributes:
+        own: Numbers of a run by key: one for each design, or the axis that they vary on.
+    """
 
     plan: Study
     model: Any
-    start: Any
     names: tuple[str, ...]
-    inputs: int
+    inputs: Callable[[Any, Any, Any], Any]
+    own: dict[str, Any]
     intervals: Any
     counts: Any
+    pushes: Any
     families: dict[str, _Family]
 
     def run(self, x: Any) -> dict[str, Any]:
         """Errors of all observers in a case."""
-        content, n = self.plan.content, len(self.names) // 2
-        place, noise, draw, start = jnp.zeros((), int), jnp.asarray(content.get("noise", 0.0), float), 0, {}
-        for axis, at in zip(self.plan.axes, x, strict=True):
+        content, n, manifold = self.plan.content, len(self.names) // 2, self.model.manifold
+        coordinates = dict(zip((axis.key for axis in self.plan.axes), x, strict=True))
+        place = jnp.zeros((), int)
+        for axis in self.plan.axes:
             if axis.designs:
-                place = place * len(axis.values) + jnp.round(at).astype(int)
-            elif axis.key == "noise":
-                noise = axis.at(at)
-            elif axis.key == "draw":
-                draw = jnp.round(at).astype(int)
-            else:
-                start[axis.key.removeprefix("start.")] = axis.at(at)
-        both = self.start
-        for name, value in start.items():
-            both = both.at[self.names.index(name)].set(value)
-        noisy = bool(content.get("noise")) or "noise" in content["axes"]
+                place = place * len(axis.values) + jnp.round(coordinates[axis.key]).astype(int)
+        own = {k: v.at(coordinates[k]) if isinstance(v, Axis) else v[place] for k, v in self.own.items()}
+        scale = next((axis.at(coordinates[axis.key]) for axis in self.plan.axes if axis.key == "error"), 1.0)
+
+        def states(table: str) -> Any:
+            return jnp.stack([jnp.asarray(own.get(f"{table}.{name}", 0.0), float) for name in self.names])
+
+        draw = jnp.round(coordinates.get("draw", jnp.zeros(()))).astype(int)
         key = jax.random.fold_in(jax.random.key(content.get("seed", 0)), draw)
+        of_noise, of_force, of_start = (jax.random.fold_in(key, k) for k in range(3))
         h, count = self.intervals[place], self.counts[place]
-        amplitude = np.broadcast_to(np.asarray(content.get("amplitude", 0.0), float), (self.inputs,))
-        omega = 2 * np.pi * content.get("frequency", 0.5) * (1 + DETUNED * np.arange(self.inputs))
         late = jnp.floor(SETTLED * count.astype(float)).astype(int)
         counted = (count - late).astype(float)
+        both = states("start")
+        if any(name.startswith("spread.") for name in own):
+            both = both + states("spread") * jax.random.normal(of_start, both.shape)
+        off = scale * states("error")
+
+        def random(name: str, key: Any, k: Any, shape: tuple[int, ...] = (n,)) -> Any:
+            return own[name] * jax.random.normal(jax.random.fold_in(key, k), shape) if name in own else jnp.zeros(shape)
+
         result = {}
         for name, family in self.families.items():
             numbers = [leaf[place] for leaf in family.numbers]
 
-            def sample(k, key=key):
-                return noise * jax.random.normal(jax.random.fold_in(key, k), (n,)) if noisy else jnp.zeros(n)
+            def body(k, carry, family=family, numbers=numbers):
+                q, v, state, sums = carry
+                t = k.astype(float) * h
+                # White within a sample too, with the density that a filter without a correlation time believes in.
+                white = FINE**0.5 * random("acceleration", of_force, k, (FINE, n))
+                force = pushes(t, self.pushes[place]), white
+                noise = random("noise", of_noise, k + 1)
+                q, v, state, new = family.step(numbers, t, q, v, state, self.inputs(t, q, v), force, noise, h)
+                return q, v, state, sums + jnp.where(k >= late, new, 0.0)
 
-            def body(k, carry, family=family, numbers=numbers, sample=sample):
-                q, v, state, squares, nees = carry
-                u = jnp.asarray(amplitude) * jnp.sin(jnp.asarray(omega) * (k.astype(float) * h))
-                q, v, state, off, ratio = family.step(numbers, k * h, q, v, state, u, sample(k + 1), h)
-                last = k >= late
-                return q, v, state, squares + jnp.where(last, off, 0.0), nees + jnp.where(last, ratio, 0.0)
-
-            q, v = self.model.manifold.retract(self.model.manifold.origin(), both[:n]), both[n:]
-            state = family.init(numbers, self.model.manifold.ambient.retract(q, sample(0)))
-            *_, squares, nees = jax.lax.fori_loop(0, count, body, (q, v, state, jnp.zeros(()), jnp.zeros(())))
-            result[f"{_plain(name)}_error"] = jnp.sqrt(squares / counted)
-            if family.tells_std:
-                result[f"{_plain(name)}_nees"] = nees / counted / n
+            q, v = manifold.retract(manifold.origin(), both[:n]), both[n:]
+            y = manifold.ambient.retract(q, random("noise", of_noise, jnp.zeros((), int)) + off[:n])
+            # Without a first error the observers know nothing of the velocity, and start at rest.
+            moves = "error" in content or any(name.startswith("error.") for name in own)
+            state = family.init(numbers, y, v + off[n:] if moves else None)
+            *_, sums = jax.lax.fori_loop(0, count, body, (q, v, state, jnp.zeros(1 + len(family.tells))))
+            means = dict(zip(("error", *family.tells), sums / counted, strict=True))
+            result |= {f"{_plain(name)}_{what}": jnp.sqrt(v) if what == "error" else v / n for what, v in means.items()}
         return result
 
 
@@ -194,36 +219,64 @@ class _Machine(NamedTuple):
 def _compiled(text: str) -> _Machine:
     """Machine and observers of a study, compiled once in each process."""
     plan = parse_study(json.loads(text))
-    content = plan.content
+    content, designs = plan.content, plan.designs
     overrides = content.get("set", {})
     file = models.load(plan.model, overrides)
     model: Any = file.need_mechanical(plan.model, "a sweep simulates")
     if model.feet is not None:
         raise ValueError(f"{plan.model}: a sweep simulates no contacts; take a model without feet")
-    n, inputs = file.dimension, models.input_count(model, file.dimension)
+    n = file.dimension
     names = (*(f"q{k + 1}" for k in range(n)), *(f"v{k + 1}" for k in range(n)))
-    states = {**content.get("start", {}), **{a.key[6:]: 0.0 for a in plan.axes if a.key.startswith("start.")}}
-    for name in states:
-        if name not in names:
-            raise ValueError(f"start: {unknown('state', name, names)}")
-    both = jnp.array([float(states.get(name, 0.0)) for name in names])
-    rates = np.array([float({**content, **each}["rate"]) for each in plan.designs])
-    files = [
-        models.load(plan.model, overrides | {k: v for k, v in each.items() if k != "rate"}) for each in plan.designs
-    ]
-    families = {
-        name: _family(
-            model,
-            [design(each, name, rate=rate).observer for each, rate in zip(files, rates, strict=True)],
-            inputs,
-        )
-        for name in plan.observers
+    varied = {axis.key: axis for axis in plan.axes if of_run(axis.key) and not axis.designs}
+    keys = dict.fromkeys((*plan.numbers, *varied, *(k for each in designs for k in each if of_run(k))))
+    for key in keys:
+        if "." in key and key.partition(".")[2] not in names:
+            raise ValueError(f"{key.partition('.')[0]}: {unknown('state', key.partition('.')[2], names)}")
+    own = {
+        key: varied.get(key, jnp.asarray([float({**plan.numbers, **each}.get(key, 0.0)) for each in designs]))
+        for key in keys
     }
-    counts = jnp.asarray(np.maximum(np.round(content["duration"] * rates), 2).astype(int))
-    return _Machine(plan, model, both, names, inputs, jnp.asarray(1 / rates), counts, families)
+    rates, durations = (np.array([float({**content, **each}[key]) for each in designs]) for key in ("rate", "duration"))
+    largest = [np.broadcast_to(np.asarray({**content, **each}.get("push", 0.0), float), (n,)) for each in designs]
+    inputs = models.input_count(model, n)
+    files = [models.load(plan.model, overrides | designed_with(each)) for each in designs]
+    families = {}
+    for name in plan.observers:
+        made = [design(each, name, rate=rate) for each, rate in zip(files, rates, strict=True)]
+        if not content.get("gate", True):
+            made = [each.without_gate() for each in made]
+        driven = "acceleration" in keys or bool(np.any(largest))
+        families[name] = _family(model, [each.observer for each in made], inputs, driven, "noise" in keys)
+    counts = jnp.asarray(np.maximum(np.round(durations * rates), 2).astype(int))
+    return _Machine(
+        plan,
+        model,
+        names,
+        _inputs(content, inputs),
+        own,
+        jnp.asarray(1 / rates),
+        counts,
+        jnp.asarray(np.stack(largest)),
+        families,
+    )
 
 
-def _family(model: Any, observers: Sequence[Any], inputs: int) -> _Family:
+def _inputs(content: Mapping[str, Any], count: int) -> Callable[[Any, Any, Any], Any]:
+    """Inputs (m,) at a time, a configuration and a velocity: sines, or a function of a module."""
+    if "feedback" in content:
+        feedback = models.attribute(content["feedback"])
+        return lambda t, q, v: jnp.asarray(feedback(t, jnp.concatenate([q, v])), float)
+    amplitude = np.broadcast_to(np.asarray(content.get("amplitude", 0.0), float), (count,))
+    omega = 2 * np.pi * content.get("frequency", 0.5) * (1 + DETUNED * np.arange(count))
+    return lambda t, q, v: jnp.asarray(amplitude) * jnp.sin(jnp.asarray(omega) * t)
+
+
+def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noisy: bool) -> _Family:
+    """Observers of one name.
+
+    The machine is `driven` where something else than its inputs acts on it. A filter says how large errors are only of
+    `noisy` readings.
+    """
     leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
     differ = [
         k
@@ -246,28 +299,55 @@ def _family(model: Any, observers: Sequence[Any], inputs: int) -> _Family:
     def as_numbers(state: Any) -> Any:
         return jax.tree.map(lambda leaf: leaf.astype(float), state)
 
-    def init(values: Sequence[Any], y: Any) -> Any:
-        return as_numbers(observer(values).init(y))
+    def init(values: Sequence[Any], y: Any, v: Any = None) -> Any:
+        state = observer(values).init(y)
+        return as_numbers(state if v is None else with_velocity(state, v))
 
-    def step(values: Any, t: Any, q: Any, v: Any, state: Any, u: Any, noise: Any, h: Any) -> Any:
-        each = observer(values)
-        motion = models.advance(model, t, models.Motion(q, v), u, h, FINE)
+    first, zero = [leaf[0] for leaf in numbers], model.manifold.zero(origin)
+    _, info = jax.eval_shape(lambda q: observers[0].step(observers[0].init(q), jnp.zeros(inputs), q, 0.01), origin)
+    told = (("nees", "velocity_std"), ("band", "velocity_std"), ("nis", "nis"))
+    tells = tuple(what for what, field in told if noisy and getattr(info, field, None) is not None)
+
+    def step(values: Any, t: Any, q: Any, v: Any, state: Any, u: Any, force: Any, noise: Any, h: Any) -> Any:
+        each, (push, accelerations) = observer(values), force
+        if driven:
+
+            def piece(carry, acceleration):
+                t, motion = carry
+                acting = pushed(model, lambda t, q: push + model.space(q) @ acceleration)
+                return (t + h / FINE, models.advance(acting, t, motion, u, h / FINE, 1)), None
+
+            (_, motion), _ = jax.lax.scan(piece, (t, models.Motion(q, v)), accelerations)
+        else:
+            motion = models.advance(model, t, models.Motion(q, v), u, h, FINE)
         state = jax.tree.map(lambda leaf, kind: leaf.astype(kind.dtype), state, kinds)
         state, info = each.step(state, u, model.manifold.ambient.retract(motion.q, noise), h)
         off = model.sought.of(each.estimate(state)) - motion.v
-        std = getattr(info, "velocity_std", None)
-        nees = jnp.zeros(()) if std is None else jnp.sum((off / std) ** 2)
-        return motion.q, motion.v, as_numbers(state), jnp.sum(off**2), nees
+        sums = {"error": jnp.sum(off**2)}
+        if "nees" in tells:
+            sums["nees"] = jnp.sum((off / info.velocity_std) ** 2)
+            sums["band"] = jnp.sum(jnp.where(jnp.abs(off) < BAND * info.velocity_std, 1.0, 0.0))
+        if "nis" in tells:
+            sums["nis"] = info.nis
+        return motion.q, motion.v, as_numbers(state), jnp.stack([sums[what] for what in ("error", *tells)])
 
-    first = [leaf[0] for leaf in numbers]
-    zero, state = model.manifold.zero(origin), jax.eval_shape(init, first, origin)
-    compiled = engine.compiled(step, first, jnp.zeros(()), origin, zero, state, jnp.zeros(inputs), zero, jnp.zeros(()))
-    _, info = jax.eval_shape(lambda q: observers[0].step(observers[0].init(q), jnp.zeros(inputs), q, 0.01), origin)
-    return _Family(compiled, init, numbers, getattr(info, "velocity_std", None) is not None)
+    state = jax.eval_shape(init, first, origin)
+    at = jnp.zeros(())
+    compiled = engine.compiled(
+        step, first, at, origin, zero, state, jnp.zeros(inputs), (zero, jnp.zeros((FINE, *zero.shape))), zero, at
+    )
+    return _Family(compiled, init, numbers, tells)
 
 
 def _same(leaf: Any, first: Any) -> bool:
     return leaf is first or bool(np.array_equal(np.asarray(leaf), np.asarray(first)))
+
+
+def _basin(near: Any, scales: Axis) -> dict[str, Any]:
+    """The largest multiple of the first error up to which all runs converge, and how many larger ones converge too."""
+    held = near.cumprod(scales.name)  # 1 up to the first that does not
+    largest = (held * held[scales.name].copy(data=np.asarray(scales.values, float))).max(scales.name)
+    return {"basin": largest, "beyond it": (near - held).sum(scales.name)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -300,29 +380,31 @@ class SweepResult(AbstractTable):
     @functools.cached_property
     def _columns(self) -> dict[str, np.ndarray]:
         stored = open_grid(self.store, complete=True)
-        inner = [axis.name for axis in self.plan.axes if axis.key.startswith("start.") or axis.key == "draw"]
-        outer = [axis for axis in self.plan.axes if axis.name not in inner]
+        inner = [axis.name for axis in self.plan.axes if axis.inner]
+        outer = [axis for axis in self.plan.axes if not axis.inner]
+        scales = next((axis for axis in self.plan.axes if axis.key == "error"), None)
         below = self.plan.content.get("below", math.inf)
         rows = []
         for name in self.plan.observers:
             error: Any = stored[f"{_plain(name)}_error"]
             finite: Any = error.notnull() & (abs(error) < math.inf)
             count = float(np.prod([stored.sizes[each] for each in inner]))
+            near = (error < below) & finite
             parts = {
-                "converged": ((error < below) & finite).sum(inner) / count,
+                "converged": near.sum(inner) / count,
                 "not finite": (~finite).sum(inner) / count,
                 # A quantile over chunks of a large store is one pass over each, in their order.
                 "median error": error.chunk(dict.fromkeys(inner, -1)).quantile(0.5, inner) if inner else error,
             }
-            if f"{_plain(name)}_nees" in stored:
-                # A run that diverged would decide the mean alone.
-                parts["NEES"] = stored[f"{_plain(name)}_nees"].where(finite & (error < below)).mean(inner)
+            for what, heading in HEADINGS.items():
+                if f"{_plain(name)}_{what}" in stored:
+                    # A run that diverged would decide the mean alone.
+                    parts[heading] = stored[f"{_plain(name)}_{what}"].where(near).mean(inner)
+            if scales is not None:
+                parts |= _basin(near.all([each for each in inner if each != scales.name]), scales)
             values = {key: np.asarray(part).ravel() for key, part in parts.items()}
-            for k, each in enumerate(itertools.product(*(axis.values for axis in outer))):
-                varied = {
-                    a.key: str(value) if isinstance(value, list) else value
-                    for a, value in zip(outer, each, strict=True)
-                }
+            for k, each in enumerate(itertools.product(*(axis.labels for axis in outer))):
+                varied = {axis.key: value for axis, value in zip(outer, each, strict=True)}
                 rows.append({"observer": name, **varied, **{key: float(part[k]) for key, part in values.items()}})
         names = dict.fromkeys(key for row in rows for key in row)
         return {

@@ -14,5 +14,6 @@ from ._robot_family import (
     is_robot_number as is_robot_number,
     robot_family as robot_family,
 )
+from ._source import attribute as attribute
 from ._systems import check_spec as check_spec
 from ._toml import Overrides as Overrides, override as override

@@ -39,6 +39,7 @@ from ._protocol import (
     still as still,
     time_since_measurement as time_since_measurement,
     uniqueness as uniqueness,
+    with_velocity as with_velocity,
 )
 from ._sampled import (
     acceleration_gain as acceleration_gain,

@@ -571,6 +571,13 @@ def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
     return jnp.zeros(input_count(model, like.shape[0]), like.dtype)
 
 
+def with_velocity(state: Any, v: Vector) -> Any:
+    """State of an observer, or of one within another, with another velocity."""
+    if "v" in state._fields:
+        return state._replace(v=v)
+    return state._replace(inner=with_velocity(state.inner, v))
+
+
 def time_since_measurement(state: Any) -> Scalar:
     """Time [s] since the last measurement, at the end of the prediction that led to a predicted state."""
     return state.age

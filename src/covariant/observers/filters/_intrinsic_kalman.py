@@ -281,9 +281,13 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return state.root @ state.root.T
 
     def velocity_std(self, state: KalmanState) -> Vector:
-        """Standard deviations (n,) of the components of the velocity [rad/s or m/s] in a state."""
+        """Standard deviations (n,) of the components of the velocity [rad/s or m/s] in a state.
+
+        They are of v − v̂, whose components are in the frames at two configurations, and not of ν.
+        """
         n = state.v.shape[0]
-        return jnp.sqrt(jnp.sum(state.root[n : 2 * n] ** 2, axis=1))
+        root = apart(self.model.space, state.q, state.v)[n:] @ state.root[: 2 * n]
+        return jnp.sqrt(jnp.sum(root**2, axis=1))
 
     @property
     def slow_names(self) -> tuple[str, ...]:

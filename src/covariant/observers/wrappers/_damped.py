@@ -38,6 +38,7 @@ from covariant.observers.base import (
     check_not_negative,
     check_positive,
     no_input,
+    with_velocity,
 )
 from covariant.observers.sensors import Instant, Readings, Sensor, Sensors, as_groups
 from covariant.observers.wrappers._gated import Gated, without_last_input
@@ -237,7 +238,7 @@ class Damped(AbstractObserver):
         code = jnp.where(between, int(StepCode.OK), jnp.asarray(info.result))
         finite = jnp.all(jnp.isfinite(v)) & jnp.all(jnp.isfinite(bias))
         result = jnp.where(finite, code, int(StepCode.NOT_FINITE)).astype(info.result.dtype)
-        new = state._replace(inner=_with_velocity(inner, v), bias=bias, waited=waited)
+        new = state._replace(inner=with_velocity(inner, v), bias=bias, waited=waited)
         return new, DampedInfo(info.innovation, info.distance, -residual, bias, result)
 
     @property
@@ -329,10 +330,3 @@ def damping_margin(alpha: Number, beta: Number, kappa: Number, cross: Number) ->
     """
     alpha, beta, kappa, cross = (jnp.asarray(number, float) for number in (alpha, beta, kappa, cross))
     return 4 * beta * (alpha - cross) * (cross + kappa) - cross**2 * (alpha + kappa) ** 2
-
-
-def _with_velocity(state: Any, v: Vector) -> Any:
-    """State of an observer, or of a `Gated` one, with another velocity."""
-    if "v" in state._fields:
-        return state._replace(v=v)
-    return state._replace(inner=_with_velocity(state.inner, v))
