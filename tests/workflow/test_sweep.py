@@ -71,5 +71,50 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
 def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
     with pytest.raises(ValueError, match=message):
         run(tmp_path, "noise = [0.1, 0.2]", HEAD + text)
-    with pytest.raises(ValueError, match="needs two values"):
+    with pytest.raises(ValueError, match="needs a list of two values"):
         run(tmp_path, "noise = [0.1]", HEAD + "rate = 50.0\n")
+
+
+@pytest.mark.long
+def test_a_filter_is_as_accurate_as_it_says_of_a_truth_that_is_drawn_as_it_believes(tmp_path):
+    """And says too little of what it is not told of: NEES follows random motion, pushes and speeds, one by one."""
+    axes = 'draw = 200\n[[axes.case]]\nname = "as believed"\n[[axes.case]]\nname = "moved"\nacceleration = 10.0\n'
+    axes += '[[axes.case]]\nname = "pushed"\npush = [4.0]\n'
+    head = HEAD.replace("below = 0.05", "rate = 50.0\nnoise = 1e-3\nacceleration = 1.0\n[spread]\nv1 = 1.0\n")
+    table = run(tmp_path, axes, head).columns
+    kalman = table["observer"] == "intrinsic-kalman"
+    assert list(table["case"][kalman]) == ["as believed", "moved", "pushed"]
+    # It learns how large the unknown is, and is a little too careful.
+    believed, moved, pushed = table["NEES"][kalman]
+    assert 0.8 < believed < 1.1
+    assert moved > 1.5 * believed
+    assert pushed > 1.5 * believed
+    assert 0.93 < table["in band"][kalman][0] < 0.98
+    assert 0.9 < table["NIS"][kalman][0] < 1.1
+
+
+def test_the_basin_is_the_largest_multiple_up_to_which_all_runs_converge(tmp_path):
+    """Of a linear observer every multiple converges alike, so that `below` decides which."""
+    text = (
+        HEAD.replace(', "intrinsic-kalman"', "").replace("duration = 2.0", "duration = 1.0")
+        + "rate = 50.0\ngate = false\n"
+    )
+    result = run(tmp_path, "error = [0.0, 1.0, 10.0, 1e6]", text + "[error]\nq1 = 0.1\n")
+    (basin,), (beyond,) = result.columns["basin"], result.columns["beyond it"]
+    error = open_grid(result.store).intrinsic_error.values
+    assert error[0] < 1e-12
+    np.testing.assert_allclose(error[1:] / error[1], [1.0, 10.0, 1e6], rtol=1e-6)
+    assert basin == [0.0, 1.0, 10.0, 1e6][int(np.flatnonzero(error < 0.05)[-1])]
+    assert beyond == 0
+
+
+def test_observers_start_with_the_velocity_of_the_machine_and_their_own_error(tmp_path):
+    """A feedback of a module acts on both, so that without an error nothing differs."""
+    (tmp_path / "spring.py").write_text("def pull(t, x):\n    return -3.0 * x[:1]\n")
+    text = (
+        HEAD.replace(', "intrinsic-kalman"', "").replace("duration = 2.0", "duration = 0.2")
+        + 'rate = 50.0\nfeedback = "spring:pull"\n[start]\nq1 = 1.0\nv1 = 2.0\n'
+    )
+    stored = open_grid(run(tmp_path, '"error.v1" = [0.0, 1.0]', text).store).intrinsic_error.values
+    assert stored[0] < 1e-9
+    assert stored[1] > 1e-3

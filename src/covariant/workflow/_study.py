@@ -3,6 +3,7 @@
 import functools
 import itertools
 import json
+import math
 import operator
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -149,8 +150,12 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
     for key in ("model", "observers", "axes"):
         if not content.get(key):
             raise ValueError(f"{name}: {key} is missing")
+    if not isinstance(content["observers"], list):
+        raise ValueError(f"{name}: observers must be a list of names; got {content['observers']!r}")
     if (folder / str(content["model"])).exists():
         content["model"] = str((folder / content["model"]).absolute())
+    if isinstance(content.get("feedback"), str):
+        content["feedback"] = {"function": content["feedback"], "folder": str(folder.absolute())}
     axes = []
     for key, values in content["axes"].items():
         if isinstance(values, Mapping):
@@ -160,9 +165,12 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
                 raise ValueError(f"{name}: axes.{key} needs a list, or {{low, high, count}}") from error
             values = np.linspace(low, high, int(count)).tolist()
         elif key == "draw":
-            values = list(range(int(values)))
+            values = list(range(values)) if isinstance(values, int) else values
         if not isinstance(values, list) or len(values) < 2:
-            raise ValueError(f"{name}: axes.{key} needs two values or more; put a single one into [set] or [start]")
+            raise ValueError(
+                f"{name}: axes.{key} needs a list of two values or more{', or a number of draws' * (key == 'draw')}; "
+                "put a single value into [set] or [start]"
+            )
         if len({isinstance(value, dict) for value in values}) > 1:
             raise ValueError(f"{name}: axes.{key} has tables and other values; give all as tables")
         axes.append(Axis(key, values))
@@ -170,6 +178,9 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
     study = Study(text, content["model"], tuple(content["observers"]), tuple(axes))
     for each in study.designs:
         for key in ("rate", "duration"):
-            if not {**content, **each}.get(key):
+            value = {**content, **each}.get(key)
+            if value is None:
                 raise ValueError(f"{name}: {key} is missing: {WHAT[key]}, or an axis of it")
+            if not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise ValueError(f"{name}: {key} must be a positive number, the {WHAT[key]}; got {value!r}")
     return study

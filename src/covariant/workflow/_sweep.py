@@ -264,7 +264,7 @@ def _compiled(text: str) -> _Machine:
 def _inputs(content: Mapping[str, Any], count: int) -> Callable[[Any, Any, Any], Any]:
     """Inputs (m,) at a time, a configuration and a velocity: sines, or a function of a module."""
     if "feedback" in content:
-        feedback = models.attribute(content["feedback"])
+        feedback = models.attribute(content["feedback"]["function"], Path(content["feedback"]["folder"]))
         return lambda t, q, v: jnp.asarray(feedback(t, jnp.concatenate([q, v])), float)
     amplitude = np.broadcast_to(np.asarray(content.get("amplitude", 0.0), float), (count,))
     omega = 2 * np.pi * content.get("frequency", 0.5) * (1 + DETUNED * np.arange(count))
