@@ -8,6 +8,7 @@ writes them into `docs`, and the tests fail where they are not up to date.
 import ast
 import importlib
 import inspect
+import itertools
 import re
 from collections.abc import Callable
 from functools import partial
@@ -85,22 +86,32 @@ def _erratum(entry: errata.Erratum) -> str:
 
 
 def benchmarks_table() -> str:
-    """Every script in `benchmarks` with the first sentence of its docstring, and the pages with its numbers."""
-    scripts = [(path, docstring) for path in sorted((ROOT / "benchmarks").glob("*.py")) if (docstring := _about(path))]
-    rows = [f"| `{path.name}` | {_sentence(text)} | {_pages_with(path.name)} |" for path, text in scripts]
+    """Every script and study in `benchmarks` with the first sentence of its text, and the pages with its numbers."""
+    folder = ROOT / "benchmarks"
+    paths = [*sorted(folder.glob("*.py")), *sorted(folder.glob("studies/*.toml"))]
+    named = [(path.relative_to(folder).as_posix(), text) for path in paths if (text := _about(path))]
+    rows = [f"| `{name}` | {_sentence(text)} | {_pages_with(name)} |" for name, text in named]
     return "\n".join(["| script | what it measures | numbers |", "|---|---|---|", *rows])
 
 
 def _about(path: Path) -> str:
-    """Docstring of a script; empty for one that others only import."""
+    """Docstring of a script, empty for one that others only import, or the first lines of a study."""
+    if path.suffix == ".toml":
+        lines = itertools.takewhile(lambda line: line.startswith("#"), path.read_text("utf-8").splitlines())
+        return " ".join(line.lstrip("# ") for line in lines)
     return "" if path.stem in ("conftest", "moments") else ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
 
 
 def _pages_with(script: str) -> str:
     pages = [page for page in sorted(DOCS.glob("*.md")) if page.stem != "benchmarks"]
-    found = [page for page in pages if f"benchmarks/{script}" in page.read_text(encoding="utf-8")]
+    name = Path(script).name if script.endswith(".toml") else f"benchmarks/{script}"
+    found = [page for page in pages if f"{name}`" in page.read_text(encoding="utf-8")]
     return ", ".join(f"[{page.stem}]({page.name})" for page in found) or (
-        "`make bench`" if script.startswith("test_") else f"`python benchmarks/{script}`"
+        "`make bench`"
+        if script.startswith("test_")
+        else f"`covariant sweep benchmarks/{script}`"
+        if script.endswith(".toml")
+        else f"`python benchmarks/{script}`"
     )
 
 

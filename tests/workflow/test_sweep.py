@@ -1,5 +1,7 @@
 """Sweeps: a study in a small file, run over all its cases; errors follow noise, gains, rates and starts."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,9 @@ import pytest
 from covariant import models, workflow
 from covariant.metrics import open_grid
 from covariant.workflow._design import design
+from covariant.workflow._study import designed_with, read_study
 
+STUDIES = Path(__file__).parents[2] / "benchmarks/studies"
 HEAD = 'model = "oscillator"\nobservers = ["intrinsic", "intrinsic-kalman"]\nduration = 2.0\nbelow = 0.05\n'
 SET = '[set]\n"measurement.std" = 1e-3\n"uncertainty.acceleration" = 1.0\n'
 
@@ -118,3 +122,11 @@ def test_observers_start_with_the_velocity_of_the_machine_and_their_own_error(tm
     stored = open_grid(run(tmp_path, '"error.v1" = [0.0, 1.0]', text).store).intrinsic_error.values
     assert stored[0] < 1e-9
     assert stored[1] > 1e-3
+
+
+@pytest.mark.parametrize("path", sorted(STUDIES.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_study_of_the_benchmarks_names_what_there_is(path):
+    plan = read_study(path)
+    for each in plan.designs:
+        models.load(plan.model, plan.content.get("set", {}) | designed_with(each))
+    assert plan.grid.size > 1
