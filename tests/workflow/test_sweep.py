@@ -70,6 +70,11 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
         ("durations = 1\n", "unknown key"),
         ("", "rate is missing"),
         ("rate = 50.0\n[start]\nq2 = 1.0\n", "unknown state"),
+        ("rate = -50.0\n", "rate must be samples a second"),
+        ('rate = 50.0\ngate = "no"\n', "gate must be true or false"),
+        ("rate = 50.0\npush = [1.0, 2.0]\n", "push: the model has 1 of them"),
+        ('rate = 50.0\nfeedback = "math:pi"\n', "feedback math:pi: with a time and a state"),
+        ("rate = 50.0\nstart = 3\n", "start must be a table"),
     ],
 )
 def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
@@ -77,6 +82,22 @@ def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
         run(tmp_path, "noise = [0.1, 0.2]", HEAD + text)
     with pytest.raises(ValueError, match="needs a list of two values"):
         run(tmp_path, "noise = [0.1]", HEAD + "rate = 50.0\n")
+
+
+@pytest.mark.parametrize(
+    ("axes", "message"),
+    [
+        ("error = [1.0, 2.0]", "multiplies the first error, which is missing"),
+        ("noise = [0.1, nan]", "noise must be a standard deviation"),
+        ("noise = [0.1, 0.2]\n[[axes.case]]\nnoise = 0.1\n[[axes.case]]\nnoise = 0.2", "in two axes"),
+        ('"start.q1" = {low = 0.0, high = 1.0, count = 2.5}', "must be a whole number"),
+        ("[[axes.case]]\nnois = 0.1\n[[axes.case]]\nnoise = 0.2", "unknown table or key 'nois'"),
+        ("draw = 2.5", "or a number of draws"),
+    ],
+)
+def test_an_axis_that_makes_no_sense_is_refused(tmp_path, axes, message):
+    with pytest.raises(ValueError, match=message):
+        run(tmp_path, axes)
 
 
 @pytest.mark.long

@@ -6,7 +6,7 @@ import json
 import math
 import operator
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,13 +16,45 @@ import numpy as np
 from covariant._names import unknown
 from covariant.metrics import Grid
 
-KEYS = ("model", "observers", "duration", "rate", "below", "seed", "gate", "feedback", "amplitude", "frequency", "push")
-"""Keys of a study beside its tables and what a run has of its own."""
+
+def _number(value: Any, least: float = -math.inf) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and least <= value < math.inf
+
+
+def _numbers(value: Any) -> bool:
+    return _number(value) or (isinstance(value, list) and bool(value) and all(map(_number, value)))
+
+
+def _positive(value: Any) -> bool:
+    return _number(value, 0.0) and value > 0
+
+
+KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "model": (lambda value: isinstance(value, str), "the model, a text"),
+    "observers": (
+        lambda value: isinstance(value, list) and bool(value) and all(isinstance(each, str) for each in value),
+        "a list of names of observers",
+    ),
+    "axes": (lambda value: isinstance(value, Mapping) and bool(value), "a table of what varies"),
+    "duration": (_positive, "the length of a run, a positive number [s]"),
+    "rate": (_positive, "samples a second, a positive number [Hz]"),
+    "below": (_positive, "a velocity error, a positive number"),
+    "seed": (lambda value: isinstance(value, int) and not isinstance(value, bool), "a whole number"),
+    "gate": (lambda value: isinstance(value, bool), "true or false"),
+    "feedback": (lambda value: isinstance(value, str | Mapping), '"module:function"'),
+    "amplitude": (_numbers, "a number, or a list with one for each input"),
+    "frequency": (_positive, "a positive number [Hz]"),
+    "push": (_numbers, "a number, or a list with one for each velocity"),
+    "noise": (lambda value: _number(value, 0.0), "a standard deviation"),
+    "acceleration": (lambda value: _number(value, 0.0), "a standard deviation"),
+    "set": (lambda value: isinstance(value, Mapping), "a table of keys of the model file"),
+}
+"""Keys of a study beside the tables of states: what each may be, and in words."""
+NEEDED = ("model", "observers", "axes")
 OF_RUN = ("noise", "acceleration")
 """What a run has of its own, beside its states."""
 STATES = ("start", "spread", "error")
 """Tables of a study with a number for each position and velocity."""
-WHAT = {"rate": "samples a second [Hz]", "duration": "length of a run [s]"}
 OF_DESIGN = ("rate", "duration", "push")
 """Keys of the study that a design may have of its own."""
 
@@ -42,6 +74,10 @@ class Axis(NamedTuple):
 
     key: str
     values: Sequence[Any]
+
+    def keys_of(self, value: Any) -> list[str]:
+        """The keys that one of its values has."""
+        return [key for key in value if key != "name"] if isinstance(value, dict) else [self.key]
 
     @property
     def name(self) -> str:
@@ -143,15 +179,16 @@ def read_study(path: Path) -> Study:
 def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = Path()) -> Study:
     """Check the content of a study."""
     content = dict(content)
-    known = (*KEYS, *OF_RUN, *STATES, "set", "axes")
-    for key in content:
-        if key not in known:
-            raise ValueError(f"{name}: {unknown('key', key, known)}")
-    for key in ("model", "observers", "axes"):
-        if not content.get(key):
-            raise ValueError(f"{name}: {key} is missing")
-    if not isinstance(content["observers"], list):
-        raise ValueError(f"{name}: observers must be a list of names; got {content['observers']!r}")
+    for key, value in content.items():
+        if key not in (*KEYS, *STATES):
+            raise ValueError(f"{name}: {unknown('key', key, (*KEYS, *STATES))}")
+        if key in STATES and not isinstance(value, Mapping):
+            raise ValueError(f"{name}: {key} must be a table of positions and velocities; got {value!r}")
+        for state, number in value.items() if key in STATES else ((None, value),):
+            _check(name, key if state is None else f"{key}.{state}", number)
+    for key in NEEDED:
+        if key not in content:
+            raise ValueError(f"{name}: {key} is missing: {KEYS[key][1]}")
     if (folder / str(content["model"])).exists():
         content["model"] = str((folder / content["model"]).absolute())
     if isinstance(content.get("feedback"), str):
@@ -163,6 +200,10 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
                 low, high, count = (float(values[end]) for end in ("low", "high", "count"))
             except (KeyError, TypeError, ValueError) as error:
                 raise ValueError(f"{name}: axes.{key} needs a list, or {{low, high, count}}") from error
+            if count < 2 or count != int(count):
+                raise ValueError(
+                    f"{name}: count of axes.{key} must be a whole number from 2 on; got {values['count']!r}"
+                )
             values = np.linspace(low, high, int(count)).tolist()
         elif key == "draw":
             values = list(range(values)) if isinstance(values, int) else values
@@ -173,14 +214,32 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
             )
         if len({isinstance(value, dict) for value in values}) > 1:
             raise ValueError(f"{name}: axes.{key} has tables and other values; give all as tables")
+        for value in values:
+            pairs = value.items() if isinstance(value, dict) else ((key, value),)
+            for each, number in pairs:
+                if each not in ("name", "draw", "error") or (isinstance(value, dict) and each != "name"):
+                    _check(name, each, number)
         axes.append(Axis(key, values))
     text = json.dumps(content)  # axes keep their order
     study = Study(text, content["model"], tuple(content["observers"]), tuple(axes))
+    varied = [key for axis in axes for key in {k: None for value in axis.values for k in axis.keys_of(value)}]
+    for key in varied:
+        if varied.count(key) > 1:
+            raise ValueError(f"{name}: {key} is in two axes; keep one")
+    if "error" in varied and "error" not in content and not any(key.startswith("error.") for key in varied):
+        raise ValueError(f"{name}: axes.error multiplies the first error, which is missing: a table [error]")
     for each in study.designs:
         for key in ("rate", "duration"):
-            value = {**content, **each}.get(key)
-            if value is None:
-                raise ValueError(f"{name}: {key} is missing: {WHAT[key]}, or an axis of it")
-            if not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise ValueError(f"{name}: {key} must be a positive number, the {WHAT[key]}; got {value!r}")
+            if key not in {**content, **each}:
+                raise ValueError(f"{name}: {key} is missing: {KEYS[key][1]}, or an axis of it")
     return study
+
+
+def _check(name: str, key: str, value: Any) -> None:
+    """Refuse a value that a key of a study cannot have; keys of the model file are checked with it."""
+    if key.partition(".")[0] in STATES:
+        holds, what = (_number, "a finite number")
+    else:
+        holds, what = KEYS.get(key, (lambda value: True, ""))
+    if not holds(value):
+        raise ValueError(f"{name}: {key} must be {what}; got {value!r}")

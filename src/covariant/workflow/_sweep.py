@@ -237,7 +237,7 @@ def _compiled(text: str) -> _Machine:
         for key in keys
     }
     rates, durations = (np.array([float({**content, **each}[key]) for each in designs]) for key in ("rate", "duration"))
-    largest = [np.broadcast_to(np.asarray({**content, **each}.get("push", 0.0), float), (n,)) for each in designs]
+    largest = [_each("push", {**content, **each}.get("push", 0.0), n) for each in designs]
     inputs = models.input_count(model, n)
     files = [models.load(plan.model, overrides | designed_with(each)) for each in designs]
     families = {}
@@ -252,7 +252,7 @@ def _compiled(text: str) -> _Machine:
         plan,
         model,
         names,
-        _inputs(content, inputs),
+        _inputs(content, inputs, n),
         own,
         jnp.asarray(1 / rates),
         counts,
@@ -261,14 +261,28 @@ def _compiled(text: str) -> _Machine:
     )
 
 
-def _inputs(content: Mapping[str, Any], count: int) -> Callable[[Any, Any, Any], Any]:
+def _inputs(content: Mapping[str, Any], count: int, n: int) -> Callable[[Any, Any, Any], Any]:
     """Inputs (m,) at a time, a configuration and a velocity: sines, or a function of a module."""
     if "feedback" in content:
-        feedback = models.attribute(content["feedback"]["function"], Path(content["feedback"]["folder"]))
+        spec = content["feedback"]["function"]
+        feedback = models.attribute(spec, Path(content["feedback"]["folder"]))
+        try:
+            shape = np.shape(feedback(0.0, jnp.zeros(2 * n)))
+        except Exception as error:  # a function of somebody may fail in any way
+            raise ValueError(f"feedback {spec}: with a time and a state ({2 * n},) it raises {error!r}") from error
+        if shape != (count,):
+            raise ValueError(f"feedback {spec}: it must return the inputs ({count},) of the model; it returned {shape}")
         return lambda t, q, v: jnp.asarray(feedback(t, jnp.concatenate([q, v])), float)
-    amplitude = np.broadcast_to(np.asarray(content.get("amplitude", 0.0), float), (count,))
+    amplitude = _each("amplitude", content.get("amplitude", 0.0), count)
     omega = 2 * np.pi * content.get("frequency", 0.5) * (1 + DETUNED * np.arange(count))
     return lambda t, q, v: jnp.asarray(amplitude) * jnp.sin(jnp.asarray(omega) * t)
+
+
+def _each(key: str, value: Any, count: int) -> np.ndarray:
+    """One number for all, or one for each."""
+    if isinstance(value, list) and len(value) != count:
+        raise ValueError(f"{key}: the model has {count} of them; got {value}")
+    return np.broadcast_to(np.asarray(value, float), (count,))
 
 
 def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noisy: bool) -> _Family:
