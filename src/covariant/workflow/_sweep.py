@@ -404,8 +404,7 @@ class SweepResult(AbstractTable):
             finite: Any = error.notnull() & (abs(error) < math.inf)
             count = float(np.prod([stored.sizes[each] for each in inner]))
             near = (error < below) & finite
-            parts = {
-                "converged": near.sum(inner) / count,
+            parts = ({"converged": near.sum(inner) / count} if below < math.inf else {}) | {
                 "not finite": (~finite).sum(inner) / count,
                 # A quantile over chunks of a large store is one pass over each, in their order.
                 "median error": error.chunk(dict.fromkeys(inner, -1)).quantile(0.5, inner) if inner else error,
@@ -446,7 +445,9 @@ class SweepResult(AbstractTable):
 
     @property
     def headline(self) -> str:
-        return f"{self.runs} runs of {', '.join(self.plan.observers)}"
+        below = self.plan.content.get("below")
+        rule = "" if below is None else f"; converged is a velocity error below {below:g} in the last fifth"
+        return f"{self.runs} runs of {', '.join(self.plan.observers)}{rule}"
 
     written = (".csv",)
 
