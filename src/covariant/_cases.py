@@ -13,6 +13,7 @@ import json
 import multiprocessing
 import os
 import pickle
+import queue
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
@@ -25,8 +26,8 @@ from covariant._optional import load_optional
 
 optional = functools.partial(load_optional, use="many cases need", extra="scale")
 
-IN_FLIGHT = 1024
-"""Chunks submitted to a scheduler at a time: enough to keep a big cluster busy, few enough not to burden it."""
+IN_FLIGHT = 4096
+"""Chunks submitted to a scheduler at a time: more than the processors that it can keep busy, so that none waits."""
 
 Work = Callable[[], Callable[[Any], Any]]
 """Called once in each process; returns the function of a chunk, for instance after it has compiled it."""
@@ -53,6 +54,17 @@ class Crew(NamedTuple):
             raise ValueError(f"workers must be 1 or more; got {self.workers}")
         return self
 
+    @property
+    def size(self) -> int:
+        """Number of chunks that may be computed at a time."""
+        return IN_FLIGHT if self.cluster is not None else self.workers or os.cpu_count() or 1
+
+    @property
+    def death(self) -> tuple[type[Exception], ...]:
+        """What a chunk raises whose process died, on a cluster too often."""
+        cluster = () if self.cluster is None else (optional("distributed").KilledWorker,)
+        return (BrokenExecutor, *cluster)
+
     @contextlib.contextmanager
     def pool(self, work: Work) -> Iterator[tuple[Callable[[Any], Future], int]]:
         """Context of a function that submits a chunk, and the number of chunks that it shall have at a time."""
@@ -66,7 +78,7 @@ class Crew(NamedTuple):
                 executor = client.get_executor(pure=False)
                 yield lambda chunk: executor.submit(_compute, shared, chunk), IN_FLIGHT
             return
-        workers = self.workers or os.cpu_count() or 1
+        workers = self.size
         if self.processes:
             # Not forked: JAX has threads.
             context = multiprocessing.get_context("spawn")
@@ -98,23 +110,27 @@ def _run_until_lost(work: Work, todo: Iterator[Any], crew: Crew) -> Generator[tu
     """Compute chunks until there are none, or until a process dies; returns the chunks that were lost with it."""
     pending: dict[Future, Any] = {}
     lost: list[Any] = []
+    done: queue.SimpleQueue[Future] = queue.SimpleQueue()  # `concurrent.futures.wait` would go over all each time
     with crew.pool(work) as (submit, limit):
         while True:
             for chunk in itertools.islice(todo, 0 if lost else limit - len(pending)):
                 try:
-                    pending[submit(chunk)] = chunk
-                except BrokenExecutor:
-                    lost.append(chunk)
-            if not pending:
-                return lost
-            for future in concurrent.futures.wait(pending, return_when=concurrent.futures.FIRST_COMPLETED).done:
-                chunk = pending.pop(future)
-                try:
-                    result = future.result()
+                    future = submit(chunk)
                 except BrokenExecutor:
                     lost.append(chunk)
                     continue
-                yield chunk, result
+                pending[future] = chunk
+                future.add_done_callback(done.put)
+            if not pending:
+                return lost
+            future = done.get()
+            chunk = pending.pop(future)
+            try:
+                result = future.result()
+            except crew.death:
+                lost.append(chunk)
+                continue
+            yield chunk, result
 
 
 def _end_with_parent() -> None:

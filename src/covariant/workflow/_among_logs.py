@@ -1,6 +1,7 @@
 """What the rows of many logs say together: odd logs, findings that begin at a date, numbers that drift or differ."""
 
 import math
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -31,18 +32,39 @@ class LogRow(NamedTuple):
 
 def among_logs(rows: Sequence[LogRow]) -> tuple[str, ...]:
     """Sentences on what is unlike the rest among the rows of many logs, in the order in which they are given."""
-    rows = [each for each in rows if "failed" not in each.row]
-    return (*_findings(rows), *_odd(rows), *_numbers(rows))
+    failed = [k for k, (_, row) in enumerate(rows) if "failed" in row]
+    known = [k for k, (_, row) in enumerate(rows) if "failed" not in row]
+    sound = [k for k in known if not rows[k].row.get("wrong")]
+    return (
+        *_failures(rows, failed),
+        *_findings(rows, known),
+        *_odd(rows, sound),
+        *_numbers([rows[k] for k in known]),
+    )
 
 
-def _findings(rows: Sequence[LogRow]) -> Iterator[str]:
+def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
+    """Why logs failed, once where the reasons differ in numbers alone."""
+    kinds: dict[str, list[int]] = defaultdict(list)
+    for k in failed:
+        name, reason = rows[k].name, rows[k].row["failed"]
+        kinds[re.sub(r"(?<![A-Za-z_])\d[\d.e+-]*", "#", reason.replace(name, "").replace(Path(name).name, ""))].append(
+            k
+        )
+    for places in sorted(kinds.values(), key=lambda places: -len(places)):
+        name, reason = rows[places[0]].name, rows[places[0]].row["failed"]
+        several = f"FAILED {len(places)} of {len(rows)} logs: {_where(rows, places, range(len(rows)))}. The first, "
+        yield f"{several * (len(places) > 1)}{name}: {reason}"
+
+
+def _findings(rows: Sequence[LogRow], known: Sequence[int]) -> Iterator[str]:
     """What `check` finds wrong, with the logs it is found in."""
     by_finding: dict[str, list[int]] = defaultdict(list)
-    for k, (_, row) in enumerate(rows):
-        for finding in filter(None, row.get("wrong", "").split("; ")):
+    for k in known:
+        for finding in filter(None, rows[k].row.get("wrong", "").split("; ")):
             by_finding[finding].append(k)
     for finding, places in sorted(by_finding.items(), key=lambda pair: -len(pair[1])):
-        yield f"WRONG {finding} in {len(places)} of {len(rows)} logs: {_since(rows, places) or _listed(rows, places)}"
+        yield f"WRONG {finding} in {len(places)} of {len(known)} logs: {_where(rows, places, known)}"
 
 
 def _machine(name: str) -> str:
@@ -50,37 +72,46 @@ def _machine(name: str) -> str:
     return str(Path(name).parent)
 
 
-def _since(rows: Sequence[LogRow], places: Sequence[int]) -> str:
-    """From which log on all logs of a machine are concerned; "" where it is otherwise."""
-    machine = _machine(rows[places[0]].name)
-    own = [k for k, (name, _) in enumerate(rows) if _machine(name) == machine]
-    if len(places) < 3 or len(places) == len(own) or list(places) != own[-len(places) :]:
-        return ""
-    return f"all of {machine} from {Path(rows[places[0]].name).name} on, and none before"
+def _where(rows: Sequence[LogRow], places: Sequence[int], compared: Sequence[int]) -> str:
+    """Logs by machine: all, all from one on among those that are compared, how many, or which."""
+    machines = [_machine(name) for name, _ in rows]
+    phrases: list[tuple[int, str]] = []
+    for machine in dict.fromkeys(machines[k] for k in places):
+        here, others = ([k for k in which if machines[k] == machine] for which in (places, compared))
+        count, all_of_it, names = len(here), machines.count(machine), [rows[k].name for k in here]
+        of = f" of {machine}" * (len(set(machines)) > 1)
+        if 1 < count == all_of_it:
+            phrases.append((count, f"all {count}{of}"))
+        elif 2 < count < len(others) and here == others[-count:]:
+            phrases.append((count, f"all{of} from {Path(names[0]).name} on, and none before"))
+        elif count > LISTED:
+            phrases.append((count, f"{count} of the {all_of_it}{of}, the first {Path(names[0]).name}"))
+        else:
+            phrases += [(1, name) for name in names]
+    more = sum(count for count, _ in phrases[LISTED:])
+    return "; ".join(phrase for _, phrase in phrases[:LISTED]) + (f"; and {more} more" if more else "")
 
 
-def _listed(rows: Sequence[LogRow], places: Sequence[int]) -> str:
-    more = len(places) - LISTED
-    return ", ".join(rows[k].name for k in places[:LISTED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _odd(rows: Sequence[LogRow]) -> Iterator[str]:
+def _odd(rows: Sequence[LogRow], sound: Sequence[int]) -> Iterator[str]:
     """Logs with a number far from that of the others."""
-    names = dict.fromkeys(name for _, row in rows for name in row if name.startswith(JUDGED))
+    names = dict.fromkeys(name for k in sound for name in rows[k].row if name.startswith(JUDGED))
     for name in names:
-        values = np.array([row.get(name, math.nan) for _, row in rows], float)
+        values = np.array([rows[k].row.get(name, math.nan) for k in sound], float)
         known = np.isfinite(values) & (values > 0)
-        if known.sum() < FEWEST:
+        places, values = np.array(sound)[known], values[known]
+        if len(values) < FEWEST:
             continue
         # Ratios count: such numbers are positive, and a factor is as odd upwards as downwards.
-        sizes = np.log(np.where(known, values, 1.0))
-        median = np.median(sizes[known])
-        spread = 1.4826 * np.median(np.abs(sizes[known] - median))
-        odd = known & (np.abs(sizes - median) > max(FAR * spread, math.log(LEAST_FACTOR)))
-        for k in np.flatnonzero(odd)[:LISTED]:
-            yield f"ODD {rows[k].name}: {name} is {values[k]:.3g}, and {math.exp(median):.3g} in the median of the logs"
-        if odd.sum() > LISTED:
-            yield f"ODD {odd.sum() - LISTED} more logs: {name}"
+        sizes = np.log(values)
+        median = np.median(sizes)
+        spread = 1.4826 * np.median(np.abs(sizes - median))
+        odd = np.abs(sizes - median) > max(FAR * spread, math.log(LEAST_FACTOR))
+        if odd.any():
+            low, high = (f"{value:.3g}" for value in (values[odd].min(), values[odd].max()))
+            yield (
+                f"ODD {name} in {odd.sum()} of {len(values)} logs ({low}{f' to {high}' * (low != high)}, "
+                f"median {math.exp(median):.3g}): {_where(rows, places[odd].tolist(), places.tolist())}"
+            )
 
 
 def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:

@@ -7,8 +7,7 @@ import importlib.util
 import json
 import os
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -42,7 +41,7 @@ def over_logs(
     logs: Sequence[Any],
     *,
     out: str | Path | None = None,
-    workers: int | None = 1,
+    workers: int | None = None,
     scheduler: Scheduler | None = None,
     progress: Progress = notebook_line,
     **settings: Any,
@@ -58,9 +57,9 @@ def over_logs(
         model: As for the verb.
         logs: Logs, each as for the verb.
         out: Folder for the table (such as `check.csv`), a page (`check.html`), and a file for each log: its estimates
-            (.parquet) or its fitted model file (.toml).
-        workers: Processes; None for one for each processor. With 1, and for models or logs in memory, all is computed
-            in this process.
+            (.parquet) or its fitted model file (.toml). The name of that file is in the table, and depends on where
+            the log is, from the folder, and on no other log.
+        workers: Processes; 1 by default. With 1, and for models or logs in memory, all is computed in this process.
         scheduler: Address of a Dask scheduler, or a `distributed.Client`, whose workers compute; they need access to
             logs, model and folder.
         progress: Called with a description and the fraction of the work that is done.
@@ -87,7 +86,9 @@ def over_logs(
     if not logs:
         raise ValueError("over_logs: there are no logs; give a list of them")
     in_memory = not all(isinstance(each, str | os.PathLike) for each in (model, *logs))
-    crew = Crew(1 if in_memory and scheduler is None else workers if scheduler is None else None, scheduler).check()
+    crew = Crew(workers, scheduler).check()
+    if scheduler is None and (in_memory or workers is None):
+        crew = Crew(1)
     crew = crew._replace(processes=crew.workers != 1)
     folder = None if out is None else Path(out).absolute()  # the workers of a cluster have their own working folders
     if folder is not None:
@@ -95,15 +96,12 @@ def over_logs(
     table = None if folder is None or in_memory else CaseTable(folder / "cases")
     cases = _cases(verb, model, logs, folder, settings)
     rows = {} if table is None else _finished(cases, table)
-    todo, costs = [case for case in cases if case.key not in rows], {case.key: case.cost for case in cases}
+    costs = {case.key: case.cost for case in cases}
     total, done, began = sum(costs.values()), sum(costs[key] for key in rows), time.monotonic()
-    # The largest first, so that no worker ends long after the others.
-    todo.sort(key=lambda case: -case.cost)
-    workers = crew.workers or os.cpu_count() or 1
-    chunks = chunks_of(
-        todo, [case.cost for case in todo], max(LEAST_COST, (total - done) / (CHUNKS_A_WORKER * workers))
-    )
-    first = done
+    # By key, as a log may be given twice; the largest first, so that no worker ends long after the others.
+    todo = sorted({case.key: case for case in cases if case.key not in rows}.values(), key=lambda case: -case.cost)
+    most = max(LEAST_COST, (total - done) / (CHUNKS_A_WORKER * crew.size))
+    chunks, first = chunks_of(todo, [case.cost for case in todo], most), done
 
     def report() -> None:
         failed = sum("failed" in row for row in rows.values())
@@ -115,15 +113,9 @@ def over_logs(
         )
 
     report()
-    while chunks:
-        broken: list[list[_Case]] = []
-        with closing(run_chunks(_Work(verb, model, settings), chunks, crew)) as results:
+    try:
+        with closing(_computed(_Work(verb, model, settings), chunks, crew)) as results:
             for chunk, result in results:
-                if isinstance(result, BrokenExecutor):
-                    if len(chunk) > 1:  # one of its logs killed the process
-                        broken += [[case] for case in chunk]
-                        continue
-                    result = {chunk[0].key: {"failed": str(result)}}
                 # What another run may find otherwise, such as a full disk, is not kept.
                 lasting = {key: row for key, row in result.items() if row.pop("lasting", False)}
                 if table is not None and lasting:
@@ -131,12 +123,31 @@ def over_logs(
                 rows |= result
                 done += sum(costs[case.key] for case in chunk)
                 report()
-        chunks = broken
+    except KeyboardInterrupt as stopped:
+        goes_on = "; the same command goes on where it stopped" * (table is not None)
+        raise KeyboardInterrupt(f"stopped{goes_on}") from stopped
     result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases])
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")
     return result
+
+
+def _computed(
+    work: "_Work", chunks: list[list["_Case"]], crew: Crew
+) -> Generator[tuple[list["_Case"], dict[str, Any]], None, None]:
+    """Chunks with their rows; of a chunk that kills its process, each log is computed by itself."""
+    while chunks:
+        broken: list[list[_Case]] = []
+        with closing(run_chunks(work, chunks, crew)) as results:
+            for chunk, result in results:
+                if not isinstance(result, BrokenExecutor):
+                    yield chunk, result
+                elif len(chunk) > 1:
+                    broken += [[case] for case in chunk]
+                else:
+                    yield chunk, {chunk[0].key: {"failed": str(result)}}
+        chunks = broken
 
 
 Verb = TypeVar("Verb", bound=Callable[..., Any])
@@ -167,27 +178,28 @@ class _Case(NamedTuple):
 def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, settings: Any) -> list[_Case]:
     versions = {name: importlib.metadata.version(name) for name in ("covariant", "jax", "numpy")}
     whole = [verb, str(model), _model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
-    names = [source_name(log) for log in logs]
-    names = [f"{name} {k + 1}" if name in ("record", "table", "dataset") else name for k, name in enumerate(names)]
-    stems, places = (
-        [Path(name).stem for name in names],
-        [f"{Path(name).parent.name}_{Path(name).stem}" for name in names],
-    )
-    of_stems, of_places, cases = Counter(stems), Counter(places), []
-    for log, name, stem, place in zip(logs, names, stems, places, strict=True):
-        # Not by number, so that a name does not depend on the order.
-        long = place if of_places[place] == 1 else f"{place}_{content_hash(name)[:8]}"
-        unique = stem if of_stems[stem] == 1 else long
+    cases = []
+    for k, log in enumerate(logs):
+        name = source_name(log) if isinstance(log, str | os.PathLike) else f"{source_name(log)} {k + 1}"
+        unique = name if folder is None or name != source_name(log) else _file_name(Path(log), folder)
         path = folder / f"{unique}{FILES[verb]}" if folder is not None and verb in FILES else None
         content, cost = _content(log)
         cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost))
     return cases
 
 
+def _file_name(log: Path, folder: Path) -> str:
+    """Name of the file of a log in a folder, without its ending: that of the log, and a hash of its place."""
+    log = Path(os.path.abspath(log))
+    # From the folder, so that logs and folder that are moved together keep their names.
+    place = os.path.relpath(log, folder) if log.drive == folder.drive else str(log)
+    return f"{log.parent.name}_{log.stem}_{content_hash(place)[:8]}"
+
+
 def _content(log: Any) -> tuple[str, float]:
     """Hash of the content of a log, and its size [bytes]."""
     if not isinstance(log, str | os.PathLike):
-        return f"{id(log)}", 1.0
+        return f"{id(log)}", LEAST_COST
     digest, size, path = hashlib.sha256(), 1.0, Path(log)
     try:
         # A folder that is no log may hold anything, and is not read.
@@ -331,18 +343,20 @@ class LogsResult(AbstractTable):
             for name in sorted(names)
         }
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        return (*(f"{name}: {reason}" for name, reason in self.failed.items()), *self._among)
-
     @functools.cached_property
-    def _among(self) -> tuple[str, ...]:
+    def warnings(self) -> tuple[str, ...]:
         return among_logs(self.each)
 
     @property
     def summary(self) -> dict[str, Any]:
         rows = [{"log": name, **row} for name, row in self.each]
-        return {"verb": self.verb, "model": self.model_name, "logs": rows, "failed": self.failed, "among": self._among}
+        return {
+            "verb": self.verb,
+            "model": self.model_name,
+            "logs": rows,
+            "failed": self.failed,
+            "among": self.warnings,
+        }
 
     @property
     def headline(self) -> str:
@@ -351,7 +365,9 @@ class LogsResult(AbstractTable):
 
     @property
     def _blocks(self) -> list[Any]:
-        return ["# Logs", [{"log": name, **row} for name, row in self.each]]
+        # Those to look at first.
+        rows = sorted(self.each, key=lambda each: not ("failed" in each.row or each.row.get("wrong")))
+        return ["# Logs", [{"log": name, **row} for name, row in rows]]
 
     written = (".csv",)
 
