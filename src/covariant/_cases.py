@@ -26,7 +26,7 @@ from covariant._optional import load_optional
 
 optional = functools.partial(load_optional, use="many cases need", extra="scale")
 
-IN_FLIGHT = 4096
+IN_FLIGHT = 2048
 """Chunks submitted to a scheduler at a time: more than the processors that it can keep busy, so that none waits."""
 
 Work = Callable[[], Callable[[Any], Any]]

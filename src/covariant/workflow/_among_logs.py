@@ -3,7 +3,7 @@
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,14 +47,16 @@ def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
     """Why logs failed, once where the reasons differ in numbers alone."""
     kinds: dict[str, list[int]] = defaultdict(list)
     for k in failed:
-        name, reason = rows[k].name, rows[k].row["failed"]
-        kinds[re.sub(r"(?<![A-Za-z_])\d[\d.e+-]*", "#", reason.replace(name, "").replace(Path(name).name, ""))].append(
-            k
-        )
-    for places in sorted(kinds.values(), key=lambda places: -len(places)):
-        name, reason = rows[places[0]].name, rows[places[0]].row["failed"]
+        name, row = rows[k]
+        reason = row["failed"].replace(name, "").replace(Path(name).name, "")
+        kinds[re.sub(r"(?<![A-Za-z_])\d[\d.e+-]*", "#", reason)].append(k)
+    by_count = sorted(kinds.values(), key=lambda places: -len(places))
+    for places in by_count[: 2 * LISTED]:
+        name, row = rows[places[0]]
         several = f"FAILED {len(places)} of {len(rows)} logs: {_where(rows, places, range(len(rows)))}. The first, "
-        yield f"{several * (len(places) > 1)}{name}: {reason}"
+        yield f"{several * (len(places) > 1)}{name}: {row['failed']}"
+    if more := sum(map(len, by_count[2 * LISTED :])):
+        yield f"FAILED {more} more, for other reasons, which are in the table"
 
 
 def _findings(rows: Sequence[LogRow], known: Sequence[int]) -> Iterator[str]:
@@ -72,14 +74,20 @@ def _machine(name: str) -> str:
     return str(Path(name).parent)
 
 
+def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
+    machines: dict[str, list[int]] = defaultdict(list)
+    for k in places:
+        machines[_machine(rows[k].name)].append(k)
+    return machines
+
+
 def _where(rows: Sequence[LogRow], places: Sequence[int], compared: Sequence[int]) -> str:
     """Logs by machine: all, all from one on among those that are compared, how many, or which."""
-    machines = [_machine(name) for name, _ in rows]
+    here_, others_, all_ = (_by_machine(rows, which) for which in (places, compared, range(len(rows))))
     phrases: list[tuple[int, str]] = []
-    for machine in dict.fromkeys(machines[k] for k in places):
-        here, others = ([k for k in which if machines[k] == machine] for which in (places, compared))
-        count, all_of_it, names = len(here), machines.count(machine), [rows[k].name for k in here]
-        of = f" of {machine}" * (len(set(machines)) > 1)
+    for machine, here in here_.items():
+        others, all_of_it, names = others_[machine], len(all_[machine]), [rows[k].name for k in here]
+        count, of = len(here), f" of {machine}" * (len(all_) > 1)
         if 1 < count == all_of_it:
             phrases.append((count, f"all {count}{of}"))
         elif 2 < count < len(others) and here == others[-count:]:

@@ -8,7 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +33,8 @@ CHUNKS_A_WORKER = 16
 """Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
 LEAST_COST = 2e6
 """Bytes of logs that are a chunk at least."""
+WRITE_EVERY = 1.0
+"""Seconds from one file of rows to the next: what is lost when the run is killed, and files are slow."""
 
 
 def over_logs(
@@ -101,10 +103,10 @@ def over_logs(
     # By key, as a log may be given twice; the largest first, so that no worker ends long after the others.
     todo = sorted({case.key: case for case in cases if case.key not in rows}.values(), key=lambda case: -case.cost)
     most = max(LEAST_COST, (total - done) / (CHUNKS_A_WORKER * crew.size))
-    chunks, first = chunks_of(todo, [case.cost for case in todo], most), done
+    chunks, first, written = chunks_of(todo, [case.cost for case in todo], most), done, began
+    failed = _failed(rows)
 
     def report() -> None:
-        failed = sum("failed" in row for row in rows.values())
         left = (time.monotonic() - began) * (total - done) / (done - first) if done > first else None
         progress(
             f"{verb}: {len(rows)} of {len(cases)} logs{f', {failed} failed' * bool(failed)}"
@@ -113,24 +115,33 @@ def over_logs(
         )
 
     report()
+    fresh: dict[str, dict[str, Any]] = {}
     try:
         with closing(_computed(_Work(verb, model, settings), chunks, crew)) as results:
             for chunk, result in results:
                 # What another run may find otherwise, such as a full disk, is not kept.
-                lasting = {key: row for key, row in result.items() if row.pop("lasting", False)}
-                if table is not None and lasting:
-                    table.write(lasting)
+                fresh |= {key: row for key, row in result.items() if row.pop("lasting", False)}
                 rows |= result
-                done += sum(costs[case.key] for case in chunk)
+                done, failed = done + sum(costs[case.key] for case in chunk), failed + _failed(result)
                 report()
+                if table is not None and fresh and time.monotonic() - written > WRITE_EVERY:
+                    table.write(fresh)
+                    fresh, written = {}, time.monotonic()
     except KeyboardInterrupt as stopped:
         goes_on = "; the same command goes on where it stopped" * (table is not None)
         raise KeyboardInterrupt(f"stopped{goes_on}") from stopped
+    finally:
+        if table is not None and fresh:
+            table.write(fresh)
     result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases])
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")
     return result
+
+
+def _failed(rows: Mapping[str, Mapping[str, Any]]) -> int:
+    return sum("failed" in row for row in rows.values())
 
 
 def _computed(
@@ -179,11 +190,12 @@ def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, sett
     versions = {name: importlib.metadata.version(name) for name in ("covariant", "jax", "numpy")}
     whole = [verb, str(model), _model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
     cases = []
-    for k, log in enumerate(logs):
+    with ThreadPoolExecutor() as pool:  # neither reading nor hashing holds the lock of the interpreter
+        contents = list(pool.map(_content, logs))
+    for k, (log, (content, cost)) in enumerate(zip(logs, contents, strict=True)):
         name = source_name(log) if isinstance(log, str | os.PathLike) else f"{source_name(log)} {k + 1}"
         unique = name if folder is None or name != source_name(log) else _file_name(Path(log), folder)
         path = folder / f"{unique}{FILES[verb]}" if folder is not None and verb in FILES else None
-        content, cost = _content(log)
         cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost))
     return cases
 
