@@ -5,7 +5,6 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-import dask
 import distributed
 import pytest
 
@@ -58,18 +57,6 @@ def test_a_worker_of_a_cluster_that_is_killed_loses_nothing(tmp_path):
         assert sorted(run_chunks(Squares(7, str(tmp_path)), CHUNKS, Crew(cluster=client))) == RIGHT
         assert client.submit(int, 3).result() == 3
     assert (tmp_path / "died").exists()
-
-
-@pytest.mark.long
-def test_a_chunk_that_kills_every_worker_of_a_cluster_takes_no_other_with_it():
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),  # of 3, to be done sooner
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        results = {tuple(chunk): result for chunk, result in run_chunks(Squares(7), CHUNKS, Crew(cluster=client))}
-    assert isinstance(results.pop((6, 7)), BrokenExecutor)
-    assert results == {tuple(chunk): squares for chunk, squares in RIGHT if chunk != [6, 7]}
 
 
 def test_chunks_have_like_costs_and_keep_the_order():

@@ -49,7 +49,7 @@ def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
     for k in failed:
         name, row = rows[k]
         reason = row["failed"].replace(name, "").replace(Path(name).name, "")
-        kinds[re.sub(r"(?<![A-Za-z_])\d[\d.e+-]*", "#", reason)].append(k)
+        kinds[re.sub(r"\S*/\S*|(?<![A-Za-z_])\d[\d.e+-]*", "#", reason)].append(k)
     by_count = sorted(kinds.values(), key=lambda places: -len(places))
     for places in by_count[: 2 * LISTED]:
         name, row = rows[places[0]]

@@ -94,6 +94,8 @@ def over_logs(
     crew = crew._replace(processes=crew.workers != 1)
     folder = None if out is None else Path(out).absolute()  # the workers of a cluster have their own working folders
     if folder is not None:
+        if folder.is_file():
+            raise ValueError(f"{out}: there is a file of this name; give a folder")
         folder.mkdir(parents=True, exist_ok=True)
     table = None if folder is None or in_memory else CaseTable(folder / "cases")
     cases = _cases(verb, model, logs, folder, settings)
@@ -119,8 +121,8 @@ def over_logs(
     try:
         with closing(_computed(_Work(verb, model, settings), chunks, crew)) as results:
             for chunk, result in results:
-                # What another run may find otherwise, such as a full disk, is not kept.
-                fresh |= {key: row for key, row in result.items() if row.pop("lasting", False)}
+                # What failed is tried again: another run may find it otherwise, as after a full disk.
+                fresh |= {key: row for key, row in result.items() if "failed" not in row}
                 rows |= result
                 done, failed = done + sum(costs[case.key] for case in chunk), failed + _failed(result)
                 report()
@@ -268,11 +270,10 @@ class _Work(NamedTuple):
                 result.save(case.path, overwrite=True)
                 row["file"] = case.path.name
         except Exception as error:  # one log shall not stop the others
-            # Refusals are of type ValueError, and depend on log and model alone.
             kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
-            return {"failed": reason, "lasting": isinstance(error, ValueError)}
-        return row | {"lasting": True}
+            return {"failed": reason}
+        return row
 
 
 def _silent(description: str, fraction: float | None = None) -> None:
@@ -355,8 +356,12 @@ class LogsResult(AbstractTable):
             for name in sorted(names)
         }
 
-    @functools.cached_property
+    @property
     def warnings(self) -> tuple[str, ...]:
+        return self._among
+
+    @functools.cached_property
+    def _among(self) -> tuple[str, ...]:
         return among_logs(self.each)
 
     @property
@@ -367,7 +372,7 @@ class LogsResult(AbstractTable):
             "model": self.model_name,
             "logs": rows,
             "failed": self.failed,
-            "among": self.warnings,
+            "among": self._among,
         }
 
     @property
