@@ -16,7 +16,7 @@ import pickle
 import queue
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -160,19 +160,6 @@ def content_hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
-def chunks_of(cases: Sequence[Any], costs: Sequence[float], most: float) -> list[list[Any]]:
-    """Cases in their order, cut where the sum of their costs would exceed `most`."""
-    chunks: list[list[Any]] = []
-    total = most
-    for case, cost in zip(cases, costs, strict=True):
-        if not chunks or total + cost > most:
-            chunks.append([])
-            total = 0.0
-        chunks[-1].append(case)
-        total += cost
-    return chunks
-
-
 class CaseTable(NamedTuple):
     """Rows of finished cases in a folder, a Parquet file for each chunk, each row under the hash of its case."""
 
@@ -181,8 +168,8 @@ class CaseTable(NamedTuple):
     def rows(self) -> dict[str, dict[str, Any]]:
         """Rows of all finished cases, by the hash of the case."""
         read = load_optional("pyarrow.parquet", use="tables of cases need", extra="logs").read_table
-        parts = sorted(self.folder.glob("*.parquet"))
-        return {row.pop("case"): row for part in parts for row in read(part).to_pylist()}
+        rows = (row for part in sorted(self.folder.glob("*.parquet")) for row in read(part).to_pylist())
+        return {row.pop("case"): {name: value for name, value in row.items() if value is not None} for row in rows}
 
     def write(self, rows: Mapping[str, Mapping[str, Any]]) -> None:
         """Write the rows of a chunk, all or none."""

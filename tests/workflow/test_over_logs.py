@@ -83,6 +83,7 @@ def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path)
     assert [changed.each[k] == first.each[k] for k in range(3)] == [True, False, True]
     assert changed.columns["innovation_rms1"][1] == changed.columns["innovation_rms1"][0]
     assert run(alpha=50.0)[1] == "estimate: 0 of 3 logs"
+    assert run()[1] == "estimate: 0 of 3 logs", "its files are those of the other gain"
     alone = covariant.estimate("oscillator", names[0], overrides=NOISE, alpha=40.0, beta=800.0)
     assert first.each[0].row["innovation_rms1"] == alone.summary["innovation_rms"][0]
     assert (
@@ -111,7 +112,7 @@ def test_the_file_of_a_log_depends_on_no_other_log(logs, tmp_path):
     (alone,), _ = run(tmp_path / "lab", names[0])
     assert re.fullmatch(r"arm_log_[0-9a-f]{8}\.parquet", alone)
     files, began = run(tmp_path / "lab", *names[::-1], names[0])
-    assert began == "estimate: 1 of 4 logs"
+    assert began == "estimate: 1 of 3 logs"
     assert files[2:] == [alone, alone]
     assert len(set(files)) == 3
     (tmp_path / "lab").rename(tmp_path / "moved")

@@ -69,15 +69,11 @@ def _findings(rows: Sequence[LogRow], known: Sequence[int]) -> Iterator[str]:
         yield f"WRONG {finding} in {len(places)} of {len(known)} logs: {_where(rows, places, known)}"
 
 
-def _machine(name: str) -> str:
-    """The folder of a log, which is one for each machine."""
-    return str(Path(name).parent)
-
-
 def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
+    """Logs by their folder, which is one for each machine."""
     machines: dict[str, list[int]] = defaultdict(list)
     for k in places:
-        machines[_machine(rows[k].name)].append(k)
+        machines[str(Path(rows[k].name).parent)].append(k)
     return machines
 
 
@@ -127,17 +123,14 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
     names = dict.fromkeys(
         name for _, row in rows for name in row if f"{name}_std" in row and isinstance(row[name], float)
     )
-    machines = [_machine(name) for name, _ in rows]
-    several = len(set(machines)) > 1
+    several = len(_by_machine(rows, range(len(rows)))) > 1
     for name in names:
         value, std = (np.array([row.get(key, math.nan) for _, row in rows], float) for key in (name, f"{name}_std"))
         known = np.isfinite(value) & np.isfinite(std) & (std > 0)
         if known.sum() < 3:
             continue
-        groups = {
-            machine: np.flatnonzero(known & (np.array(machines) == machine)) for machine in dict.fromkeys(machines)
-        }
-        means = {machine: _mean(value[rows_], std[rows_]) for machine, rows_ in groups.items() if len(rows_)}
+        groups = _by_machine(rows, np.flatnonzero(known).tolist())
+        means = {machine: _mean(value[places], std[places]) for machine, places in groups.items()}
         shared, error, between = (
             _mean(*(np.array(column) for column in zip(*((m, e) for m, e, _ in means.values()), strict=True)))
             if several
@@ -176,9 +169,8 @@ def _drift(value: np.ndarray, std: np.ndarray) -> float | None:
         return None
     k = np.linspace(0.0, 1.0, len(value))
     design = np.stack([np.ones_like(k), k], axis=1) / std[:, None]
-    (_, slope), *_ = np.linalg.lstsq(design, value / std)
-    residual = value / std - design @ np.linalg.lstsq(design, value / std)[0]
+    (_, slope), residual, *_ = np.linalg.lstsq(design, value / std)
     # Scatter beyond the errors of the logs widens that of the slope.
-    scatter = max(1.0, float(np.sum(residual**2) / (len(value) - 2)))
+    scatter = max(1.0, float(residual[0]) / (len(value) - 2))
     error = math.sqrt(scatter * np.linalg.inv(design.T @ design)[1, 1])
     return float(slope) if abs(slope) > CLEAR * error else None

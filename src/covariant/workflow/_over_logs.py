@@ -4,9 +4,11 @@ import functools
 import hashlib
 import importlib.metadata
 import importlib.util
+import itertools
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import closing
@@ -17,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from covariant import workflow
-from covariant._cases import CaseTable, Crew, chunks_of, content_hash, run_chunks
+from covariant._cases import CaseTable, Crew, content_hash, run_chunks
 from covariant.logs import source_name
 from covariant.workflow._among_logs import LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
@@ -27,7 +29,7 @@ from covariant.workflow._outputs import write_table
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 
-FILES = {"estimate": ".parquet", "smooth": ".parquet", "fit": ".toml"}
+FILES = {"estimate": ".parquet", "check": "", "fit": ".toml", "smooth": ".parquet"}
 """Ending of the file of each log, by the verb; `check` has none."""
 CHUNKS_A_WORKER = 16
 """Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
@@ -83,8 +85,8 @@ def over_logs(
         >>> result.columns["rows"].tolist()
         [1001.0, 1001.0, nan]
     """
-    if verb not in ("estimate", "check", "fit", "smooth"):
-        raise ValueError(f"over_logs: {verb!r} is not one of estimate, check, fit, smooth")
+    if verb not in FILES:
+        raise ValueError(f"over_logs: {verb!r} is not one of {', '.join(FILES)}")
     if not logs:
         raise ValueError("over_logs: there are no logs; give a list of them")
     in_memory = not all(isinstance(each, str | os.PathLike) for each in (model, *logs))
@@ -105,13 +107,14 @@ def over_logs(
     # By key, as a log may be given twice; the largest first, so that no worker ends long after the others.
     todo = sorted({case.key: case for case in cases if case.key not in rows}.values(), key=lambda case: -case.cost)
     most = max(LEAST_COST, (total - done) / (CHUNKS_A_WORKER * crew.size))
-    chunks, first, written = chunks_of(todo, [case.cost for case in todo], most), done, began
-    failed = _failed(rows)
+    begins = zip(itertools.accumulate((case.cost for case in todo), initial=0.0), todo, strict=False)
+    chunks = [[case for _, case in each] for _, each in itertools.groupby(begins, lambda each: each[0] // most)]
+    first, written, failed = done, began, Counter("failed" in row for row in rows.values())
 
     def report() -> None:
         left = (time.monotonic() - began) * (total - done) / (done - first) if done > first else None
         progress(
-            f"{verb}: {len(rows)} of {len(cases)} logs{f', {failed} failed' * bool(failed)}"
+            f"{verb}: {len(rows)} of {len(costs)} logs{f', {failed[True]} failed' * failed[True]}"
             + ("" if left is None else f", {left:.0f} s left"),
             done / max(total, 1),
         )
@@ -124,7 +127,8 @@ def over_logs(
                 # What failed is tried again: another run may find it otherwise, as after a full disk.
                 fresh |= {key: row for key, row in result.items() if "failed" not in row}
                 rows |= result
-                done, failed = done + sum(costs[case.key] for case in chunk), failed + _failed(result)
+                failed.update("failed" in row for row in result.values())
+                done += sum(case.cost for case in chunk)
                 report()
                 if table is not None and fresh and time.monotonic() - written > WRITE_EVERY:
                     table.write(fresh)
@@ -135,15 +139,13 @@ def over_logs(
     finally:
         if table is not None and fresh:
             table.write(fresh)
+    for row in rows.values():
+        row.pop("saved", None)
     result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases])
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")
     return result
-
-
-def _failed(rows: Mapping[str, Mapping[str, Any]]) -> int:
-    return sum("failed" in row for row in rows.values())
 
 
 def _computed(
@@ -197,7 +199,7 @@ def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, sett
     for k, (log, (content, cost)) in enumerate(zip(logs, contents, strict=True)):
         name = source_name(log) if isinstance(log, str | os.PathLike) else f"{source_name(log)} {k + 1}"
         unique = name if folder is None or name != source_name(log) else _file_name(Path(log), folder)
-        path = folder / f"{unique}{FILES[verb]}" if folder is not None and verb in FILES else None
+        path = folder / f"{unique}{FILES[verb]}" if folder is not None and FILES[verb] else None
         cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost))
     return cases
 
@@ -239,16 +241,17 @@ def _model_hash(model: Any) -> list[str]:
 
 
 def _finished(cases: Sequence[_Case], table: CaseTable) -> dict[str, dict[str, Any]]:
-    """Rows of the cases that are done, and whose files are there."""
-    if not table.folder.is_dir():
-        return {}
-    rows = {key: {name: value for name, value in row.items() if value is not None} for key, row in table.rows().items()}
-    there = [case for case in cases if case.key in rows]
+    """Rows of the cases that are done, and whose files are there as they were written."""
+    rows = table.rows()
+    there = {case.key: case.path for case in cases if case.key in rows}
     return {
-        case.key: rows[case.key]
-        for case in there
-        if case.path is None or case.path.exists() or not rows[case.key].get("file")
+        key: rows[key] for key, path in there.items() if "file" not in rows[key] or _saved(path) == rows[key]["saved"]
     }
+
+
+def _saved(path: Path | None) -> int | None:
+    """When a file was written [ns]: not by a later run with another model or other settings."""
+    return path.stat().st_mtime_ns if path is not None and path.exists() else None
 
 
 class _Work(NamedTuple):
@@ -264,11 +267,11 @@ class _Work(NamedTuple):
     def row(self, case: _Case) -> dict[str, Any]:
         """Row of a log, or why it has none."""
         try:
-            result = getattr(workflow, self.verb)(self.model, case.log, progress=_silent, **self.settings)
+            result = getattr(workflow, self.verb)(self.model, case.log, progress=lambda *_: None, **self.settings)
             row = _row(result)
             if case.path is not None and getattr(result, "better", True):
                 result.save(case.path, overwrite=True)
-                row["file"] = case.path.name
+                row |= {"file": case.path.name, "saved": _saved(case.path)}
         except Exception as error:  # one log shall not stop the others
             kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
@@ -276,16 +279,13 @@ class _Work(NamedTuple):
         return row
 
 
-def _silent(description: str, fraction: float | None = None) -> None:
-    pass
-
-
 def _row(result: Any) -> dict[str, Any]:
     """Numbers and short texts of a result, by column."""
     if isinstance(result, workflow.FitResult):
         values = zip(result.columns["parameter"], result.values, result.standard_errors, strict=True)
-        numbers = [(name, float(value), f"{name}_std", float(std)) for name, value, std in values]
-        row = {key: number for each in numbers for key, number in (each[:2], each[2:])}
+        row = {}
+        for name, value, std in values:
+            row |= {name: float(value), f"{name}_std": float(std)}
         return row | {"better": "yes" if result.better else "no"}
     if isinstance(result, workflow.CheckResult):
         named = {True: [], False: []}
