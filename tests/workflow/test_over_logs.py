@@ -6,7 +6,7 @@ import os
 import re
 import shutil
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import dask.config
 import distributed
@@ -126,8 +126,14 @@ def test_a_scheduler_has_its_own_workers():
 
 @pytest.mark.long
 def test_processes_find_what_one_finds(logs, tmp_path):
-    one, two = (workflow.over_logs("check", "oscillator", logs, overrides=NOISE, workers=workers) for workers in (1, 2))
-    assert one.each == two.each
+    said = []
+
+    def check(workers):
+        settings = {"overrides": NOISE, "progress": lambda *line: said.append(line)}
+        return workflow.over_logs("check", "oscillator", logs, workers=workers, **settings)
+
+    assert check(1).each == check(2).each
+    assert said[-1] == ("check: 6 of 6 logs, 2 failed, 0 s left", 1.0)
 
 
 class Deadly(NamedTuple):
@@ -155,7 +161,8 @@ def test_a_log_that_kills_its_process_is_a_row_and_the_others_go_on(scheduled):
             cluster = stack.enter_context(distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=":0"))
             crew = Crew(cluster=stack.enter_context(distributed.Client(cluster)))
         rows = {}
-        for _, found in _computed(Deadly(), [cases[:3], cases[3:]], crew):
+        work: Any = Deadly()
+        for _, found in _computed(work, [cases[:3], cases[3:]], crew):
             rows |= found
     assert "process died" in rows.pop("deadly")["failed"]
     assert rows == {key: {"rows": 1.0} for key in "abcd"}

@@ -114,7 +114,7 @@ def over_logs(
     def report() -> None:
         left = (time.monotonic() - began) * (total - done) / (done - first) if done > first else None
         progress(
-            f"{verb}: {len(rows)} of {len(costs)} logs{f', {failed[True]} failed' * failed[True]}"
+            f"{verb}: {len(rows)} of {len(costs)} logs{f', {failed[True]} failed' * (True in failed)}"
             + ("" if left is None else f", {left:.0f} s left"),
             done / max(total, 1),
         )
