@@ -1,10 +1,12 @@
 """Many cases: whoever computes them, whatever dies on the way."""
 
+import contextlib
 import os
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import NamedTuple
 
+import dask.config
 import distributed
 import pytest
 
@@ -39,12 +41,21 @@ def test_threads_compute_all_and_raise_what_the_function_raises():
 
 
 @pytest.mark.long
-def test_a_chunk_that_kills_its_process_takes_no_other_with_it():
-    results = list(run_chunks(Squares(deadly=7), CHUNKS, Crew(2, processes=True)))
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_a_part_that_kills_its_process_takes_no_other_with_it(scheduled):
+    with contextlib.ExitStack() as stack:
+        crew = Crew(2, processes=True)
+        if scheduled:
+            # Not after the fourth death, to be done sooner.
+            stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 0}))
+            cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0")
+            crew = Crew(cluster=stack.enter_context(distributed.Client(stack.enter_context(cluster))))
+        results = list(run_chunks(Squares(deadly=7), CHUNKS, crew, lambda chunk: [[number] for number in chunk]))
     dead = [(chunk, result) for chunk, result in results if isinstance(result, BrokenExecutor)]
-    assert [chunk for chunk, _ in dead] == [[6, 7]]
-    assert "ran out of memory" in str(dead[0][1]) or "runs out of memory" in str(dead[0][1])
-    assert sorted(each for each in results if each not in dead) == [each for each in RIGHT if each[0] != [6, 7]]
+    assert [chunk for chunk, _ in dead] == [[7]]
+    assert "runs out of memory" in str(dead[0][1])
+    squares = [pair for each in results if each not in dead for pair in zip(*each, strict=True)]
+    assert sorted(squares) == [(number, number**2) for number in range(20) if number != 7]
 
 
 @pytest.mark.long

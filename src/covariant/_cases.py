@@ -59,12 +59,6 @@ class Crew(NamedTuple):
         """Number of chunks that may be computed at a time."""
         return IN_FLIGHT if self.cluster is not None else self.workers or os.cpu_count() or 1
 
-    @property
-    def death(self) -> tuple[type[Exception], ...]:
-        """What a chunk raises whose process died, on a cluster too often."""
-        cluster = () if self.cluster is None else (optional("distributed").KilledWorker,)
-        return (BrokenExecutor, *cluster)
-
     @contextlib.contextmanager
     def pool(self, work: Work) -> Iterator[tuple[Callable[[Any], Future], int]]:
         """Context of a function that submits a chunk, and the number of chunks that it shall have at a time."""
@@ -93,27 +87,32 @@ class Crew(NamedTuple):
             executor.shutdown(cancel_futures=True)
 
 
-def run_chunks(work: Work, chunks: Iterable[Any], crew: Crew) -> Generator[tuple[Any, Any], None, None]:
+def run_chunks(
+    work: Work, chunks: Iterable[Any], crew: Crew, split: Callable[[Any], list[Any]] = lambda chunk: [chunk]
+) -> Generator[tuple[Any, Any], None, None]:
     """Compute chunks, and yield each with its result when it is done.
 
-    What the function raises is raised here. In place of the result of a chunk that kills its process, even alone, there
-    is a `BrokenExecutor`.
+    What the function raises is raised here. Chunks that are lost with a process are split, and their parts computed one
+    at a time; in place of the result of a part that kills its process, there is a `BrokenExecutor`.
     """
     todo = iter(chunks)
     while lost := (yield from _run_until_lost(work, todo, crew)):
-        for chunk in lost:
-            if (yield from _run_until_lost(work, iter([chunk]), crew._replace(workers=1))):
-                yield chunk, BrokenExecutor("its process died, as one does that runs out of memory")
+        parts = itertools.chain.from_iterable(map(split, lost))
+        while killer := (yield from _run_until_lost(work, parts, crew._replace(workers=1), alone=True)):
+            yield killer[0], BrokenExecutor("its process died, as one does that runs out of memory")
 
 
-def _run_until_lost(work: Work, todo: Iterator[Any], crew: Crew) -> Generator[tuple[Any, Any], None, list[Any]]:
+def _run_until_lost(
+    work: Work, todo: Iterator[Any], crew: Crew, alone: bool = False
+) -> Generator[tuple[Any, Any], None, list[Any]]:
     """Compute chunks until there are none, or until a process dies; returns the chunks that were lost with it."""
     pending: dict[Future, Any] = {}
     lost: list[Any] = []
     done: queue.SimpleQueue[Future] = queue.SimpleQueue()  # `concurrent.futures.wait` would go over all each time
+    death = () if crew.cluster is None else (optional("distributed").KilledWorker,)  # of a chunk that killed too many
     with crew.pool(work) as (submit, limit):
         while True:
-            for chunk in itertools.islice(todo, 0 if lost else limit - len(pending)):
+            for chunk in itertools.islice(todo, 0 if lost else (1 if alone else limit) - len(pending)):
                 try:
                     future = submit(chunk)
                 except BrokenExecutor:
@@ -127,7 +126,7 @@ def _run_until_lost(work: Work, todo: Iterator[Any], crew: Crew) -> Generator[tu
             chunk = pending.pop(future)
             try:
                 result = future.result()
-            except crew.death:
+            except (BrokenExecutor, *death):
                 lost.append(chunk)
                 continue
             yield chunk, result

@@ -1,24 +1,17 @@
 """Verbs over many logs: each its row or its reason, resumed by content; and what the rows say together."""
 
-import contextlib
 import json
-import os
 import re
 import shutil
 import sys
-from typing import Any, NamedTuple
 
-import dask.config
-import distributed
 import numpy as np
 import pytest
 
 import covariant
 from covariant import workflow
-from covariant._cases import Crew
 from covariant.cli import main
 from covariant.workflow._among_logs import LogRow, among_logs
-from covariant.workflow._over_logs import _Case, _computed
 
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.2}
 
@@ -134,38 +127,6 @@ def test_processes_find_what_one_finds(logs, tmp_path):
 
     assert check(1).each == check(2).each
     assert said[-1] == ("check: 6 of 6 logs, 2 failed, 0 s left", 1.0)
-
-
-class Deadly(NamedTuple):
-    """Work that kills the process that computes the log "deadly"."""
-
-    def __call__(self):
-        return self.rows
-
-    def rows(self, chunk):
-        if any(case.name == "deadly" for case in chunk):
-            os._exit(1)
-        return {case.key: {"rows": 1.0} for case in chunk}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("scheduled", [False, True])
-def test_a_log_that_kills_its_process_is_a_row_and_the_others_go_on(scheduled):
-    names = ["a", "deadly", "b", "c", "d"]
-    cases = [_Case(None, name, name, None, 1.0) for name in names]
-    with contextlib.ExitStack() as stack:
-        crew = Crew(2, processes=True)
-        if scheduled:
-            # Not after the fourth death, to be done sooner.
-            stack.enter_context(dask.config.set({"distributed.scheduler.allowed-failures": 0}))
-            cluster = stack.enter_context(distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=":0"))
-            crew = Crew(cluster=stack.enter_context(distributed.Client(cluster)))
-        rows = {}
-        work: Any = Deadly()
-        for _, found in _computed(work, [cases[:3], cases[3:]], crew):
-            rows |= found
-    assert "process died" in rows.pop("deadly")["failed"]
-    assert rows == {key: {"rows": 1.0} for key in "abcd"}
 
 
 def test_logs_that_are_unlike_the_others_are_named():

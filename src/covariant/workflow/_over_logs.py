@@ -9,7 +9,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -122,8 +122,11 @@ def over_logs(
     report()
     fresh: dict[str, dict[str, Any]] = {}
     try:
-        with closing(_computed(_Work(verb, model, settings), chunks, crew)) as results:
+        work = _Work(verb, model, settings)
+        with closing(run_chunks(work, chunks, crew, lambda chunk: [[case] for case in chunk])) as results:
             for chunk, result in results:
+                if isinstance(result, BrokenExecutor):
+                    result = {case.key: {"failed": str(result)} for case in chunk}
                 # What failed is tried again: another run may find it otherwise, as after a full disk.
                 fresh |= {key: row for key, row in result.items() if "failed" not in row}
                 rows |= result
@@ -146,23 +149,6 @@ def over_logs(
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")
     return result
-
-
-def _computed(
-    work: "_Work", chunks: list[list["_Case"]], crew: Crew
-) -> Generator[tuple[list["_Case"], dict[str, Any]], None, None]:
-    """Chunks with their rows; of a chunk that kills its process, each log is computed by itself."""
-    while chunks:
-        broken: list[list[_Case]] = []
-        with closing(run_chunks(work, chunks, crew)) as results:
-            for chunk, result in results:
-                if not isinstance(result, BrokenExecutor):
-                    yield chunk, result
-                elif len(chunk) > 1:
-                    broken += [[case] for case in chunk]
-                else:
-                    yield chunk, {chunk[0].key: {"failed": str(result)}}
-        chunks = broken
 
 
 Verb = TypeVar("Verb", bound=Callable[..., Any])
@@ -347,13 +333,12 @@ class LogsResult(AbstractTable):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        names = dict.fromkeys(name for _, row in self.each for name in row)
+        names = sorted({name for _, row in self.each for name in row})
         texts = {name for _, row in self.each for name, value in row.items() if isinstance(value, str)}
-        return {"log": np.array([name for name, _ in self.each], dtype=object)} | {
-            name: np.array([row.get(name, "") for _, row in self.each], dtype=object)
-            if name in texts
-            else np.array([row.get(name, np.nan) for _, row in self.each], float)
-            for name in sorted(names)
+        empty = {name: ("", object) if name in texts else (np.nan, float) for name in names}
+        return {"log": np.array([name for name, _ in self.each], object)} | {
+            name: np.array([row.get(name, none) for _, row in self.each], dtype)
+            for name, (none, dtype) in empty.items()
         }
 
     @property
@@ -367,13 +352,7 @@ class LogsResult(AbstractTable):
     @property
     def summary(self) -> dict[str, Any]:
         rows = [{"log": name, **row} for name, row in self.each]
-        return {
-            "verb": self.verb,
-            "model": self.model_name,
-            "logs": rows,
-            "failed": self.failed,
-            "among": self._among,
-        }
+        return {"verb": self.verb, "model": self.model_name, "logs": rows, "failed": self.failed, "among": self._among}
 
     @property
     def headline(self) -> str:
