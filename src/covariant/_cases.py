@@ -160,23 +160,17 @@ def content_hash(value: Any) -> str:
 
 
 class CaseTable(NamedTuple):
-    """Rows of finished cases in a folder, a Parquet file for each chunk, each row under the hash of its case."""
+    """Rows of finished cases in a folder, each under the hash of its case; a file of them has some, or is not there."""
 
     folder: Path
 
     def rows(self) -> dict[str, dict[str, Any]]:
         """Rows of all finished cases, by the hash of the case."""
-        read = load_optional("pyarrow.parquet", use="tables of cases need", extra="logs").read_table
-        rows = (row for part in sorted(self.folder.glob("*.parquet")) for row in read(part).to_pylist())
-        return {row.pop("case"): {name: value for name, value in row.items() if value is not None} for row in rows}
+        parts = (json.loads(part.read_bytes()) for part in sorted(self.folder.glob("*.json")))
+        return {case: row for part in parts for case, row in part.items()}
 
     def write(self, rows: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the rows of a chunk, all or none."""
-        arrow = load_optional("pyarrow", use="tables of cases need", extra="logs")
-        parquet = load_optional("pyarrow.parquet", use="tables of cases need", extra="logs")
-        names = dict.fromkeys(name for row in rows.values() for name in row)
-        columns = {name: [row.get(name) for row in rows.values()] for name in names}
-        table = arrow.table({"case": list(rows)} | columns)
+        """Write rows, all or none."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"{content_hash(list(rows))[:32]}.parquet"
-        write_atomically(path, lambda file: parquet.write_table(table, file))
+        text = json.dumps(rows).encode()
+        write_atomically(self.folder / f"{content_hash(list(rows))[:32]}.json", lambda file: file.write(text))

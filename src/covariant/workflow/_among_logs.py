@@ -1,6 +1,7 @@
 """What the rows of many logs say together: odd logs, findings that begin at a date, numbers that drift or differ."""
 
 import math
+import os
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -73,7 +74,7 @@ def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list
     """Logs by their folder, which is one for each machine."""
     machines: dict[str, list[int]] = defaultdict(list)
     for k in places:
-        machines[str(Path(rows[k].name).parent)].append(k)
+        machines[os.path.dirname(rows[k].name) or "."].append(k)
     return machines
 
 
@@ -169,8 +170,8 @@ def _drift(value: np.ndarray, std: np.ndarray) -> float | None:
         return None
     k = np.linspace(0.0, 1.0, len(value))
     design = np.stack([np.ones_like(k), k], axis=1) / std[:, None]
-    (_, slope), residual, *_ = np.linalg.lstsq(design, value / std)
+    (_, slope), squares, *_ = np.linalg.lstsq(design, value / std)
     # Scatter beyond the errors of the logs widens that of the slope.
-    scatter = max(1.0, float(residual[0]) / (len(value) - 2))
+    scatter = max(1.0, float(squares.sum()) / (len(value) - 2))
     error = math.sqrt(scatter * np.linalg.inv(design.T @ design)[1, 1])
     return float(slope) if abs(slope) > CLEAR * error else None
