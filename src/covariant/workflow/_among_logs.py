@@ -54,8 +54,8 @@ def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
     by_count = sorted(kinds.values(), key=lambda places: -len(places))
     for places in by_count[: 2 * LISTED]:
         name, row = rows[places[0]]
-        several = f"FAILED {len(places)} of {len(rows)} logs: {_where(rows, places, range(len(rows)))}. The first, "
-        yield f"{several * (len(places) > 1)}{name}: {row['failed']}"
+        several = f"FAILED {len(places)} of {len(rows)} logs: {_where(rows, places, range(len(rows)))}. The first"
+        yield f"{several if len(places) > 1 else name}: {row['failed']}"
     if more := sum(map(len, by_count[2 * LISTED :])):
         yield f"FAILED {more} more, for other reasons, which are in the table"
 
