@@ -13,9 +13,10 @@ import json
 import multiprocessing
 import os
 import pickle
+import queue
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,8 +26,8 @@ from covariant._optional import load_optional
 
 optional = functools.partial(load_optional, use="many cases need", extra="scale")
 
-IN_FLIGHT = 1024
-"""Chunks submitted to a scheduler at a time: enough to keep a big cluster busy, few enough not to burden it."""
+IN_FLIGHT = 2048
+"""Chunks submitted to a scheduler at a time: more than the processors that it can keep busy, so that none waits."""
 
 Work = Callable[[], Callable[[Any], Any]]
 """Called once in each process; returns the function of a chunk, for instance after it has compiled it."""
@@ -53,6 +54,11 @@ class Crew(NamedTuple):
             raise ValueError(f"workers must be 1 or more; got {self.workers}")
         return self
 
+    @property
+    def size(self) -> int:
+        """Number of chunks that may be computed at a time."""
+        return IN_FLIGHT if self.cluster is not None else self.workers or os.cpu_count() or 1
+
     @contextlib.contextmanager
     def pool(self, work: Work) -> Iterator[tuple[Callable[[Any], Future], int]]:
         """Context of a function that submits a chunk, and the number of chunks that it shall have at a time."""
@@ -66,7 +72,7 @@ class Crew(NamedTuple):
                 executor = client.get_executor(pure=False)
                 yield lambda chunk: executor.submit(_compute, shared, chunk), IN_FLIGHT
             return
-        workers = self.workers or os.cpu_count() or 1
+        workers = self.size
         if self.processes:
             # Not forked: JAX has threads.
             context = multiprocessing.get_context("spawn")
@@ -81,40 +87,49 @@ class Crew(NamedTuple):
             executor.shutdown(cancel_futures=True)
 
 
-def run_chunks(work: Work, chunks: Iterable[Any], crew: Crew) -> Generator[tuple[Any, Any], None, None]:
+def run_chunks(
+    work: Work, chunks: Iterable[Any], crew: Crew, split: Callable[[Any], list[Any]] = lambda chunk: [chunk]
+) -> Generator[tuple[Any, Any], None, None]:
     """Compute chunks, and yield each with its result when it is done.
 
-    What the function raises is raised here. In place of the result of a chunk that kills its process, even alone, there
-    is a `BrokenExecutor`.
+    What the function raises is raised here. Chunks that are lost with a process are split, and their parts computed one
+    at a time; in place of the result of a part that kills its process, there is a `BrokenExecutor`.
     """
     todo = iter(chunks)
     while lost := (yield from _run_until_lost(work, todo, crew)):
-        for chunk in lost:
-            if (yield from _run_until_lost(work, iter([chunk]), crew._replace(workers=1))):
-                yield chunk, BrokenExecutor("its process died, as one does that runs out of memory")
+        parts = itertools.chain.from_iterable(map(split, lost))
+        while killer := (yield from _run_until_lost(work, parts, crew._replace(workers=1), alone=True)):
+            yield killer[0], BrokenExecutor("its process died, as one does that runs out of memory")
 
 
-def _run_until_lost(work: Work, todo: Iterator[Any], crew: Crew) -> Generator[tuple[Any, Any], None, list[Any]]:
+def _run_until_lost(
+    work: Work, todo: Iterator[Any], crew: Crew, alone: bool = False
+) -> Generator[tuple[Any, Any], None, list[Any]]:
     """Compute chunks until there are none, or until a process dies; returns the chunks that were lost with it."""
     pending: dict[Future, Any] = {}
     lost: list[Any] = []
+    done: queue.SimpleQueue[Future] = queue.SimpleQueue()  # `concurrent.futures.wait` would go over all each time
+    death = () if crew.cluster is None else (optional("distributed").KilledWorker,)  # of a chunk that killed too many
     with crew.pool(work) as (submit, limit):
         while True:
-            for chunk in itertools.islice(todo, 0 if lost else limit - len(pending)):
+            for chunk in itertools.islice(todo, 0 if lost else (1 if alone else limit) - len(pending)):
                 try:
-                    pending[submit(chunk)] = chunk
-                except BrokenExecutor:
-                    lost.append(chunk)
-            if not pending:
-                return lost
-            for future in concurrent.futures.wait(pending, return_when=concurrent.futures.FIRST_COMPLETED).done:
-                chunk = pending.pop(future)
-                try:
-                    result = future.result()
+                    future = submit(chunk)
                 except BrokenExecutor:
                     lost.append(chunk)
                     continue
-                yield chunk, result
+                pending[future] = chunk
+                future.add_done_callback(done.put)
+            if not pending:
+                return lost
+            future = done.get()
+            chunk = pending.pop(future)
+            try:
+                result = future.result()
+            except (BrokenExecutor, *death):
+                lost.append(chunk)
+                continue
+            yield chunk, result
 
 
 def _end_with_parent() -> None:
@@ -144,37 +159,18 @@ def content_hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
-def chunks_of(cases: Sequence[Any], costs: Sequence[float], most: float) -> list[list[Any]]:
-    """Cases in their order, cut where the sum of their costs would exceed `most`."""
-    chunks: list[list[Any]] = []
-    total = most
-    for case, cost in zip(cases, costs, strict=True):
-        if not chunks or total + cost > most:
-            chunks.append([])
-            total = 0.0
-        chunks[-1].append(case)
-        total += cost
-    return chunks
-
-
 class CaseTable(NamedTuple):
-    """Rows of finished cases in a folder, a Parquet file for each chunk, each row under the hash of its case."""
+    """Rows of finished cases in a folder, each under the hash of its case; a file of them has some, or is not there."""
 
     folder: Path
 
     def rows(self) -> dict[str, dict[str, Any]]:
         """Rows of all finished cases, by the hash of the case."""
-        read = load_optional("pyarrow.parquet", use="tables of cases need", extra="logs").read_table
-        parts = sorted(self.folder.glob("*.parquet"))
-        return {row.pop("case"): row for part in parts for row in read(part).to_pylist()}
+        parts = (json.loads(part.read_bytes()) for part in sorted(self.folder.glob("*.json")))
+        return {case: row for part in parts for case, row in part.items()}
 
     def write(self, rows: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the rows of a chunk, all or none."""
-        arrow = load_optional("pyarrow", use="tables of cases need", extra="logs")
-        parquet = load_optional("pyarrow.parquet", use="tables of cases need", extra="logs")
-        names = dict.fromkeys(name for row in rows.values() for name in row)
-        columns = {name: [row.get(name) for row in rows.values()] for name in names}
-        table = arrow.table({"case": list(rows)} | columns)
+        """Write rows, all or none."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / f"{content_hash(list(rows))[:32]}.parquet"
-        write_atomically(path, lambda file: parquet.write_table(table, file))
+        text = json.dumps(rows).encode()
+        write_atomically(self.folder / f"{content_hash(list(rows))[:32]}.json", lambda file: file.write(text))

@@ -1,6 +1,7 @@
 """Verbs over many logs: each its row or its reason, resumed by content; and what the rows say together."""
 
 import json
+import re
 import shutil
 import sys
 
@@ -69,12 +70,13 @@ def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path)
     assert began == "estimate: 3 of 3 logs"
     assert again.each == first.each
     shutil.copy(logs[2], names[1])
-    (tmp_path / "out" / "log2.parquet").unlink()
+    (tmp_path / "out" / first.each[2].row["file"]).unlink()
     changed, began = run()
     assert began == "estimate: 1 of 3 logs", "one has another content, one has lost its file"
     assert [changed.each[k] == first.each[k] for k in range(3)] == [True, False, True]
     assert changed.columns["innovation_rms1"][1] == changed.columns["innovation_rms1"][0]
     assert run(alpha=50.0)[1] == "estimate: 0 of 3 logs"
+    assert run()[1] == "estimate: 0 of 3 logs", "its files are those of the other gain"
     alone = covariant.estimate("oscillator", names[0], overrides=NOISE, alpha=40.0, beta=800.0)
     assert first.each[0].row["innovation_rms1"] == alone.summary["innovation_rms"][0]
     assert (
@@ -84,9 +86,47 @@ def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path)
 
 
 @pytest.mark.long
+def test_the_file_of_a_log_depends_on_no_other_log(logs, tmp_path):
+    """Logs that are added later, and folders that are moved together, leave its name and its row."""
+    for machine in ("arm", "other/arm"):
+        (tmp_path / "lab" / machine).mkdir(parents=True)
+        shutil.copy(logs[2], tmp_path / "lab" / machine / "log.csv")
+    shutil.copy(logs[3], tmp_path / "lab" / "arm" / "log.txt")
+    called = []
+
+    def run(lab, *names):
+        called.clear()
+        paths = [lab / name for name in names]
+        settings = {"alpha": 40.0, "beta": 800.0, "progress": lambda *said: called.append(said[0])}
+        result = workflow.over_logs("estimate", "oscillator", paths, out=lab / "out", **settings)
+        return [row["file"] for _, row in result.each], called[0]
+
+    names = ("arm/log.csv", "other/arm/log.csv", "arm/log.txt")
+    (alone,), _ = run(tmp_path / "lab", names[0])
+    assert re.fullmatch(r"arm_log_[0-9a-f]{8}\.parquet", alone)
+    files, began = run(tmp_path / "lab", *names[::-1], names[0])
+    assert began == "estimate: 1 of 3 logs"
+    assert files[2:] == [alone, alone]
+    assert len(set(files)) == 3
+    (tmp_path / "lab").rename(tmp_path / "moved")
+    assert run(tmp_path / "moved", *names) == (files[2::-1], "estimate: 3 of 3 logs")
+
+
+def test_a_scheduler_has_its_own_workers():
+    with pytest.raises(ValueError, match="give scheduler or workers, not both"):
+        workflow.over_logs("check", "oscillator", ["log.csv"], workers=2, scheduler="tcp://localhost:1")
+
+
+@pytest.mark.long
 def test_processes_find_what_one_finds(logs, tmp_path):
-    one, two = (workflow.over_logs("check", "oscillator", logs, overrides=NOISE, workers=workers) for workers in (1, 2))
-    assert one.each == two.each
+    said = []
+
+    def check(workers):
+        settings = {"overrides": NOISE, "progress": lambda *line: said.append(line)}
+        return workflow.over_logs("check", "oscillator", logs, workers=workers, **settings)
+
+    assert check(1).each == check(2).each
+    assert said[-1] == ("check: 6 of 6 logs, 2 failed, 0 s left", 1.0)
 
 
 def test_logs_that_are_unlike_the_others_are_named():
@@ -102,9 +142,28 @@ def test_logs_that_are_unlike_the_others_are_named():
     rows[3].row["wrong"] = rows[8].row["wrong"] = "unit of q1"
     found = among_logs(rows)
     assert found[0] == "WRONG delay of inputs in 10 of 40 logs: all of arm0 from log10.csv on, and none before"
-    assert found[1] == "WRONG unit of q1 in 2 of 40 logs: arm1/log01.csv, arm0/log04.csv"
-    assert found[2].startswith("ODD arm1/log02.csv: nis is 30, and ")
+    assert found[1] == "WRONG unit of q1 in 2 of 40 logs: arm1/log01.csv; arm0/log04.csv"
+    assert re.fullmatch(r"ODD nis in 1 of 28 logs \(30, median [\d.]+\): arm1/log02.csv", found[2])
     assert len(found) == 3
+
+
+def test_many_logs_of_a_machine_are_one_phrase():
+    rows = [LogRow(f"arm{k // 10}/log{k % 10}.csv", {"nis": 1.0, "wrong": ""}) for k in range(40)]
+    for k in (*range(10, 20), *range(30, 37)):
+        rows[k].row["wrong"] = "unit of time"
+        rows[k].row["nis"] = 30.0
+    rows[21].row["failed"] = "no column 'q1'"
+    rows[22].row["failed"] = "no column 'q2'"
+    for k in range(2, 9):
+        rows[k].row["failed"] = f"{rows[k].name} leaves {k}.5e-3 %"
+    assert among_logs(rows) == (
+        "FAILED 7 of 40 logs: 7 of the 10 of arm0, the first log2.csv. The first: arm0/log2.csv leaves 2.5e-3 %",
+        "arm2/log1.csv: no column 'q1'",
+        "arm2/log2.csv: no column 'q2'",
+        "WRONG unit of time in 17 of 31 logs: all 10 of arm1; 7 of the 10 of arm3, the first log0.csv",
+    ), "and none is odd for what is wrong with it"
+    alone = [LogRow(f"log{k}.csv", {"failed": "no rows"}) for k in range(9)]
+    assert among_logs(alone) == ("FAILED 9 of 9 logs: all 9. The first: no rows",)
 
 
 def test_numbers_of_many_logs_are_shared_differ_or_drift():

@@ -1,6 +1,7 @@
 """Pages of results: the header that all have, lag, marks and pushes, and pages of results that are no curves."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import covariant
 from covariant import workflow
 from covariant.calibration import Diagnosis, Finding
 from covariant.workflow._inputs import Job
-from covariant.workflow._pages import lag
+from covariant.workflow._pages import lag, made
 
 FORCE = {"uncertainty.external_force_std": 1.0, "uncertainty.external_force_time": 0.3}
 NOISE = {"measurement.std": 1e-4, "uncertainty.acceleration": 0.1}
@@ -92,3 +93,14 @@ def test_a_page_of_a_comparison_shows_four_curves_and_says_who_is_as_good(tmp_pa
     assert text.count('<tr class="best">') == len(result._equals)
     assert "with the model differ by" in text
     assert all(outcome.microseconds > 0 for outcome in result.outcomes.values())
+
+
+def test_a_command_line_of_hundreds_of_logs_is_shortened(monkeypatch):
+    logs = [f"log {k}.csv" for k in range(100)]
+    monkeypatch.setattr(sys, "argv", ["/bin/covariant", "check", "arm.toml", *logs, "-o", "out"])
+    shortened = (
+        "covariant check arm.toml 'log 0.csv' 'log 1.csv' 'log 2.csv' … (95 more) … 'log 98.csv' 'log 99.csv' -o out"
+    )
+    assert made()["command"] == shortened
+    monkeypatch.setattr(sys, "argv", sys.argv[:4])
+    assert made()["command"] == "covariant check arm.toml 'log 0.csv'"

@@ -1,5 +1,6 @@
 """What a command is: a verb with the options of the command line, and how it is called."""
 
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -82,6 +83,9 @@ class Command:
             given = {name: value for name, value in read.items() if value is not None}
             result = self.run(Invocation(self.verb, json, given, flags), **own)
             return int(self.exit_code(result))
+        except KeyboardInterrupt as stopped:
+            say(f"covariant: {str(stopped) or 'stopped'}", sys.stderr)
+            raise SystemExit(130) from None  # 128 + 2, what shells report of a process that SIGINT ended
         except ValueError as error:
             error.args = (in_options(str(error), flags),)
             raise
@@ -97,19 +101,12 @@ class Command:
         if asked:
             raise ValueError(f"{asked[0]} is for one log; of many, --out FOLDER has a page and a file of each")
         call = Invocation(self.verb, json, {name: value for name, value in read.items() if value is not None}, flags)
-        try:
-            with progress_bar(json) as progress:
-                arguments = call.arguments(self.verb)
-                model, logs = arguments.pop("model"), arguments.pop("log")
-                result = workflow.over_logs(
-                    self.verb, model, logs, out=own["out"], progress=progress, **crew, **arguments
-                )
-        except KeyboardInterrupt:
-            say(
-                "covariant: stopped" + "; the same command goes on where it stopped" * (own["out"] is not None),
-                sys.stderr,
-            )
-            raise SystemExit(130) from None  # 128 + 2, what shells report of a process that SIGINT ended
+        if crew["scheduler"] is None and crew["workers"] is None:
+            crew["workers"] = os.cpu_count()
+        with progress_bar(json) as progress:
+            arguments = call.arguments(self.verb)
+            model, logs = arguments.pop("model"), arguments.pop("log")
+            result = workflow.over_logs(self.verb, model, logs, out=own["out"], progress=progress, **crew, **arguments)
         call.show(result)
         return int(result.wrong)
 

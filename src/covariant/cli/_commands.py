@@ -88,15 +88,9 @@ def _certify(
     return call.show(result, None if result.wrong else out, report, figure=figure)
 
 
-def _stoppable(call: Invocation, **places: Any) -> Any:
+def _to_store(call: Invocation, **places: Any) -> Any:
     check_output(call.values["store"], ".zarr", store=True)
-    try:
-        result = call()
-    except KeyboardInterrupt as stopped:
-        say(f"covariant: {stopped}", sys.stderr)
-        # 128 + 2, what shells report of a process that SIGINT ended.
-        raise SystemExit(130) from None
-    return call.show(result, **places)
+    return call.show(call(), **places)
 
 
 def _output(help: str, *suffixes: str, needed: bool = False, **more: Any) -> Option:
@@ -256,7 +250,7 @@ COMMANDS = (
         "docs/metrics.md",
         "design metric",
         changes={"start": {"flags": ("--start",)}},
-        run=_stoppable,
+        run=_to_store,
         note="A run that was stopped goes on where it was.",
     ),
     Command(
@@ -272,7 +266,7 @@ COMMANDS = (
         "sweep basin.toml -o basin.zarr",
         "docs/many.md",
         own=(_output("Write the table here", ".csv", name="table", flags=("--table",)), PAGE),
-        run=lambda call, table, report: _stoppable(call, out=table, report=report),
+        run=lambda call, table, report: _to_store(call, out=table, report=report),
         note="A run that was stopped goes on where it was.",
     ),
     Command(

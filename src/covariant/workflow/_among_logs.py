@@ -1,8 +1,10 @@
 """What the rows of many logs say together: odd logs, findings that begin at a date, numbers that drift or differ."""
 
 import math
+import os
+import re
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,56 +33,90 @@ class LogRow(NamedTuple):
 
 def among_logs(rows: Sequence[LogRow]) -> tuple[str, ...]:
     """Sentences on what is unlike the rest among the rows of many logs, in the order in which they are given."""
-    rows = [each for each in rows if "failed" not in each.row]
-    return (*_findings(rows), *_odd(rows), *_numbers(rows))
+    failed = [k for k, (_, row) in enumerate(rows) if "failed" in row]
+    known = [k for k, (_, row) in enumerate(rows) if "failed" not in row]
+    sound = [k for k in known if not rows[k].row.get("wrong")]
+    return (
+        *_failures(rows, failed),
+        *_findings(rows, known),
+        *_odd(rows, sound),
+        *_numbers([rows[k] for k in known]),
+    )
 
 
-def _findings(rows: Sequence[LogRow]) -> Iterator[str]:
+def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
+    """Why logs failed, once where the reasons differ in numbers alone."""
+    kinds: dict[str, list[int]] = defaultdict(list)
+    for k in failed:
+        name, row = rows[k]
+        reason = row["failed"].replace(name, "").replace(Path(name).name, "")
+        kinds[re.sub(r"\S*/\S*|(?<![A-Za-z_])\d[\d.e+-]*", "#", reason)].append(k)
+    by_count = sorted(kinds.values(), key=lambda places: -len(places))
+    for places in by_count[: 2 * LISTED]:
+        name, row = rows[places[0]]
+        several = f"FAILED {len(places)} of {len(rows)} logs: {_where(rows, places, range(len(rows)))}. The first"
+        yield f"{several if len(places) > 1 else name}: {row['failed']}"
+    if more := sum(map(len, by_count[2 * LISTED :])):
+        yield f"FAILED {more} more, for other reasons, which are in the table"
+
+
+def _findings(rows: Sequence[LogRow], known: Sequence[int]) -> Iterator[str]:
     """What `check` finds wrong, with the logs it is found in."""
     by_finding: dict[str, list[int]] = defaultdict(list)
-    for k, (_, row) in enumerate(rows):
-        for finding in filter(None, row.get("wrong", "").split("; ")):
+    for k in known:
+        for finding in filter(None, rows[k].row.get("wrong", "").split("; ")):
             by_finding[finding].append(k)
     for finding, places in sorted(by_finding.items(), key=lambda pair: -len(pair[1])):
-        yield f"WRONG {finding} in {len(places)} of {len(rows)} logs: {_since(rows, places) or _listed(rows, places)}"
+        yield f"WRONG {finding} in {len(places)} of {len(known)} logs: {_where(rows, places, known)}"
 
 
-def _machine(name: str) -> str:
-    """The folder of a log, which is one for each machine."""
-    return str(Path(name).parent)
+def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
+    """Logs by their folder, which is one for each machine."""
+    machines: dict[str, list[int]] = defaultdict(list)
+    for k in places:
+        machines[os.path.dirname(rows[k].name) or "."].append(k)
+    return machines
 
 
-def _since(rows: Sequence[LogRow], places: Sequence[int]) -> str:
-    """From which log on all logs of a machine are concerned; "" where it is otherwise."""
-    machine = _machine(rows[places[0]].name)
-    own = [k for k, (name, _) in enumerate(rows) if _machine(name) == machine]
-    if len(places) < 3 or len(places) == len(own) or list(places) != own[-len(places) :]:
-        return ""
-    return f"all of {machine} from {Path(rows[places[0]].name).name} on, and none before"
+def _where(rows: Sequence[LogRow], places: Sequence[int], compared: Sequence[int]) -> str:
+    """Logs by machine: all, all from one on among those that are compared, how many, or which."""
+    here_, others_, all_ = (_by_machine(rows, which) for which in (places, compared, range(len(rows))))
+    phrases: list[tuple[int, str]] = []
+    for machine, here in here_.items():
+        others, all_of_it, names = others_[machine], len(all_[machine]), [rows[k].name for k in here]
+        count, of = len(here), f" of {machine}" * (len(all_) > 1)
+        if 1 < count == all_of_it:
+            phrases.append((count, f"all {count}{of}"))
+        elif 2 < count < len(others) and here == others[-count:]:
+            phrases.append((count, f"all{of} from {Path(names[0]).name} on, and none before"))
+        elif count > LISTED:
+            phrases.append((count, f"{count} of the {all_of_it}{of}, the first {Path(names[0]).name}"))
+        else:
+            phrases += [(1, name) for name in names]
+    more = sum(count for count, _ in phrases[LISTED:])
+    return "; ".join(phrase for _, phrase in phrases[:LISTED]) + (f"; and {more} more" if more else "")
 
 
-def _listed(rows: Sequence[LogRow], places: Sequence[int]) -> str:
-    more = len(places) - LISTED
-    return ", ".join(rows[k].name for k in places[:LISTED]) + (f" and {more} more" if more > 0 else "")
-
-
-def _odd(rows: Sequence[LogRow]) -> Iterator[str]:
+def _odd(rows: Sequence[LogRow], sound: Sequence[int]) -> Iterator[str]:
     """Logs with a number far from that of the others."""
-    names = dict.fromkeys(name for _, row in rows for name in row if name.startswith(JUDGED))
+    names = dict.fromkeys(name for k in sound for name in rows[k].row if name.startswith(JUDGED))
     for name in names:
-        values = np.array([row.get(name, math.nan) for _, row in rows], float)
+        values = np.array([rows[k].row.get(name, math.nan) for k in sound], float)
         known = np.isfinite(values) & (values > 0)
-        if known.sum() < FEWEST:
+        places, values = np.array(sound)[known], values[known]
+        if len(values) < FEWEST:
             continue
         # Ratios count: such numbers are positive, and a factor is as odd upwards as downwards.
-        sizes = np.log(np.where(known, values, 1.0))
-        median = np.median(sizes[known])
-        spread = 1.4826 * np.median(np.abs(sizes[known] - median))
-        odd = known & (np.abs(sizes - median) > max(FAR * spread, math.log(LEAST_FACTOR)))
-        for k in np.flatnonzero(odd)[:LISTED]:
-            yield f"ODD {rows[k].name}: {name} is {values[k]:.3g}, and {math.exp(median):.3g} in the median of the logs"
-        if odd.sum() > LISTED:
-            yield f"ODD {odd.sum() - LISTED} more logs: {name}"
+        sizes = np.log(values)
+        median = np.median(sizes)
+        spread = 1.4826 * np.median(np.abs(sizes - median))
+        odd = np.abs(sizes - median) > max(FAR * spread, math.log(LEAST_FACTOR))
+        if odd.any():
+            low, high = (f"{value:.3g}" for value in (values[odd].min(), values[odd].max()))
+            yield (
+                f"ODD {name} in {odd.sum()} of {len(values)} logs ({low}{f' to {high}' * (low != high)}, "
+                f"median {math.exp(median):.3g}): {_where(rows, places[odd].tolist(), places.tolist())}"
+            )
 
 
 def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
@@ -88,17 +124,14 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
     names = dict.fromkeys(
         name for _, row in rows for name in row if f"{name}_std" in row and isinstance(row[name], float)
     )
-    machines = [_machine(name) for name, _ in rows]
-    several = len(set(machines)) > 1
+    several = len(_by_machine(rows, range(len(rows)))) > 1
     for name in names:
         value, std = (np.array([row.get(key, math.nan) for _, row in rows], float) for key in (name, f"{name}_std"))
         known = np.isfinite(value) & np.isfinite(std) & (std > 0)
         if known.sum() < 3:
             continue
-        groups = {
-            machine: np.flatnonzero(known & (np.array(machines) == machine)) for machine in dict.fromkeys(machines)
-        }
-        means = {machine: _mean(value[rows_], std[rows_]) for machine, rows_ in groups.items() if len(rows_)}
+        groups = _by_machine(rows, np.flatnonzero(known).tolist())
+        means = {machine: _mean(value[places], std[places]) for machine, places in groups.items()}
         shared, error, between = (
             _mean(*(np.array(column) for column in zip(*((m, e) for m, e, _ in means.values()), strict=True)))
             if several
@@ -137,9 +170,8 @@ def _drift(value: np.ndarray, std: np.ndarray) -> float | None:
         return None
     k = np.linspace(0.0, 1.0, len(value))
     design = np.stack([np.ones_like(k), k], axis=1) / std[:, None]
-    (_, slope), *_ = np.linalg.lstsq(design, value / std)
-    residual = value / std - design @ np.linalg.lstsq(design, value / std)[0]
+    (_, slope), squares, *_ = np.linalg.lstsq(design, value / std)
     # Scatter beyond the errors of the logs widens that of the slope.
-    scatter = max(1.0, float(np.sum(residual**2) / (len(value) - 2)))
+    scatter = max(1.0, float(squares.sum()) / (len(value) - 2))
     error = math.sqrt(scatter * np.linalg.inv(design.T @ design)[1, 1])
     return float(slope) if abs(slope) > CLEAR * error else None

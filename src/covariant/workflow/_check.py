@@ -42,8 +42,7 @@ def check(
 
     Args:
         model: A mechanical model, or the base of a robot on legs, in any of the forms that `estimate` takes.
-        log: A path, a `Record`, a DataFrame, or an xarray Dataset.
-        overrides, every, start, until, progress: As for `estimate`.
+        log, overrides, every, start, until, progress: As for `estimate`.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
 
     Returns:

@@ -79,7 +79,8 @@ def estimate(
     Args:
         model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
             library, a `ModelFile`, or a system.
-        log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset.
+        log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset. With
+            a list of them the verb goes over each by itself, as `over_logs` does, and returns a `LogsResult`.
         observer: Name of the observer; by default the first that fits the model, `intrinsic` for a mechanical one.
         alpha: Gain α [1/s] in place of the designed one; together with `beta`.
         beta: Gain β [1/s²] in place of the designed one; together with `alpha`.

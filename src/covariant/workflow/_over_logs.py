@@ -4,12 +4,13 @@ import functools
 import hashlib
 import importlib.metadata
 import importlib.util
+import itertools
 import json
 import os
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from covariant import workflow
-from covariant._cases import CaseTable, Crew, chunks_of, content_hash, run_chunks
+from covariant._cases import CaseTable, Crew, content_hash, run_chunks
 from covariant.logs import source_name
 from covariant.workflow._among_logs import LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
@@ -28,12 +29,14 @@ from covariant.workflow._outputs import write_table
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 
-FILES = {"estimate": ".parquet", "smooth": ".parquet", "fit": ".toml"}
+FILES = {"estimate": ".parquet", "check": "", "fit": ".toml", "smooth": ".parquet"}
 """Ending of the file of each log, by the verb; `check` has none."""
 CHUNKS_A_WORKER = 16
 """Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
 LEAST_COST = 2e6
 """Bytes of logs that are a chunk at least."""
+WRITE_EVERY = 1.0
+"""Seconds from one file of rows to the next: what is lost when the run is killed, and files are slow."""
 
 
 def over_logs(
@@ -42,7 +45,7 @@ def over_logs(
     logs: Sequence[Any],
     *,
     out: str | Path | None = None,
-    workers: int | None = 1,
+    workers: int | None = None,
     scheduler: Scheduler | None = None,
     progress: Progress = notebook_line,
     **settings: Any,
@@ -58,9 +61,9 @@ def over_logs(
         model: As for the verb.
         logs: Logs, each as for the verb.
         out: Folder for the table (such as `check.csv`), a page (`check.html`), and a file for each log: its estimates
-            (.parquet) or its fitted model file (.toml).
-        workers: Processes; None for one for each processor. With 1, and for models or logs in memory, all is computed
-            in this process.
+            (.parquet) or its fitted model file (.toml). The name of that file is in the table, and depends on where
+            the log is, from the folder, and on no other log.
+        workers: Processes; 1 by default. With 1, and for models or logs in memory, all is computed in this process.
         scheduler: Address of a Dask scheduler, or a `distributed.Client`, whose workers compute; they need access to
             logs, model and folder.
         progress: Called with a description and the fraction of the work that is done.
@@ -82,56 +85,65 @@ def over_logs(
         >>> result.columns["rows"].tolist()
         [1001.0, 1001.0, nan]
     """
-    if verb not in ("estimate", "check", "fit", "smooth"):
-        raise ValueError(f"over_logs: {verb!r} is not one of estimate, check, fit, smooth")
+    if verb not in FILES:
+        raise ValueError(f"over_logs: {verb!r} is not one of {', '.join(FILES)}")
     if not logs:
         raise ValueError("over_logs: there are no logs; give a list of them")
     in_memory = not all(isinstance(each, str | os.PathLike) for each in (model, *logs))
-    crew = Crew(1 if in_memory and scheduler is None else workers if scheduler is None else None, scheduler).check()
+    crew = Crew(workers, scheduler).check()
+    if scheduler is None and (in_memory or workers is None):
+        crew = Crew(1)
     crew = crew._replace(processes=crew.workers != 1)
     folder = None if out is None else Path(out).absolute()  # the workers of a cluster have their own working folders
     if folder is not None:
+        if folder.is_file():
+            raise ValueError(f"{out}: there is a file of this name; give a folder")
         folder.mkdir(parents=True, exist_ok=True)
     table = None if folder is None or in_memory else CaseTable(folder / "cases")
     cases = _cases(verb, model, logs, folder, settings)
     rows = {} if table is None else _finished(cases, table)
-    todo, costs = [case for case in cases if case.key not in rows], {case.key: case.cost for case in cases}
+    costs = {case.key: case.cost for case in cases}
     total, done, began = sum(costs.values()), sum(costs[key] for key in rows), time.monotonic()
-    # The largest first, so that no worker ends long after the others.
-    todo.sort(key=lambda case: -case.cost)
-    workers = crew.workers or os.cpu_count() or 1
-    chunks = chunks_of(
-        todo, [case.cost for case in todo], max(LEAST_COST, (total - done) / (CHUNKS_A_WORKER * workers))
-    )
-    first = done
+    # By key, as a log may be given twice; the largest first, so that no worker ends long after the others.
+    todo = sorted({case.key: case for case in cases if case.key not in rows}.values(), key=lambda case: -case.cost)
+    most = max(LEAST_COST, (total - done) / (CHUNKS_A_WORKER * crew.size))
+    begins = zip(itertools.accumulate((case.cost for case in todo), initial=0.0), todo, strict=False)
+    chunks = [[case for _, case in each] for _, each in itertools.groupby(begins, lambda each: each[0] // most)]
+    first, written, failed = done, began, Counter("failed" in row for row in rows.values())
 
     def report() -> None:
-        failed = sum("failed" in row for row in rows.values())
         left = (time.monotonic() - began) * (total - done) / (done - first) if done > first else None
         progress(
-            f"{verb}: {len(rows)} of {len(cases)} logs{f', {failed} failed' * bool(failed)}"
+            f"{verb}: {len(rows)} of {len(costs)} logs{f', {failed[True]} failed' * (True in failed)}"
             + ("" if left is None else f", {left:.0f} s left"),
             done / max(total, 1),
         )
 
     report()
-    while chunks:
-        broken: list[list[_Case]] = []
-        with closing(run_chunks(_Work(verb, model, settings), chunks, crew)) as results:
+    fresh: dict[str, dict[str, Any]] = {}
+    try:
+        work = _Work(verb, model, settings)
+        with closing(run_chunks(work, chunks, crew, lambda chunk: [[case] for case in chunk])) as results:
             for chunk, result in results:
                 if isinstance(result, BrokenExecutor):
-                    if len(chunk) > 1:  # one of its logs killed the process
-                        broken += [[case] for case in chunk]
-                        continue
-                    result = {chunk[0].key: {"failed": str(result)}}
-                # What another run may find otherwise, such as a full disk, is not kept.
-                lasting = {key: row for key, row in result.items() if row.pop("lasting", False)}
-                if table is not None and lasting:
-                    table.write(lasting)
+                    result = {case.key: {"failed": str(result)} for case in chunk}
+                # What failed is tried again: another run may find it otherwise, as after a full disk.
+                fresh |= {key: row for key, row in result.items() if "failed" not in row}
                 rows |= result
-                done += sum(costs[case.key] for case in chunk)
+                failed.update("failed" in row for row in result.values())
+                done += sum(case.cost for case in chunk)
                 report()
-        chunks = broken
+                if table is not None and fresh and time.monotonic() - written > WRITE_EVERY:
+                    table.write(fresh)
+                    fresh, written = {}, time.monotonic()
+    except KeyboardInterrupt as stopped:
+        goes_on = "; the same command goes on where it stopped" * (table is not None)
+        raise KeyboardInterrupt(f"stopped{goes_on}") from stopped
+    finally:
+        if table is not None and fresh:
+            table.write(fresh)
+    for row in rows.values():
+        row.pop("saved", None)
     result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases])
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
@@ -167,27 +179,29 @@ class _Case(NamedTuple):
 def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, settings: Any) -> list[_Case]:
     versions = {name: importlib.metadata.version(name) for name in ("covariant", "jax", "numpy")}
     whole = [verb, str(model), _model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
-    names = [source_name(log) for log in logs]
-    names = [f"{name} {k + 1}" if name in ("record", "table", "dataset") else name for k, name in enumerate(names)]
-    stems, places = (
-        [Path(name).stem for name in names],
-        [f"{Path(name).parent.name}_{Path(name).stem}" for name in names],
-    )
-    of_stems, of_places, cases = Counter(stems), Counter(places), []
-    for log, name, stem, place in zip(logs, names, stems, places, strict=True):
-        # Not by number, so that a name does not depend on the order.
-        long = place if of_places[place] == 1 else f"{place}_{content_hash(name)[:8]}"
-        unique = stem if of_stems[stem] == 1 else long
-        path = folder / f"{unique}{FILES[verb]}" if folder is not None and verb in FILES else None
-        content, cost = _content(log)
+    cases = []
+    with ThreadPoolExecutor() as pool:  # neither reading nor hashing holds the lock of the interpreter
+        contents = list(pool.map(_content, logs))
+    for k, (log, (content, cost)) in enumerate(zip(logs, contents, strict=True)):
+        name = source_name(log) if isinstance(log, str | os.PathLike) else f"{source_name(log)} {k + 1}"
+        unique = name if folder is None or name != source_name(log) else _file_name(Path(log), folder)
+        path = folder / f"{unique}{FILES[verb]}" if folder is not None and FILES[verb] else None
         cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost))
     return cases
+
+
+def _file_name(log: Path, folder: Path) -> str:
+    """Name of the file of a log in a folder, without its ending: that of the log, and a hash of its place."""
+    log = Path(os.path.abspath(log))
+    # From the folder, so that logs and folder that are moved together keep their names.
+    place = os.path.relpath(log, folder) if log.drive == folder.drive else str(log)
+    return f"{log.parent.name}_{log.stem}_{content_hash(place)[:8]}"
 
 
 def _content(log: Any) -> tuple[str, float]:
     """Hash of the content of a log, and its size [bytes]."""
     if not isinstance(log, str | os.PathLike):
-        return f"{id(log)}", 1.0
+        return f"{id(log)}", LEAST_COST
     digest, size, path = hashlib.sha256(), 1.0, Path(log)
     try:
         # A folder that is no log may hold anything, and is not read.
@@ -213,16 +227,17 @@ def _model_hash(model: Any) -> list[str]:
 
 
 def _finished(cases: Sequence[_Case], table: CaseTable) -> dict[str, dict[str, Any]]:
-    """Rows of the cases that are done, and whose files are there."""
-    if not table.folder.is_dir():
-        return {}
-    rows = {key: {name: value for name, value in row.items() if value is not None} for key, row in table.rows().items()}
-    there = [case for case in cases if case.key in rows]
+    """Rows of the cases that are done, and whose files are there as they were written."""
+    rows = table.rows()
+    there = {case.key: case.path for case in cases if case.key in rows}
     return {
-        case.key: rows[case.key]
-        for case in there
-        if case.path is None or case.path.exists() or not rows[case.key].get("file")
+        key: rows[key] for key, path in there.items() if "file" not in rows[key] or _saved(path) == rows[key]["saved"]
     }
+
+
+def _saved(path: Path | None) -> int | None:
+    """When a file was written [ns]: not by a later run with another model or other settings."""
+    return path.stat().st_mtime_ns if path is not None and path.exists() else None
 
 
 class _Work(NamedTuple):
@@ -238,29 +253,25 @@ class _Work(NamedTuple):
     def row(self, case: _Case) -> dict[str, Any]:
         """Row of a log, or why it has none."""
         try:
-            result = getattr(workflow, self.verb)(self.model, case.log, progress=_silent, **self.settings)
+            result = getattr(workflow, self.verb)(self.model, case.log, progress=lambda *_: None, **self.settings)
             row = _row(result)
             if case.path is not None and getattr(result, "better", True):
                 result.save(case.path, overwrite=True)
-                row["file"] = case.path.name
+                row |= {"file": case.path.name, "saved": _saved(case.path)}
         except Exception as error:  # one log shall not stop the others
-            # Refusals are of type ValueError, and depend on log and model alone.
             kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
-            return {"failed": reason, "lasting": isinstance(error, ValueError)}
-        return row | {"lasting": True}
-
-
-def _silent(description: str, fraction: float | None = None) -> None:
-    pass
+            return {"failed": reason}
+        return row
 
 
 def _row(result: Any) -> dict[str, Any]:
     """Numbers and short texts of a result, by column."""
     if isinstance(result, workflow.FitResult):
         values = zip(result.columns["parameter"], result.values, result.standard_errors, strict=True)
-        numbers = [(name, float(value), f"{name}_std", float(std)) for name, value, std in values]
-        row = {key: number for each in numbers for key, number in (each[:2], each[2:])}
+        row = {}
+        for name, value, std in values:
+            row |= {name: float(value), f"{name}_std": float(std)}
         return row | {"better": "yes" if result.better else "no"}
     if isinstance(result, workflow.CheckResult):
         named = {True: [], False: []}
@@ -322,18 +333,17 @@ class LogsResult(AbstractTable):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        names = dict.fromkeys(name for _, row in self.each for name in row)
+        names = sorted({name for _, row in self.each for name in row})
         texts = {name for _, row in self.each for name, value in row.items() if isinstance(value, str)}
-        return {"log": np.array([name for name, _ in self.each], dtype=object)} | {
-            name: np.array([row.get(name, "") for _, row in self.each], dtype=object)
-            if name in texts
-            else np.array([row.get(name, np.nan) for _, row in self.each], float)
-            for name in sorted(names)
+        empty = {name: ("", object) if name in texts else (np.nan, float) for name in names}
+        return {"log": np.array([name for name, _ in self.each], object)} | {
+            name: np.array([row.get(name, none) for _, row in self.each], dtype)
+            for name, (none, dtype) in empty.items()
         }
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return (*(f"{name}: {reason}" for name, reason in self.failed.items()), *self._among)
+        return self._among
 
     @functools.cached_property
     def _among(self) -> tuple[str, ...]:
@@ -351,7 +361,9 @@ class LogsResult(AbstractTable):
 
     @property
     def _blocks(self) -> list[Any]:
-        return ["# Logs", [{"log": name, **row} for name, row in self.each]]
+        # Those to look at first.
+        rows = sorted(self.each, key=lambda each: not ("failed" in each.row or each.row.get("wrong")))
+        return ["# Logs", [{"log": name, **row} for name, row in rows]]
 
     written = (".csv",)
 

@@ -81,6 +81,8 @@ CODES = {"no measurement": StepCode.COASTED, "refused": StepCode.OUTLIER, "resta
 """The marks of a page, and the results of the rows that have them."""
 FINEST = 500
 """Stretches closer than the log's duration over this are shaded as one."""
+MOST_WORDS = 40
+"""Words of a command line that the page shows whole."""
 
 
 def _curves(outcomes: dict[str, Outcome]) -> dict[str, Any]:
@@ -157,8 +159,10 @@ def _facts(job: Job, loaded: Loaded, more: Mapping[str, str]) -> dict[str, str]:
 def made() -> dict[str, str]:
     """By what a page was made: version, time, and the command line where there was one."""
     named = {"made by": f"covariant {covariant.__version__}, {time.strftime('%Y-%m-%d %H:%M %Z')}"}
-    typed = Path(sys.argv[0]).stem == "covariant"
-    return named | ({"command": shlex.join(["covariant", *sys.argv[1:]])} if typed else {})
+    words = [shlex.quote(word) for word in ("covariant", *sys.argv[1:])]
+    if len(words) > MOST_WORDS:  # hundreds of logs, which the page lists itself
+        words[6:-4] = [f"… ({len(words) - 10} more) …"]
+    return named | ({"command": " ".join(words)} if Path(sys.argv[0]).stem == "covariant" else {})
 
 
 def accuracy(loaded: Loaded, outcome: Outcome) -> tuple[dict[str, Any], ...]:
