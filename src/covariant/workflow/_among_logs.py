@@ -45,15 +45,15 @@ def _findings(rows: Sequence[LogRow]) -> Iterator[str]:
         yield f"WRONG {finding} in {len(places)} of {len(rows)} logs: {_since(rows, places) or _listed(rows, places)}"
 
 
-def _machine(name: str) -> str:
+def machine_of(name: str) -> str:
     """The folder of a log, which is one for each machine."""
     return str(Path(name).parent)
 
 
 def _since(rows: Sequence[LogRow], places: Sequence[int]) -> str:
     """From which log on all logs of a machine are concerned; "" where it is otherwise."""
-    machine = _machine(rows[places[0]].name)
-    own = [k for k, (name, _) in enumerate(rows) if _machine(name) == machine]
+    machine = machine_of(rows[places[0]].name)
+    own = [k for k, (name, _) in enumerate(rows) if machine_of(name) == machine]
     if len(places) < 3 or len(places) == len(own) or list(places) != own[-len(places) :]:
         return ""
     return f"all of {machine} from {Path(rows[places[0]].name).name} on, and none before"
@@ -88,7 +88,7 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
     names = dict.fromkeys(
         name for _, row in rows for name in row if f"{name}_std" in row and isinstance(row[name], float)
     )
-    machines = [_machine(name) for name, _ in rows]
+    machines = [machine_of(name) for name, _ in rows]
     several = len(set(machines)) > 1
     for name in names:
         value, std = (np.array([row.get(key, math.nan) for _, row in rows], float) for key in (name, f"{name}_std"))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from covariant import models, scoring
 from covariant.calibration import (
@@ -23,6 +23,7 @@ from covariant.calibration.identification import (
     FITTED,
     better_reading,
     error_growth,
+    family_errors,
     fit_servos,
     held_out_logs,
     predict_servos,
@@ -60,25 +61,44 @@ Parts = dict[str, tuple[Windows, Windows]]
 """Windows to fit and held-out windows, by the way inputs go between stamps."""
 
 
+class OwnNumbers(NamedTuple):
+    """Numbers of which each machine has its own, and the machine of each log."""
+
+    names: list[str]
+    machines: list[str]
+
+
 def fit_to_logs(
     jobs: list[Job],
     names: Sequence[str],
     length: float | None,
     progress: Progress,
     sources: Mapping[Path, bytes],
-) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
+    own: OwnNumbers | None = None,
+) -> tuple[list[Job], dict[str, dict[str, Any]], dict[str, Any]]:
     """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out.
 
-    `sources` are the files of the model as they were first read.
+    `sources` are the files of the model as they were first read. The contents of model files are by the machine whose
+    own numbers they have, or by "".
     """
     progress("reading")
     kind = _kind_of(jobs[0], names)
-    problem = kind.read(jobs, names, length)
+    if own is None:
+        problem = kind.read(jobs, names, length)
+    elif kind is _PredictionProblem:
+        problem = _PredictionProblem.read(jobs, names, length, own)
+    else:
+        raise ValueError(
+            "each: the numbers of a robot's joints and links are fitted as those of one robot; fit the logs of each "
+            "robot by themselves, `covariant fit MODEL LOG... -o FOLDER`, or leave it out"
+        )
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
         parts = {
-            word: split_windows([problem.acting(log, word) for log in logs.logs], logs.references, logs.length)
+            word: split_windows(
+                [problem.acting(log, word) for log in logs.logs], logs.references, logs.length, logs.machines
+            )
             for word in logs.tried
         }
         fits = _solve(problem, parts, progress)
@@ -91,12 +111,13 @@ def fit_to_logs(
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.first_errors(parts[logs.tried[0]][1])
     after = problem.fitted_errors(best, parts[used][1])
-    content = problem.family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
-    source = content.get("parameters", {}).get("source")
-    if isinstance(source, str):  # a text that says where the numbers are from says where they are from now
-        content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
-    if gain is not None and gain.clear:
-        content.setdefault("inputs", {})["between"] = used
+    contents = problem.contents(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
+    for content in contents.values():
+        source = content.get("parameters", {}).get("source")
+        if isinstance(source, str):  # a text that says where the numbers are from says where they are from now
+            content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
+        if gain is not None and gain.clear:
+            content.setdefault("inputs", {})["between"] = used
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, *parts[used])
     details = _details(jobs[0], logs, guessed, best, before, after, suspicion) | {
@@ -104,7 +125,7 @@ def fit_to_logs(
     }
     details |= problem.details(best, parts[used][0])
     # A log that is misread says nothing of what it determines.
-    return jobs, content, details | ({"undetermined": []} if suspicion else {})
+    return jobs, contents, details | ({"undetermined": []} if suspicion else {})
 
 
 def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:
@@ -133,6 +154,7 @@ class FitLogs(NamedTuple):
         stated: Whether the model file says how inputs go between stamps.
         tried: The ways that are tried.
         names: Names of the logs, by path.
+        machines: Index of the machine of each log, of several with numbers of their own.
     """
 
     logs: list[Aligned]
@@ -141,40 +163,54 @@ class FitLogs(NamedTuple):
     stated: bool
     tried: tuple[str, ...]
     names: list[str]
+    machines: list[int]
 
     @classmethod
-    def read(cls, jobs: list[Job], length: float | None) -> "FitLogs":
+    def read(cls, jobs: list[Job], length: float | None, machines: list[int] | None = None) -> "FitLogs":
         """Read the logs, the same model in each; a length of None is chosen by the motion."""
         logs = [_without_outliers(aligned(job)) for job in jobs]
+        machines = [0] * len(jobs) if machines is None else machines
         file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
         # Of a single log the held-out third must hold enough windows too.
-        part = 1 - FITTED if len(jobs) == 1 else 1.0
-        length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
+        part = 1 - FITTED if len(set(machines)) == len(jobs) else 1.0
+        firsts = [machines.index(machine) for machine in sorted(set(machines))]
+        if length is None:
+            length = float(np.median([horizon(logs[k].raw, references[k], part, len(logs)) for k in firsts]))
         document = models.document(jobs[0].model_name, jobs[0].overrides)
         stated = file.input_between != BETWEEN[0] or "between" in document.get("inputs", {})
         # An input that is constant is the same held and linear.
         driven = any(bool((np.ptp(np.asarray(log.raw.u), axis=0) > 0).any()) for log in logs)
         tried = BETWEEN if driven and not stated else (file.input_between,)
-        return cls(logs, references, length, stated, tried, [job.log_name for job in jobs])
+        return cls(logs, references, length, stated, tried, [job.log_name for job in jobs], machines)
+
+    @property
+    def last(self) -> Bool[np.ndarray, "K"]:
+        """Logs (K,) that are held out; if none is, the last part of each is."""
+        return held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.length, self.machines)
 
     @property
     def seen(self) -> int:
-        """Number of logs, from the first one, that the fit sees; of a single log it sees the first part."""
-        several = len(self.logs) > 1
-        return len(self.logs) - several * held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.length)
+        """Number of logs, from the first one, that the fit of one machine sees; of a single log it sees the first
+        part."""
+        return len(self.logs) - int(np.sum(self.last))
 
     @property
     def fitted_to(self) -> str:
         """File names of the logs that the fit sees, separated by commas."""
-        return ", ".join(Path(name).name for name in self.names[: self.seen])
+        several = len(set(self.machines)) > 1
+        seen = [Path(name) for name, last in zip(self.names, self.last, strict=True) if not last]
+        return ", ".join("/".join(name.parts[-2:]) if several else name.name for name in seen)
 
     @property
     def held_out(self) -> str:
         """What is held out, in words."""
-        if len(self.names) == 1:
-            return f"the last third of {self.names[0]}"
-        count = len(self.names) - self.seen
-        return self.names[-1] if count == 1 else f"the last {count} logs"
+        last = np.flatnonzero(self.last)
+        if not len(last):
+            return f"the last third of {self.names[0] if len(self.names) == 1 else 'each log'}"
+        machines = {self.machines[k] for k in last}
+        if len(last) == 1:
+            return self.names[last[0]]
+        return f"the last {len(last)} logs" if len(machines) == 1 else f"the last logs of {len(machines)} machines"
 
 
 def _without_outliers(log: Aligned) -> Aligned:
@@ -206,16 +242,29 @@ class Gain(NamedTuple):
 class _PredictionProblem(NamedTuple):
     """Parameters of a model, fitted by its predictions over windows."""
 
-    family: models.Family
-    logs: FitLogs
-
     # The first way is searched once more from where the last ended: both then have had the same first values.
     search_again = True
 
+    family: models.Family
+    logs: FitLogs
+    machines: list[str]
+
     @classmethod
-    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_PredictionProblem":
-        family = models.family(jobs[0].model_name, names, jobs[0].overrides)
-        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length))
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_PredictionProblem":
+        _refuse_other_parameters(jobs)
+        family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
+        if own is not None:
+            machines = list(dict.fromkeys(own.machines))
+            of_log = [machines.index(machine) for machine in own.machines]
+            family = family.of_machines(machines, own.names)
+        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
+
+    def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:
+        """Contents of model files with fitted numbers, by machine."""
+        own = zip(self.machines, values[self.family.parts], strict=True)
+        return {machine: self.family.with_values(each) for machine, each in own}
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
@@ -251,10 +300,10 @@ class _PredictionProblem(NamedTuple):
         return Gain.of(held - linear)
 
     def first_errors(self, held_out: Windows) -> PredictionErrors:
-        return prediction_errors(*self.family.make(self.family.first), held_out)
+        return family_errors(self.family, self.family.first, held_out)
 
     def fitted_errors(self, best: Fit, held_out: Windows) -> PredictionErrors:
-        return prediction_errors(*self.family.make(best.values), held_out)
+        return family_errors(self.family, best.values, held_out)
 
     def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
         return {
@@ -274,6 +323,7 @@ class _RobotProblem(NamedTuple):
 
     @classmethod
     def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_RobotProblem":
+        _refuse_other_parameters(jobs)
         family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
@@ -303,6 +353,10 @@ class _RobotProblem(NamedTuple):
     def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
         del best, fitted, held_out
         return ""
+
+    def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:
+        """The content of the model file with fitted numbers."""
+        return {"": self.family.with_values(values)}
 
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
@@ -383,6 +437,10 @@ class _ServoProblem(NamedTuple):
         del fitted, held_out
         return unlike_servos(self.family, best, self.logs.logs[-1], self._errors(best.coordinates).position)
 
+    def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:
+        """The content of the model file with fitted numbers."""
+        return {"": self.family.with_values(values)}
+
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
@@ -425,6 +483,17 @@ def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
         return _PredictionProblem
     model = models.load(job.model, job.overrides).model
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
+
+
+def _refuse_other_parameters(jobs: list[Job]) -> None:
+    """Raise if the parameters of a log are others than those of the first, with which all logs are predicted."""
+    first = models.document(jobs[0].model_name, jobs[0].overrides).get("parameters") if len(jobs) > 1 else None
+    for job in jobs[1:]:
+        if job.overrides != jobs[0].overrides and models.document(job.model_name, job.overrides)["parameters"] != first:
+            raise ValueError(
+                f"{job.log_name}: its overrides make [parameters] others than those of {jobs[0].log_name}, with which "
+                "all logs are predicted; only robots with servos have known numbers of each log"
+            )
 
 
 def _late(log: Aligned) -> float:
@@ -510,7 +579,10 @@ def _details(
     names, units = coordinates(logs.logs[0].loaded.file)
     reference = logs.logs[-1].loaded.reference
     ratio = error_growth(before, after)
-    known = {name for name, first, value, _, determined in _rows(best) if determined or value != first}
+    # The number of a machine, viscous@arm1, is no longer the placeholder of the file if one machine shows it.
+    known = {
+        name.partition("@")[0] for name, first, value, _, determined in _rows(best) if determined or value != first
+    }
     return {
         "model": job.model_name,
         "logs": logs.names,

@@ -185,7 +185,7 @@ def _first_round(
     """Searches without a filter from the best places to start from: the best end, and by how much it was the best."""
     unknowns = Unknowns.of(family)
     if start is None:
-        places = starts(unknowns, jax.tree.map(np.asarray, windows), family.names)
+        places = starts(unknowns, jax.tree.map(np.asarray, windows), family.numbers)
     else:
         places = {"other inputs": unknowns.relative(start)}
     begun = [(name, *_begin(family, windows, candidates[:1], z)) for name, z in places.items()]
@@ -393,15 +393,11 @@ class _Predictions(NamedTuple):
         return jax.tree.map(np.asarray, blocks)
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
-        """Relative changes (p,) after a step that is linear in the values, or for a positive parameter that falls in
-        its inverse, since forces are linear in friction and accelerations in inverse masses."""
-        positive = z + np.sign(dz) * np.log1p(np.abs(dz))
-        return np.where(np.asarray(self.unknowns.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
+        return self.unknowns.moved(z, dz)
 
     def stable(self, family: Family, point: Point) -> tuple["_Predictions", Point]:
         """The same with enough substeps for the friction at a point, which may have grown far."""
-        model = family.make(np.asarray(self.unknowns.values(jnp.asarray(point.z))))[0]
-        needed = needed_substeps(model, self.windows)
+        needed = _needed_substeps(family, self.unknowns, self.windows, point.z)
         if needed <= MARGIN * self.substeps:
             return self, point
         problem = self._replace(substeps=needed)
@@ -432,9 +428,14 @@ def _begin(
     count, n = windows.v.shape[0], windows.v.shape[-1]
     weights = Weighing(frequency[0], np.ones(n))
     unknowns = Unknowns.of(family)
-    model = family.make(unknowns.values(jnp.asarray(z)))[0]
-    problem = _Predictions(unknowns, needed_substeps(model, windows), windows, weights)
+    problem = _Predictions(unknowns, _needed_substeps(family, unknowns, windows, z), windows, weights)
     return problem.weighed(Point.at(problem, z, np.zeros((count, 2 * n))), frequency)
+
+
+def _needed_substeps(family: Family, unknowns: Unknowns, windows: Windows, z: Float[NumpyArray, "p"]) -> int:
+    """Substeps that the stiffest of the machines needs."""
+    values = np.asarray(unknowns.values(jnp.asarray(z)))
+    return max(needed_substeps(family.make(own)[0], windows) for own in values[family.parts])
 
 
 @eqx.filter_jit
@@ -442,20 +443,25 @@ def _evaluate(unknowns: Unknowns, substeps: int, windows: Windows, z: Array, s: 
     """Blocks of the windows; `rest` are the errors of the positions, and where these are measured."""
     p = z.shape[0]
 
-    def window(s, rows, t, y, v):
+    def window(s, rows, t, y, v, machine):
+        own, own_z, part = unknowns.of_machine(machine, z)
+        k = len(own_z)
+
         def errors(x):
             n = v.shape[-1]
-            model, lag = unknowns.make(unknowns.values(x[:p]))
+            model, lag = own.make(own.values(x[:k]))
             inputs = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)
-            start = Motion(model.manifold.retract(y[0], x[p : p + n]), v[0] + x[p + n :])
+            start = Motion(model.manifold.retract(y[0], x[k : k + n]), v[0] + x[k + n :])
             raw, seen = differences(model, follow(model, t, inputs[rows], start, substeps).q, y)
             new = innovations(raw, seen, t, jnp.asarray(weighed.frequency)) / weighed.scale[None]
             return new, (new, raw, seen)
 
-        slope, (new, raw, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([z, s]))
-        return Blocks.one(new.ravel(), slope.reshape(-1, p + s.shape[0]), p, (raw, seen))
+        slope, (new, raw, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([own_z, s]))
+        slope = slope.reshape(-1, k + s.shape[0])
+        slope = jnp.concatenate([unknowns.of_all(part, slope[:, :k]), slope[:, k:]], axis=1)
+        return Blocks.one(new.ravel(), slope, p, (raw, seen))
 
-    return jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v)
+    return jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v, windows.machine)
 
 
 def _perhaps_zero(
