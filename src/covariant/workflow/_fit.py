@@ -87,9 +87,9 @@ def fit(
     from covariant.workflow._inputs import Job
 
     own = None
-    if each is not None:
-        machines = [str(machine) for machine, logs_ in by_machine.items() for _ in as_logs(logs_)]
-        own = OwnNumbers(_names(each), machines or _folders(logs))
+    if own_names := _names(each or ()):
+        machines = [str(machine) for machine, its_logs in by_machine.items() for _ in as_logs(its_logs)]
+        own = OwnNumbers(own_names, machines or _folders(logs))
     of_log = _of_each_log(overrides, len(logs))
     jobs = [
         Job(model, one, values, every, until, columns or {}, anyway, start)

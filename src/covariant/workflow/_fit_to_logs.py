@@ -258,7 +258,10 @@ class _PredictionProblem(NamedTuple):
         if own is not None:
             machines = list(dict.fromkeys(own.machines))
             of_log = [machines.index(machine) for machine in own.machines]
-            family = family.of_machines(machines, own.names)
+            try:
+                family = family.of_machines(machines, own.names)
+            except ValueError as error:
+                raise ValueError(f"each: {error}") from error
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
 
     def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:

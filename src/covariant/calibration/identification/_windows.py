@@ -205,12 +205,12 @@ def split_windows(
     machines = [0] * len(records) if machines is None else machines
     last = held_out_logs([np.asarray(record.t) for record in records], length, machines)
     if last.any():
-        fitted, held_out = (
-            cut_windows(*([column[k] for k in chosen] for column in (records, velocities)), length, None, own)
-            for chosen in (np.flatnonzero(~last), np.flatnonzero(last))
-            for own in [[machines[k] for k in chosen]]
-        )
-        return fitted, held_out
+
+        def cut(chosen: list[int]) -> Windows:
+            kept, speeds = [records[k] for k in chosen], [velocities[k] for k in chosen]
+            return cut_windows(kept, speeds, length, machines=[machines[k] for k in chosen])
+
+        return cut(np.flatnonzero(~last).tolist()), cut(np.flatnonzero(last).tolist())
     ends = [(float(record.t[0]), float(record.t[-1])) for record in records]
     borders = [begin + FITTED * (end - begin) for begin, end in ends]
     first, rest = [(-np.inf, border) for border in borders], [(border, np.inf) for border in borders]

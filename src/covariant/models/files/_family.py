@@ -87,7 +87,7 @@ class Family(NamedTuple):
             The family with the p numbers of all machines.
 
         Raises:
-            ModelError: A name of `each` is none of the open numbers.
+            ValueError: A name of `each` is none of the open numbers.
 
         Example:
             >>> from covariant import models
