@@ -83,7 +83,8 @@ def fit(
     logs = as_logs([one for own in by_machine.values() for one in as_logs(own)] if by_machine else log)
     sources = read_sources(model)
     # What computes is loaded after the arguments are checked.
-    from covariant.workflow._fit_to_logs import OwnNumbers, fit_to_logs
+    from covariant.workflow._fit_logs import OwnNumbers
+    from covariant.workflow._fit_to_logs import fit_to_logs
     from covariant.workflow._inputs import Job
 
     own = None

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from covariant import models, scoring
 from covariant.calibration import (
@@ -14,8 +14,6 @@ from covariant.calibration import (
     RobotFit,
     Windows,
     fit_robot,
-    horizon,
-    outliers,
     prediction_errors,
     relations,
 )
@@ -25,7 +23,6 @@ from covariant.calibration.identification import (
     error_growth,
     family_errors,
     fit_servos,
-    held_out_logs,
     predict_servos,
     predicts_worse,
     profile,
@@ -36,7 +33,8 @@ from covariant.calibration.identification import (
     window_losses,
 )
 from covariant.signals import Record
-from covariant.workflow._aligned import Aligned, aligned
+from covariant.workflow._aligned import Aligned
+from covariant.workflow._fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
 from covariant.workflow._fit_sentences import rival_sentence, start_sentence, unlike_servos
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._model_output import check_read_once
@@ -44,8 +42,6 @@ from covariant.workflow._outcome import rounded
 from covariant.workflow._placeholders import placeholders
 from covariant.workflow._progress import Progress
 
-BETWEEN = ("held", "linear")
-"""How inputs may go between stamps; the first is what a model file means that does not say."""
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
 CLEAR = 2.0
@@ -59,13 +55,6 @@ MIRRORED = (
 
 Parts = dict[str, tuple[Windows, Windows]]
 """Windows to fit and held-out windows, by the way inputs go between stamps."""
-
-
-class OwnNumbers(NamedTuple):
-    """Numbers of which each machine has its own, and the machine of each log."""
-
-    names: list[str]
-    machines: list[str]
 
 
 def fit_to_logs(
@@ -144,83 +133,6 @@ def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, A
     return fits
 
 
-class FitLogs(NamedTuple):
-    """Logs of one model that a fit uses.
-
-    Attributes:
-        logs: The logs, their rows at the times at which positions were true; outliers are missing.
-        references: Reference velocities (T, n) of the logs.
-        length: Length of the predictions [s].
-        stated: Whether the model file says how inputs go between stamps.
-        tried: The ways that are tried.
-        names: Names of the logs, by path.
-        machines: Index of the machine of each log, of several with numbers of their own.
-    """
-
-    logs: list[Aligned]
-    references: list[Float[np.ndarray, "_ n"]]
-    length: float
-    stated: bool
-    tried: tuple[str, ...]
-    names: list[str]
-    machines: list[int]
-
-    @classmethod
-    def read(cls, jobs: list[Job], length: float | None, machines: list[int] | None = None) -> "FitLogs":
-        """Read the logs, the same model in each; a length of None is chosen by the motion."""
-        logs = [_without_outliers(aligned(job)) for job in jobs]
-        machines = [0] * len(jobs) if machines is None else machines
-        file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
-        # Of a single log the held-out third must hold enough windows too.
-        part = 1 - FITTED if len(set(machines)) == len(jobs) else 1.0
-        firsts = [machines.index(machine) for machine in sorted(set(machines))]
-        if length is None:
-            length = float(np.median([horizon(logs[k].raw, references[k], part, len(logs)) for k in firsts]))
-        document = models.document(jobs[0].model_name, jobs[0].overrides)
-        stated = file.input_between != BETWEEN[0] or "between" in document.get("inputs", {})
-        # An input that is constant is the same held and linear.
-        driven = any(bool((np.ptp(np.asarray(log.raw.u), axis=0) > 0).any()) for log in logs)
-        tried = BETWEEN if driven and not stated else (file.input_between,)
-        return cls(logs, references, length, stated, tried, [job.log_name for job in jobs], machines)
-
-    @property
-    def last(self) -> Bool[np.ndarray, "K"]:
-        """Logs (K,) that are held out; if none is, the last part of each is."""
-        return held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.length, self.machines)
-
-    @property
-    def seen(self) -> int:
-        """Number of logs, from the first one, that the fit of one machine sees; of a single log it sees the first
-        part."""
-        return len(self.logs) - int(np.sum(self.last))
-
-    @property
-    def fitted_to(self) -> str:
-        """File names of the logs that the fit sees, separated by commas."""
-        several = len(set(self.machines)) > 1
-        seen = [Path(name) for name, last in zip(self.names, self.last, strict=True) if not last]
-        return ", ".join("/".join(name.parts[-2:]) if several else name.name for name in seen)
-
-    @property
-    def held_out(self) -> str:
-        """What is held out, in words."""
-        last = np.flatnonzero(self.last)
-        if not len(last):
-            return f"the last third of {self.names[0] if len(self.names) == 1 else 'each log'}"
-        machines = {self.machines[k] for k in last}
-        if len(last) == 1:
-            return self.names[last[0]]
-        return f"the last {len(last)} logs" if len(machines) == 1 else f"the last logs of {len(machines)} machines"
-
-
-def _without_outliers(log: Aligned) -> Aligned:
-    """The log as the reference velocities have it: a prediction that starts from an outlier judges no model."""
-    circles, t, y = log.loaded.model.circles, np.asarray(log.raw.t), np.asarray(log.raw.y)
-    if not log.loaded.model.manifold.commuting:
-        return log
-    return log._replace(raw=log.raw._replace(y=np.where(outliers(t, y, circles)[0], np.nan, y)))
-
-
 class Gain(NamedTuple):
     """Log-likelihood with linear inputs minus that with held ones, and its standard error."""
 
@@ -253,7 +165,7 @@ class _PredictionProblem(NamedTuple):
     def read(
         cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
     ) -> "_PredictionProblem":
-        _refuse_other_parameters(jobs)
+        refuse_other_parameters(jobs)
         family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
             machines = list(dict.fromkeys(own.machines))
@@ -326,7 +238,7 @@ class _RobotProblem(NamedTuple):
 
     @classmethod
     def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_RobotProblem":
-        _refuse_other_parameters(jobs)
+        refuse_other_parameters(jobs)
         family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
@@ -486,17 +398,6 @@ def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
         return _PredictionProblem
     model = models.load(job.model, job.overrides).model
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
-
-
-def _refuse_other_parameters(jobs: list[Job]) -> None:
-    """Raise if the parameters of a log are others than those of the first, with which all logs are predicted."""
-    first = models.document(jobs[0].model_name, jobs[0].overrides).get("parameters") if len(jobs) > 1 else None
-    for job in jobs[1:]:
-        if job.overrides != jobs[0].overrides and models.document(job.model_name, job.overrides)["parameters"] != first:
-            raise ValueError(
-                f"{job.log_name}: its overrides make [parameters] others than those of {jobs[0].log_name}, with which "
-                "all logs are predicted; only robots with servos have known numbers of each log"
-            )
 
 
 def _late(log: Aligned) -> float:
