@@ -22,6 +22,12 @@ class OwnNumbers(NamedTuple):
     names: list[str]
     machines: list[str]
 
+    @property
+    def numbered(self) -> tuple[list[str], list[int]]:
+        """The machines in order, and the index of that of each log."""
+        machines = list(dict.fromkeys(self.machines))
+        return machines, [machines.index(machine) for machine in self.machines]
+
 
 class FitLogs(NamedTuple):
     """Logs of one model that a fit uses.

@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models, scoring
+from covariant._names import refuse_unknown
 from covariant.calibration import (
     Fit,
     PredictionErrors,
     RobotFit,
     Windows,
     fit_robot,
-    prediction_errors,
     relations,
 )
 from covariant.calibration.identification import (
@@ -23,6 +23,7 @@ from covariant.calibration.identification import (
     error_growth,
     family_errors,
     fit_servos,
+    machine_errors,
     predict_servos,
     predicts_worse,
     profile,
@@ -74,13 +75,13 @@ def fit_to_logs(
     kind = _kind_of(jobs[0], names)
     if own is None:
         problem = kind.read(jobs, names, length)
-    elif kind is _PredictionProblem:
-        problem = _PredictionProblem.read(jobs, names, length, own)
-    else:
+    elif kind is _ServoProblem:
         raise ValueError(
-            "each: the numbers of a robot's joints and links are fitted as those of one robot; fit the logs of each "
-            "robot by themselves, `covariant fit MODEL LOG... -o FOLDER`, or leave it out"
+            "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
+            "`covariant fit MODEL LOG... -o FOLDER`"
         )
+    else:
+        problem = kind.read(jobs, names, length, own)
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
@@ -168,8 +169,7 @@ class _PredictionProblem(NamedTuple):
         refuse_other_parameters(jobs)
         family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
-            machines = list(dict.fromkeys(own.machines))
-            of_log = [machines.index(machine) for machine in own.machines]
+            machines, of_log = own.numbered
             try:
                 family = family.of_machines(machines, own.names)
             except ValueError as error:
@@ -233,33 +233,46 @@ class _RobotProblem(NamedTuple):
 
     family: models.RobotFamily
     logs: FitLogs
+    machines: list[str]
 
     search_again = False
 
     @classmethod
-    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_RobotProblem":
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_RobotProblem":
         refuse_other_parameters(jobs)
-        family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
+        family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
+        if own is not None:
+            machines, of_log = own.numbered
+            opened = models.robot_family(jobs[0].model_name, own.names, jobs[0].overrides).names
+            for name in opened:
+                refuse_unknown("number in `parameters`", name, family.names)
+            family = family.of_machines(machines, opened)
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
-        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
         for name, log in zip(logs.names, logs.logs, strict=True):
-            finding = None if jobs[0].anyway else robot_misfit(family, log.loaded.file, log.raw)
+            finding = None if jobs[0].anyway else robot_misfit(family.one, log.loaded.file, log.raw)
             if finding is not None:
                 raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
-        return cls(family, logs)
+        return cls(family, logs, machines)
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step."""
         return log.acting(between, log.loaded.file.input_lag)
 
     def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
-        records = [self.acting(log, word) for log in self.logs.logs[: self.logs.seen]]
-        if len(self.logs.logs) == 1:
-            t, u, y = (np.asarray(column) for column in records[0][:3])
-            seen = t < t[0] + FITTED * (t[-1] - t[0])
-            records = [Record(t[seen], u[seen], y[seen])]
+        last = self.logs.last
+        records = [self.acting(log, word) for log, held_out in zip(self.logs.logs, last, strict=True) if not held_out]
+        machines = [machine for machine, held_out in zip(self.logs.machines, last, strict=True) if not held_out]
+        if not last.any():
+            records = [_first_part(record) for record in records]
         half = self.logs.logs[0].loaded.file.reference_half
-        return fit_robot(self.family, records, half, lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)), start)
+
+        def progress(done: int) -> None:
+            report(done, min(done / ROBOT_ROUNDS, 1.0))
+
+        return fit_robot(self.family, records, half, progress, start, machines)
 
     def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
         del fitted
@@ -270,8 +283,9 @@ class _RobotProblem(NamedTuple):
         return ""
 
     def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:
-        """The content of the model file with fitted numbers."""
-        return {"": self.family.with_values(values)}
+        """Contents of model files with fitted numbers, by machine."""
+        own = zip(self.machines, values[self.family.parts], strict=True)
+        return {machine: self.family.with_values(each) for machine, each in own}
 
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
@@ -279,11 +293,11 @@ class _RobotProblem(NamedTuple):
     def first_errors(self, held_out: Windows) -> PredictionErrors:
         # At the first values the family has the program of the fitted model; but a load that it adds was not there.
         added = any(number.group == "payload" for number in self.family.numbers)
-        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.names)))
-        return prediction_errors(model, 0.0, held_out)
+        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.one.names)))
+        return machine_errors([model] * len(self.machines), held_out)
 
     def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
-        return prediction_errors(self.family.make(best.coordinates), 0.0, held_out)
+        return machine_errors([self.family.make(x) for x in best.coordinates[self.family.parts]], held_out)
 
     def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
         return robot_details(best)
@@ -331,9 +345,7 @@ class _ServoProblem(NamedTuple):
         seen = self.logs.seen
         records = [log.raw for log in self.logs.logs[:seen]]
         if len(self.logs.logs) == 1:
-            t, u, y = (np.asarray(column) for column in records[0][:3])
-            first = t < t[0] + FITTED * (t[-1] - t[0])
-            records = [Record(t[first], u[first], y[first])]
+            records = [_first_part(records[0])]
         return fit_servos(
             self.families[:seen],
             records,
@@ -400,6 +412,13 @@ def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
 
 
+def _first_part(record: Record) -> Record:
+    """The rows of a log that a fit to its first part sees."""
+    t, u, y = (np.asarray(column) for column in record[:3])
+    seen = t < t[0] + FITTED * (t[-1] - t[0])
+    return Record(t[seen], u[seen], y[seen])
+
+
 def _late(log: Aligned) -> float:
     """Time [s] by which positions are late, which their stamps no longer say."""
     return float(np.max(np.asarray(log.late) - np.asarray(log.loaded.file.input_delay)))
@@ -430,7 +449,7 @@ def robot_details(best: RobotFit) -> dict[str, Any]:
         for name, _, value, error, determined in _rows(best)
         if np.isfinite(error) and not determined
     ]
-    places = any(name.startswith("payload.") and not name.endswith(".mass") for name in best.names)
+    places = any(name.startswith("payload.") and not name.partition("@")[0].endswith(".mass") for name in best.names)
     if places and any(name.startswith("offsets.") for name in best.names):
         sentences.append(MIRRORED)
     return {

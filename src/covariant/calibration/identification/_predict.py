@@ -146,20 +146,32 @@ def family_errors(family: Family, values: Float[np.ndarray, "p"], windows: Windo
     return _machine_errors(family.make, np.asarray(values)[family.parts], windows)
 
 
+def machine_errors(models: Sequence[Any], windows: Windows) -> PredictionErrors:
+    """The same of the models of several machines, which differ in their numbers alone."""
+    numbers = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(eqx.filter(m, eqx.is_inexact_array) for m in models))
+    rest = eqx.filter(models[0], eqx.is_inexact_array, inverse=True)
+    return _machine_errors(eqx.Partial(_with_numbers, rest), numbers, windows)
+
+
+def _with_numbers(rest: Any, numbers: Any) -> tuple[MechanicalSystem, Number]:
+    return eqx.combine(numbers, rest), 0.0
+
+
 def _known_model(model: MechanicalSystem, lag: Number, values: Any) -> tuple[MechanicalSystem, Number]:
     del values  # none is open
     return model, lag
 
 
-def _machine_errors(make: Any, values: Float[np.ndarray, "M k"], windows: Windows) -> PredictionErrors:
+def _machine_errors(make: Any, values: Any, windows: Windows) -> PredictionErrors:
+    """Errors of the models that `make` makes of what is in each row of `values`, a row for each machine."""
     machine, rows = np.asarray(windows.machine), np.asarray(windows.rows)
-    made = [make(own) for own in values]
+    made = [make(jax.tree.map(lambda part, m=m: part[m], values)) for m in range(len(jax.tree.leaves(values)[0]))]
     substeps = max(needed_substeps(model, windows) for model, _ in made)
     u = np.zeros((*rows.shape, np.shape(windows.inputs)[1]))
     for m, (_, lag) in enumerate(made):
         lagged_inputs = np.asarray(lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag))
         u[machine == m] = lagged_inputs[rows[machine == m]]
-    data = (values[machine], windows.t, u, windows.y, windows.v)
+    data = (jax.tree.map(lambda part: part[machine], values), windows.t, u, windows.y, windows.v)
     errors = _errors(make, jax.tree.map(jnp.asarray, data), substeps)
     single, whole, speed, seen, at_new_stamp = jax.tree.map(np.asarray, errors)
 
