@@ -15,11 +15,12 @@ FRICTION = {"arm1": 0.05, "arm2": 0.12, "arm3": 0.3}
 KNOWN = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.com": [0.25], "inputs.between": "held"}
 FIRST = KNOWN | {"parameters.inertia": [0.02], "parameters.viscous": [0.1]}
 INERTIA = 0.03
+NOISE = {"arm1": 1e-3, "arm2": 1e-3, "arm3": 5e-3}
 
 
-def swings(viscous: float, seed: int) -> list[Any]:
+def swings(viscous: float, noise: float, seed: int) -> list[Any]:
     truth = KNOWN | {"parameters.inertia": [INERTIA], "parameters.viscous": [viscous]}
-    motion: dict[str, Any] = {"duration": 10.0, "rate": 50.0, "amplitude": 0.6, "noise": 1e-3}
+    motion: dict[str, Any] = {"duration": 10.0, "rate": 50.0, "amplitude": 0.6, "noise": noise}
     return [
         covariant.simulate("pendulum_chain", q0=q0, frequency=f, seed=seed + k, overrides=truth, **motion).record
         for k, (q0, f) in enumerate([(0.6, 0.5), (-0.4, 0.7)])
@@ -28,7 +29,7 @@ def swings(viscous: float, seed: int) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def arms() -> dict[str, list[Any]]:
-    return {arm: swings(viscous, 10 * k) for k, (arm, viscous) in enumerate(FRICTION.items())}
+    return {arm: swings(viscous, NOISE[arm], 10 * k) for k, (arm, viscous) in enumerate(FRICTION.items())}
 
 
 def fitted(arms: dict[str, list[Any]] | list[Any], each: str | None) -> dict[str, tuple[float, float]]:
@@ -48,8 +49,8 @@ def test_machines_share_a_number_and_have_their_own_friction(arms, found):
     assert list(found) == list(truth)
     for name, (value, error) in found.items():
         assert abs(value - truth[name]) < 4 * error, (name, value, error)
-        assert error < 0.02 * value
-    # The third, with the most friction, knows its inertia least.
+        assert error < 0.03 * value
+    # The third, with the most friction and noise, knows its inertia least, and spoils nothing.
     alone = [fitted(arms[arm], None)["inertia[0]"][1] for arm in ("arm1", "arm2")]
     assert found["inertia[0]"][1] < min(alone), (found, alone)
 

@@ -73,15 +73,7 @@ def fit_to_logs(
     """
     progress("reading")
     kind = _kind_of(jobs[0], names)
-    if own is None:
-        problem = kind.read(jobs, names, length)
-    elif kind is _ServoProblem:
-        raise ValueError(
-            "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
-            "`covariant fit MODEL LOG... -o FOLDER`"
-        )
-    else:
-        problem = kind.read(jobs, names, length, own)
+    problem = kind.read(jobs, names, length, own)
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
@@ -314,7 +306,14 @@ class _ServoProblem(NamedTuple):
     search_again = False
 
     @classmethod
-    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_ServoProblem":
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_ServoProblem":
+        if own is not None:
+            raise ValueError(
+                "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
+                "`covariant fit MODEL LOG... -o FOLDER`"
+            )
         families = [models.robot_family(job.model_name, names, job.overrides) for job in jobs]
         for job, family in zip(jobs, families, strict=True):
             differing = [

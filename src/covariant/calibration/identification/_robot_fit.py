@@ -220,12 +220,13 @@ class _Step(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What a fit works on: the family, the logs, where the k numbers of the machine of each are among all p, usual
+    """What a fit works on: the family, the logs, the machine of each and where its k numbers are among all p, usual
     sizes (p,), the speeds (n,) below which a joint rests, and below which it may stick, and functions of the
     coordinates (k,) of a machine and rows of a motion."""
 
     family: RobotFamily
     tracks: tuple[_Track, ...]
+    machines: tuple[int, ...]
     parts: Int[np.ndarray, "L k"]
     sizes: Float[np.ndarray, "p"]
     resting: Float[np.ndarray, "n"]
@@ -252,7 +253,8 @@ class _Search(NamedTuple):
         both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
         sizes, speed = usual_sizes(family, *both, v, a)
         functions = torques.derivatives, torques.rows(_accelerations), torques.rows(_momentum)
-        return cls(family, tracks, parts, sizes, np.array(family.resting), sticking_speeds(family, speed), *functions)
+        speeds = np.array(family.resting), sticking_speeds(family, speed)
+        return cls(family, tracks, tuple(machines), parts, sizes, *speeds, *functions)
 
     def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
         """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
@@ -289,10 +291,14 @@ class _Search(NamedTuple):
         """Gauss–Newton step from a point, with the covariance of the numbers."""
         rows = [self._rows(point, i) for i in range(len(self.tracks))]
         slopes, torque, counts, blocks = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-        scale = np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
+        # Machines may differ in their noise, and in what the model lacks of them.
+        whose = np.repeat(self.machines, [len(torque) for _, torque, *_ in rows])
+        scale = np.ones_like(torque)
+        for m in set(self.machines):
+            scale[whose == m] = _scales(torque[whose == m], counts[whose == m])
         relative = torque / scale
         loss, weight = robust(relative)
-        z = slopes / scale[:, None] * self.sizes
+        z = slopes / scale[:, :, None] * self.sizes
         # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
         _, numbering = np.unique(blocks, return_inverse=True)
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
@@ -310,7 +316,7 @@ class _Search(NamedTuple):
         outer = np.outer(self.sizes, self.sizes)
         # The logarithm of the scale normalises the density.
         losses = thinned * np.bincount(numbering, np.sum(counts * (loss + np.log(scale)), axis=1))
-        return _Step(dz * self.sizes, covariance * outer, information / outer, scale, settled, losses)
+        return _Step(dz * self.sizes, covariance * outer, information / outer, _scales(torque, counts), settled, losses)
 
     def _rows(self, point: _Point, i: int):
         """Derivatives (r, n, p) of the torques, residual torques (r, n), which count, and the block of each row."""
@@ -372,6 +378,11 @@ def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.nda
     """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
     size = np.abs(values)
     return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)
+
+
+def _scales(torque: Float[np.ndarray, "k n"], counts: Bool[np.ndarray, "k n"]) -> Float[np.ndarray, "n"]:
+    """Robust standard deviations of the torques that count."""
+    return np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
 
 
 def _scale(values: np.ndarray) -> float:
