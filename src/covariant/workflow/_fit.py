@@ -49,7 +49,7 @@ def fit(
             see `models.robot_family`.
         each: Those of the parameters of which each machine has its own value, such as friction; the others are shared.
             Logs of one machine lie in a folder of their own. The last log of each machine with several is held out, and
-            if none has several, the last third of each. Not for numbers of a robot's joints and links.
+            if none has several, the last third of each. Not for robots with servos.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values; or a list of such values,
             one for each log, of what is known to differ between them, such as the gain of a servo or a payload.
@@ -338,8 +338,10 @@ class FitResult(AbstractTable):
 
         result = self.details
         model, logs = self.jobs[0].model_name, ", ".join(result["logs"])
+        count = len(result["logs"])
+        title = f"{Path(model).stem} fitted to {Path(logs).name if count == 1 else f'{count} logs'}"
         facts = {"model": model, "logs": logs, "fitted to": result["fitted_to"], "held out": result["held_out"]}
-        return write_result_page(path, f"{Path(model).stem} fitted to {Path(logs).name}", self, self._blocks, facts)
+        return write_result_page(path, title, self, self._blocks, facts)
 
     def __str__(self) -> str:
         from covariant.report import table
