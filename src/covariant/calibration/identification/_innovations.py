@@ -94,4 +94,4 @@ def _scale(windows: Windows, errors: Array, seen: Array, frequency: Scalar, mach
     # A machine without a window weighs none.
     scale = STD_OF_MEDIAN * jnp.stack([jnp.where((whose == m).any(), each, 1.0) for m, each in enumerate(medians)])
     # The floor keeps the logarithms above finite where a model predicts a noise-free log exactly.
-    return jnp.maximum(scale, FINEST * motion + 1e-300)
+    return jnp.maximum(scale, (FINEST * motion + 1e-300)[None])
