@@ -91,10 +91,11 @@ class Family(NamedTuple):
 
         Example:
             >>> from covariant import models
-            >>> family = models.family("pendulum_chain", ["length", "viscous"])
-            >>> both = family.of_machines(["arm1", "arm2"], ["viscous"])
+            >>> guess = {"parameters.mass": 0.5, "parameters.inertia": 0.2}
+            >>> family = models.family("ball_and_beam", ["mass", "inertia"], guess)
+            >>> both = family.of_machines(["arm1", "arm2"], ["inertia"])
             >>> both.names, both.parts.tolist()
-            (('length[0]', 'viscous[0]@arm1', 'viscous[0]@arm2'), [[0, 1], [0, 2]])
+            (('mass', 'inertia@arm1', 'inertia@arm2'), [[0, 1], [0, 2]])
         """
         numbers = dict(zip(self.numbers, self.places, strict=True))
         own = {name for pattern in each for name in _match_names(pattern, numbers)}
