@@ -93,7 +93,10 @@ def fit_to_logs(
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.first_errors(parts[logs.tried[0]][1])
     after = problem.fitted_errors(best, parts[used][1])
-    contents = problem.contents(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
+    values = np.array([float(f"{value:.{DIGITS}g}") for value in best.values])[problem.family.parts]
+    contents = {
+        machine: problem.family.with_values(part) for machine, part in zip(problem.machines, values, strict=True)
+    }
     for content in contents.values():
         source = content.get("parameters", {}).get("source")
         if isinstance(source, str):  # a text that says where the numbers are from says where they are from now
@@ -167,11 +170,6 @@ class _PredictionProblem(NamedTuple):
             except ValueError as error:
                 raise ValueError(f"each: {error}") from error
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
-
-    def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:
-        """Contents of model files with fitted numbers, by machine."""
-        own = zip(self.machines, values[self.family.parts], strict=True)
-        return {machine: self.family.with_values(each) for machine, each in own}
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
@@ -274,11 +272,6 @@ class _RobotProblem(NamedTuple):
         del best, fitted, held_out
         return ""
 
-    def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:
-        """Contents of model files with fitted numbers, by machine."""
-        own = zip(self.machines, values[self.family.parts], strict=True)
-        return {machine: self.family.with_values(each) for machine, each in own}
-
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
@@ -302,6 +295,7 @@ class _ServoProblem(NamedTuple):
     logs: FitLogs
     families: list[models.RobotFamily]
     window: float | None
+    machines: tuple[str, ...] = ("",)
 
     search_again = False
 
@@ -362,10 +356,6 @@ class _ServoProblem(NamedTuple):
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
         del fitted, held_out
         return unlike_servos(self.family, best, self.logs.logs[-1], self._errors(best.coordinates).position)
-
-    def contents(self, values: Float[np.ndarray, "p"]) -> dict[str, dict[str, Any]]:
-        """The content of the model file with fitted numbers."""
-        return {"": self.family.with_values(values)}
 
     def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
