@@ -242,3 +242,22 @@ def test_a_load_and_an_offset_have_a_mirrored_solution():
     true = accelerations(x, offset)
     np.testing.assert_allclose(accelerations(-x, offset - turn), true, rtol=1e-6)
     assert np.abs(accelerations(-x, offset + turn) - true).max() > 0.1
+
+
+@pytest.mark.long
+def test_robots_of_one_make_share_their_rotors_and_have_their_own_friction():
+    truths = Truth(), Truth(viscous=(0.2, 0.1), coulomb=(0.24, 0.07), asymmetry=(0.0, 0.0))
+    records = [Record(t, u[0], y[0]) for k, each in enumerate(truths) for t, u, y in [swing(1, each, 8.0, seed=k)]]
+    one = models.robot_family("double_pendulum", ["friction", "armature"])
+    own = [name for name in one.names if name.startswith("friction")]
+    family = one.of_machines(["first", "second"], own)
+    found = fit_robot(family, records, HALF, machines=[0, 1])
+    assert found.names[:3] == ("armature.shoulder", "armature.elbow", f"{own[0]}@first")
+    for part, truth in zip(family.parts, truths, strict=True):
+        off = found.values[part] - expected(truth, "friction", "armature")
+        assert (np.abs(off) < 4 * found.standard_errors[part]).all(), off / found.standard_errors[part]
+    alone = [fit_robot(one, [record], HALF).standard_errors[-2:] for record in records]
+    assert (found.standard_errors[:2] < np.min(alone, axis=0)).all(), (found.standard_errors, alone)
+    turned = fit_robot(one.of_machines(["second", "first"], own), records[::-1], HALF, machines=[0, 1])
+    by_name = dict(zip(turned.names, turned.values, strict=True))
+    np.testing.assert_allclose([by_name[name] for name in found.names], found.values, rtol=1e-3, atol=1e-6)

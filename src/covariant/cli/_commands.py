@@ -34,7 +34,8 @@ def _compare(call: Invocation, force: str | None, report: Path | None, out: Path
 def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
     model, parameters = call.values["model"], call.values["parameters"].split(",")
     inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
-    check_model_output(model, out, overwrite, urdf=inertias and not model.endswith(".xml"))
+    # Files of machines have names of their own, which the result knows.
+    check_model_output(model, out, overwrite or "each" in call.values, urdf=inertias and not model.endswith(".xml"))
     result = call()
     return call.show(result, out if result.better else None, report, overwrite=overwrite)
 

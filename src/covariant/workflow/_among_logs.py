@@ -1,7 +1,6 @@
 """What the rows of many logs say together: odd logs, findings that begin at a date, numbers that drift or differ."""
 
 import math
-import os
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -70,11 +69,16 @@ def _findings(rows: Sequence[LogRow], known: Sequence[int]) -> Iterator[str]:
         yield f"WRONG {finding} in {len(places)} of {len(known)} logs: {_where(rows, places, known)}"
 
 
+def machine_of(name: str) -> str:
+    """The folder of a log, which is one for each machine."""
+    return str(Path(name).parent)
+
+
 def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
     """Logs by their folder, which is one for each machine."""
     machines: dict[str, list[int]] = defaultdict(list)
     for k in places:
-        machines[os.path.dirname(rows[k].name) or "."].append(k)
+        machines[machine_of(rows[k].name)].append(k)
     return machines
 
 

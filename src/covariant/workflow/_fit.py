@@ -1,16 +1,18 @@
 """`fit`: the numbers of a model file that predict logs best, with standard errors, judged on what is held out."""
 
 import math
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from covariant.workflow._among_logs import machine_of
 from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
-from covariant.workflow._model_output import as_logs, read_sources, write_model
+from covariant.workflow._model_output import as_logs, check_model_output, read_sources, write_model
 from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
@@ -21,6 +23,7 @@ def fit(
     log: Any,
     parameters: str | Sequence[str],
     *,
+    each: str | Sequence[str] | None = None,
     horizon: float | None = None,
     overrides: OverridesOfLogs = (),
     every: int = 1,
@@ -38,12 +41,15 @@ def fit(
     Args:
         model: A model file (.toml), `module:attribute`, or the name of a system or a robot of the library: a model that
             can be built anew with other numbers.
-        log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them. The last of several is held out to
-            judge the fit by, or the last third of one.
+        log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them, or a dictionary with the logs of
+            each machine by its name. The last of several is held out to judge the fit by, or the last third of one.
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
             "friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets" or "servo", for all
             joints and links or for one, as in "friction.elbow" or "servo.elbow.delay". Several in a list, or by commas;
             see `models.robot_family`.
+        each: Those of the parameters of which each machine has its own value, such as friction; the others are shared.
+            Logs of one machine lie in a folder of their own. The last log of each machine with several is held out, and
+            if none has several, the last third of each. Not for robots with servos.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values; or a list of such values,
             one for each log, of what is known to differ between them, such as the gain of a servo or a payload.
@@ -72,19 +78,43 @@ def fit(
         )
     if horizon is not None and not 0 < horizon < math.inf:
         raise ValueError(f"horizon must be a positive number of seconds; got {horizon}")
-    listed = parameters.split(",") if isinstance(parameters, str) else list(parameters)
-    names = [name for name in listed if name.strip()]  # whoever makes the family says which names there are
-    logs, sources = as_logs(log), read_sources(model)
+    names = _names(parameters)  # whoever makes the family says which names there are
+    by_machine = log if type(log) is dict else {}  # a Dataset is a mapping of another type
+    logs = as_logs([one for own in by_machine.values() for one in as_logs(own)] if by_machine else log)
+    sources = read_sources(model)
     # What computes is loaded after the arguments are checked.
+    from covariant.workflow._fit_logs import OwnNumbers
     from covariant.workflow._fit_to_logs import fit_to_logs
     from covariant.workflow._inputs import Job
 
-    own = _of_each_log(overrides, len(logs))
+    own = None
+    if own_names := _names(each or ()):
+        machines = [str(machine) for machine, its_logs in by_machine.items() for _ in as_logs(its_logs)]
+        own = OwnNumbers(own_names, machines or _folders(logs))
+    of_log = _of_each_log(overrides, len(logs))
     jobs = [
         Job(model, one, values, every, until, columns or {}, anyway, start)
-        for one, values in zip(logs, own, strict=True)
+        for one, values in zip(logs, of_log, strict=True)
     ]
-    return FitResult(*fit_to_logs(jobs, names, horizon, progress, sources), sources)
+    jobs, contents, details = fit_to_logs(jobs, names, horizon, progress, sources, own)
+    if own is None:
+        return FitResult(jobs, contents[""], details, sources)
+    return FitResult(jobs, {}, details, sources, contents)
+
+
+def _names(text: str | Sequence[str]) -> list[str]:
+    """Names in a list, or separated by commas."""
+    return [name for name in (text.split(",") if isinstance(text, str) else text) if name.strip()]
+
+
+def _folders(logs: Sequence[Any]) -> list[str]:
+    """The machine of each log: the name of its folder, or the path if several have that name."""
+    if not all(isinstance(log, str | PathLike) for log in logs):
+        raise ValueError("each: a log in memory does not say of which machine it is; give {machine: logs} as the logs")
+    folders = [machine_of(os.fspath(log)) for log in logs]
+    names = {folder: Path(folder).resolve().name for folder in folders}
+    unique = {folder for folder, name in names.items() if list(names.values()).count(name) == 1}
+    return [names[folder] if folder in unique else folder.replace(os.sep, "_") for folder in folders]
 
 
 def _of_each_log(overrides: Any, count: int) -> list[Overrides]:
@@ -102,9 +132,10 @@ class FitResult(AbstractTable):
 
     Attributes:
         jobs: The model and the logs, a `Job` each.
-        content: The content of the model file with the fitted numbers.
+        content: The content of the model file with the fitted numbers; empty if machines have numbers of their own.
         details: All numbers and sentences as plain data, which `summary` returns.
         sources: Files that the model was read from, as they were then; None where they are read at `save`.
+        machines: The content of the model file of each machine, if they have numbers of their own.
 
     Example:
         >>> from covariant import workflow
@@ -120,6 +151,7 @@ class FitResult(AbstractTable):
     content: dict[str, Any]
     details: dict[str, Any]
     sources: Mapping[Path, bytes] | None = None
+    machines: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def values(self) -> np.ndarray:
@@ -190,14 +222,15 @@ class FitResult(AbstractTable):
     def save(self, path: str | Path, overwrite: bool = False) -> Path:
         """Write the model file with the fitted numbers (.toml); comments and layout stay.
 
-        Fitted inertias of a robot from a URDF file go to a new URDF file beside it, of the same name.
+        Fitted inertias of a robot from a URDF file go to a new URDF file beside it, of the same name. If machines have
+        numbers of their own, each has its file: `fitted_arm1.toml` and so on for `fitted.toml`.
 
         Args:
             path: The file to write.
             overwrite: Whether a file that exists may be replaced, the model file itself included.
 
         Returns:
-            The path.
+            The path, or that of the first machine.
 
         Raises:
             ValueError: Where it may not be written, the file to replace was changed since it was read, or the fitted
@@ -205,12 +238,22 @@ class FitResult(AbstractTable):
         """
         if not self.better:
             raise ValueError(f"{path}: {self._worse}")
-        return write_model(self.jobs[0].model, path, overwrite, self._head(), self.content, self.sources)
+        model, paths = self.jobs[0].model, self.written_files(path)
+        for each in paths:  # before the first one is written
+            check_model_output(model, each, overwrite)
+        for each, (machine, content) in zip(paths, (self.machines or {"": self.content}).items(), strict=True):
+            write_model(model, each, overwrite, self._head(machine), content, self.sources)
+        return paths[0]
 
-    def _head(self) -> str:
+    def written_files(self, path: str | Path) -> list[Path]:
+        path = Path(path)
+        return [path.with_stem(f"{path.stem}_{machine}") for machine in self.machines] or [path]
+
+    def _head(self, machine: str) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""
         lines = [f"# Fitted by covariant fit to {self.details['fitted_to']}; ± is one standard error:"]
-        for row in self.details["parameters"]:
+        rows = [row for row in self.details["parameters"] if row["name"].partition("@")[2] in ("", machine)]
+        for row in rows:
             error = row["standard_error"]
             lines.append(f"#   {row['name']} = {row['after']:.5g}" + (f" ± {error:.2g}" if error is not None else ""))
         rest = placeholder_sentence(self.details.get("placeholders", {}))
@@ -295,8 +338,10 @@ class FitResult(AbstractTable):
 
         result = self.details
         model, logs = self.jobs[0].model_name, ", ".join(result["logs"])
+        count = len(result["logs"])
+        title = f"{Path(model).stem} fitted to {Path(logs).name if count == 1 else f'{count} logs'}"
         facts = {"model": model, "logs": logs, "fitted to": result["fitted_to"], "held out": result["held_out"]}
-        return write_result_page(path, f"{Path(model).stem} fitted to {Path(logs).name}", self, self._blocks, facts)
+        return write_result_page(path, title, self, self._blocks, facts)
 
     def __str__(self) -> str:
         from covariant.report import table

@@ -8,23 +8,22 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models, scoring
+from covariant._names import refuse_unknown
 from covariant.calibration import (
     Fit,
     PredictionErrors,
     RobotFit,
     Windows,
     fit_robot,
-    horizon,
-    outliers,
-    prediction_errors,
     relations,
 )
 from covariant.calibration.identification import (
     FITTED,
     better_reading,
     error_growth,
+    family_errors,
     fit_servos,
-    held_out_logs,
+    machine_errors,
     predict_servos,
     predicts_worse,
     profile,
@@ -35,7 +34,8 @@ from covariant.calibration.identification import (
     window_losses,
 )
 from covariant.signals import Record
-from covariant.workflow._aligned import Aligned, aligned
+from covariant.workflow._aligned import Aligned
+from covariant.workflow._fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
 from covariant.workflow._fit_sentences import rival_sentence, start_sentence, unlike_servos
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._model_output import check_read_once
@@ -43,8 +43,6 @@ from covariant.workflow._outcome import rounded
 from covariant.workflow._placeholders import placeholders
 from covariant.workflow._progress import Progress
 
-BETWEEN = ("held", "linear")
-"""How inputs may go between stamps; the first is what a model file means that does not say."""
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
 CLEAR = 2.0
@@ -66,19 +64,23 @@ def fit_to_logs(
     length: float | None,
     progress: Progress,
     sources: Mapping[Path, bytes],
-) -> tuple[list[Job], dict[str, Any], dict[str, Any]]:
+    own: OwnNumbers | None = None,
+) -> tuple[list[Job], dict[str, dict[str, Any]], dict[str, Any]]:
     """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out.
 
-    `sources` are the files of the model as they were first read.
+    `sources` are the files of the model as they were first read. The contents of model files are by the machine whose
+    own numbers they have, or by "".
     """
     progress("reading")
     kind = _kind_of(jobs[0], names)
-    problem = kind.read(jobs, names, length)
+    problem = kind.read(jobs, names, length, own)
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
         parts = {
-            word: split_windows([problem.acting(log, word) for log in logs.logs], logs.references, logs.length)
+            word: split_windows(
+                [problem.acting(log, word) for log in logs.logs], logs.references, logs.length, logs.machines
+            )
             for word in logs.tried
         }
         fits = _solve(problem, parts, progress)
@@ -91,12 +93,16 @@ def fit_to_logs(
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.first_errors(parts[logs.tried[0]][1])
     after = problem.fitted_errors(best, parts[used][1])
-    content = problem.family.with_values(np.array([float(f"{value:.{DIGITS}g}") for value in best.values]))
-    source = content.get("parameters", {}).get("source")
-    if isinstance(source, str):  # a text that says where the numbers are from says where they are from now
-        content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
-    if gain is not None and gain.clear:
-        content.setdefault("inputs", {})["between"] = used
+    values = np.array([float(f"{value:.{DIGITS}g}") for value in best.values])[problem.family.parts]
+    contents = {
+        machine: problem.family.with_values(part) for machine, part in zip(problem.machines, values, strict=True)
+    }
+    for content in contents.values():
+        source = content.get("parameters", {}).get("source")
+        if isinstance(source, str):  # a text that says where the numbers are from says where they are from now
+            content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
+        if gain is not None and gain.clear:
+            content.setdefault("inputs", {})["between"] = used
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, *parts[used])
     details = _details(jobs[0], logs, guessed, best, before, after, suspicion) | {
@@ -104,7 +110,7 @@ def fit_to_logs(
     }
     details |= problem.details(best, parts[used][0])
     # A log that is misread says nothing of what it determines.
-    return jobs, content, details | ({"undetermined": []} if suspicion else {})
+    return jobs, contents, details | ({"undetermined": []} if suspicion else {})
 
 
 def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:
@@ -121,68 +127,6 @@ def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, A
 
         start = fits[word] = problem.fit(word, parts, start, report)
     return fits
-
-
-class FitLogs(NamedTuple):
-    """Logs of one model that a fit uses.
-
-    Attributes:
-        logs: The logs, their rows at the times at which positions were true; outliers are missing.
-        references: Reference velocities (T, n) of the logs.
-        length: Length of the predictions [s].
-        stated: Whether the model file says how inputs go between stamps.
-        tried: The ways that are tried.
-        names: Names of the logs, by path.
-    """
-
-    logs: list[Aligned]
-    references: list[Float[np.ndarray, "_ n"]]
-    length: float
-    stated: bool
-    tried: tuple[str, ...]
-    names: list[str]
-
-    @classmethod
-    def read(cls, jobs: list[Job], length: float | None) -> "FitLogs":
-        """Read the logs, the same model in each; a length of None is chosen by the motion."""
-        logs = [_without_outliers(aligned(job)) for job in jobs]
-        file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
-        # Of a single log the held-out third must hold enough windows too.
-        part = 1 - FITTED if len(jobs) == 1 else 1.0
-        length = horizon(logs[0].raw, references[0], part, len(logs)) if length is None else length
-        document = models.document(jobs[0].model_name, jobs[0].overrides)
-        stated = file.input_between != BETWEEN[0] or "between" in document.get("inputs", {})
-        # An input that is constant is the same held and linear.
-        driven = any(bool((np.ptp(np.asarray(log.raw.u), axis=0) > 0).any()) for log in logs)
-        tried = BETWEEN if driven and not stated else (file.input_between,)
-        return cls(logs, references, length, stated, tried, [job.log_name for job in jobs])
-
-    @property
-    def seen(self) -> int:
-        """Number of logs, from the first one, that the fit sees; of a single log it sees the first part."""
-        several = len(self.logs) > 1
-        return len(self.logs) - several * held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.length)
-
-    @property
-    def fitted_to(self) -> str:
-        """File names of the logs that the fit sees, separated by commas."""
-        return ", ".join(Path(name).name for name in self.names[: self.seen])
-
-    @property
-    def held_out(self) -> str:
-        """What is held out, in words."""
-        if len(self.names) == 1:
-            return f"the last third of {self.names[0]}"
-        count = len(self.names) - self.seen
-        return self.names[-1] if count == 1 else f"the last {count} logs"
-
-
-def _without_outliers(log: Aligned) -> Aligned:
-    """The log as the reference velocities have it: a prediction that starts from an outlier judges no model."""
-    circles, t, y = log.loaded.model.circles, np.asarray(log.raw.t), np.asarray(log.raw.y)
-    if not log.loaded.model.manifold.commuting:
-        return log
-    return log._replace(raw=log.raw._replace(y=np.where(outliers(t, y, circles)[0], np.nan, y)))
 
 
 class Gain(NamedTuple):
@@ -206,16 +150,26 @@ class Gain(NamedTuple):
 class _PredictionProblem(NamedTuple):
     """Parameters of a model, fitted by its predictions over windows."""
 
-    family: models.Family
-    logs: FitLogs
-
     # The first way is searched once more from where the last ended: both then have had the same first values.
     search_again = True
 
+    family: models.Family
+    logs: FitLogs
+    machines: list[str]
+
     @classmethod
-    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_PredictionProblem":
-        family = models.family(jobs[0].model_name, names, jobs[0].overrides)
-        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length))
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_PredictionProblem":
+        refuse_other_parameters(jobs)
+        family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
+        if own is not None:
+            machines, of_log = own.numbered
+            try:
+                family = family.of_machines(machines, own.names)
+            except ValueError as error:
+                raise ValueError(f"each: {error}") from error
+        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
@@ -251,10 +205,10 @@ class _PredictionProblem(NamedTuple):
         return Gain.of(held - linear)
 
     def first_errors(self, held_out: Windows) -> PredictionErrors:
-        return prediction_errors(*self.family.make(self.family.first), held_out)
+        return family_errors(self.family, self.family.first, held_out)
 
     def fitted_errors(self, best: Fit, held_out: Windows) -> PredictionErrors:
-        return prediction_errors(*self.family.make(best.values), held_out)
+        return family_errors(self.family, best.values, held_out)
 
     def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
         return {
@@ -269,32 +223,46 @@ class _RobotProblem(NamedTuple):
 
     family: models.RobotFamily
     logs: FitLogs
+    machines: list[str]
 
     search_again = False
 
     @classmethod
-    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_RobotProblem":
-        family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_RobotProblem":
+        refuse_other_parameters(jobs)
+        family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
+        if own is not None:
+            machines, of_log = own.numbered
+            opened = models.robot_family(jobs[0].model_name, own.names, jobs[0].overrides).names
+            for name in opened:
+                refuse_unknown("number in `parameters`", name, family.names)
+            family = family.of_machines(machines, opened)
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
-        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length)
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
         for name, log in zip(logs.names, logs.logs, strict=True):
-            finding = None if jobs[0].anyway else robot_misfit(family, log.loaded.file, log.raw)
+            finding = None if jobs[0].anyway else robot_misfit(family.one, log.loaded.file, log.raw)
             if finding is not None:
                 raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
-        return cls(family, logs)
+        return cls(family, logs, machines)
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step."""
         return log.acting(between, log.loaded.file.input_lag)
 
     def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
-        records = [self.acting(log, word) for log in self.logs.logs[: self.logs.seen]]
-        if len(self.logs.logs) == 1:
-            t, u, y = (np.asarray(column) for column in records[0][:3])
-            seen = t < t[0] + FITTED * (t[-1] - t[0])
-            records = [Record(t[seen], u[seen], y[seen])]
+        last = self.logs.last
+        records = [self.acting(log, word) for log, held_out in zip(self.logs.logs, last, strict=True) if not held_out]
+        machines = [machine for machine, held_out in zip(self.logs.machines, last, strict=True) if not held_out]
+        if not last.any():
+            records = [_first_part(record) for record in records]
         half = self.logs.logs[0].loaded.file.reference_half
-        return fit_robot(self.family, records, half, lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)), start)
+
+        def progress(done: int) -> None:
+            report(done, min(done / ROBOT_ROUNDS, 1.0))
+
+        return fit_robot(self.family, records, half, progress, start, machines)
 
     def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
         del fitted
@@ -310,11 +278,11 @@ class _RobotProblem(NamedTuple):
     def first_errors(self, held_out: Windows) -> PredictionErrors:
         # At the first values the family has the program of the fitted model; but a load that it adds was not there.
         added = any(number.group == "payload" for number in self.family.numbers)
-        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.names)))
-        return prediction_errors(model, 0.0, held_out)
+        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.one.names)))
+        return machine_errors([model] * len(self.machines), held_out)
 
     def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
-        return prediction_errors(self.family.make(best.coordinates), 0.0, held_out)
+        return machine_errors([self.family.make(x) for x in best.coordinates[self.family.parts]], held_out)
 
     def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
         return robot_details(best)
@@ -327,11 +295,19 @@ class _ServoProblem(NamedTuple):
     logs: FitLogs
     families: list[models.RobotFamily]
     window: float | None
+    machines: tuple[str, ...] = ("",)
 
     search_again = False
 
     @classmethod
-    def read(cls, jobs: list[Job], names: Sequence[str], length: float | None) -> "_ServoProblem":
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_ServoProblem":
+        if own is not None:
+            raise ValueError(
+                "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
+                "`covariant fit MODEL LOG... -o FOLDER`"
+            )
         families = [models.robot_family(job.model_name, names, job.overrides) for job in jobs]
         for job, family in zip(jobs, families, strict=True):
             differing = [
@@ -362,9 +338,7 @@ class _ServoProblem(NamedTuple):
         seen = self.logs.seen
         records = [log.raw for log in self.logs.logs[:seen]]
         if len(self.logs.logs) == 1:
-            t, u, y = (np.asarray(column) for column in records[0][:3])
-            first = t < t[0] + FITTED * (t[-1] - t[0])
-            records = [Record(t[first], u[first], y[first])]
+            records = [_first_part(records[0])]
         return fit_servos(
             self.families[:seen],
             records,
@@ -427,6 +401,13 @@ def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
 
 
+def _first_part(record: Record) -> Record:
+    """The rows of a log that a fit to its first part sees."""
+    t, u, y = (np.asarray(column) for column in record[:3])
+    seen = t < t[0] + FITTED * (t[-1] - t[0])
+    return Record(t[seen], u[seen], y[seen])
+
+
 def _late(log: Aligned) -> float:
     """Time [s] by which positions are late, which their stamps no longer say."""
     return float(np.max(np.asarray(log.late) - np.asarray(log.loaded.file.input_delay)))
@@ -457,7 +438,7 @@ def robot_details(best: RobotFit) -> dict[str, Any]:
         for name, _, value, error, determined in _rows(best)
         if np.isfinite(error) and not determined
     ]
-    places = any(name.startswith("payload.") and not name.endswith(".mass") for name in best.names)
+    places = any(name.startswith("payload.") and not name.partition("@")[0].endswith(".mass") for name in best.names)
     if places and any(name.startswith("offsets.") for name in best.names):
         sentences.append(MIRRORED)
     return {
@@ -510,7 +491,10 @@ def _details(
     names, units = coordinates(logs.logs[0].loaded.file)
     reference = logs.logs[-1].loaded.reference
     ratio = error_growth(before, after)
-    known = {name for name, first, value, _, determined in _rows(best) if determined or value != first}
+    # The number of a machine, viscous@arm1, is no longer the placeholder of the file if one machine shows it.
+    known = {
+        name.partition("@")[0] for name, first, value, _, determined in _rows(best) if determined or value != first
+    }
     return {
         "model": job.model_name,
         "logs": logs.names,

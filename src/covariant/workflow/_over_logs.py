@@ -87,6 +87,10 @@ def over_logs(
     """
     if verb not in FILES:
         raise ValueError(f"over_logs: {verb!r} is not one of {', '.join(FILES)}")
+    if verb == "fit" and settings.get("each"):
+        raise ValueError(
+            "`each` is for logs that are fitted together, by `fit` without a folder; with one, no number is shared"
+        )
     if not logs:
         raise ValueError("over_logs: there are no logs; give a list of them")
     in_memory = not all(isinstance(each, str | os.PathLike) for each in (model, *logs))

@@ -28,6 +28,8 @@ from ._predict import (
     PredictionErrors as PredictionErrors,
     error_growth as error_growth,
     errors_ahead as errors_ahead,
+    family_errors as family_errors,
+    machine_errors as machine_errors,
     mean_square as mean_square,
     prediction_errors as prediction_errors,
     predicts_worse as predicts_worse,

@@ -80,7 +80,8 @@ class Fit(NamedTuple):
             each row has an entry of 1 in a parameter that is in no other row. Along them the parameters stay at their
             first values; but one that was reduced until the log could not distinguish it from zero keeps the reduced
             value.
-        scale: Robust standard deviation (n,) of the innovations of the position errors [units of the frame].
+        scale: Robust standard deviation (n,), or (M, n) of M machines, of the innovations of the position errors [units
+            of the frame].
         frequency: Natural frequency [rad/s] of the filter that follows these errors; far below one in a window where
             they are white.
         steps: Number of steps of the search.
@@ -101,7 +102,7 @@ class Fit(NamedTuple):
     values: Float[NumpyArray, "p"]
     standard_errors: Float[NumpyArray, "p"]
     undetermined: Float[NumpyArray, "d p"]
-    scale: Float[NumpyArray, "n"]
+    scale: Float[NumpyArray, "*M n"]
     frequency: float
     steps: int
     starts: tuple[tuple[str, float], ...] = ()
@@ -185,7 +186,7 @@ def _first_round(
     """Searches without a filter from the best places to start from: the best end, and by how much it was the best."""
     unknowns = Unknowns.of(family)
     if start is None:
-        places = starts(unknowns, jax.tree.map(np.asarray, windows), family.names)
+        places = starts(unknowns, jax.tree.map(np.asarray, windows), family.numbers)
     else:
         places = {"other inputs": unknowns.relative(start)}
     begun = [(name, *_begin(family, windows, candidates[:1], z)) for name, z in places.items()]
@@ -235,7 +236,8 @@ def _conclude(
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
-    return Fit(family.names, family.first, values, errors, rows, np.asarray(scale), float(frequency), step_count, tried)
+    scale = np.asarray(scale[0] if len(scale) == 1 else scale)
+    return Fit(family.names, family.first, values, errors, rows, scale, float(frequency), step_count, tried)
 
 
 def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -> Fit:
@@ -325,7 +327,7 @@ def _weighed_as(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> 
     """The values of a fit with the best initial motions, errors weighed as those of another fit."""
     z = Unknowns.of(family).relative(fit.values)
     problem, point = _begin(family, windows, np.atleast_1d(weighed_as.frequency), z)
-    problem = problem._replace(weighing=Weighing(np.asarray(weighed_as.frequency), weighed_as.scale))
+    problem = problem._replace(weighing=Weighing(np.asarray(weighed_as.frequency), np.atleast_2d(weighed_as.scale)))
     return problem, minimise(problem, Point.at(problem, point.z, point.s), Fixed(np.eye(len(z)), z))[0]
 
 
@@ -393,15 +395,11 @@ class _Predictions(NamedTuple):
         return jax.tree.map(np.asarray, blocks)
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
-        """Relative changes (p,) after a step that is linear in the values, or for a positive parameter that falls in
-        its inverse, since forces are linear in friction and accelerations in inverse masses."""
-        positive = z + np.sign(dz) * np.log1p(np.abs(dz))
-        return np.where(np.asarray(self.unknowns.positive), positive, np.arcsinh(np.sinh(z) + np.cosh(z) * dz))
+        return self.unknowns.moved(z, dz)
 
     def stable(self, family: Family, point: Point) -> tuple["_Predictions", Point]:
         """The same with enough substeps for the friction at a point, which may have grown far."""
-        model = family.make(np.asarray(self.unknowns.values(jnp.asarray(point.z))))[0]
-        needed = needed_substeps(model, self.windows)
+        needed = _needed_substeps(family, self.unknowns, self.windows, point.z)
         if needed <= MARGIN * self.substeps:
             return self, point
         problem = self._replace(substeps=needed)
@@ -419,7 +417,9 @@ class _Predictions(NamedTuple):
     def weighed(self, point: Point, trial_frequencies: Float[NumpyArray, "f"]) -> tuple["_Predictions", Point]:
         """Weigh the errors again, by the filter with the best of some frequencies [rad/s]."""
         errors, seen = point.blocks.rest
-        problem = self._replace(weighing=weighing(self.windows, errors, seen, trial_frequencies))
+        problem = self._replace(
+            weighing=weighing(self.windows, errors, seen, trial_frequencies, len(self.unknowns.parts))
+        )
         return problem, Point.at(problem, point.z, point.s)
 
 
@@ -430,11 +430,16 @@ def _begin(
     windows = jax.tree.map(jnp.asarray, windows)
     family.file.need_mechanical(family.file.name, "numbers are fitted for")
     count, n = windows.v.shape[0], windows.v.shape[-1]
-    weights = Weighing(frequency[0], np.ones(n))
+    weights = Weighing(frequency[0], np.ones((len(family.parts), n)))
     unknowns = Unknowns.of(family)
-    model = family.make(unknowns.values(jnp.asarray(z)))[0]
-    problem = _Predictions(unknowns, needed_substeps(model, windows), windows, weights)
+    problem = _Predictions(unknowns, _needed_substeps(family, unknowns, windows, z), windows, weights)
     return problem.weighed(Point.at(problem, z, np.zeros((count, 2 * n))), frequency)
+
+
+def _needed_substeps(family: Family, unknowns: Unknowns, windows: Windows, z: Float[NumpyArray, "p"]) -> int:
+    """Substeps that the stiffest of the machines needs."""
+    values = np.asarray(unknowns.values(jnp.asarray(z)))
+    return max(needed_substeps(family.make(own)[0], windows) for own in values[family.parts])
 
 
 @eqx.filter_jit
@@ -442,20 +447,25 @@ def _evaluate(unknowns: Unknowns, substeps: int, windows: Windows, z: Array, s: 
     """Blocks of the windows; `rest` are the errors of the positions, and where these are measured."""
     p = z.shape[0]
 
-    def window(s, rows, t, y, v):
+    def window(s, rows, t, y, v, machine):
+        own, own_z, part = unknowns.of_machine(machine, z)
+        k, scale = len(own_z), jnp.asarray(weighed.scale)[machine][None]
+
         def errors(x):
             n = v.shape[-1]
-            model, lag = unknowns.make(unknowns.values(x[:p]))
+            model, lag = own.make(own.values(x[:k]))
             inputs = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)
-            start = Motion(model.manifold.retract(y[0], x[p : p + n]), v[0] + x[p + n :])
+            start = Motion(model.manifold.retract(y[0], x[k : k + n]), v[0] + x[k + n :])
             raw, seen = differences(model, follow(model, t, inputs[rows], start, substeps).q, y)
-            new = innovations(raw, seen, t, jnp.asarray(weighed.frequency)) / weighed.scale[None]
+            new = innovations(raw, seen, t, jnp.asarray(weighed.frequency)) / scale
             return new, (new, raw, seen)
 
-        slope, (new, raw, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([z, s]))
-        return Blocks.one(new.ravel(), slope.reshape(-1, p + s.shape[0]), p, (raw, seen))
+        slope, (new, raw, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([own_z, s]))
+        slope = slope.reshape(-1, k + s.shape[0])
+        slope = jnp.concatenate([unknowns.of_all(part, slope[:, :k]), slope[:, k:]], axis=1)
+        return Blocks.one(new.ravel(), slope, p, (raw, seen))
 
-    return jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v)
+    return jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v, windows.machine)
 
 
 def _perhaps_zero(

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._typing import Scalar, Vector
+from covariant._typing import Scalar
 from covariant.calibration._least_squares import STD_OF_MEDIAN
 from covariant.calibration.identification._windows import Windows
 from covariant.observers import PLL
@@ -36,11 +36,11 @@ class Weighing(NamedTuple):
 
     Attributes:
         frequency: Natural frequency [rad/s] of the filter, an undisturbed double integrator with damping √½.
-        scale: Robust standard deviation (n,) of its innovations [units of the frame].
+        scale: Robust standard deviation (M, n) of its innovations for each machine [units of the frame].
     """
 
     frequency: Float[AnyArray, ""]
-    scale: Float[AnyArray, "n"]
+    scale: Float[AnyArray, "M n"]
 
 
 def innovations(
@@ -71,22 +71,27 @@ def weighing(
     errors: Float[NumpyArray, "W L1 n"],
     seen: Bool[NumpyArray, "W L1 n"],
     among: Float[NumpyArray, "f"],
+    machines: int,
 ) -> Weighing:
     """Choose the filter frequency with the least innovations over all coordinates."""
     # One frequency after the other, so that one program serves any number of them.
     data = windows, jnp.asarray(errors), jnp.asarray(seen)
-    scales = np.stack([np.asarray(_scale(*data, jnp.asarray(frequency))) for frequency in among])
-    best = int(np.argmin(np.sum(np.log(scales), axis=1)))  # the first where none is finite
+    scales = np.stack([np.asarray(_scale(*data, jnp.asarray(frequency), machines)) for frequency in among])
+    best = int(np.argmin(np.sum(np.log(scales), axis=(1, 2))))  # the first where none is finite
     return Weighing(np.asarray(among[best]), scales[best])
 
 
 @eqx.filter_jit
-def _scale(windows: Windows, errors: Array, seen: Array, frequency: Scalar) -> Vector:
+def _scale(windows: Windows, errors: Array, seen: Array, frequency: Scalar, machines: int) -> Float[Array, "M n"]:
     t, v = jnp.asarray(windows.t), jnp.asarray(windows.v)
     motion = jnp.sqrt(jnp.mean((v * (t - t[:, :1])[..., None]) ** 2, axis=(0, 1)))
 
     new = jax.vmap(innovations, (0, 0, 0, None))(errors, seen, t, frequency)
+    sizes = jnp.where(seen, jnp.abs(new), jnp.nan)
+    whose = jnp.asarray(windows.machine)[:, None, None]
     # The median of the sizes is that of noise even where some errors are outliers.
-    scale = STD_OF_MEDIAN * jnp.nanmedian(jnp.where(seen, jnp.abs(new), jnp.nan), axis=(0, 1))
+    medians = [jnp.nanmedian(jnp.where(whose == m, sizes, jnp.nan), axis=(0, 1)) for m in range(machines)]
+    # A machine without a window weighs none.
+    scale = STD_OF_MEDIAN * jnp.stack([jnp.where((whose == m).any(), each, 1.0) for m, each in enumerate(medians)])
     # The floor keeps the logarithms above finite where a model predicts a noise-free log exactly.
-    return jnp.maximum(scale, FINEST * motion + 1e-300)
+    return jnp.maximum(scale, (FINEST * motion + 1e-300)[None])

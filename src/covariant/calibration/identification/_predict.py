@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 from covariant._typing import Number
 from covariant.calibration.identification._windows import LONGEST_GAP, Windows
 from covariant.lowering import evaluate_batch
-from covariant.models import MechanicalSystem, Motion, advance, friction
+from covariant.models import Family, MechanicalSystem, Motion, advance, friction
 from covariant.signals import Record
 
 LONGEST_STEP = 0.01
@@ -137,10 +137,42 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
         >>> bool(errors.position[0] < 1e-9)
         True
     """
-    substeps = needed_substeps(model, windows)
-    u = np.asarray(lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag))[np.asarray(windows.rows)]
-    data = (windows.t, u, windows.y, windows.v)
-    errors = _errors(model, jax.tree.map(jnp.asarray, data), substeps)
+    one = windows._replace(machine=np.zeros(len(windows.t), int))
+    return _machine_errors(eqx.Partial(_known_model, model, lag), np.zeros((1, 0)), one)
+
+
+def family_errors(family: Family, values: Float[np.ndarray, "p"], windows: Windows) -> PredictionErrors:
+    """The same of a family, each window predicted with the numbers of its machine."""
+    return _machine_errors(family.make, np.asarray(values)[family.parts], windows)
+
+
+def machine_errors(models: Sequence[Any], windows: Windows) -> PredictionErrors:
+    """The same of the models of several machines, which differ in their numbers alone."""
+    numbers = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(eqx.filter(m, eqx.is_inexact_array) for m in models))
+    rest = eqx.filter(models[0], eqx.is_inexact_array, inverse=True)
+    return _machine_errors(eqx.Partial(_with_numbers, rest), numbers, windows)
+
+
+def _with_numbers(rest: Any, numbers: Any) -> tuple[MechanicalSystem, Number]:
+    return eqx.combine(numbers, rest), 0.0
+
+
+def _known_model(model: MechanicalSystem, lag: Number, values: Any) -> tuple[MechanicalSystem, Number]:
+    del values  # none is open
+    return model, lag
+
+
+def _machine_errors(make: Any, values: Any, windows: Windows) -> PredictionErrors:
+    """Errors of the models that `make` makes of what is in each row of `values`, a row for each machine."""
+    machine, rows = np.asarray(windows.machine), np.asarray(windows.rows)
+    made = [make(jax.tree.map(lambda part, m=m: part[m], values)) for m in range(len(jax.tree.leaves(values)[0]))]
+    substeps = max(needed_substeps(model, windows) for model, _ in made)
+    u = np.zeros((*rows.shape, np.shape(windows.inputs)[1]))
+    for m, (_, lag) in enumerate(made):
+        lagged_inputs = np.asarray(lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag))
+        u[machine == m] = lagged_inputs[rows[machine == m]]
+    data = (jax.tree.map(lambda part: part[machine], values), windows.t, u, windows.y, windows.v)
+    errors = _errors(make, jax.tree.map(jnp.asarray, data), substeps)
     single, whole, speed, seen, at_new_stamp = jax.tree.map(np.asarray, errors)
 
     def rms(errors, mask):
@@ -161,10 +193,11 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
 
 
 @eqx.filter_jit
-def _errors(model: MechanicalSystem, data: Any, substeps: int):
-    manifold = model.manifold
+def _errors(make: Any, data: Any, substeps: int):
+    def window(values, t, u, y, v):
+        model: MechanicalSystem = make(values)[0]
+        manifold = model.manifold
 
-    def window(t, u, y, v):
         def step(predicted, row):
             begin, end, input_, q, w = row
             present = manifold.measured(predicted.q, q)  # the error of a missing entry is masked

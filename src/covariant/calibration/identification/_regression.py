@@ -8,6 +8,7 @@ the result, so that it is a place to start from, and no fit.
 Source: Ljung 1999, System Identification, section 7.3, for linear regressions from filtered equations.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -65,14 +66,15 @@ def regress(unknowns: Unknowns, windows: Windows, z: Float[NumpyArray, "p"], rou
     return Regression(point.z, point.blocks.rest)
 
 
-def starts(unknowns: Unknowns, windows: Windows, names: Sequence[str]) -> dict[str, Float[NumpyArray, "p"]]:
-    """Places to start a fit from, by name: the first values, the regression, and the best with one of them scaled."""
-    first = regress(unknowns, windows, np.zeros(len(names)), 0)
+def starts(unknowns: Unknowns, windows: Windows, numbers: Sequence[str]) -> dict[str, Float[NumpyArray, "p"]]:
+    """Places to start a fit from, by name: the first values, the regression, and the best with one of them scaled, on
+    all machines."""
+    first = regress(unknowns, windows, np.zeros(len(unknowns.first)), 0)
     tried = [
         (f"the first values with {name} {word} {SCALED:g}", regress(unknowns, windows, z, 0))
         for word, factor in (("times", SCALED), ("over", 1 / SCALED))
-        for j, name in enumerate(names)
-        for z in [unknowns.multiplied(first.z, j, factor)]
+        for name, own in zip(numbers, np.asarray(unknowns.parts).T, strict=True)
+        for z in [functools.reduce(lambda z, j: unknowns.multiplied(z, j, factor), np.unique(own).tolist(), first.z)]
     ]
     name, scaled = min(tried, key=lambda each: each[1].loss)
     regressions = [regress(unknowns, windows, each.z) for each in (first, scaled) if np.isfinite(each.loss)]
@@ -121,11 +123,12 @@ def _evaluate(unknowns: Unknowns, windows: Windows, seen: Array, scale: Array, z
     # Edges of the pieces, in rows.
     edges = np.linspace(0, windows.t.shape[1] - 1, min(PIECES, windows.t.shape[1] - 1) + 1).round().astype(int)
 
-    def window(rows, seen, t, y, v):
+    def window(rows, seen, t, y, v, machine):
         y, v = y[seen], v[seen]
+        own, own_z, part = unknowns.of_machine(machine, z)
 
         def errors(z):
-            model, lag = unknowns.make(unknowns.values(z))
+            model, lag = own.make(own.values(z))
             u = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)[rows]
 
             def rate(t, q, v, u):
@@ -142,7 +145,7 @@ def _evaluate(unknowns: Unknowns, windows: Windows, seen: Array, scale: Array, z
             raw = jnp.diff(v[edges], axis=0) - jnp.diff(total[edges], axis=0)
             return (raw / scale[None]).ravel(), raw
 
-        slope, raw = jax.jacfwd(errors, has_aux=True)(z)
-        return Blocks.one((raw / scale[None]).ravel(), slope, len(z), raw)
+        slope, raw = jax.jacfwd(errors, has_aux=True)(own_z)
+        return Blocks.one((raw / scale[None]).ravel(), unknowns.of_all(part, slope), len(z), raw)
 
-    return jax.vmap(window)(windows.rows, seen, windows.t, windows.y, windows.v)
+    return jax.vmap(window)(windows.rows, seen, windows.t, windows.y, windows.v, windows.machine)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from covariant.calibration._least_squares import robust
 from covariant.calibration.identification._fit import Fit, search, window_losses
-from covariant.calibration.identification._predict import error_growth, prediction_errors
+from covariant.calibration.identification._predict import error_growth, family_errors
 from covariant.calibration.identification._regression import Regression, regress
 from covariant.calibration.identification._unknowns import Unknowns
 from covariant.calibration.identification._windows import Windows
@@ -78,8 +78,8 @@ def better_reading(family: Family, fitted: Windows, held_out: Windows, best: Fit
         np.mean([window_losses(family, windows, each, weighed) for weighed in (best, other)], axis=0)
         for windows, each in ((fitted, best), (rival.windows(fitted), other))
     ]
-    before = prediction_errors(*family.make(best.values), held_out)
-    after = prediction_errors(*family.make(other.values), rival.windows(held_out))
+    before = family_errors(family, best.values, held_out)
+    after = family_errors(family, other.values, rival.windows(held_out))
     growth = error_growth(before, after)
     return rival._replace(growth=growth) if growth < LESS and _signed(losses[0] - losses[1]) > SURE else None
 

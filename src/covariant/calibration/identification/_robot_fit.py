@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from covariant import scoring
 from covariant._linalg import solve
@@ -110,6 +110,7 @@ def fit_robot(
     half: float,
     progress: Callable[[int], object] = lambda _: None,
     start: RobotFit | None = None,
+    machines: Sequence[int] | None = None,
 ) -> RobotFit:
     """Fit open numbers of a robot to logs.
 
@@ -124,6 +125,7 @@ def fit_robot(
         half: Half width [s] of the shortest window.
         progress: Called with the number of each round.
         start: A fit to other inputs, from whose numbers the search starts, with its window.
+        machines: Index of the machine of each log, of a family of several; by default one machine has made all.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine.
@@ -141,7 +143,7 @@ def fit_robot(
         >>> bool(abs(result.values[0] - 9.81) < 0.01)
         True
     """
-    search = _Search.of(family, records, half)
+    search = _Search.of(family, records, half, [0] * len(records) if machines is None else machines)
     x = np.zeros(len(family.names)) if start is None else start.coordinates
     point = search.point(x, search.tracks[0].half if start is None else start.half)
     rounds = 0
@@ -218,11 +220,14 @@ class _Step(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """What a fit works on: the family, the logs, usual sizes (p,), the speeds (n,) below which a joint rests, and below
-    which it may stick, and functions of x and rows of a motion."""
+    """What a fit works on: the family, the logs, the machine of each and where its k numbers are among all p, usual
+    sizes (p,), the speeds (n,) below which a joint rests, and below which it may stick, and functions of the
+    coordinates (k,) of a machine and rows of a motion."""
 
     family: RobotFamily
     tracks: tuple[_Track, ...]
+    machines: tuple[int, ...]
+    parts: Int[np.ndarray, "L k"]
     sizes: Float[np.ndarray, "p"]
     resting: Float[np.ndarray, "n"]
     sticking: Float[np.ndarray, "n"]
@@ -231,7 +236,7 @@ class _Search(NamedTuple):
     momenta: Callable[..., np.ndarray]
 
     @classmethod
-    def of(cls, family: RobotFamily, records: Sequence[Record], half: float) -> "_Search":
+    def of(cls, family: RobotFamily, records: Sequence[Record], half: float, machines: Sequence[int]) -> "_Search":
         model = family.file.model
         total = sum(float(record.t[-1] - record.t[0]) for record in records)
         tracks = tuple(_track(record, half, model.circles, total) for record in records)
@@ -243,11 +248,13 @@ class _Search(NamedTuple):
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
                 f"{FEWEST_BLOCKS * BLOCK * tracks[0].half:.3g} s; give longer logs"
             )
-        torques, first = Torques.of(family), np.zeros(len(family.names))
+        parts = family.parts[list(machines)]
+        torques, first = Torques.of(family.one), np.zeros(parts.shape[1])
         both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
         sizes, speed = usual_sizes(family, *both, v, a)
         functions = torques.derivatives, torques.rows(_accelerations), torques.rows(_momentum)
-        return cls(family, tracks, sizes, np.array(family.resting), sticking_speeds(family, speed), *functions)
+        speeds = np.array(family.resting), sticking_speeds(family, speed)
+        return cls(family, tracks, tuple(machines), parts, sizes, *speeds, *functions)
 
     def point(self, x: np.ndarray, half: float, before: tuple[_Path, ...] | None = None) -> _Point:
         """The motion along each log under the model at x: smoothed with the accelerations along the motion before."""
@@ -255,7 +262,7 @@ class _Search(NamedTuple):
         for i, track in enumerate(self.tracks):
             path = before[i] if before else _smooth_positions(track, track.half, None)
             moving = 1.0 - self._still(track, path.v)
-            modelled = self.accelerations(x, path.q, path.v, track.u, moving)
+            modelled = self.accelerations(x[self.parts[i]], path.q, path.v, track.u, moving)
             motions.append(_smooth_positions(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
         if not any(motion.used.any() for motion in motions):
             raise ValueError("no window of the logs is complete; give logs with fewer gaps")
@@ -284,10 +291,14 @@ class _Search(NamedTuple):
         """Gauss–Newton step from a point, with the covariance of the numbers."""
         rows = [self._rows(point, i) for i in range(len(self.tracks))]
         slopes, torque, counts, blocks = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-        scale = np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
+        # Machines may differ in their noise, and in what the model lacks of them.
+        whose = np.repeat(self.machines, [len(torque) for _, torque, *_ in rows])
+        scale = np.ones_like(torque)
+        for m in set(self.machines):
+            scale[whose == m] = _scales(torque[whose == m], counts[whose == m])
         relative = torque / scale
         loss, weight = robust(relative)
-        z = slopes / scale[:, None] * self.sizes
+        z = slopes / scale[:, :, None] * self.sizes
         # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
         _, numbering = np.unique(blocks, return_inverse=True)
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
@@ -305,18 +316,21 @@ class _Search(NamedTuple):
         outer = np.outer(self.sizes, self.sizes)
         # The logarithm of the scale normalises the density.
         losses = thinned * np.bincount(numbering, np.sum(counts * (loss + np.log(scale)), axis=1))
-        return _Step(dz * self.sizes, covariance * outer, information / outer, scale, settled, losses)
+        return _Step(dz * self.sizes, covariance * outer, information / outer, _scales(torque, counts), settled, losses)
 
     def _rows(self, point: _Point, i: int):
-        """Derivatives (k, n, p) of the torques, residual torques (k, n), which count, and the block of each row."""
+        """Derivatives (r, n, p) of the torques, residual torques (r, n), which count, and the block of each row."""
         track, path = self.tracks[i], point.motions[i]
+        own = point.x[self.parts[i]]
         total = sum(len(one.grid) for one in self.tracks)
         stride = max(1, -(-total // MOST_ROWS), int(point.half / 4 / track.step))
         rows = np.arange(0, len(track.grid), stride)
-        raw = self.derivatives(point.x, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
+        of_machine = self.derivatives(own, path.q[rows], path.v[rows], path.modelled[rows], track.u[rows])
+        raw = np.zeros((*of_machine.shape[:2], len(point.x)))
+        raw[:, :, self.parts[i]] = of_machine
         weights = averaging(point.half, track.step * stride)
         slopes = convolved(np.where(np.isfinite(raw), raw, 0.0), weights)
-        torque = self.momenta(point.x, path.q[rows], path.residual[rows])
+        torque = self.momenta(own, path.q[rows], path.residual[rows])
         slow = (np.abs(path.v[rows]) < self.sticking).astype(float)
         sticks = convolved(slow, np.abs(weights) / np.abs(weights).sum())
         used = path.used[rows]
@@ -364,6 +378,11 @@ def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.nda
     """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
     size = np.abs(values)
     return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)
+
+
+def _scales(torque: Float[np.ndarray, "k n"], counts: Bool[np.ndarray, "k n"]) -> Float[np.ndarray, "n"]:
+    """Robust standard deviations of the torques that count."""
+    return np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
 
 
 def _scale(values: np.ndarray) -> float:

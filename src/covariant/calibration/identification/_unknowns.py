@@ -5,27 +5,39 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from covariant.calibration._least_squares import PRIOR
 from covariant.models import Family
+from covariant.signals import AnyArray
 
 NumpyArray = np.ndarray
 
 
 class Unknowns(NamedTuple):
-    """The fitted function `make (p,) -> (model, lag)`, first values (p,), and which are positive.
+    """The fitted function `make (k,) -> (model, lag)`, first values (p,), which are positive, and which k of the p are
+    those of each machine.
 
     The unknowns z (p,) are relative changes of the values.
     """
 
     make: Callable[[Array], tuple[Any, Any]]
     first: Float[Array, "p"]
-    positive: tuple[bool, ...]
+    positive: Any
+    parts: Int[AnyArray, "M k"]
 
     @classmethod
     def of(cls, family: Family) -> "Unknowns":
-        return cls(family.make, jnp.asarray(family.first), family.positive)
+        return cls(family.make, jnp.asarray(family.first), family.positive, jnp.asarray(family.parts))
+
+    def of_machine(self, machine: Array, z: Array) -> tuple["Unknowns", Array, Array]:
+        """Unknowns of one machine, their relative changes (k,), and where they are among all."""
+        part = jnp.asarray(self.parts)[machine]
+        return self._replace(first=self.first[part], positive=jnp.asarray(self.positive)[part]), z[part], part
+
+    def of_all(self, part: Array, slope: Float[Array, "r k"]) -> Float[Array, "r p"]:
+        """Derivatives in the unknowns of all machines, from those of one."""
+        return jnp.zeros((slope.shape[0], self.first.shape[0])).at[:, part].set(slope)
 
     @property
     def size(self) -> Float[Array, "p"]:

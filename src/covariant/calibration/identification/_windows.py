@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from covariant.signals import AnyArray, Record
 
@@ -31,6 +31,7 @@ class Windows(NamedTuple):
         rows: Row (W, L) of `inputs` that acts in each step.
         inputs: Inputs (S, m) of all rows of the logs.
         steps: Time (S,) since the row before [s].
+        machine: Index (W,) of the machine whose log a window is from, of several with numbers of their own.
 
     Example:
         >>> import numpy as np
@@ -48,6 +49,7 @@ class Windows(NamedTuple):
     rows: Int[AnyArray, "*k W L"]
     inputs: Float[AnyArray, "*k S m"]
     steps: Float[AnyArray, "*k S"]
+    machine: Int[AnyArray, "*k W"]
 
 
 def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0, count: int = 1) -> float:
@@ -102,6 +104,7 @@ def cut_windows(
     velocities: Sequence[Float[np.ndarray, "_ n"]],
     length: float,
     spans: Sequence[tuple[float, float]] | None = None,
+    machines: Sequence[int] | None = None,
 ) -> Windows:
     """Cut records into consecutive windows of one length.
 
@@ -113,6 +116,7 @@ def cut_windows(
         length: Length of the windows [s].
         spans: Part of each record [s] to use, from its first stamp to before its second; all of it by default. The
             inputs before it still act through their lag.
+        machines: Index of the machine of each record; by default one machine has made all.
 
     Returns:
         The windows.
@@ -163,7 +167,8 @@ def cut_windows(
     y[~real] = np.nan
     steps = np.diff(t, prepend=t[:1] - BETWEEN_LOGS)
     steps[offsets[:-1]] = BETWEEN_LOGS
-    return Windows(t[rows], y, v[rows], rows[:, :-1], u, steps)
+    machine = np.zeros(len(records), int) if machines is None else np.asarray(machines)
+    return Windows(t[rows], y, v[rows], rows[:, :-1], u, steps, machine[[k for k, _ in selected]])
 
 
 def _pieces(t: np.ndarray, whole: np.ndarray, length: float, begin: float, end: float) -> list[np.ndarray]:
@@ -190,24 +195,41 @@ def _pad_rows(rows: np.ndarray, length: int) -> np.ndarray:
 
 
 def split_windows(
-    records: Sequence[Record], velocities: Sequence[Float[np.ndarray, "_ n"]], length: float
+    records: Sequence[Record],
+    velocities: Sequence[Float[np.ndarray, "_ n"]],
+    length: float,
+    machines: Sequence[int] | None = None,
 ) -> tuple[Windows, Windows]:
-    """Cut windows to fit, and held-out ones: of several records the last, of a single one the last third."""
-    if len(records) > 1:
-        held_out = held_out_logs([np.asarray(record.t) for record in records], length)
-        k = len(records) - held_out
-        return cut_windows(records[:k], velocities[:k], length), cut_windows(records[k:], velocities[k:], length)
-    t = np.asarray(records[0].t)
-    border = float(t[0] + FITTED * (t[-1] - t[0]))
-    first, last = ((-np.inf, border),), ((border, np.inf),)
-    return cut_windows(records, velocities, length, first), cut_windows(records, velocities, length, last)
+    """Cut windows to fit, and held-out ones: of several records of a machine the last; if no machine has several, the
+    last third of each."""
+    machines = [0] * len(records) if machines is None else machines
+    last = held_out_logs([np.asarray(record.t) for record in records], length, machines)
+    if last.any():
+
+        def cut(chosen: list[int]) -> Windows:
+            kept, speeds = [records[k] for k in chosen], [velocities[k] for k in chosen]
+            return cut_windows(kept, speeds, length, machines=[machines[k] for k in chosen])
+
+        return cut(np.flatnonzero(~last).tolist()), cut(np.flatnonzero(last).tolist())
+    ends = [(float(record.t[0]), float(record.t[-1])) for record in records]
+    borders = [begin + FITTED * (end - begin) for begin, end in ends]
+    first, rest = [(-np.inf, border) for border in borders], [(border, np.inf) for border in borders]
+    fitted, held_out = (cut_windows(records, velocities, length, spans, machines) for spans in (first, rest))
+    return fitted, held_out
 
 
-def held_out_logs(stamps: Sequence[Float[np.ndarray, "_"]], length: float) -> int:
-    """Number of the last logs that are held out: the least that hold enough windows, and less than half of all."""
+def held_out_logs(
+    stamps: Sequence[Float[np.ndarray, "_"]], length: float, machines: Sequence[int]
+) -> Bool[np.ndarray, "K"]:
+    """Logs (K,) that are held out: of each machine with several the least number of the last that hold enough windows,
+    and less than half of them."""
     # Windows share no row, so that each takes a step more than its length.
-    counts = [int(len(t) / (length / np.median(np.diff(t)) + 1) + 1e-9) for t in stamps]
-    held_out = 1
-    while sum(counts[-held_out:]) < FEWEST_WINDOWS and held_out < (len(counts) - 1) // 2:
-        held_out += 1
+    counts = np.array([int(len(t) / (length / np.median(np.diff(t)) + 1) + 1e-9) for t in stamps])
+    held_out = np.zeros(len(counts), bool)
+    for machine in set(machines):
+        own = np.flatnonzero(np.asarray(machines) == machine)
+        last = 1
+        while sum(counts[own[-last:]]) < FEWEST_WINDOWS and last < (len(own) - 1) // 2:
+            last += 1
+        held_out[own[-last:]] = len(own) > 1
     return held_out

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from covariant._names import refuse_unknown
 from covariant.models._mechanical import input_count, resistance
@@ -37,9 +37,10 @@ class Family(NamedTuple):
         first: Their values (p,) in the file.
         positive: Which of the p numbers stay positive: those that the model refuses where they are negative, and those
             that start positive and with the other sign would make inertias negative or friction drive the motion.
-        make: `values (p,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
+        make: `values (k,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
         document: The content of the file, with the first values, as nested dictionaries and lists.
-        places: Table, key and list indices of each of the p numbers in the document.
+        places: Table, key and list indices of each of the k numbers of one machine in the document.
+        parts: Index (M, k) in `names` of the k numbers of each of M machines; of one machine these are all p.
 
     Example:
         >>> from covariant import models
@@ -57,17 +58,55 @@ class Family(NamedTuple):
     make: Callable[[Any], tuple[Any, Any]]
     document: dict[str, Any]
     places: tuple[Place, ...]
+    parts: Int[np.ndarray, "M k"]
 
-    def with_values(self, values: Float[np.ndarray, "p"]) -> dict[str, Any]:
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Names (k,) of the open numbers of one machine, as the model file has them."""
+        return tuple(map(_name, self.places))
+
+    def with_values(self, values: Float[np.ndarray, "k"]) -> dict[str, Any]:
         """Copy the document with other values of the open numbers.
 
         Args:
-            values: Values (p,) in the order of `names`.
+            values: Values (k,) in the order of `places`.
 
         Returns:
             Tables and keys of a model file.
         """
         return _with(self.document, self.places, np.asarray(values).tolist())
+
+    def of_machines(self, machines: Sequence[str], each: Sequence[str]) -> "Family":
+        """Family of several machines that share their numbers, except some that each has of its own.
+
+        Args:
+            machines: Names of the M machines.
+            each: Numbers, as for `family`, of which each machine has its own; `viscous@arm1` is that of `arm1`.
+
+        Returns:
+            The family with the p numbers of all machines.
+
+        Raises:
+            ValueError: A name of `each` is none of the open numbers.
+
+        Example:
+            >>> from covariant import models
+            >>> guess = {"parameters.mass": 0.5, "parameters.inertia": 0.2}
+            >>> family = models.family("ball_and_beam", ["mass", "inertia"], guess)
+            >>> both = family.of_machines(["arm1", "arm2"], ["inertia"])
+            >>> both.names, both.parts.tolist()
+            (('mass', 'inertia@arm1', 'inertia@arm2'), [[0, 1], [0, 2]])
+        """
+        numbers = dict(zip(self.numbers, self.places, strict=True))
+        own = {name for pattern in each for name in _match_names(pattern, numbers)}
+        names, source = [], []
+        parts = np.zeros((len(machines), len(numbers)), int)
+        for k, name in enumerate(self.numbers):
+            parts[:, k] = len(names) + np.arange(len(machines)) * (name in own)
+            new = [f"{name}@{machine}" for machine in machines] if name in own else [name]
+            names, source = names + new, source + [k] * len(new)
+        positive = tuple(self.positive[k] for k in source)
+        return self._replace(names=tuple(names), first=self.first[source], positive=positive, parts=parts)
 
 
 def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family:
@@ -138,7 +177,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
         ) from error
     bounded = _bounded(make, first) if not all(positive) else np.ones(len(first), bool)
     positive = tuple(bool(refused or bound) for refused, bound in zip(positive, bounded, strict=True))
-    return Family(file, tuple(chosen), first, positive, make, content, places)
+    return Family(file, tuple(chosen), first, positive, make, content, places, np.arange(len(first))[None])
 
 
 def _numbers(content: dict[str, Any]) -> Iterator[Place]:

@@ -49,6 +49,7 @@ class OpenNumber(NamedTuple):
             of its acceleration, as exponents in `powers`.
         joint: Index of the coordinate; −1 where there is none.
         powers: Exponents of torque, speed and acceleration of the joint in the size.
+        machine: The machine whose own number it is, of several; "" for a number that all share.
     """
 
     group: str
@@ -60,11 +61,13 @@ class OpenNumber(NamedTuple):
     size: float = 1.0
     joint: int = -1
     powers: tuple[int, int, int] = (0, 0, 0)
+    machine: str = ""
 
     @property
     def name(self) -> str:
-        """Name as in `parameters` of `fit`, such as `friction.elbow.coulomb`."""
-        return ".".join(part for part in (self.group, self.target, self.number) if part)
+        """Name as in `parameters` of `fit`, such as `friction.elbow.coulomb`, and `…@arm1` for that of a machine."""
+        plain = ".".join(part for part in (self.group, self.target, self.number) if part)
+        return plain + f"@{self.machine}" * bool(self.machine)
 
 
 class Scene(NamedTuple):

@@ -5,12 +5,12 @@ for the inertia of a link as the triangular factor of its pseudo-inertia, with t
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from covariant._names import refuse_unknown
 from covariant.models._parameters import AnyArray
@@ -52,6 +52,7 @@ class RobotFamily(NamedTuple):
         numbers: The p open numbers.
         spec: Name or path of the model.
         resting: Speeds (n,) below which dry friction may hold each joint [rad/s or m/s]; 0 for one without.
+        parts: Index (M, k) in `numbers` of the k numbers of each of M machines; of one machine these are all p.
 
     Example:
         >>> import numpy as np
@@ -68,6 +69,40 @@ class RobotFamily(NamedTuple):
     numbers: tuple[OpenNumber, ...]
     spec: str
     resting: tuple[float, ...]
+    parts: Int[np.ndarray, "M k"]
+
+    @property
+    def one(self) -> "RobotFamily":
+        """The family of one machine, without numbers of the others."""
+        numbers = tuple(self.numbers[k]._replace(machine="") for k in self.parts[0])
+        return self._replace(numbers=numbers, parts=np.arange(len(numbers))[None])
+
+    def of_machines(self, machines: Sequence[str], own: Collection[str]) -> "RobotFamily":
+        """Family of several machines that share their numbers, except some that each has of its own.
+
+        Args:
+            machines: Names of the M machines.
+            own: Names of the numbers of which each machine has its own; `gravity@arm1` is that of `arm1`.
+
+        Returns:
+            The family with the p numbers of all machines, the shared ones first.
+
+        Example:
+            >>> from covariant import models
+            >>> family = models.robot_family("double_pendulum", ["armature"])
+            >>> family.of_machines(["arm1", "arm2"], ["armature.elbow"]).names
+            ('armature.shoulder', 'armature.elbow@arm1', 'armature.elbow@arm2')
+        """
+        is_own = np.array([number.name in own for number in self.numbers])
+        shared, each = np.flatnonzero(~is_own), np.flatnonzero(is_own)
+        numbers = [self.numbers[k] for k in shared]
+        parts = np.zeros((len(machines), len(is_own)), int)
+        parts[:, shared] = np.arange(len(shared))
+        # The numbers of a machine stand together, as those of an inertia have to.
+        for m, machine in enumerate(machines):
+            parts[m, each] = len(numbers) + np.arange(len(each))
+            numbers += [self.numbers[k]._replace(machine=machine) for k in each]
+        return self._replace(numbers=tuple(numbers), parts=parts)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -128,15 +163,15 @@ class RobotFamily(NamedTuple):
             for n in self.numbers
         )
 
-    def make(self, x: Float[AnyArray, "p"]) -> Any:
-        """The model at the coordinates x (p,), which JAX may trace."""
-        return made(self.spec, self.with_values(self.values(x))).model
+    def make(self, x: Float[AnyArray, "k"]) -> Any:
+        """The model of one machine at the coordinates x (k,), which JAX may trace."""
+        return made(self.spec, self.with_values(self.one.values(x))).model
 
     def with_values(self, values: Any) -> dict[str, Any]:
         """Copy the document with other values of the open numbers.
 
         Args:
-            values: Values (p,).
+            values: Values (k,) of one machine.
 
         Returns:
             Tables and keys of a model file.
@@ -145,7 +180,7 @@ class RobotFamily(NamedTuple):
         servos = content.get("servo", {})
         parameters = content.setdefault("parameters", {})
         entries = values.tolist() if isinstance(values, np.ndarray) else list(values)
-        for number, value in zip(self.numbers, entries, strict=True):
+        for number, value in zip(self.one.numbers, entries, strict=True):
             group, target = number.group, number.target
             if group == "gravity":
                 old = parameters.get(group)
@@ -229,7 +264,8 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
             raise ValueError(f"{number.name} is named twice; name it once")
     resting = _resting(robot, numbers)
     at = tuple(resting.get(name, 0.0) for name in file.model.coordinates)
-    family = RobotFamily(file, _fill_laws(content, robot, numbers), tuple(numbers), spec, at)
+    content, parts = _fill_laws(content, robot, numbers), np.arange(len(numbers))[None]
+    family = RobotFamily(file, content, tuple(numbers), spec, at, parts)
     return family._replace(document=family.with_values(family.first))
 
 

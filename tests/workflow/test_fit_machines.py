@@ -1,0 +1,167 @@
+"""`fit(..., each=...)`: logs of several machines fitted together, with shared numbers and numbers of their own."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import covariant
+from covariant.calibration.identification import held_out_logs
+from covariant.workflow import FitResult, fit, over_logs
+from covariant.workflow._inputs import Job
+
+FRICTION = {"arm1": 0.05, "arm2": 0.12, "arm3": 0.3}
+KNOWN = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.com": [0.25], "inputs.between": "held"}
+FIRST = KNOWN | {"parameters.inertia": [0.02], "parameters.viscous": [0.1]}
+INERTIA = 0.03
+NOISE = {"arm1": 1e-3, "arm2": 1e-3, "arm3": 5e-3}
+
+
+def swings(viscous: float, noise: float, seed: int) -> list[Any]:
+    truth = KNOWN | {"parameters.inertia": [INERTIA], "parameters.viscous": [viscous]}
+    motion: dict[str, Any] = {"duration": 10.0, "rate": 50.0, "amplitude": 0.6, "noise": noise}
+    return [
+        covariant.simulate("pendulum_chain", q0=q0, frequency=f, seed=seed + k, overrides=truth, **motion).record
+        for k, (q0, f) in enumerate([(0.6, 0.5), (-0.4, 0.7)])
+    ]
+
+
+@pytest.fixture(scope="module")
+def arms() -> dict[str, list[Any]]:
+    return {arm: swings(viscous, NOISE[arm], 10 * k) for k, (arm, viscous) in enumerate(FRICTION.items())}
+
+
+def fitted(arms: dict[str, list[Any]] | list[Any], each: str | None) -> dict[str, tuple[float, float]]:
+    result = fit("pendulum_chain", arms, "inertia,viscous", each=each, overrides=FIRST, horizon=0.6)
+    rows = zip(result.columns["parameter"], result.values, result.standard_errors, strict=True)
+    return {name: (value, error) for name, value, error in rows}
+
+
+@pytest.fixture(scope="module")
+def found(arms) -> dict[str, tuple[float, float]]:
+    return fitted(arms, "viscous")
+
+
+@pytest.mark.long
+def test_machines_share_a_number_and_have_their_own_friction(arms, found):
+    truth = {"inertia[0]": INERTIA} | {f"viscous[0]@{arm}": viscous for arm, viscous in FRICTION.items()}
+    assert list(found) == list(truth)
+    for name, (value, error) in found.items():
+        assert abs(value - truth[name]) < 4 * error, (name, value, error)
+        assert error < 0.03 * value
+    # The third, with the most friction and noise, knows its inertia least, and spoils nothing.
+    alone = [fitted(arms[arm], None)["inertia[0]"][1] for arm in ("arm1", "arm2")]
+    assert found["inertia[0]"][1] < min(alone), (found, alone)
+
+
+@pytest.mark.long
+def test_the_order_of_machines_changes_nothing(arms, found):
+    turned = fitted(dict(reversed(arms.items())), "viscous")
+    for name, (value, error) in found.items():
+        np.testing.assert_allclose(turned[name], (value, error), rtol=1e-5)
+
+
+@pytest.mark.long
+def test_one_machine_is_fitted_as_without_numbers_of_its_own(arms):
+    plain, own = fitted(arms["arm2"], None), fitted({"arm2": arms["arm2"]}, "viscous")
+    assert list(own) == ["inertia[0]", "viscous[0]@arm2"]
+    assert list(own.values()) == list(plain.values())
+
+
+DRIVES = '''
+import jax.numpy as jnp
+
+from covariant.models import Lagrangian
+
+
+def drives(gain=(1.0, 1.0), viscous=0.1):
+    """Two masses on springs, each with its drive, under the same friction."""
+    return Lagrangian(
+        lambda q: jnp.eye(2),
+        lambda q: jnp.sum(q**2) / 2,
+        lambda t, q, u: jnp.asarray(gain) * u,
+        lambda q, v: viscous * v,
+        coordinates=("x", "y"),
+    )
+'''
+
+
+@pytest.mark.long
+def test_what_no_machine_shows_alone_all_show_together(tmp_path, monkeypatch):
+    """Each machine drives one of its two masses."""
+    monkeypatch.chdir(tmp_path)
+    Path("drives.py").write_text(DRIVES)
+    Path("rough.toml").write_text(
+        'system = "drives:drives"\n[parameters]\ngain = [2.0, 2.0]\nviscous = 0.1\n[inputs]\nbetween = "held"\n'
+    )
+    motion: dict[str, Any] = {"duration": 10.0, "rate": 50.0, "q0": [0.3, 0.3], "noise": 1e-3}
+    gains = {"parameters.gain": [3.0, 5.0]}
+    logs = {
+        arm: [
+            covariant.simulate(
+                "rough.toml",
+                amplitude=amplitude,
+                frequency=0.2 + 0.1 * k,
+                seed=k,
+                overrides=gains | {"parameters.viscous": viscous},
+                **motion,
+            ).record
+            for k in range(2)
+        ]
+        for arm, amplitude, viscous in (("left", [0.5, 0.0], 0.2), ("right", [0.0, 0.5], 0.4))
+    }
+    both = fit("rough.toml", logs, "gain,viscous", each="viscous")
+    assert both.columns["parameter"].tolist() == ["gain[0]", "gain[1]", "viscous@left", "viscous@right"]
+    assert both.columns["determined"].all(), both
+    assert (np.abs(both.values - [3.0, 5.0, 0.2, 0.4]) < 4 * both.standard_errors).all(), both
+    *gain, left, right = both.values.tolist()
+    assert {arm: content["parameters"] for arm, content in both.machines.items()} == {
+        arm: {"gain": gain, "viscous": viscous} for arm, viscous in (("left", left), ("right", right))
+    }
+    # With nothing shared each machine is fitted by itself.
+    own = fit("rough.toml", logs, "gain,viscous", each="gain,viscous")
+    sentences = "\n".join(own.details["undetermined"])
+    assert "gain[1]@left cannot be told from this log" in sentences
+    assert "gain[0]@right cannot be told from this log" in sentences
+    assert [path.name for path in own.written_files("fitted.toml")] == ["fitted_left.toml", "fitted_right.toml"]
+
+
+def test_the_last_log_of_each_machine_is_held_out():
+    stamps = [np.arange(0.0, 10.0, 0.01)] * 6
+    assert held_out_logs(stamps, 0.5, [0, 0, 1, 2, 1, 0]).tolist() == [False, False, False, False, True, True]
+    assert held_out_logs(stamps[:3], 0.5, [2, 0, 1]).tolist() == [False] * 3
+    # Of short logs two are held out, if there are as many more.
+    assert held_out_logs(stamps, 2.0, [0] * 5 + [1]).tolist() == [False] * 3 + [True] * 2 + [False]
+
+
+def test_each_machine_has_a_file_with_its_numbers(tmp_path):
+    rows = [
+        {"name": name, "before": 1.0, "after": value, "standard_error": 0.1, "determined": True}
+        for name, value in (("mass", 2.0), ("viscous@arm1", 3.0), ("viscous@arm2", 4.0))
+    ]
+    contents = {arm: {"system": "oscillator", "parameters": {"stiffness": k}} for arm, k in (("arm1", 3), ("arm2", 4))}
+    details = {"parameters": rows, "undetermined": [], "fitted_to": "a.csv", "better": True}
+    result = FitResult([Job("oscillator", None)], {}, details, None, contents)
+    assert result.save(tmp_path / "fitted.toml") == tmp_path / "fitted_arm1.toml"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fitted_arm1.toml", "fitted_arm2.toml"]
+    text = (tmp_path / "fitted_arm2.toml").read_text()
+    assert "stiffness = 4" in text
+    assert "viscous@arm2 = 4 ±" in text
+    assert "arm1" not in text
+    (tmp_path / "fitted_arm1.toml").unlink()
+    with pytest.raises(ValueError, match=r"fitted_arm2\.toml: there is such a file already"):
+        result.save(tmp_path / "fitted.toml")
+    assert not (tmp_path / "fitted_arm1.toml").exists()
+
+
+def test_what_cannot_be_of_each_machine_is_refused(tmp_path):
+    record = covariant.simulate("oscillator", duration=5.0, rate=50.0, q0=1.0).record
+    with pytest.raises(ValueError, match="each: a log in memory does not say of which machine it is"):
+        fit("oscillator", [record, record], "stiffness", each="stiffness")
+    with pytest.raises(ValueError, match=r"each: unknown number 'mass'\. Known: stiffness"):
+        fit("oscillator", {"a": record}, "stiffness", each="mass", overrides={"parameters.stiffness": 2.0})
+    with pytest.raises(ValueError, match="`each` is for logs that are fitted together"):
+        over_logs("fit", "oscillator", [record], parameters="stiffness", each="stiffness")
+    with pytest.raises(ValueError, match=r"overrides make \[parameters\] others than those of record"):
+        fit("oscillator", [record, record], "stiffness", overrides=[{"parameters.stiffness": k} for k in (1.0, 2.0)])
