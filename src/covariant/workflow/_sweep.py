@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import engine, models
+from covariant._compile import compiler
 from covariant._names import unknown
 from covariant.metrics import Variable, map_grid, open_grid
 from covariant.observers import with_velocity
@@ -57,8 +58,8 @@ def sweep(
     velocities of the machine, `"error.q1"` and other first errors of the observers, `noise` of its positions, random
     `acceleration` of the machine, the `rate` of the samples, `draw`, a number of random draws, and any key of the model
     file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which the observers are designed with and the
-    machine is not; or tables of several of these, which vary together. All combinations are run, by compiled C. A run
-    that was stopped goes on when it is called again.
+    machine is not; or tables of several of these, which vary together. All combinations are run, by compiled C where
+    there is a compiler. A run that was stopped goes on when it is called again.
 
     Use it for basins of attraction, for the consistency of a filter, and for what a gain costs at another rate.
 
@@ -345,6 +346,8 @@ def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noi
             sums["nis"] = info.nis
         return motion.q, motion.v, as_numbers(state), jnp.stack([sums[what] for what in ("error", *tells)])
 
+    if compiler() is None:  # XLA then does the same, slower
+        return _Family(step, init, numbers, tells)
     state = jax.eval_shape(init, first, origin)
     at = jnp.zeros(())
     compiled = engine.compiled(
