@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import time
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +12,7 @@ import distributed
 import pytest
 
 from covariant._cases import CaseTable, Crew, run_chunks
+from covariant.metrics import Grid, Variable, map_grid
 
 
 class Squares(NamedTuple):
@@ -79,3 +81,28 @@ def test_rows_come_back_as_they_were(tmp_path):
         "b": {"failed": "no rows"},
         "c": {"nis": float("inf")},
     }
+
+
+def test_the_newest_row_of_a_case_counts(tmp_path):
+    """Whatever the names of the files: they are hashes."""
+    for others in range(6):
+        table = CaseTable(tmp_path / str(others))
+        for age, value in ((100, "old"), (0, "new")):
+            table.write({"case": {"value": value}} | {f"{value}{k}": {} for k in range(others)})
+            for part in table.folder.glob("*.json"):
+                if age:
+                    os.utime(part, (time.time() - age, time.time() - age))
+        assert table.rows()["case"] == {"value": "new"}
+
+
+def test_a_grid_whose_block_kills_its_worker_is_not_complete(tmp_path, monkeypatch):
+    def killed(work, chunks, crew):
+        yield from ((chunk, BrokenExecutor("its process died")) for chunk in chunks)
+
+    monkeypatch.setattr("covariant.metrics._map.run_chunks", killed)
+    grid = Grid(("x",), ("1",), low=(0.0,), high=(1.0,), counts=(8,))
+    variables = {"square": Variable((), "1", "a square")}
+    with pytest.raises(BrokenExecutor, match="its process died"):
+        map_grid(
+            lambda x: {"square": x[0] ** 2}, grid, tmp_path / "a.zarr", variables=variables, provenance={}, block=2
+        )

@@ -104,8 +104,8 @@ def _about(path: Path) -> str:
 
 def _pages_with(script: str) -> str:
     pages = [page for page in sorted(DOCS.glob("*.md")) if page.stem != "benchmarks"]
-    name = Path(script).name if script.endswith(".toml") else f"benchmarks/{script}"
-    found = [page for page in pages if f"{name}`" in page.read_text(encoding="utf-8")]
+    name = f"{Path(script).name}`" if script.endswith(".toml") else f"benchmarks/{script}"
+    found = [page for page in pages if name in page.read_text(encoding="utf-8")]
     return ", ".join(f"[{page.stem}]({page.name})" for page in found) or (
         "`make bench`"
         if script.startswith("test_")

@@ -166,7 +166,9 @@ class CaseTable(NamedTuple):
 
     def rows(self) -> dict[str, dict[str, Any]]:
         """Rows of all finished cases, by the hash of the case."""
-        parts = (json.loads(part.read_bytes()) for part in sorted(self.folder.glob("*.json")))
+        # The newest last, as a case may have been computed again.
+        files = sorted(self.folder.glob("*.json"), key=lambda part: part.stat().st_mtime_ns)
+        parts = (json.loads(part.read_bytes()) for part in files)
         return {case: row for part in parts for case, row in part.items()}
 
     def write(self, rows: Mapping[str, Mapping[str, Any]]) -> None:

@@ -75,6 +75,7 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
         ("rate = 50.0\npush = [1.0, 2.0]\n", "push: the model has 1 of them"),
         ('rate = 50.0\nfeedback = "math:pi"\n', "feedback math:pi: with a time and a state"),
         ("rate = 50.0\nstart = 3\n", "start must be a table"),
+        ("rate = 50.0\nfeedback = {function = 'math:pi'}\n", "feedback must be"),
     ],
 )
 def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
@@ -92,7 +93,12 @@ def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
         ("noise = [0.1, 0.2]\n[[axes.case]]\nnoise = 0.1\n[[axes.case]]\nnoise = 0.2", "in two axes"),
         ('"start.q1" = {low = 0.0, high = 1.0, count = 2.5}', "must be a whole number"),
         ("[[axes.case]]\nnois = 0.1\n[[axes.case]]\nnoise = 0.2", "unknown table or key 'nois'"),
-        ("draw = 2.5", "or a number of draws"),
+        ("draw = 2.5", "must be a number of draws"),
+        ("draw = [1, 5]", "must be a number of draws"),
+        ("[[axes.error]]\nnoise = 0.1\n[[axes.error]]\nnoise = 0.2", "it is taken"),
+        ("[[axes.case]]\nerror = 1.0\n[[axes.case]]\nerror = 2.0", "as an axis alone"),
+        ("[[axes.observer]]\nnoise = 0.1\n[[axes.observer]]\nnoise = 0.2", "it is taken"),
+        ('"measurement.delay" = [0.0, 0.01]', "a sweep has no delays"),
     ],
 )
 def test_an_axis_that_makes_no_sense_is_refused(tmp_path, axes, message):
@@ -131,6 +137,43 @@ def test_the_basin_is_the_largest_multiple_up_to_which_all_runs_converge(tmp_pat
     np.testing.assert_allclose(error[1:] / error[1], [1.0, 10.0, 1e6], rtol=1e-6)
     assert basin == [0.0, 1.0, 10.0, 1e6][int(np.flatnonzero(error < 0.05)[-1])]
     assert beyond == 0
+
+
+def test_multiples_that_do_not_grow_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="multiples that grow"):
+        run(tmp_path, "error = [4.0, 2.0]", HEAD + "rate = 50.0\n[error]\nq1 = 0.1\n")
+
+
+def test_an_observer_without_a_velocity_in_its_state_has_no_first_error(tmp_path):
+    with pytest.raises(ValueError, match="has no velocity to start with"):
+        run(
+            tmp_path,
+            '"error.v1" = [0.0, 1.0]',
+            HEAD.replace('"intrinsic", "intrinsic-kalman"', '"pll"') + "rate = 50.0\n",
+        )
+
+
+def test_a_model_file_that_has_changed_is_read_anew(tmp_path):
+    """In the same process, as in a notebook."""
+    errors = []
+    for name, stiffness in (("first", 1.0), ("second", 30.0)):
+        (tmp_path / "spring.toml").write_text(f'system = "oscillator"\n[parameters]\nstiffness = {stiffness}\n')
+        head = HEAD.replace("oscillator", "spring.toml").replace(', "intrinsic-kalman"', "") + "rate = 50.0\n"
+        (tmp_path / "study.toml").write_text(f'{head}{SET}[axes]\n"start.v1" = [1.0, 2.0]\n')
+        result = workflow.sweep(tmp_path / "study.toml", tmp_path / f"{name}.zarr", workers=1)
+        errors.append(open_grid(result.store).intrinsic_error.values)
+    assert not np.allclose(*errors)
+
+
+def test_noise_of_tables_and_rates_are_crossed(tmp_path):
+    axes = 'rate = [25.0, 100.0]\ndraw = 20\n[[axes.size]]\nname = "small"\nnoise = 1e-3\n'
+    axes += '[[axes.size]]\nname = "large"\nnoise = 1e-1\n'
+    table = run(tmp_path, axes, HEAD.replace(', "intrinsic-kalman"', "")).columns
+    assert list(zip(table["rate"], table["size"], strict=True)) == [
+        (rate, size) for rate in (25.0, 100.0) for size in ("small", "large")
+    ]
+    small, large = table["median error"].reshape(2, 2).T
+    assert (large > 20 * small).all()
 
 
 def test_observers_start_with_the_velocity_of_the_machine_and_their_own_error(tmp_path):

@@ -5,6 +5,7 @@ import functools
 import hashlib
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -91,7 +92,9 @@ def map_grid(
             _store.tidied(path),
             contextlib.closing(run_chunks(_Work(function, str(path), blocks), todo, crew)) as each,
         ):
-            for index, _ in each:
+            for index, result in each:
+                if isinstance(result, BrokenExecutor):
+                    raise result
                 done += blocks.size(index)
                 report(done, grid.size)
     _store.finish(path)

@@ -1,6 +1,8 @@
 """What `fit` and `tune` read and write, checked before anything is computed. Loads nothing heavy."""
 
 import errno
+import hashlib
+import importlib.util
 import io
 import os
 import tomllib
@@ -94,6 +96,17 @@ def read_sources(model: Any) -> dict[Path, bytes]:
     spec = os.fspath(model)
     paths = (Path(spec) if spec.endswith(".toml") else None, _robot_file(spec))
     return {path: path.read_bytes() for path in paths if path is not None and path.is_file()}
+
+
+def model_hash(model: Any) -> list[str]:
+    """Hashes of the files that a model is read from."""
+    contents = list(read_sources(model).values())
+    module = str(model).partition(":")[0]
+    if isinstance(model, str) and ":" in model and all(part.isidentifier() for part in module.split(".")):
+        spec = importlib.util.find_spec(module)
+        if spec is not None and spec.origin is not None:
+            contents.append(Path(spec.origin).read_bytes())
+    return [hashlib.sha256(content).hexdigest() for content in contents]
 
 
 def check_read_once(sources: Mapping[Path, bytes]) -> None:

@@ -23,7 +23,7 @@ from covariant._cases import CaseTable, Crew, content_hash, run_chunks
 from covariant.logs import source_name
 from covariant.workflow._among_logs import LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
-from covariant.workflow._model_output import read_sources
+from covariant.workflow._model_output import model_hash
 from covariant.workflow._outcome import summary
 from covariant.workflow._outputs import write_table
 from covariant.workflow._progress import Progress, notebook_line
@@ -182,7 +182,7 @@ class _Case(NamedTuple):
 
 def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, settings: Any) -> list[_Case]:
     versions = {name: importlib.metadata.version(name) for name in ("covariant", "jax", "numpy")}
-    whole = [verb, str(model), _model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
+    whole = [verb, str(model), model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
     cases = []
     with ThreadPoolExecutor() as pool:  # neither reading nor hashing holds the lock of the interpreter
         contents = list(pool.map(_content, logs))
@@ -217,17 +217,6 @@ def _content(log: Any) -> tuple[str, float]:
     except OSError as error:
         return f"{path}: {error}", size  # what reads it says the same
     return digest.hexdigest(), size
-
-
-def _model_hash(model: Any) -> list[str]:
-    """Hashes of the files that a model is read from."""
-    contents = list(read_sources(model).values())
-    module = str(model).partition(":")[0]
-    if isinstance(model, str) and ":" in model and all(part.isidentifier() for part in module.split(".")):
-        spec = importlib.util.find_spec(module)
-        if spec is not None and spec.origin is not None:
-            contents.append(Path(spec.origin).read_bytes())
-    return [hashlib.sha256(content).hexdigest() for content in contents]
 
 
 def _finished(cases: Sequence[_Case], table: CaseTable) -> dict[str, dict[str, Any]]:

@@ -1,6 +1,7 @@
 """A study of many runs: what its file says, checked."""
 
 import functools
+import hashlib
 import itertools
 import json
 import math
@@ -41,7 +42,10 @@ KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "below": (_positive, "a velocity error, a positive number"),
     "seed": (lambda value: isinstance(value, int) and not isinstance(value, bool), "a whole number"),
     "gate": (lambda value: isinstance(value, bool), "true or false"),
-    "feedback": (lambda value: isinstance(value, str | Mapping), '"module:function"'),
+    "feedback": (
+        lambda value: isinstance(value, str) or (isinstance(value, Mapping) and set(value) == {"function", "folder"}),
+        '"module:function"',
+    ),
     "amplitude": (_numbers, "a number, or a list with one for each input"),
     "frequency": (_positive, "a positive number [Hz]"),
     "push": (_numbers, "a number, or a list with one for each velocity"),
@@ -50,6 +54,8 @@ KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "set": (lambda value: isinstance(value, Mapping), "a table of keys of the model file"),
 }
 """Keys of a study beside the tables of states: what each may be, and in words."""
+TAKEN = ("observer", "converged", "not finite", "median error", "NEES", "NIS", "in band", "basin", "beyond it")
+"""Columns of the result, which no axis has the name of."""
 NEEDED = ("model", "observers", "axes")
 OF_RUN = ("noise", "acceleration")
 """What a run has of its own, beside its states."""
@@ -110,7 +116,7 @@ class Axis(NamedTuple):
     def _spaced(self) -> bool:
         if self.designs or not all(isinstance(value, int | float) for value in self.values):
             return False
-        return bool(np.allclose(np.diff(self.values), self.values[1] - self.values[0])) and (
+        return bool(np.allclose(np.diff(self.values), self.values[1] - self.values[0], atol=0)) and (
             self.values[0] < self.values[1]
         )
 
@@ -159,6 +165,12 @@ class Study(NamedTuple):
         tables = {f"{table}.{name}": v for table in STATES for name, v in content.get(table, {}).items()}
         return {key: content[key] for key in OF_RUN if key in content} | tables
 
+    def feedback_hash(self) -> list[str]:
+        """Hash of the file beside the study that the feedback is read from, if there is one."""
+        spec = self.content.get("feedback", {"folder": "", "function": ""})
+        path = Path(spec["folder"]) / f"{spec['function'].partition(':')[0]}.py"
+        return [hashlib.sha256(path.read_bytes()).hexdigest()] if path.is_file() else []
+
     @property
     def grid(self) -> Grid:
         """All cases."""
@@ -206,15 +218,22 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
                 )
             values = np.linspace(low, high, int(count)).tolist()
         elif key == "draw":
-            values = list(range(values)) if isinstance(values, int) else values
+            if not isinstance(values, int) or isinstance(values, bool) or values < 2:
+                raise ValueError(f"{name}: axes.draw must be a number of draws, 2 or more; got {values!r}")
+            values = list(range(values))
         if not isinstance(values, list) or len(values) < 2:
             raise ValueError(
-                f"{name}: axes.{key} needs a list of two values or more{', or a number of draws' * (key == 'draw')}; "
-                "put a single value into [set] or [start]"
+                f"{name}: axes.{key} needs a list of two values or more; put a single value into [set] or [start]"
             )
         if len({isinstance(value, dict) for value in values}) > 1:
             raise ValueError(f"{name}: axes.{key} has tables and other values; give all as tables")
+        if key in TAKEN or (isinstance(values[0], dict) and (of_run(key) or key == "draw")):
+            raise ValueError(f"{name}: axes.{key} cannot be a name for tables: it is taken")
+        if key == "error" and not (all(_number(v, 0.0) for v in values) and np.all(np.diff(values) > 0)):
+            raise ValueError(f"{name}: axes.error must be multiples that grow, none negative; got {values}")
         for value in values:
+            if isinstance(value, dict) and "error" in value:
+                raise ValueError(f"{name}: error multiplies the first error as an axis alone, not in a table of {key}")
             pairs = value.items() if isinstance(value, dict) else ((key, value),)
             for each, number in pairs:
                 if each not in ("name", "draw", "error") or (isinstance(value, dict) and each != "name"):

@@ -20,6 +20,7 @@ from covariant.metrics import Variable, map_grid, open_grid
 from covariant.observers import with_velocity
 from covariant.workflow._arguments import Scheduler
 from covariant.workflow._design import design
+from covariant.workflow._model_output import model_hash
 from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._pages import write_result_page
 from covariant.workflow._progress import Progress, notebook_line
@@ -33,7 +34,7 @@ TOLD = {
     "error": "root mean square of the velocity errors",
     "nees": "mean NEES of each velocity",
     "band": "part of the velocities in the 95 % band",
-    "nis": "mean NIS of each velocity",
+    "nis": "mean NIS of each position",
 }
 """What a run tells of an observer."""
 HEADINGS = {"nees": "NEES", "nis": "NIS", "band": "in band"}
@@ -92,7 +93,7 @@ def sweep(
     check_output(out, ".zarr", store=True)
     plan = read_study(path)
     progress(f"designing {', '.join(plan.observers)}")
-    runs = _Runs(plan.text)
+    runs = _Runs(plan.text, tuple(model_hash(plan.model) + plan.feedback_hash()))
     result = runs.variables()
 
     def report(done: int, total: int) -> None:
@@ -116,16 +117,22 @@ def sweep(
 
 @dataclass(frozen=True)
 class _Runs:
-    """The function of a case: a text, so that a worker of a cluster compiles it for itself."""
+    """The function of a case: a text, so that a worker of a cluster compiles it for itself.
+
+    Attributes:
+        text: The study.
+        hashes: Of the files that it names, so that one that has changed is read anew.
+    """
 
     text: str
+    hashes: tuple[str, ...]
 
     def __call__(self, x: Any) -> dict[str, Any]:
-        return _compiled(self.text).run(x)
+        return _compiled(self).run(x)
 
     def variables(self) -> dict[str, Variable]:
         """What a run gives for each observer."""
-        made = _compiled(self.text)
+        made = _compiled(self)
         result = {}
         for name, family in made.families.items():
             for what in ("error", *family.tells):
@@ -207,9 +214,9 @@ class _Machine(NamedTuple):
 
             q, v = manifold.retract(manifold.origin(), both[:n]), both[n:]
             y = manifold.ambient.retract(q, random("noise", of_noise, jnp.zeros((), int)) + off[:n])
-            # Without a first error the observers know nothing of the velocity, and start at rest.
-            moves = "error" in content or any(name.startswith("error.") for name in own)
-            state = family.init(numbers, y, v + off[n:] if moves else None)
+            # With a first error the observers know the velocity but for this; otherwise they start at rest.
+            known = any(name.startswith("error.") for name in own)
+            state = family.init(numbers, y, v + off[n:] if known else None)
             *_, sums = jax.lax.fori_loop(0, count, body, (q, v, state, jnp.zeros(1 + len(family.tells))))
             means = dict(zip(("error", *family.tells), sums / counted, strict=True))
             result |= {f"{_plain(name)}_{what}": jnp.sqrt(v) if what == "error" else v / n for what, v in means.items()}
@@ -217,9 +224,9 @@ class _Machine(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4)
-def _compiled(text: str) -> _Machine:
+def _compiled(runs: _Runs) -> _Machine:
     """Machine and observers of a study, compiled once in each process."""
-    plan = parse_study(json.loads(text))
+    plan = parse_study(json.loads(runs.text))
     content, designs = plan.content, plan.designs
     overrides = content.get("set", {})
     file = models.load(plan.model, overrides)
@@ -241,6 +248,9 @@ def _compiled(text: str) -> _Machine:
     largest = [_each("push", {**content, **each}.get("push", 0.0), n) for each in designs]
     inputs = models.input_count(model, n)
     files = [models.load(plan.model, overrides | designed_with(each)) for each in designs]
+    for each in files:
+        if any(np.any(late) for late in (each.delay, each.input_delay, each.input_lag, each.input_lead)):
+            raise ValueError(f"{plan.model}: a sweep has no delays; leave out those of [measurement] and [inputs]")
     families = {}
     for name in plan.observers:
         made = [design(each, name, rate=rate) for each, rate in zip(files, rates, strict=True)]
@@ -253,7 +263,7 @@ def _compiled(text: str) -> _Machine:
         plan,
         model,
         names,
-        _inputs(content, inputs, n),
+        _inputs(content, model, inputs, n),
         own,
         jnp.asarray(1 / rates),
         counts,
@@ -262,11 +272,13 @@ def _compiled(text: str) -> _Machine:
     )
 
 
-def _inputs(content: Mapping[str, Any], count: int, n: int) -> Callable[[Any, Any, Any], Any]:
+def _inputs(content: Mapping[str, Any], model: Any, count: int, n: int) -> Callable[[Any, Any, Any], Any]:
     """Inputs (m,) at a time, a configuration and a velocity: sines, or a function of a module."""
     if "feedback" in content:
         spec = content["feedback"]["function"]
         feedback = models.attribute(spec, Path(content["feedback"]["folder"]))
+        if not model.manifold.commuting:
+            raise ValueError(f"feedback {spec}: it is for models in coordinates, and {content['model']} is on a group")
         try:
             shape = np.shape(feedback(0.0, jnp.zeros(2 * n)))
         except Exception as error:  # a function of somebody may fail in any way
@@ -369,7 +381,7 @@ def _basin(near: Any, scales: Axis) -> dict[str, Any]:
 
 @dataclass(frozen=True, repr=False)
 class SweepResult(AbstractTable):
-    """A finished sweep: a row for each observer and each combination of what varies but starts and draws.
+    """A finished sweep: a row for each observer and each combination of what varies but starts, first errors and draws.
 
     Attributes:
         study: The file of the study.

@@ -575,6 +575,8 @@ def with_velocity(state: Any, v: Vector) -> Any:
     """State of an observer, or of one within another, with another velocity."""
     if "v" in state._fields:
         return state._replace(v=v)
+    if "inner" not in state._fields:
+        raise ValueError(f"{type(state).__name__}: the state of this observer has no velocity to start with")
     return state._replace(inner=with_velocity(state.inner, v))
 
 
