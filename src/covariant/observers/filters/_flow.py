@@ -63,13 +63,18 @@ def flow_with_slope(
     return (end_q, end_v, end_slow), jnp.concatenate([slope[: 2 * n], of_slow])
 
 
-def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
+def parallel(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
     """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
     axes = jnp.eye(v.shape[0], dtype=v.dtype)
     connections = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
-    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * connections, axes]])
+    return jnp.block([[axes, jnp.zeros_like(axes)], [connections, axes]])
 
 
 def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
     """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame."""
-    return parallel(space, q, v, -1)
+    return inverse(parallel(space, q, v))
+
+
+def inverse(unipotent: Float[Array, "two_n two_n"]) -> Float[Array, "two_n two_n"]:
+    """Inverse of a matrix `parallel`, or of its inverse."""
+    return 2 * jnp.eye(len(unipotent), dtype=unipotent.dtype) - unipotent
