@@ -202,7 +202,7 @@ class InCoordinates(AbstractMechanical):
         manifold, present = self.model.manifold, ~np.isnan(y).all(axis=0)
         if not manifold.redundant or present.all():
             return None
-        axes, shown = jnp.eye(len(present))[np.flatnonzero(present)], jnp.asarray(present)
+        axes, shown = jnp.eye(y.shape[1])[np.flatnonzero(present)], jnp.asarray(present)
         moved = jax.vmap(lambda q: jnp.max(jnp.abs(jax.vmap(lambda e: manifold.shown(q, shown, e))(axes))))
         near = np.asarray(jax.jit(moved)(jnp.asarray(whole))) > MOST_MOVED
         return int(near.argmax()) if near.any() else None

@@ -177,8 +177,8 @@ class IntrinsicForce(AbstractMechanicalObserver):
         self, state: IntrinsicForceState, u: Float[Array, "m"], y: Array
     ) -> tuple[IntrinsicForceState, IntrinsicForceInfo]:
         q, space, waited = state.q, self.model.space, time_since_measurement(state)
-        *gains, k3 = sampled_force_gains(self.alpha, self.beta, self.force_rate, waited)
-        new, correction, xi, missing = self._knowing(state.force).corrected(state, u, y, tuple(gains))
+        k1, k2, k3 = sampled_force_gains(self.alpha, self.beta, self.force_rate, waited)
+        new, correction, xi, missing = self._knowing(state.force).corrected(state, u, y, (k1, k2))
         # K3 = k3 (1 − N dt²/12), and the missing acceleration is −Nξ. A late sample says nothing about the force.
         learnt = k3 * space.lower(q, xi + waited * waited / 12 * missing)
         force = state.force - jnp.where(correction.restarted, 0.0, learnt)

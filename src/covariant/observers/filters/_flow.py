@@ -78,3 +78,14 @@ def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_
 def inverse(unipotent: Float[Array, "two_n two_n"]) -> Float[Array, "two_n two_n"]:
     """Inverse of a matrix `parallel`, or of its inverse."""
     return 2 * jnp.eye(len(unipotent), dtype=unipotent.dtype) - unipotent
+
+
+def with_part_across(space: AbstractSpace, q: Array, root: Float[Array, "N N"], n: int) -> Float[Array, "N K"]:
+    """A root of a covariance of (ε, ν, slow) at q; on a leaf with as much across it, where it is zero."""
+    if not space.manifold.redundant:
+        return root
+    axes = jnp.eye(n, dtype=root.dtype)
+    across = axes - jax.vmap(lambda a: space.projected(q, a), out_axes=1)(axes)
+    sizes = jnp.sqrt(jnp.sum(root[: 2 * n].reshape(2, -1) ** 2, axis=1))
+    beside = jnp.kron(jnp.diag(sizes), across)
+    return jnp.concatenate([root, jnp.pad(beside, ((0, len(root) - 2 * n), (0, 0)))], axis=1)

@@ -45,7 +45,7 @@ from covariant.observers.base import (
     white_acceleration,
     with_block,
 )
-from covariant.observers.filters._flow import apart, flow_with_slope, inverse, parallel
+from covariant.observers.filters._flow import apart, flow_with_slope, inverse, parallel, with_part_across
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers.filters._noise_scale import NoiseScale, factor_of, scaled
 from covariant.observers.sensors import (
@@ -544,13 +544,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return state.root
 
     def regular_root(self, state: KalmanState) -> Float[Array, "two_n_k K"]:
-        root, axes, n = state.root, jnp.eye(state.v.shape[0], dtype=state.v.dtype), state.v.shape[0]
-        if not self.model.manifold.redundant:
-            return root
-        across = axes - jax.vmap(lambda a: self.model.space.projected(state.q, a), out_axes=1)(axes)
-        sizes = jnp.sqrt(jnp.sum(root[: 2 * n].reshape(2, -1) ** 2, axis=1))
-        beside = diagonal(sizes[0] * across, sizes[1] * across)
-        return jnp.concatenate([root, jnp.pad(beside, ((0, len(root) - 2 * n), (0, 0)))], axis=1)
+        return with_part_across(self.model.space, state.q, state.root, len(state.v))
 
     def with_root(self, state: KalmanState, root: Float[Array, "two_n_k two_n_k"]) -> KalmanState:
         return state._replace(root=root)
