@@ -428,6 +428,17 @@ def squares(model, estimate, root, true) -> float:
     return float(error @ np.linalg.solve(spread @ spread.T, error))
 
 
+@pytest.mark.long
+def test_a_covariance_is_made_regular_across_the_leaf_alone():
+    model, q, _ = made("four-bar")
+    observer = observers.IntrinsicKalman(model, jnp.asarray(PROCESS), NOISE**2 * jnp.eye(3), 1.0)
+    state = observer.init(jnp.asarray(q))
+    whole, part = (np.asarray(root @ root.T) for root in (observer.regular_root(state), state.root))
+    along = np.kron(np.eye(2), np.stack([np.asarray(model.space.projected(state.q, a)) for a in jnp.eye(3)], axis=1))
+    np.testing.assert_allclose(along @ (whole - part), 0.0, atol=1e-12)
+    assert [np.linalg.matrix_rank(each, tol=1e-10) for each in (part, whole)] == [2, 6]
+
+
 @pytest.mark.exhaustive
 def test_the_filter_knows_its_error_on_a_leaf_and_the_smoother_a_smaller_one():
     true, y = noisy()

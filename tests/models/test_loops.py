@@ -10,12 +10,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
+import covariant
 from covariant import models
 from covariant.lowering import evaluate_batch
 from covariant.models import acceleration, robots
 from covariant.models.robots import located, robot_space
 from covariant.observers.base import readability
 from covariant.signals import StepCode
+from covariant.workflow import MisfitError
 
 LOOPED = ("four_bar", "five_bar", "parallel_ankle", "delta")
 FLOATING = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint name="free"/>
@@ -307,3 +309,18 @@ def test_constant_gains_refuse_a_dead_centre():
 def test_numbers_of_a_linkage_are_not_fitted():
     with pytest.raises(models.ModelError, match="numbers of a robot with closed loops are not fitted"):
         models.robot_family("four_bar", ["friction"])
+
+
+@pytest.mark.long
+def test_a_log_from_the_rocker_alone_is_refused_at_the_dead_centre():
+    """The crank turns round; without a torque the model explains nothing of it either, which is not the cause."""
+    pandas = pytest.importorskip("pandas")
+    t = np.arange(0.0, 1.0, 0.01)
+    crank = 0.33 + 8 * t
+    # From the rocker's axis to the crank's end, and the angle that it makes with the rocker.
+    x, z = 0.15 * np.cos(crank) - 0.35, 0.15 * np.sin(crank)
+    inside = np.arccos((x**2 + z**2 + 0.3**2 - 0.4**2) / (2 * np.hypot(x, z) * 0.3))
+    rocker = np.unwrap(np.arctan2(z, x)) - inside
+    frame = pandas.DataFrame({"t": t, "rocker": rocker, "u1": 0.0})
+    with pytest.raises(MisfitError, match=r"0\.\d+ s after its start .* dead centre of rocker, .* nothing of crank, c"):
+        covariant.estimate("four_bar", frame, overrides={"measurement.std": 1e-4, "uncertainty.acceleration": 2.0})

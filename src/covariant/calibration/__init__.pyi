@@ -1,3 +1,4 @@
+from ._state_noise import first_estimate as first_estimate, state_noise as state_noise
 from .diagnosis import (
     Beside as Beside,
     Diagnosis as Diagnosis,

@@ -156,17 +156,18 @@ class Leaf(AbstractSpace):
         return self.space(x)
 
     def raise_(self, x: Configuration, mu: Vector) -> Vector:
-        return self.normals(x).along(self.space.raise_(x, mu))
+        normals, free = self._beside(x, mu)
+        return normals.along(free)
 
     def connection(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        normals, free = self.normals(x), self.space.connection(x, a, b)
+        normals, free = self._beside(x, self.space.connection_force(x, a, b))
         return free - normals.across(self._left(normals, x, a, b, free))
 
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         return self.lower(x, self.connection(x, a, b))
 
     def acceleration(self, x: Configuration, v: Vector, force: Vector) -> Vector:
-        normals, free = self.normals(x), self.space.acceleration(x, v, force)
+        normals, free = self._beside(x, force - self.space.connection_force(x, v, v))
         return free - normals.across(normals.rows @ free + self._change(x, v, v))
 
     def load(self, x: Configuration, v: Vector, force: Vector) -> Float[Array, "m"]:
@@ -180,7 +181,7 @@ class Leaf(AbstractSpace):
         Returns:
             Multipliers λ (m,), in force per unit of the constraint; `Aᵀλ` (n,) is the generalised force.
         """
-        normals, free = self.normals(x), self.space.acceleration(x, v, force)
+        normals, free = self._beside(x, force - self.space.connection_force(x, v, v))
         return -solve(normals.gram, normals.rows @ free + self._change(x, v, v))
 
     def kinetic_force(self, x: Configuration, v: Vector, momentum: Vector | None = None) -> Vector:
@@ -201,18 +202,18 @@ class Leaf(AbstractSpace):
         """
         space, normals = self.space, self.normals(x)
 
-        def bend(along):
-            free = space.connection(x, along, c)
-            return solve(normals.gram, self._left(normals, x, along, c, free))
+        def left(w):
+            """What the connections of w along a and b miss in rows (2, m)."""
+            # Forces instead of vectors: A g⁻¹ of them is a product with raised rows, and no system is transposed.
+            return jax.vmap(
+                lambda along: normals.raised @ space.connection_force(x, along, w) - self._change(x, along, w)
+            )(jnp.stack([a, b]))
 
-        weight_a, weight_b = bend(b), -bend(a)
+        of_a, of_b = jax.vmap(lambda rows: solve(normals.gram, rows))(left(c))
 
         def resisted(w):
-            # Forces instead of vectors: A g⁻¹ of them is a product with raised rows, and no system is transposed.
-            forces = space.connection_force(x, a, w), space.connection_force(x, b, w)
-            changes = self._change(x, a, w), self._change(x, b, w)
-            rows = [normals.raised @ force - change for force, change in zip(forces, changes, strict=True)]
-            return weight_a @ rows[0] + weight_b @ rows[1]
+            rows = left(w)
+            return of_b @ rows[0] - of_a @ rows[1]
 
         # `resisted` is linear, so that its derivative is the same at any w.
         bent = space.raise_(x, jax.grad(resisted)(jnp.zeros_like(a)))
@@ -239,7 +240,7 @@ class Leaf(AbstractSpace):
             block = jax.vmap(normals.along, in_axes=1, out_axes=1)(axes[:n, :n])
             return axes.at[:n, :n].set(block).at[n : 2 * n, n : 2 * n].set(block)
 
-        before, after = along(self.normals(x)), along(self.normals(y))
+        before, after = jax.vmap(along)(jax.vmap(self.normals)(jnp.stack([x, y])))
         # Across the leaf the map is the identity: it stays invertible, and of no effect on what is along the leaf.
         return after @ matrix @ before + axes - before
 
@@ -260,9 +261,7 @@ class Leaf(AbstractSpace):
         Returns:
             The rows A (m, n), their vectors, and `A g⁻¹Aᵀ`.
         """
-        rows = rows_of(self.space, self.constraint, x)
-        raised = jax.vmap(lambda row: self.space.raise_(x, row))(rows)
-        return Normals(rows, raised, _gram(rows, raised, self.held))
+        return self._beside(x, self.manifold.zero(x))[0]
 
     def second_form(self, x: Configuration, a: Vector, b: Vector) -> Vector:
         """Second fundamental form `II(a, b)` of the leaf: how a geodesic of the leaf bends in the whole space.
@@ -279,8 +278,8 @@ class Leaf(AbstractSpace):
         Returns:
             The vector (n,), across the leaf.
         """
-        normals = self.normals(x)
-        return normals.across(self._left(normals, x, a, b, self.space.connection(x, a, b)))
+        normals, free = self._beside(x, self.space.connection_force(x, a, b))
+        return normals.across(self._left(normals, x, a, b, free))
 
     def impact(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
         """Plastic impact: the part of the velocity across the leaf is lost at once, as where a foot lands.
@@ -298,6 +297,12 @@ class Leaf(AbstractSpace):
         q = self.manifold.retract(x, jnp.zeros_like(v))
         s = self.space.manifold.local(x, q)
         return q, self.projected(q, v - self.space.connection(x, s, v))
+
+    def _beside(self, x: Configuration, force: Vector) -> tuple[Normals, Vector]:
+        """The vectors across the leaf, and that of a covector (n,): the metric is inverted once for all."""
+        rows = rows_of(self.space, self.constraint, x)
+        vectors = jax.vmap(lambda row: self.space.raise_(x, row))(jnp.concatenate([rows, force[None]]))
+        return Normals(rows, vectors[:-1], _gram(rows, vectors[:-1], self.held)), vectors[-1]
 
     def regular(self, x: Configuration) -> Flag:
         """Whether the rows are independent at x: at a change point they are not, and the leaf branches."""
@@ -401,9 +406,7 @@ class _LeafManifold(AbstractManifold):
 
     def retract(self, x: Configuration, s: Vector) -> Configuration:
         y = self.ambient.retract(x, s)
-        for _ in range(NEWTON_STEPS):
-            y = self.ambient.retract(y, self.leaf._back(y))
-        return y
+        return jax.lax.fori_loop(0, NEWTON_STEPS, lambda _, y: self.ambient.retract(y, self.leaf._back(y)), y)
 
     def local(self, x: Configuration, y: Configuration) -> Vector:
         return self.leaf.projected(x, self.ambient.local(x, y))
@@ -417,10 +420,7 @@ class _LeafManifold(AbstractManifold):
 
     def measured(self, x: Configuration, y: Configuration) -> Configuration:
         """The configuration on the leaf whose measured entries are closest to those of y, by Gauss–Newton steps."""
-        q = x
-        for _ in range(READING_STEPS):
-            q = self._closer(q, y)
-        return q
+        return jax.lax.fori_loop(0, READING_STEPS, lambda _, q: self._closer(q, y), x)
 
     def shown(self, x: Configuration, present: Bool[Array, "n"], e: Vector) -> Vector:
         rows = self.leaf.normals(x).rows

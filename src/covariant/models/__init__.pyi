@@ -1,5 +1,5 @@
 from . import files as files, fluid as fluid, marine as marine, robots as robots, systems as systems
-from ._contacts import contacts as contacts, standing as standing
+from ._contacts import ON_THE_GROUND as ON_THE_GROUND, contacts as contacts, standing as standing
 from ._in_chart import chart_jacobian as chart_jacobian, chart_velocity as chart_velocity, in_chart as in_chart
 from ._mechanical import (
     GroupSystem as GroupSystem,

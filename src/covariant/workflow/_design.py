@@ -12,6 +12,7 @@ import numpy as np
 from covariant.calibration import (
     DataSheet,
     estimators,
+    first_estimate,
     gated,
     missing_inputs,
     stored_observer,
@@ -24,7 +25,7 @@ from covariant.observers import AbstractObserver, Gated, chooses_substeps, with_
 from covariant.workflow._inputs import Loaded
 from covariant.workflow._kinds import WITH_FORCE, kind_of
 from covariant.workflow._sensors import FileSensor, file_sensors, with_readings
-from covariant.workflow._sheet import data_sheet, first_estimate
+from covariant.workflow._sheet import data_sheet
 
 SPEED_IS_MISSING = (
     "a machine that is faster than four times that at the start is refused. Give `log`, a log that `estimate` runs "

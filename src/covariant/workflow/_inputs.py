@@ -194,7 +194,10 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     if not job.anyway:
         whole = kind.complete(np.asarray(record.y))
         known = log._replace(record=_with_inputs_only(log.record._replace(y=whole)))
-        _refuse_misfit(job, file, known, _with_inputs_only(record._replace(y=whole)))
+        try:
+            _refuse_misfit(job, file, known, _with_inputs_only(record._replace(y=whole)))
+        except MisfitError as error:
+            raise _at_dead_centre(job, kind, file.columns.q, record, whole) or error from None
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)
@@ -353,6 +356,24 @@ def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Reco
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         guessed = placeholder_sentence(placeholders(job.model, job.overrides))
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}{guessed and '. '}{guessed}")
+
+
+def _at_dead_centre(
+    job: Job, kind: Any, columns: Sequence[str], record: Record, whole: np.ndarray
+) -> MisfitError | None:
+    """The error where the joints with an encoder run into a dead centre, so that the others are not known after it."""
+    y = np.asarray(record.y)
+    row = kind.dead_centre(y, whole)
+    if row is None:
+        return None
+    lacking, names = np.isnan(y).all(axis=0), np.array(columns)
+    measured, others = (", ".join(names[mask]) for mask in (~lacking, lacking))
+    at = float(record.t[row] - record.t[0])
+    return MisfitError(
+        f"{job.log_name}: {at:.3g} s after its start the linkage is at a dead centre of {measured}, where this tells "
+        f"nothing of {others}, and the motion can go on in two ways; measure another joint too, or end the log before, "
+        f"as by `until={0.98 * at:.3g}`"
+    )
 
 
 def _in_ticks(file: models.ModelFile, y: np.ndarray) -> tuple[models.ModelFile, str]:

@@ -148,6 +148,10 @@ class AbstractKind(abc.ABC):
         """Measurements (T, *n) with the positions that no sensor measures, as far as the others determine them."""
         return y
 
+    def dead_centre(self, y: np.ndarray, whole: np.ndarray) -> int | None:
+        """The first row of completed positions (T, n) at which the measured y (T, n) hardly tell the others, if any."""
+        return None
+
     def drawn(self, y: np.ndarray) -> np.ndarray | None:
         """Measurements (T, n) to draw beside the estimates; None where these are other quantities."""
         return None

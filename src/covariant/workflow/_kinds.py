@@ -15,8 +15,10 @@ from covariant._integrate import rk4
 from covariant.calibration import (
     DataSheet,
     Trial,
+    first_estimate,
     observer_gains,
     outliers,
+    state_noise,
     tuned_estimators,
     tuned_state_estimators,
 )
@@ -26,12 +28,13 @@ from covariant.observers import AbstractObserver, on_legs
 from covariant.simulation import PositionSensor
 from covariant.workflow._arguments import Amounts, numbers
 from covariant.workflow._kind import AbstractKind, Labels, numbered
-from covariant.workflow._sheet import first_estimate, state_noise
 
 CENTRE, SWING = 0.7, 0.2
 """Centre and amplitude of the positions in the self-test, in units of the coordinates; on circles the centre is π."""
 OUTLIER_ROW, OUTLIER = 23, 1.5
 """The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
+MOST_MOVED = 20.0
+"""How many times as far as a measured joint another one moves near a dead centre; elsewhere it is a few times."""
 USE_TORQUES = "intrinsic-kalman", "ukf"
 """Observers whose noise may depend on the configuration, as that of torques does."""
 WITH_FORCE = "intrinsic-force"
@@ -194,6 +197,15 @@ class InCoordinates(AbstractMechanical):
         whole = np.asarray(jax.jit(lambda: jax.lax.scan(follow, first, rows)[1])())
         known = np.all(lacking | np.isfinite(y), axis=1, keepdims=True)
         return np.where(lacking & known, whole, y)
+
+    def dead_centre(self, y: np.ndarray, whole: np.ndarray) -> int | None:
+        manifold, present = self.model.manifold, ~np.isnan(y).all(axis=0)
+        if not manifold.redundant or present.all():
+            return None
+        axes, shown = jnp.eye(y.shape[1])[np.flatnonzero(present)], jnp.asarray(present)
+        moved = jax.vmap(lambda q: jnp.max(jnp.abs(jax.vmap(lambda e: manifold.shown(q, shown, e))(axes))))
+        near = np.asarray(jax.jit(moved)(jnp.asarray(whole))) > MOST_MOVED
+        return int(near.argmax()) if near.any() else None
 
     def drawn(self, y: np.ndarray) -> np.ndarray:
         return scoring.unwrap(y, self.model.circles)

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from covariant.calibration._state_noise import state_noise
 from covariant.calibration.diagnosis._finding import Finding
 from covariant.models import ModelFile
-from covariant.observers import StateNoise, legged_base, run
+from covariant.observers import legged_base, run
 from covariant.signals import Record
 
 MOST_ROWS = 4000
@@ -32,19 +32,11 @@ def late_encoders(file: ModelFile, record: Record) -> list[Finding] | None:
     """
     t, u, y = (np.asarray(part, float)[:MOST_ROWS] for part in record[:3])
     model: Any = file.model
-    if file.measurement_std is None or not np.isfinite(y[0, : model.f.joints]).all():
+    if file.measurement_std is None or file.process_std is None or not np.isfinite(y[0, : model.f.joints]).all():
         return None
     usual = float(np.median(np.diff(t)))
     step = max(LEAST_STEP, usual)
-    process, reading, first = (
-        jnp.diag(jnp.broadcast_to(jnp.asarray(std), count) ** 2)
-        for std, count in (
-            (file.process_std, file.dimension),
-            (file.measurement_std, y.shape[1]),
-            (file.initial_std, file.dimension),
-        )
-    )
-    observer = legged_base(model, StateNoise(process, reading, jnp.asarray(file.initial_state), first, 1 / usual))
+    observer = legged_base(model, state_noise(file, 1 / usual))
     known = float(np.max(file.delay))
     standing, off = [], []
     for shift in SHIFTS:

@@ -135,16 +135,20 @@ class Intrinsic(AbstractMechanicalObserver):
         return predicted(self.model, state, u, dt, self.substeps)
 
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
+        new, correction, xi, _ = self.corrected(state, u, y, self.sample_gains(time_since_measurement(state)))
+        code = step_result(correction, readability(self.model, state.q, y))
+        result = outcome(new.q, new.v, self.model.manifold.seen(state.q, y), code)
+        return new, Info(self.innovation(state, u, y), self.model.space.norm(state.q, xi), result)
+
+    def corrected(
+        self, state: Any, u: Float[Array, "m"], y: Array, gains: tuple[Scalar, Scalar]
+    ) -> tuple[Any, Any, Vector, Vector]:
+        """The corrected state, the correction, the error ξ (n,), and the acceleration (n,) that a prediction lacks."""
         (q, v, t), waited = state[:3], time_since_measurement(state)
         xi, missing = self.missing_acceleration(t, q, v, u, y)
-        gains = self.sample_gains(waited)
         correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, xi, missing)
         new_q, new_v = self.moved(q, v, -correction.part * xi, correction.velocity)
-        result = outcome(
-            new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, readability(self.model, q, y))
-        )
-        info = Info(self.innovation(state, u, y), self.model.space.norm(q, xi), result)
-        return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), info
+        return state._replace(q=new_q, v=new_v, age=aged(self.model, state, y)), correction, xi, missing
 
     def missing_acceleration(
         self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array

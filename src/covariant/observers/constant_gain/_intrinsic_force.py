@@ -23,11 +23,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.models import MechanicalSystem, Motion, friction
+from covariant.models import MechanicalSystem, friction
 from covariant.observers.base import (
     AbstractMechanicalObserver,
     LastInput,
-    aged,
     as_gain,
     at_rest,
     check_not_negative,
@@ -35,7 +34,6 @@ from covariant.observers.base import (
     outcome,
     predicted,
     readability,
-    sampled_correction,
     sampled_force_gains,
     step_result,
     still,
@@ -178,19 +176,16 @@ class IntrinsicForce(AbstractMechanicalObserver):
     def correct(
         self, state: IntrinsicForceState, u: Float[Array, "m"], y: Array
     ) -> tuple[IntrinsicForceState, IntrinsicForceInfo]:
-        (q, v, t), space, waited = state[:3], self.model.space, time_since_measurement(state)
-        observer = self._knowing(state.force)
-        xi, missing = observer.missing_acceleration(t, q, v, u, y)
+        q, space, waited = state.q, self.model.space, time_since_measurement(state)
         k1, k2, k3 = sampled_force_gains(self.alpha, self.beta, self.force_rate, waited)
-        correction = sampled_correction(space, Motion(q, v), (k1, k2), waited, xi, missing)
-        new_q, new_v = observer.moved(q, v, -correction.part * xi, correction.velocity)
+        new, correction, xi, missing = self._knowing(state.force).corrected(state, u, y, (k1, k2))
         # K3 = k3 (1 − N dt²/12), and the missing acceleration is −Nξ. A late sample says nothing about the force.
         learnt = k3 * space.lower(q, xi + waited * waited / 12 * missing)
         force = state.force - jnp.where(correction.restarted, 0.0, learnt)
         code = step_result(correction, readability(self.model, q, y))
-        result = outcome(new_q, jnp.concatenate([new_v, force]), self.model.manifold.seen(q, y), code)
+        result = outcome(new.q, jnp.concatenate([new.v, force]), self.model.manifold.seen(q, y), code)
         info = IntrinsicForceInfo(self.innovation(state, u, y), space.norm(q, xi), force, result)
-        return state._replace(q=new_q, v=new_v, force=force, age=aged(self.model, state, y)), info
+        return new._replace(force=force), info
 
     def _knowing(self, force: Vector | None) -> Intrinsic:
         """The observer `Intrinsic` of the model with a known force (n,), with the gains of position and velocity."""

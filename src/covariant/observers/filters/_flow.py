@@ -63,13 +63,29 @@ def flow_with_slope(
     return (end_q, end_v, end_slow), jnp.concatenate([slope[: 2 * n], of_slow])
 
 
-def parallel(space: AbstractSpace, q: Array, v: Vector, sign: int = 1) -> Float[Array, "two_n two_n"]:
+def parallel(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
     """Matrix `[[I, 0], [B(·, v), I]]` from small differences (s, δv) of motions at (q, v), in the frame, to (ε, ν)."""
     axes = jnp.eye(v.shape[0], dtype=v.dtype)
     connections = jax.vmap(lambda a: space.connection(q, a, v), out_axes=1)(axes)
-    return jnp.block([[axes, jnp.zeros_like(axes)], [sign * connections, axes]])
+    return jnp.block([[axes, jnp.zeros_like(axes)], [connections, axes]])
 
 
 def apart(space: AbstractSpace, q: Array, v: Vector) -> Float[Array, "two_n two_n"]:
     """Inverse (2n, 2n) of `parallel`, from (ε, ν) to small differences (s, δv) in the frame."""
-    return parallel(space, q, v, -1)
+    return inverse(parallel(space, q, v))
+
+
+def inverse(unipotent: Float[Array, "two_n two_n"]) -> Float[Array, "two_n two_n"]:
+    """Inverse of a matrix `parallel`, or of its inverse."""
+    return 2 * jnp.eye(len(unipotent), dtype=unipotent.dtype) - unipotent
+
+
+def with_part_across(space: AbstractSpace, q: Array, root: Float[Array, "N N"], n: int) -> Float[Array, "N K"]:
+    """A root of a covariance of (ε, ν, slow) at q; on a leaf with as much across it, where it is zero."""
+    if not space.manifold.redundant:
+        return root
+    axes = jnp.eye(n, dtype=root.dtype)
+    across = axes - jax.vmap(lambda a: space.projected(q, a), out_axes=1)(axes)
+    sizes = jnp.sqrt(jnp.sum(root[: 2 * n].reshape(2, -1) ** 2, axis=1))
+    beside = jnp.kron(jnp.diag(sizes), across)
+    return jnp.concatenate([root, jnp.pad(beside, ((0, len(root) - 2 * n), (0, 0)))], axis=1)

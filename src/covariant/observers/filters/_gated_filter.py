@@ -166,6 +166,10 @@ class AbstractGatedFilter(AbstractObserver):
     def root(self, state: Any) -> Float[Array, "N N"]:
         """Square root S (N, N) of the covariance S Sᵀ of the error of a state."""
 
+    def regular_root(self, state: Any) -> Float[Array, "N K"]:
+        """A root of the covariance of a state, on a leaf with as much across it: of no effect, and regular."""
+        return self.root(state)
+
     @abc.abstractmethod
     def with_root(self, state: Any, root: Float[Array, "N N"]) -> Any:
         """The state with the covariance of another square root."""

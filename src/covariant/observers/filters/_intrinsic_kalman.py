@@ -45,7 +45,7 @@ from covariant.observers.base import (
     white_acceleration,
     with_block,
 )
-from covariant.observers.filters._flow import apart, flow_with_slope, parallel
+from covariant.observers.filters._flow import apart, flow_with_slope, inverse, parallel, with_part_across
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers.filters._noise_scale import NoiseScale, factor_of, scaled
 from covariant.observers.sensors import (
@@ -505,10 +505,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             return states.in_model(self.model, mean)
 
         (q, v, slow), slope = flow_with_slope(manifold, model, acting, states, state[:4], h)
+        start, end = jax.vmap(functools.partial(parallel, space))(jnp.stack([state.q, q]), jnp.stack([state.v, v]))
         # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
-        transition = (
-            _with_slow(parallel(space, q, v), state) @ slope @ _with_slow(apart(space, state.q, state.v), state)
-        )
+        transition = _with_slow(end, state) @ slope @ _with_slow(inverse(start), state)
         transition = space.between(state.q, q, transition)
         noise = white_acceleration(covariance_along(self.process_cov, space, q), h)
         if state.slow.shape[0]:
@@ -547,6 +546,9 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     def root(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
         return state.root
+
+    def regular_root(self, state: KalmanState) -> Float[Array, "two_n_k K"]:
+        return with_part_across(self.model.space, state.q, state.root, len(state.v))
 
     def with_root(self, state: KalmanState, root: Float[Array, "two_n_k two_n_k"]) -> KalmanState:
         return state._replace(root=root)

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
-from covariant.models import StateSpace
+from covariant.models import ON_THE_GROUND, StateSpace
 from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
 from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import Record, StepCode
@@ -223,7 +223,7 @@ class LeggedBase(AbstractObserver):
         places, turned, noise, slopes = self._read(y)
         read = jnp.stack([~jnp.any(jnp.isnan(y[jnp.asarray(carrying)])) for carrying in self._legs.carrying])
         feet = len(places)
-        down = ~(y[joints:] < 0.5) if len(y) > joints else jnp.ones(feet, bool)
+        down = ~(y[joints:] < ON_THE_GROUND) if len(y) > joints else jnp.ones(feet, bool)
         turned = jnp.where(read[:, None, None], turned, state.turned)
         # A foot that rolls on the ground moves its centre by what its link has turned in the base; the turn of the
         # base itself is in the prediction.

@@ -166,7 +166,9 @@ def recorded(
     new, info, used, restarted = observer.corrected(predicted, u, y)
     # An estimate that left the finite numbers says nothing of those before.
     restarted = restarted | (info.result == int(StepCode.NOT_FINITE))
-    step = Step(root, carried, triangular_with_rank(observer.root(predicted)), used.error, used.reset, restarted)
+    step = Step(
+        root, carried, triangular_with_rank(observer.regular_root(predicted)), used.error, used.reset, restarted
+    )
     return new, info, step
 
 
