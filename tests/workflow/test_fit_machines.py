@@ -56,6 +56,18 @@ def test_machines_share_a_number_and_have_their_own_friction(arms, found):
 
 
 @pytest.mark.long
+def test_a_shared_number_that_a_machine_contradicts_is_named(arms, found):
+    """Friction that differs by three, taken as one number; where only what is its own differs, nothing is said."""
+    machines = {arm: arms[arm] for arm in ("arm1", "arm2")}
+    wrong = fit("pendulum_chain", machines, "inertia,viscous", each="inertia", overrides=FIRST, horizon=0.6)
+    said = [sentence for sentence in wrong.warnings if "viscous[0] is shared" in sentence]
+    assert {arm for sentence in said for arm in machines if arm in sentence} == set(machines), wrong.warnings
+    assert all("alone change it by -" in s if "arm1" in s else "alone change it by +" in s for s in said), said
+    right = fit("pendulum_chain", machines, "inertia,viscous", each="viscous", overrides=FIRST, horizon=0.6)
+    assert not right.warnings
+
+
+@pytest.mark.long
 def test_the_order_of_machines_changes_nothing(arms, found):
     turned = fitted(dict(reversed(arms.items())), "viscous")
     for name, (value, error) in found.items():

@@ -195,14 +195,15 @@ class FitResult(AbstractTable):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences on what the logs do not determine, on numbers that are still placeholders of a drafted file, and
-        one more where the fit is worse on the held-out log."""
+        """Sentences on what the logs do not determine, on shared numbers that a machine contradicts, on numbers that
+        are still placeholders of a drafted file, and one more where the fit is worse on the held-out log."""
         return (*self._on_numbers, *(() if self.better else (self._worse,)))
 
     @property
     def _on_numbers(self) -> tuple[str, ...]:
         rest = placeholder_sentence(self.details.get("placeholders", {}))
-        return (*(f"Not determined: {sentence}." for sentence in self.details["undetermined"]), *([rest] * bool(rest)))
+        said = (f"Not determined: {sentence}." for sentence in self.details["undetermined"])
+        return (*said, *(f"{sentence}." for sentence in self.details.get("unlike", ())), *([rest] * bool(rest)))
 
     @property
     def _worse(self) -> str:

@@ -215,6 +215,7 @@ class _PredictionProblem(NamedTuple):
             "windows": len(fitted.t),
             "start": start_sentence(best),
             "undetermined": list(relations(best)),
+            "unlike": list(best.unlike),
         }
 
 

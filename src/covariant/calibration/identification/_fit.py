@@ -21,10 +21,12 @@ from jaxtyping import Array, Bool, Float
 from covariant.calibration._least_squares import (
     MOST_STEPS,
     PRIOR,
+    ROUNDING,
     UNKNOWN,
     Blocks,
     Fixed,
     Point,
+    block_covariance,
     combination_rows,
     minimise,
 )
@@ -50,6 +52,8 @@ FAR, PROFILE_STEPS = 8.0, 10
 """Factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
 RESTARTS = 2
 """How often a search begins anew from a better place that a profile has found."""
+CONTRADICTION = 4.0
+"""Standard errors by which the logs of one machine must contradict a shared number before it is said."""
 MARGIN = 1.5
 """Factor by which friction may come to need more substeps than a search has: the method is stable to 2.8."""
 
@@ -87,6 +91,7 @@ class Fit(NamedTuple):
         steps: Number of steps of the search.
         starts: Places from which it was searched, by name, and by how much larger the negative log-likelihood was where
             the first search from each ended; the first one won.
+        unlike: Sentences on machines whose logs contradict a number that all machines share.
 
     Example:
         >>> import numpy as np
@@ -106,6 +111,7 @@ class Fit(NamedTuple):
     frequency: float
     steps: int
     starts: tuple[tuple[str, float], ...] = ()
+    unlike: tuple[str, ...] = ()
 
     @property
     def determined(self) -> Bool[NumpyArray, "p"]:
@@ -237,7 +243,36 @@ def _conclude(
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
     scale = np.asarray(scale[0] if len(scale) == 1 else scale)
-    return Fit(family.names, family.first, values, errors, rows, scale, float(frequency), step_count, tried)
+    unlike = _unlike(family, problem, point, values, slopes)
+    return Fit(family.names, family.first, values, errors, rows, scale, float(frequency), step_count, tried, unlike)
+
+
+def _unlike(
+    family: Family, problem: "_Predictions", point: Point, values: NumpyArray, slopes: NumpyArray
+) -> tuple[str, ...]:
+    """Sentences on shared numbers that one machine alone would have otherwise, by the next step of its own search."""
+    sentences, parts = [], np.asarray(family.parts)
+    shared = [j for j in range(len(values)) if len(parts) > 1 and (parts == j).any(axis=1).all()]
+    for machine, part in enumerate(parts):
+        here = np.asarray(problem.windows.machine) == machine
+        blocks = jax.tree.map(lambda leaf, here=here: np.asarray(leaf)[here], point.blocks._replace(rest=None))
+        information, scores = blocks.information[np.ix_(part, part)], blocks.z[:, part]
+        size, axes = np.linalg.eigh(information)
+        told = axes[:, size > max(UNKNOWN**-2, ROUNDING * size[-1])]
+        inverse = told @ np.linalg.inv(told.T @ information @ told) @ told.T
+        change = -inverse @ scores.sum(axis=0)
+        # Around their mean, which is the contradiction itself.
+        covariance = block_covariance(scores - scores.mean(axis=0), information, inverse)
+        error = np.sqrt(np.diagonal(covariance) + UNKNOWN**2 * (1 - np.sum(told**2, axis=1)))
+        name = next(family.names[j].partition("@")[2] for j in part if j not in shared)
+        sentences += [
+            f"{family.names[j]} is shared, but the logs of {name} alone change it by {change[k] * slopes[j]:+.2g} "
+            f"± {error[k] * abs(slopes[j]):.1g} from {values[j]:.4g}: let each machine have its own, or look for "
+            "another number in which this machine differs"
+            for k, j in enumerate(part)
+            if j in shared and abs(change[k]) > CONTRADICTION * error[k]
+        ]
+    return tuple(sentences)
 
 
 def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -> Fit:
