@@ -322,5 +322,7 @@ def test_a_log_from_the_rocker_alone_is_refused_at_the_dead_centre():
     inside = np.arccos((x**2 + z**2 + 0.3**2 - 0.4**2) / (2 * np.hypot(x, z) * 0.3))
     rocker = np.unwrap(np.arctan2(z, x)) - inside
     frame = pandas.DataFrame({"t": t, "rocker": rocker, "u1": 0.0})
-    with pytest.raises(MisfitError, match=r"0\.\d+ s after its start .* dead centre of rocker, .* nothing of crank, c"):
+    with pytest.raises(
+        MisfitError, match=r"0\.\d+ s after its start .* dead centre of rocker, .* nothing about crank, c"
+    ):
         covariant.estimate("four_bar", frame, overrides={"measurement.std": 1e-4, "uncertainty.acceleration": 2.0})

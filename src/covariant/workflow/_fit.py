@@ -52,7 +52,8 @@ def fit(
             if none has several, the last third of each. Not for robots with servos.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values; or a list of such values,
-            one for each log, of what is known to differ between them, such as the gain of a servo or a payload.
+            one for each log of a robot with servos, of what is known to differ between them, such as a gain or a
+            payload.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
         every, start, until, anyway, progress: As for `estimate`.
 
@@ -258,7 +259,10 @@ class FitResult(AbstractTable):
             error = row["standard_error"]
             lines.append(f"#   {row['name']} = {row['after']:.5g}" + (f" ± {error:.2g}" if error is not None else ""))
         rest = placeholder_sentence(self.details.get("placeholders", {}))
-        remarks = [*(f"#   {sentence}." for sentence in self.details["undetermined"]), *([f"# {rest}"] * bool(rest))]
+        said = [*self.details["undetermined"], *self.details.get("unlike", ())]
+        of_others = [row["name"] for row in self.details["parameters"] if row not in rows]
+        said = [sentence for sentence in said if not any(name in sentence for name in of_others)]
+        remarks = [*(f"#   {sentence}." for sentence in said), *([f"# {rest}"] * bool(rest))]
         return "\n".join([*lines, *remarks, "", ""])
 
     @property

@@ -58,9 +58,10 @@ class FitLogs(NamedTuple):
         file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
         # Of a single log the held-out third must hold enough windows too.
         part = 1 - FITTED if len(set(machines)) == len(jobs) else 1.0
+        count = len(logs) if part == 1.0 else 1
         firsts = [machines.index(machine) for machine in sorted(set(machines))]
         if length is None:
-            length = float(np.median([horizon(logs[k].raw, references[k], part, len(logs)) for k in firsts]))
+            length = float(np.median([horizon(logs[k].raw, references[k], part, count) for k in firsts]))
         document = models.document(jobs[0].model_name, jobs[0].overrides)
         stated = file.input_between != BETWEEN[0] or "between" in document.get("inputs", {})
         # An input that is constant is the same held and linear.
@@ -107,11 +108,15 @@ def _without_outliers(log: Aligned) -> Aligned:
 
 
 def refuse_other_parameters(jobs: list[Job]) -> None:
-    """Raise if the parameters of a log are others than those of the first, with which all logs are predicted."""
-    first = models.document(jobs[0].model_name, jobs[0].overrides).get("parameters") if len(jobs) > 1 else None
-    for job in jobs[1:]:
-        if job.overrides != jobs[0].overrides and models.document(job.model_name, job.overrides)["parameters"] != first:
-            raise ValueError(
-                f"{job.log_name}: its overrides make [parameters] others than those of {jobs[0].log_name}, with which "
-                "all logs are predicted; only robots with servos have known numbers of each log"
-            )
+    """Raise if the parameters or inputs of a log are others than those of the first, with which all logs are
+    predicted."""
+    if len(jobs) < 2 or all(job.overrides == jobs[0].overrides for job in jobs):
+        return
+    first, *others = (models.document(job.model_name, job.overrides) for job in jobs)
+    for job, document in zip(jobs[1:], others, strict=True):
+        for table in ("parameters", "inputs"):
+            if document.get(table) != first.get(table):
+                raise ValueError(
+                    f"{job.log_name}: its overrides make [{table}] others than those of {jobs[0].log_name}, with which "
+                    "all logs are predicted; only robots with servos have known numbers of each log"
+                )

@@ -110,7 +110,7 @@ def fit_to_logs(
     }
     details |= problem.details(best, parts[used][0])
     # A log that is misread says nothing of what it determines.
-    return jobs, contents, details | ({"undetermined": []} if suspicion else {})
+    return jobs, contents, details | ({"undetermined": [], "unlike": []} if suspicion else {})
 
 
 def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:

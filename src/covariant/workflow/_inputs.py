@@ -197,7 +197,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
         try:
             _refuse_misfit(job, file, known, _with_inputs_only(record._replace(y=whole)))
         except MisfitError as error:
-            raise _at_dead_centre(job, kind, file.columns.q, record, whole) or error from None
+            raise _at_dead_centre(job, kind, file.columns.q, record, whole, error) or error from None
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)
@@ -359,7 +359,7 @@ def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Reco
 
 
 def _at_dead_centre(
-    job: Job, kind: Any, columns: Sequence[str], record: Record, whole: np.ndarray
+    job: Job, kind: Any, columns: Sequence[str], record: Record, whole: np.ndarray, error: MisfitError
 ) -> MisfitError | None:
     """The error where the joints with an encoder run into a dead centre, so that the others are not known after it."""
     y = np.asarray(record.y)
@@ -368,11 +368,11 @@ def _at_dead_centre(
         return None
     lacking, names = np.isnan(y).all(axis=0), np.array(columns)
     measured, others = (", ".join(names[mask]) for mask in (~lacking, lacking))
-    at = float(record.t[row] - record.t[0])
+    at = float(record.t[row] - record.t[0]) + (job.start or 0.0)
     return MisfitError(
-        f"{job.log_name}: {at:.3g} s after its start the linkage is at a dead centre of {measured}, where this tells "
-        f"nothing of {others}, and the motion can go on in two ways; measure another joint too, or end the log before, "
-        f"as by `until={0.98 * at:.3g}`"
+        f"{job.log_name}: {at:.3g} s after its start the linkage is at a dead centre of {measured}, where they say "
+        f"nothing about {others}, and the motion can go on in two ways; measure another joint too, or end the log "
+        f"before, as by `until={0.98 * at:.3g}`. Otherwise: {str(error).removeprefix(f'{job.log_name}: ')}"
     )
 
 

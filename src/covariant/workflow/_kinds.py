@@ -34,7 +34,7 @@ CENTRE, SWING = 0.7, 0.2
 OUTLIER_ROW, OUTLIER = 23, 1.5
 """The row of the self-test that a gate has to refuse, and how far it is off [rad or m]."""
 MOST_MOVED = 20.0
-"""How many times as far as a measured joint another one moves near a dead centre; elsewhere it is a few times."""
+"""How many times as far as in half of the log another joint moves with the measured one near a dead centre."""
 USE_TORQUES = "intrinsic-kalman", "ukf"
 """Observers whose noise may depend on the configuration, as that of torques does."""
 WITH_FORCE = "intrinsic-force"
@@ -204,7 +204,8 @@ class InCoordinates(AbstractMechanical):
             return None
         axes, shown = jnp.eye(y.shape[1])[np.flatnonzero(present)], jnp.asarray(present)
         moved = jax.vmap(lambda q: jnp.max(jnp.abs(jax.vmap(lambda e: manifold.shown(q, shown, e))(axes))))
-        near = np.asarray(jax.jit(moved)(jnp.asarray(whole))) > MOST_MOVED
+        ratio = np.asarray(jax.jit(moved)(jnp.asarray(whole)))
+        near = ratio > MOST_MOVED * np.nanmedian(ratio)
         return int(near.argmax()) if near.any() else None
 
     def drawn(self, y: np.ndarray) -> np.ndarray:

@@ -54,6 +54,8 @@ RESTARTS = 2
 """How often a search begins anew from a better place that a profile has found."""
 CONTRADICTION = 4.0
 """Standard errors by which the logs of one machine must contradict a shared number before it is said."""
+LEAST_FREE = 4
+"""Windows that a machine has at least beside those that its numbers take, before it can contradict."""
 MARGIN = 1.5
 """Factor by which friction may come to need more substeps than a search has: the method is stable to 2.8."""
 
@@ -243,27 +245,41 @@ def _conclude(
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
     scale = np.asarray(scale[0] if len(scale) == 1 else scale)
-    unlike = _unlike(family, problem, point, values, slopes)
+    unlike = _unlike(family, problem, point, values, slopes, fixed.directions)
     return Fit(family.names, family.first, values, errors, rows, scale, float(frequency), step_count, tried, unlike)
 
 
 def _unlike(
-    family: Family, problem: "_Predictions", point: Point, values: NumpyArray, slopes: NumpyArray
+    family: Family,
+    problem: "_Predictions",
+    point: Point,
+    values: NumpyArray,
+    slopes: NumpyArray,
+    fixed: Float[NumpyArray, "p p"],
 ) -> tuple[str, ...]:
     """Sentences on shared numbers that one machine alone would have otherwise, by the next step of its own search."""
     sentences, parts = [], np.asarray(family.parts)
-    shared = [j for j in range(len(values)) if len(parts) > 1 and (parts == j).any(axis=1).all()]
+    shared = [j for j in range(len(values)) if (parts == j).any(axis=1).all()]
+    if not shared or len(shared) == parts.shape[1]:  # of one machine, or with nothing of their own
+        return ()
+    machines = np.asarray(problem.windows.machine)
+    # Scores around the mean of their machine, which is the contradiction itself.
+    centred = np.array(point.blocks.z)
+    for machine in np.unique(machines):
+        centred[machines == machine] -= centred[machines == machine].mean(axis=0)
+    joint = block_covariance(centred, point.blocks.information, point.blocks.inverse(fixed))
     for machine, part in enumerate(parts):
-        here = np.asarray(problem.windows.machine) == machine
+        here = machines == machine
+        if np.sum(here) < parts.shape[1] + LEAST_FREE:
+            continue
         blocks = jax.tree.map(lambda leaf, here=here: np.asarray(leaf)[here], point.blocks._replace(rest=None))
-        information, scores = blocks.information[np.ix_(part, part)], blocks.z[:, part]
+        information = blocks.information[np.ix_(part, part)]
         size, axes = np.linalg.eigh(information)
-        told = axes[:, size > max(UNKNOWN**-2, ROUNDING * size[-1])]
+        told = axes[:, size > ROUNDING * size[-1]]
         inverse = told @ np.linalg.inv(told.T @ information @ told) @ told.T
-        change = -inverse @ scores.sum(axis=0)
-        # Around their mean, which is the contradiction itself.
-        covariance = block_covariance(scores - scores.mean(axis=0), information, inverse)
-        error = np.sqrt(np.diagonal(covariance) + UNKNOWN**2 * (1 - np.sum(told**2, axis=1)))
+        change = -inverse @ blocks.z[:, part].sum(axis=0)
+        own = block_covariance(centred[np.ix_(here, part)], information, inverse)
+        error = np.sqrt(np.maximum(np.diagonal(own), 0.0) + np.maximum(np.diagonal(joint)[part], 0.0))
         name = next(family.names[j].partition("@")[2] for j in part if j not in shared)
         sentences += [
             f"{family.names[j]} is shared, but the logs of {name} alone change it by {change[k] * slopes[j]:+.2g} "

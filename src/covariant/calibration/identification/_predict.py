@@ -183,7 +183,10 @@ def _machine_errors(make: Any, values: Any, windows: Windows) -> PredictionError
     later = seen & (np.arange(seen.shape[1]) > 0)[:, None]
     after_seen = later[:, 1:] & seen[:, :-1]
     if after_seen.any():  # a reading far off shows within one step, in which a poor model hardly errs
-        limit = FAR * np.nanquantile(np.where(after_seen, single**2, np.nan), 0.9, axis=(0, 1))
+        squares, limit = np.where(after_seen, single**2, np.nan), np.full((len(single), 1, single.shape[2]), np.inf)
+        for m in np.unique(machine):  # a machine that is predicted badly is no reading far off
+            if after_seen[machine == m].any():
+                limit[machine == m] = FAR * np.nanquantile(squares[machine == m], 0.9, axis=(0, 1))
         jumps = after_seen & (single**2 > limit)
         # Readings are off from one jump to the one back, or to the end of a window that starts from such a reading.
         off = np.cumsum(np.where(jumps, single, 0.0), axis=1) ** 2 > limit

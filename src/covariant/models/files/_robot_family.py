@@ -159,7 +159,9 @@ class RobotFamily(NamedTuple):
     def linear_names(self) -> tuple[str, ...]:
         """Names of `linear`: `inertia.hand.mx` is a first moment, `inertia.hand.Ixx` is about the link's origin."""
         return tuple(
-            n.name if n.group != "inertia" else ".".join([n.group, n.target, LINEAR[OF_INERTIA.index(n.number)]])
+            n.name
+            if n.group != "inertia"
+            else ".".join([n.group, n.target, LINEAR[OF_INERTIA.index(n.number)]]) + f"@{n.machine}" * bool(n.machine)
             for n in self.numbers
         )
 
