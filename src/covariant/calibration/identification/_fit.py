@@ -21,15 +21,14 @@ from jaxtyping import Array, Bool, Float
 from covariant.calibration._least_squares import (
     MOST_STEPS,
     PRIOR,
-    ROUNDING,
     UNKNOWN,
     Blocks,
     Fixed,
     Point,
-    block_covariance,
     combination_rows,
     minimise,
 )
+from covariant.calibration.identification._contradictions import contradictions
 from covariant.calibration.identification._innovations import Weighing, frequencies, innovations, weighing
 from covariant.calibration.identification._predict import differences, follow, lagged, needed_substeps
 from covariant.calibration.identification._regression import starts
@@ -52,10 +51,6 @@ FAR, PROFILE_STEPS = 8.0, 10
 """Factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
 RESTARTS = 2
 """How often a search begins anew from a better place that a profile has found."""
-CONTRADICTION = 4.0
-"""Standard errors by which the logs of one machine must contradict a shared number before it is said."""
-LEAST_FREE = 4
-"""Windows that a machine has at least beside those that its numbers take, before it can contradict."""
 MARGIN = 1.5
 """Factor by which friction may come to need more substeps than a search has: the method is stable to 2.8."""
 
@@ -245,50 +240,8 @@ def _conclude(
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
     scale = np.asarray(scale[0] if len(scale) == 1 else scale)
-    unlike = _unlike(family, problem, point, values, slopes, fixed.directions)
+    unlike = contradictions(family, problem.windows, point.blocks, values, slopes, fixed.directions)
     return Fit(family.names, family.first, values, errors, rows, scale, float(frequency), step_count, tried, unlike)
-
-
-def _unlike(
-    family: Family,
-    problem: "_Predictions",
-    point: Point,
-    values: NumpyArray,
-    slopes: NumpyArray,
-    fixed: Float[NumpyArray, "p p"],
-) -> tuple[str, ...]:
-    """Sentences on shared numbers that one machine alone would have otherwise, by the next step of its own search."""
-    sentences, parts = [], np.asarray(family.parts)
-    shared = [j for j in range(len(values)) if (parts == j).any(axis=1).all()]
-    if not shared or len(shared) == parts.shape[1]:  # of one machine, or with nothing of their own
-        return ()
-    machines = np.asarray(problem.windows.machine)
-    # Scores around the mean of their machine, which is the contradiction itself.
-    centred = np.array(point.blocks.z)
-    for machine in np.unique(machines):
-        centred[machines == machine] -= centred[machines == machine].mean(axis=0)
-    joint = block_covariance(centred, point.blocks.information, point.blocks.inverse(fixed))
-    for machine, part in enumerate(parts):
-        here = machines == machine
-        if np.sum(here) < parts.shape[1] + LEAST_FREE:
-            continue
-        blocks = jax.tree.map(lambda leaf, here=here: np.asarray(leaf)[here], point.blocks._replace(rest=None))
-        information = blocks.information[np.ix_(part, part)]
-        size, axes = np.linalg.eigh(information)
-        told = axes[:, size > ROUNDING * size[-1]]
-        inverse = told @ np.linalg.inv(told.T @ information @ told) @ told.T
-        change = -inverse @ blocks.z[:, part].sum(axis=0)
-        own = block_covariance(centred[np.ix_(here, part)], information, inverse)
-        error = np.sqrt(np.maximum(np.diagonal(own), 0.0) + np.maximum(np.diagonal(joint)[part], 0.0))
-        name = next(family.names[j].partition("@")[2] for j in part if j not in shared)
-        sentences += [
-            f"{family.names[j]} is shared, but the logs of {name} alone change it by {change[k] * slopes[j]:+.2g} "
-            f"± {error[k] * abs(slopes[j]):.1g} from {values[j]:.4g}: let each machine have its own, or look for "
-            "another number in which this machine differs"
-            for k, j in enumerate(part)
-            if j in shared and abs(change[k]) > CONTRADICTION * error[k]
-        ]
-    return tuple(sentences)
 
 
 def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -> Fit:
