@@ -13,7 +13,7 @@ from covariant.cli import main
 from covariant.observers import IntrinsicKalman, MomentumObserver, external_force, observed_forces, wrench
 from covariant.workflow._compare_force import _Force
 from covariant.workflow._force_rivals import _held, _lagged
-from covariant.workflow._simulated_log import _pushes
+from covariant.workflow._simulated_log import pushes
 
 FORCES = "true_external_force1"
 NOISE = {"measurement.std": 1e-4, "uncertainty.acceleration": 0.1}
@@ -60,7 +60,7 @@ def test_simulated_pushes_are_what_moves_the_machine(compared):
 
 def test_pushes_are_on_each_joint_in_turn_and_change_sign():
     times = jnp.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.5, 5.5, 7.5, 9.5])
-    forces = np.stack([_pushes(t, jnp.array([0.5, 0.2])) for t in times])
+    forces = np.stack([pushes(t, jnp.array([0.5, 0.2])) for t in times])
     first, second = [0, 0, 0.5, 0, 0, 0, -0.5, 0, 0.5], [0, 0, 0, 0, 0, 0.2, 0, -0.2, 0]
     np.testing.assert_allclose(forces, np.stack([first, second], axis=1), atol=1e-12)
 
