@@ -8,7 +8,7 @@ import pytest
 
 import covariant
 from covariant.calibration.identification import held_out_logs
-from covariant.workflow import FitResult, fit, over_logs
+from covariant.workflow import FitResult, check_machine_files, fit, over_logs
 from covariant.workflow._inputs import Job
 
 FRICTION = {"arm1": 0.05, "arm2": 0.12, "arm3": 0.3}
@@ -169,6 +169,14 @@ def test_each_machine_has_a_file_with_its_numbers(tmp_path):
     with pytest.raises(ValueError, match=r"fitted_arm2\.toml: there is such a file already"):
         result.save(tmp_path / "fitted.toml")
     assert not (tmp_path / "fitted_arm1.toml").exists()
+
+
+def test_a_file_of_a_machine_that_exists_is_refused_before_the_fit(tmp_path):
+    (tmp_path / "fitted_right.toml").write_text("mine\n")
+    logs = [tmp_path / machine / "log.csv" for machine in ("left", "right")]
+    with pytest.raises(ValueError, match=r"fitted_right\.toml: there is such a file already"):
+        check_machine_files("oscillator", tmp_path / "fitted.toml", logs)
+    check_machine_files("oscillator", tmp_path / "fitted.toml", logs[:1])
 
 
 def test_what_cannot_be_of_each_machine_is_refused(tmp_path):

@@ -13,7 +13,7 @@ from covariant.cli._signature import REQUIRED
 from covariant.cli._terminal import say
 from covariant.logs import WRITTEN
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
-from covariant.workflow import FIGURES, TABLES, check_model_output, check_output
+from covariant.workflow import FIGURES, TABLES, check_machine_files, check_model_output, check_output
 
 
 def _estimate(call: Invocation, smooth: bool, lag: float | None, **places: Any) -> Any:
@@ -34,8 +34,11 @@ def _compare(call: Invocation, force: str | None, report: Path | None, out: Path
 def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
     model, parameters = call.values["model"], call.values["parameters"].split(",")
     inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
-    # Files of machines have names of their own, which the result knows.
-    check_model_output(model, out, overwrite or "each" in call.values, urdf=inertias and not model.endswith(".xml"))
+    urdf = inertias and not model.endswith(".xml")
+    if out is not None and "each" in call.values:
+        check_machine_files(model, out, call.values["log"], overwrite, urdf)
+    else:
+        check_model_output(model, out, overwrite, urdf)
     result = call()
     return call.show(result, out if result.better else None, report, overwrite=overwrite)
 

@@ -15,7 +15,7 @@ from ._doctor import DoctorResult as DoctorResult, doctor as doctor
 from ._estimate import EstimateResult as EstimateResult, estimate as estimate
 from ._excitation import ExcitationResult as ExcitationResult, design_excitation as design_excitation
 from ._export import ExportResult as ExportResult, export as export
-from ._fit import FitResult as FitResult, fit as fit
+from ._fit import FitResult as FitResult, check_machine_files as check_machine_files, fit as fit
 from ._init import InitResult as InitResult, init as init
 from ._inputs import MisfitError as MisfitError
 from ._metric import MetricResult as MetricResult, design_metric as design_metric

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
@@ -116,6 +116,19 @@ def _folders(logs: Sequence[Any]) -> list[str]:
     names = {folder: Path(folder).resolve().name for folder in folders}
     unique = {folder for folder, name in names.items() if list(names.values()).count(name) == 1}
     return [names[folder] if folder in unique else folder.replace(os.sep, "_") for folder in folders]
+
+
+def _files(path: Path, machines: Iterable[str]) -> list[Path]:
+    """The model file of each machine with numbers of its own, where `path` is asked for."""
+    return [path.with_stem(f"{path.stem}_{machine}") for machine in dict.fromkeys(machines)]
+
+
+def check_machine_files(
+    model: Any, path: Path, logs: Sequence[Any], overwrite: bool = False, urdf: bool = False
+) -> None:
+    """Check that the model file of each machine may be written, before anything is computed."""
+    for each in _files(path, _folders(logs)):
+        check_model_output(model, each, overwrite, urdf)
 
 
 def _of_each_log(overrides: Any, count: int) -> list[Overrides]:
@@ -249,7 +262,7 @@ class FitResult(AbstractTable):
 
     def written_files(self, path: str | Path) -> list[Path]:
         path = Path(path)
-        return [path.with_stem(f"{path.stem}_{machine}") for machine in self.machines] or [path]
+        return _files(path, self.machines) or [path]
 
     def _head(self, machine: str) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""
