@@ -187,5 +187,23 @@ def test_what_cannot_be_of_each_machine_is_refused(tmp_path):
         fit("oscillator", {"a": record}, "stiffness", each="mass", overrides={"parameters.stiffness": 2.0})
     with pytest.raises(ValueError, match="`each` is for logs that are fitted together"):
         over_logs("fit", "oscillator", [record], parameters="stiffness", each="stiffness")
+    with pytest.raises(ValueError, match=r"overrides make inputs\.lag others than those of record"):
+        fit("oscillator", [record, record], "stiffness", overrides=[{"inputs.lag": lag} for lag in (0.1, 0.2)])
     with pytest.raises(ValueError, match=r"overrides make \[parameters\] others than those of record"):
         fit("oscillator", [record, record], "stiffness", overrides=[{"parameters.stiffness": k} for k in (1.0, 2.0)])
+
+
+def test_each_log_may_have_a_delay_of_its_own():
+    """Inputs that act later in the second log: with its delay both tell one stiffness, without it another."""
+    truth = {"parameters.stiffness": 4.0, "inputs.between": "held"}
+    motion: dict[str, Any] = {"duration": 10.0, "rate": 50.0, "amplitude": 2.0, "noise": 1e-3}
+    delays = ({"inputs.delay": 0.0}, {"inputs.delay": 0.3}, {"inputs.delay": 0.0})
+    logs = [
+        covariant.simulate("oscillator", frequency=0.5, seed=k, overrides=truth | delay, **motion).record
+        for k, delay in enumerate(delays)
+    ]
+    first = {"parameters.stiffness": 3.0, "inputs.between": "held"}
+    told = fit("oscillator", logs, "stiffness", overrides=[first | delay for delay in delays])
+    untold = fit("oscillator", logs, "stiffness", overrides=first, anyway=True)
+    assert abs(told.values[0] - 4.0) < 4 * told.standard_errors[0] < 0.1
+    assert abs(untold.values[0] - 4.0) > 10 * abs(told.values[0] - 4.0)

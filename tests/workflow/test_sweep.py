@@ -72,7 +72,7 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
         ("rate = 50.0\n[start]\nq2 = 1.0\n", "unknown state"),
         ("rate = -50.0\n", "rate must be samples a second"),
         ('rate = 50.0\ngate = "no"\n', "gate must be true or false"),
-        ("rate = 50.0\npush = [1.0, 2.0]\n", "push: the model has 1 of them"),
+        ("rate = 50.0\npush = [1.0, 2.0]\n", "push needs 1 finite numbers, for v1"),
         ('rate = 50.0\nfeedback = "math:pi"\n', "feedback math:pi: with a time and a state"),
         ("rate = 50.0\nstart = 3\n", "start must be a table"),
         ("rate = 50.0\nfeedback = {function = 'math:pi'}\n", "feedback must be"),

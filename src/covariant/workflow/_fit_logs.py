@@ -1,7 +1,8 @@
 """The logs of a fit: which machine each is of, which are held out, how inputs may go between their stamps."""
 
+from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -107,16 +108,22 @@ def _without_outliers(log: Aligned) -> Aligned:
     return log._replace(raw=log.raw._replace(y=np.where(outliers(t, y, circles)[0], np.nan, y)))
 
 
-def refuse_other_parameters(jobs: list[Job]) -> None:
-    """Raise if the parameters or inputs of a log are others than those of the first, with which all logs are
-    predicted."""
+def refuse_other_parameters(jobs: list[Job], shared: Collection[str]) -> None:
+    """Raise if the parameters of a log, or `shared` keys of its inputs, are others than those of the first, with which
+    all logs are predicted; delays are those of each log."""
     if len(jobs) < 2 or all(job.overrides == jobs[0].overrides for job in jobs):
         return
-    first, *others = (models.document(job.model_name, job.overrides) for job in jobs)
-    for job, document in zip(jobs[1:], others, strict=True):
-        for table in ("parameters", "inputs"):
-            if document.get(table) != first.get(table):
+
+    def of_all(job: Job) -> dict[str, Any]:
+        document = models.document(job.model_name, job.overrides)
+        inputs = document.get("inputs", {})
+        return {"[parameters]": document.get("parameters"), **{f"inputs.{key}": inputs.get(key) for key in shared}}
+
+    first, *others = map(of_all, jobs)
+    for job, own in zip(jobs[1:], others, strict=True):
+        for name, value in own.items():
+            if value != first[name]:
                 raise ValueError(
-                    f"{job.log_name}: its overrides make [{table}] others than those of {jobs[0].log_name}, with which "
+                    f"{job.log_name}: its overrides make {name} others than those of {jobs[0].log_name}, with which "
                     "all logs are predicted; only robots with servos have known numbers of each log"
                 )

@@ -161,7 +161,7 @@ class _PredictionProblem(NamedTuple):
     def read(
         cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
     ) -> "_PredictionProblem":
-        refuse_other_parameters(jobs)
+        refuse_other_parameters(jobs, ("between", "lag"))
         family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
             machines, of_log = own.numbered
@@ -232,7 +232,7 @@ class _RobotProblem(NamedTuple):
     def read(
         cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
     ) -> "_RobotProblem":
-        refuse_other_parameters(jobs)
+        refuse_other_parameters(jobs, ("between",))
         family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
             machines, of_log = own.numbered

@@ -16,6 +16,7 @@ from covariant._compile import compiler
 from covariant._names import unknown
 from covariant.metrics import Variable
 from covariant.observers import with_velocity
+from covariant.workflow._arguments import numbers
 from covariant.workflow._design import design
 from covariant.workflow._simulated_log import DETUNED, pushed, pushes
 from covariant.workflow._study import Axis, Study, designed_with, of_run, parse_study
@@ -165,7 +166,7 @@ def _compiled(runs: Runs) -> _Machine:
         for key in keys
     }
     rates, durations = (np.array([float({**content, **each}[key]) for each in designs]) for key in ("rate", "duration"))
-    largest = [_each("push", {**content, **each}.get("push", 0.0), n) for each in designs]
+    largest = [numbers("push", {**content, **each}.get("push", 0.0), names[n:], one=True) for each in designs]
     inputs = models.input_count(model, n)
     files = [models.load(plan.model, overrides | designed_with(each)) for each in designs]
     for each in files:
@@ -206,16 +207,9 @@ def _inputs(content: Mapping[str, Any], model: Any, count: int, n: int) -> Calla
         if shape != (count,):
             raise ValueError(f"feedback {spec}: it must return the inputs ({count},) of the model; it returned {shape}")
         return lambda t, q, v: jnp.asarray(feedback(t, jnp.concatenate([q, v])), float)
-    amplitude = _each("amplitude", content.get("amplitude", 0.0), count)
+    amplitude = numbers("amplitude", content.get("amplitude", 0.0), [f"u{k + 1}" for k in range(count)], one=True)
     omega = 2 * np.pi * content.get("frequency", 0.5) * (1 + DETUNED * np.arange(count))
     return lambda t, q, v: jnp.asarray(amplitude) * jnp.sin(jnp.asarray(omega) * t)
-
-
-def _each(key: str, value: Any, count: int) -> np.ndarray:
-    """One number for all, or one for each."""
-    if isinstance(value, list) and len(value) != count:
-        raise ValueError(f"{key}: the model has {count} of them; got {value}")
-    return np.broadcast_to(np.asarray(value, float), (count,))
 
 
 def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noisy: bool) -> _Family:
