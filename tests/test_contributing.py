@@ -22,7 +22,7 @@ def followed() -> dict[str, str]:
     files: dict[str, str] = {}
     for language, name, text in re.findall(r'```(\w+) title="(.+?)"\n(.*?)```', PAGE, re.DOTALL):
         if language == "python":
-            assert not (ROOT / name).exists() and name not in files, f"{name} is there already"
+            assert not (ROOT / name).exists(), f"{name} is there already"
             files[name] = text
             continue
         lines = text.splitlines(keepends=True)
