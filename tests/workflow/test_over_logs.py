@@ -185,3 +185,13 @@ def test_numbers_of_many_logs_are_shared_differ_or_drift():
     assert len(drifts) == 1
     assert drifts[0].startswith("  viscous drifts on arm3: +0.05")
     assert sum(line.startswith("mass = 1.0") for line in found) == 1
+
+
+def test_a_page_has_a_thousand_rows_and_says_where_the_others_are(tmp_path):
+    rows = [LogRow(f"log{k}.csv", {"rows": 10.0}) for k in range(1200)]
+    rows[1100].row["failed"] = "no rows"
+    workflow.LogsResult("estimate", "oscillator", rows).report(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("<td>log") == 1000
+    assert "200 more logs are in the table" in page
+    assert "<td>log1100.csv" in page, "what failed comes first"

@@ -93,6 +93,9 @@ def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
         ("noise = [0.1, 0.2]\n[[axes.case]]\nnoise = 0.1\n[[axes.case]]\nnoise = 0.2", "in two axes"),
         ('"start.q1" = {low = 0.0, high = 1.0, count = 2.5}', "must be a whole number"),
         ("[[axes.case]]\nnois = 0.1\n[[axes.case]]\nnoise = 0.2", "unknown table or key 'nois'"),
+        ("[axes.case]\nnoise = [0.1, 0.2]\nrate = [50.0]", "need one length; got noise 2, rate 1"),
+        ("[axes.case]\nnoise = [0.1]", "needs a list of two values"),
+        ("[axes.case]\nnoise = [0.1, 0.2]\nrate = 50.0", "or lists by key"),
         ("draw = 2.5", "must be a number of draws"),
         ("draw = [1, 5]", "must be a number of draws"),
         ("[[axes.error]]\nnoise = 0.1\n[[axes.error]]\nnoise = 0.2", "it is taken"),
@@ -165,9 +168,15 @@ def test_a_model_file_that_has_changed_is_read_anew(tmp_path):
     assert not np.allclose(*errors)
 
 
-def test_noise_of_tables_and_rates_are_crossed(tmp_path):
-    axes = 'rate = [25.0, 100.0]\ndraw = 20\n[[axes.size]]\nname = "small"\nnoise = 1e-3\n'
-    axes += '[[axes.size]]\nname = "large"\nnoise = 1e-1\n'
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        '[axes.size]\nname = ["small", "large"]\nnoise = [1e-3, 1e-1]',
+        '[[axes.size]]\nname = "small"\nnoise = 1e-3\n[[axes.size]]\nname = "large"\nnoise = 1e-1\n',
+    ],
+)
+def test_noise_of_tables_and_rates_are_crossed(tmp_path, sizes):
+    axes = f"rate = [25.0, 100.0]\ndraw = 20\n{sizes}"
     table = run(tmp_path, axes, HEAD.replace(', "intrinsic-kalman"', "")).columns
     assert list(zip(table["rate"], table["size"], strict=True)) == [
         (rate, size) for rate in (25.0, 100.0) for size in ("small", "large")

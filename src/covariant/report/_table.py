@@ -75,7 +75,8 @@ def _column(values: list[object]) -> list[str]:
     sizes = [abs(float(v)) for v in values if _is_number(v) and math.isfinite(v) and v]
     # Outside this range, or over four decades, decimals are long or lose digits: then each number is in %.4g.
     alike = bool(sizes) and min(sizes) >= 1e-4 and max(sizes) < min(1e7, 1e4 * min(sizes))
-    return [_text(value, _decimals(sizes) if alike else None) for value in values]
+    decimals = _decimals(sizes) if alike else None
+    return [_text(value, decimals) for value in values]
 
 
 def _decimals(sizes: list[float]) -> int:

@@ -35,6 +35,8 @@ CHUNKS_A_WORKER = 16
 """Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
 LEAST_COST = 2e6
 """Bytes of logs that are a chunk at least."""
+ON_PAGE = 1000
+"""Rows of the page at most: a browser is slow with more."""
 WRITE_EVERY = 1.0
 """Seconds from one file of rows to the next: what is lost when the run is killed, and files are slow."""
 
@@ -148,7 +150,7 @@ def over_logs(
             table.write(fresh)
     for row in rows.values():
         row.pop("saved", None)
-    result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases])
+    result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases], out and Path(out))
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")
@@ -301,6 +303,7 @@ class LogsResult(AbstractTable):
         verb: The verb, such as "check".
         model_name: The model, by its path or name.
         each: Rows of the logs, each with the name of its log, in their order.
+        out: Folder of the table, the page and the files of the logs, if they were written.
 
     Example:
         >>> import covariant
@@ -313,6 +316,7 @@ class LogsResult(AbstractTable):
     verb: str
     model_name: str
     each: list[LogRow]
+    out: Path | None = None
 
     @property
     def failed(self) -> dict[str, str]:
@@ -345,7 +349,8 @@ class LogsResult(AbstractTable):
     @property
     def summary(self) -> dict[str, Any]:
         rows = [{"log": name, **row} for name, row in self.each]
-        return {"verb": self.verb, "model": self.model_name, "logs": rows, "failed": self.failed, "among": self._among}
+        found = {"verb": self.verb, "model": self.model_name, "logs": rows, "failed": self.failed, "among": self._among}
+        return found if self.out is None else found | {"out": str(self.out)}
 
     @property
     def headline(self) -> str:
@@ -356,7 +361,8 @@ class LogsResult(AbstractTable):
     def _blocks(self) -> list[Any]:
         # Those to look at first.
         rows = sorted(self.each, key=lambda each: not ("failed" in each.row or each.row.get("wrong")))
-        return ["# Logs", [{"log": name, **row} for name, row in rows]]
+        more = [f"{len(rows) - ON_PAGE} more logs are in the table (.csv)."] if len(rows) > ON_PAGE else []
+        return ["# Logs", [{"log": name, **row} for name, row in rows[:ON_PAGE]], *more]
 
     written = (".csv",)
 
@@ -370,4 +376,5 @@ class LogsResult(AbstractTable):
         return write_result_page(path, title, self, self._blocks, {"model": self.model_name})
 
     def __str__(self) -> str:
-        return "\n".join([f"{self.headline}, by {self.model_name}", *self.warnings])
+        wrote = [] if self.out is None else [f"wrote {self.out / self.verb}.csv, {self.out / self.verb}.html"]
+        return "\n".join([f"{self.headline}, by {self.model_name}", *self.warnings, *wrote])

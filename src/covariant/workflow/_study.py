@@ -207,11 +207,17 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
         content["feedback"] = {"function": content["feedback"], "folder": str(folder.absolute())}
     axes = []
     for key, values in content["axes"].items():
-        if isinstance(values, Mapping):
+        if isinstance(values, Mapping) and values and all(isinstance(each, list) for each in values.values()):
+            lengths = {each: len(list_) for each, list_ in values.items()}
+            if len(set(lengths.values())) > 1:
+                counts = ", ".join(f"{each} {count}" for each, count in lengths.items())
+                raise ValueError(f"{name}: lists of axes.{key} vary together, and need one length; got {counts}")
+            values = [dict(zip(values, together, strict=True)) for together in zip(*values.values(), strict=True)]
+        elif isinstance(values, Mapping):
             try:
                 low, high, count = (float(values[end]) for end in ("low", "high", "count"))
             except (KeyError, TypeError, ValueError) as error:
-                raise ValueError(f"{name}: axes.{key} needs a list, or {{low, high, count}}") from error
+                raise ValueError(f"{name}: axes.{key} needs a list, {{low, high, count}}, or lists by key") from error
             if count < 2 or count != int(count):
                 raise ValueError(
                     f"{name}: count of axes.{key} must be a whole number from 2 on; got {values['count']!r}"
