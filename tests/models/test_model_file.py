@@ -523,3 +523,17 @@ def test_on_a_group_each_velocity_has_its_own_force():
     assert load(top, sizes).external_force_std == (1.0, 2.0, 3.0)
     with pytest.raises(ModelError, match=r"external_force_std lists 2 numbers; give 3"):
         load(top, {**sizes, "uncertainty.external_force_std": [1.0, 2.0]})
+
+
+def test_a_model_is_loaded_once_where_its_files_do_not_change(tmp_path):
+    path, kept = tmp_path / "spring.toml", {}
+    path.write_text('system = "oscillator"\n[measurement]\nstd = 1e-3\n')
+    with models.loaded_once(kept):
+        first = models.load(path)
+        path.write_text('system = "oscillator"\n[measurement]\nstd = 2e-3\n')
+        assert models.load(str(path)) is first
+        assert models.load(path, ["measurement.std=3e-3"]).measurement_std == 3e-3, "other numbers are another model"
+        for k in range(20):
+            models.load(path, {"measurement.std": 0.1 + k})
+    assert len(kept) < 10, "a caller may try other numbers without end"
+    assert models.load(path).measurement_std == 2e-3

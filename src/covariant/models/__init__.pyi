@@ -36,6 +36,7 @@ from .files import (
     from_recipe as from_recipe,
     is_robot_number as is_robot_number,
     load as load,
+    loaded_once as loaded_once,
     override as override,
     rebuild as rebuild,
     recipe as recipe,

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from covariant import workflow
+from covariant import models, workflow
 from covariant._cases import CaseTable, Crew, content_hash, run_chunks
 from covariant.logs import source_name
 from covariant.workflow._among_logs import LogRow, among_logs
@@ -79,7 +79,7 @@ def over_logs(
 
     Example:
         >>> import covariant
-        >>> from covariant import workflow
+        >>> from covariant import models, workflow
         >>> logs = [covariant.simulate("oscillator", duration=2.0, noise=1e-4, q0=[q]).record for q in (1.0, 2.0)]
         >>> result = workflow.over_logs("estimate", "oscillator", [*logs, "lost.csv"], alpha=40.0, beta=800.0)
         >>> result
@@ -243,7 +243,13 @@ class _Work(NamedTuple):
     settings: dict[str, Any]
 
     def __call__(self) -> Callable[[Sequence[_Case]], dict[str, dict[str, Any]]]:
-        return lambda chunk: {case.key: self.row(case) for case in chunk}
+        kept: dict[Any, models.ModelFile] = {}
+
+        def rows(chunk: Sequence[_Case]) -> dict[str, dict[str, Any]]:
+            with models.loaded_once(kept):
+                return {case.key: self.row(case) for case in chunk}
+
+        return rows
 
     def row(self, case: _Case) -> dict[str, Any]:
         """Row of a log, or why it has none."""

@@ -6,7 +6,13 @@ from ._file import (
     recipe_text as recipe_text,
     servo_tables as servo_tables,
 )
-from ._load import load as load, rebuild as rebuild, recipe as recipe, spec_name as spec_name
+from ._load import (
+    load as load,
+    loaded_once as loaded_once,
+    rebuild as rebuild,
+    recipe as recipe,
+    spec_name as spec_name,
+)
 from ._model_file import ModelError as ModelError, ModelFile as ModelFile
 from ._rewrite import rewrite as rewrite
 from ._robot_family import (

@@ -1,5 +1,8 @@
 """Models from files, from modules, or by name."""
 
+import contextlib
+from collections.abc import Iterator
+from contextvars import ContextVar
 from os import PathLike, fspath
 from typing import Any
 
@@ -9,6 +12,33 @@ from covariant.models.files._file import document, finish, finish_object, from_r
 from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._source import Model
 from covariant.models.files._toml import Overrides
+
+_KEPT: ContextVar[dict[tuple[str, str], ModelFile] | None] = ContextVar("models that are loaded once", default=None)
+
+MOST_KEPT = 8
+"""Models that are kept at most: a caller may try other numbers on each log."""
+
+
+@contextlib.contextmanager
+def loaded_once(kept: dict[tuple[str, str], ModelFile]) -> Iterator[None]:
+    """Context in which a model that is in `kept` is not loaded again, so that what was compiled for it serves again.
+
+    Use it if one model is loaded for each of many logs, and its files do not change meanwhile.
+
+    Args:
+        kept: Models that were loaded in such a context; the first few that are loaded are added.
+
+    Example:
+        >>> from covariant import models
+        >>> with models.loaded_once({}):
+        ...     models.load("oscillator") is models.load("oscillator")
+        True
+    """
+    token = _KEPT.set(kept)
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
 
 
 def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = ()) -> ModelFile:
@@ -46,8 +76,16 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
             return finish_object(spec, content)
         if not isinstance(spec, str | PathLike):
             raise ValueError("a model is a file, a name, module:attribute, a system or a ModelFile")
+        kept = _KEPT.get()
+        key = name, repr(overrides)
+        if kept is not None and key in kept:
+            return kept[key]
         file = finish(name, document(name, overrides))
-    return file._replace(family=family(name, tuple(file.uncertain), overrides)) if file.uncertain else file
+    if file.uncertain:
+        file = file._replace(family=family(name, tuple(file.uncertain), overrides))
+    if kept is not None and len(kept) < MOST_KEPT:
+        kept[key] = file
+    return file
 
 
 def spec_name(spec: Any) -> str:
