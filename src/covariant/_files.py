@@ -125,7 +125,9 @@ def sweep(path: Path) -> None:
     """Remove the temporary files of `path` whose writers were killed; those of living writers stay."""
     ours = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.tmp")
     with contextlib.suppress(OSError):
-        for left in [other for other in path.parent.iterdir() if ours.fullmatch(other.name)]:
+        # By name alone, as a folder may have very many files.
+        names = [name for name in os.listdir(path.parent) if name.startswith(".") and ours.fullmatch(name)]
+        for left in map(path.with_name, names):
             with _lock_descriptor(left) as lock:
                 if _take(lock, "EX", wait=False):
                     _remove(left)
