@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import covariant
 from covariant import workflow
 from covariant.cli import main
 from covariant.workflow._among_logs import LogRow, among_logs
+from covariant.workflow._model_output import model_hash
 
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.2}
 
@@ -77,6 +79,13 @@ def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path)
     assert changed.columns["innovation_rms1"][1] == changed.columns["innovation_rms1"][0]
     assert run(alpha=50.0)[1] == "estimate: 0 of 3 logs"
     assert run()[1] == "estimate: 0 of 3 logs", "its files are those of the other gain"
+    smoothed = workflow.over_logs("smooth", "oscillator", names[:1], overrides=NOISE, out=tmp_path / "out")
+    assert smoothed.each[0].row["file"] != first.each[0].row["file"], "verbs share a folder"
+    assert run()[1] == "estimate: 3 of 3 logs"
+    Path(names[0]).write_bytes(b"no log")
+    assert set(run()[0].failed) == {str(names[0])}
+    assert not (tmp_path / "out" / first.each[0].row["file"]).exists(), "it is of a log that is no more"
+    shutil.copy(logs[2], names[0])
     alone = covariant.estimate("oscillator", names[0], overrides=NOISE, alpha=40.0, beta=800.0)
     assert first.each[0].row["innovation_rms1"] == alone.summary["innovation_rms"][0]
     assert (
@@ -112,6 +121,32 @@ def test_the_file_of_a_log_depends_on_no_other_log(logs, tmp_path):
     assert run(tmp_path / "moved", *names) == (files[2::-1], "estimate: 3 of 3 logs")
 
 
+@pytest.mark.parametrize("model", ["arm.toml", "arm:made", "robot.xml"])
+def test_the_hash_of_a_model_is_of_all_files_that_it_is_read_from(tmp_path, monkeypatch, model):
+    monkeypatch.chdir(tmp_path)
+    files = {
+        "arm.toml": 'system = "arm:made"',
+        "arm.py": "import numpy\nimport helper\n",
+        "helper.py": "from parts.link import MASS\n",
+        "parts/__init__.py": "",
+        "parts/link.py": "MASS = 1.0\n",
+        "robot.xml": '<mujoco><compiler meshdir="meshes"/><include file="leg.xml"/></mujoco>',
+        "leg.xml": '<mujoco><asset><mesh name="foot" file="foot.stl"/></asset></mujoco>',
+        "foot.stl": "solid",
+    }
+    for name, text in files.items():
+        Path(name).parent.mkdir(exist_ok=True)
+        Path(name).write_text(text)
+    before = model_hash(model)
+    beside = {"arm.toml": "arm.toml", "arm:made": "arm.py", "robot.xml": "leg.xml"}[model]
+    for name in (beside, "foot.stl" if model == "robot.xml" else "parts/link.py"):
+        text = Path(name).read_text()
+        Path(name).write_text(text + " ")
+        assert model_hash(model) != before
+        Path(name).write_text(text)
+        assert model_hash(model) == before
+
+
 def test_a_scheduler_has_its_own_workers():
     with pytest.raises(ValueError, match="give scheduler or workers, not both"):
         workflow.over_logs("check", "oscillator", ["log.csv"], workers=2, scheduler="tcp://localhost:1")
@@ -135,14 +170,14 @@ def test_logs_that_are_unlike_the_others_are_named():
         LogRow(f"arm{k % 2}/log{k // 2:02d}.csv", {"nis": float(np.exp(0.1 * rng.normal())), "wrong": ""})
         for k in range(40)
     ]
-    assert among_logs(rows) == ()
+    assert among_logs(rows) == ((), {})
     rows[5].row["nis"] = 30.0
     for k in range(20, 40, 2):
         rows[k].row["wrong"] = "delay of inputs"
     rows[3].row["wrong"] = rows[8].row["wrong"] = "unit of q1"
-    found = among_logs(rows)
+    found = among_logs(rows).sentences
     assert found[0] == "WRONG delay of inputs in 10 of 40 logs: all of arm0 from log10.csv on, and none before"
-    assert found[1] == "WRONG unit of q1 in 2 of 40 logs: arm1/log01.csv; arm0/log04.csv"
+    assert found[1] == "WRONG unit of q1 in 2 of 40 logs: arm0/log04.csv; arm1/log01.csv"
     assert re.fullmatch(r"ODD nis in 1 of 28 logs \(30, median [\d.]+\): arm1/log02.csv", found[2])
     assert len(found) == 3
 
@@ -156,14 +191,14 @@ def test_many_logs_of_a_machine_are_one_phrase():
     rows[22].row["failed"] = "no column 'q2'"
     for k in range(2, 9):
         rows[k].row["failed"] = f"{rows[k].name} leaves {k}.5e-3 %"
-    assert among_logs(rows) == (
+    assert among_logs(rows).sentences == (
         "FAILED 7 of 40 logs: 7 of the 10 of arm0, the first log2.csv. The first: arm0/log2.csv leaves 2.5e-3 %",
         "arm2/log1.csv: no column 'q1'",
         "arm2/log2.csv: no column 'q2'",
         "WRONG unit of time in 17 of 31 logs: all 10 of arm1; 7 of the 10 of arm3, the first log0.csv",
     ), "and none is odd for what is wrong with it"
     alone = [LogRow(f"log{k}.csv", {"failed": "no rows"}) for k in range(9)]
-    assert among_logs(alone) == ("FAILED 9 of 9 logs: all 9. The first: no rows",)
+    assert among_logs(alone).sentences == ("FAILED 9 of 9 logs: all 9. The first: no rows",)
 
 
 def test_numbers_of_many_logs_are_shared_differ_or_drift():
@@ -180,11 +215,69 @@ def test_numbers_of_many_logs_are_shared_differ_or_drift():
         )
         for k in range(300)
     ]
-    found = among_logs(rows)
+    found = among_logs(rows).sentences
     drifts = [line for line in found if "drifts" in line]
     assert len(drifts) == 1
     assert drifts[0].startswith("  viscous drifts on arm3: +0.05")
-    assert sum(line.startswith("mass = 1.0") for line in found) == 1
+    assert sum(line.startswith("mass = 1 ±") and "shared by 9 of 10 machines" in line for line in found) == 1
+    assert [line[:14] for line in found if line.startswith("  arm5")] == ["  arm5: +0.3 ±"]
+
+
+@pytest.mark.parametrize("between", [0.0, 0.01, 0.1])
+def test_an_odd_machine_of_a_few_is_named_and_spoils_nothing(between):
+    """Ten spreads off, among ten; and chance is no odd machine."""
+    rng = np.random.default_rng(0)
+
+    def fleet(off):
+        size = np.hypot(between, 0.01)
+        means = 1.0 + between * rng.normal(size=10) + np.where(np.arange(10) == 4, off * size, 0.0)
+        rows = [
+            LogRow(f"arm{k % 10}/log{k // 10}.csv", {"mass": means[k % 10] + 0.01 * rng.normal(), "mass_std": 0.01})
+            for k in range(20)
+        ]
+        return among_logs(rows).sentences
+
+    odd = [fleet(12.0) for _ in range(50)]
+    assert sum(len(lines) == 2 and lines[1].startswith("  arm4: +") for lines in odd) >= 48
+    shared = [float(lines[0].split()[2]) for lines in odd]
+    assert abs(np.mean(shared) - 1.0) < 0.3 * np.hypot(between, 0.01)
+    assert sum(len(fleet(0.0)) > 1 for _ in range(200)) <= 2
+
+
+def test_logs_are_in_the_order_of_their_dates_or_of_the_numbers_in_their_names():
+    names = [f"arm/log{k}.csv" for k in range(14)]
+    rows = [LogRow(name, {"wrong": "unit of time" if k >= 9 else "", "rows": 500.0}) for k, name in enumerate(names)]
+    late = "WRONG unit of time in 5 of 14 logs: all of arm from log9.csv on, and none before"
+    by_shell = sorted(rows)
+    assert by_shell != rows
+    assert among_logs([LogRow(*row) for row in by_shell] + [LogRow("b/log.csv", {})]).sentences == (
+        late.replace("of 14", "of 15"),
+    )
+    dated = [
+        LogRow(f"arm/{chr(110 - k)}.csv", row | {"t_counts_from": f"2026-01-{k + 1:02d}T00:00:00Z"})
+        for k, (_, row) in enumerate(rows)
+    ]
+    assert among_logs([*sorted(dated), LogRow("b/log.csv", {})]).sentences == (
+        "WRONG unit of time in 5 of 15 logs: all of arm from e.csv on, and none before",
+    )
+
+
+def test_a_clock_a_percent_fast_is_odd_and_a_short_or_idle_log_is_not():
+    rows = [
+        LogRow(f"arm{k % 10}/log{k // 10}.csv", {"rows": 500.0, "rate": 250.0 * (1 + 1e-9 * k), "nis": 1.0})
+        for k in range(40)
+    ]
+    for k in range(7, 40, 10):
+        rows[k].row["rate"] = 247.5
+    rows[0].row.update(rows=2.0, nis=30.0)
+    rows[1].row.update(verdict="too little motion", notes="too little motion", wrong="")
+    result = workflow.LogsResult("check", "oscillator", rows)
+    assert result.warnings == (
+        "IDLE 1 of 40 logs, which move too little: arm1/log0.csv",
+        "ODD rate in 4 of 39 logs (247.5, median 250): all 4 of arm7",
+    )
+    assert result.columns["odd"][[7, 8]].tolist() == ["rate", ""]
+    assert not result.wrong
 
 
 def test_a_page_has_a_thousand_rows_and_says_where_the_others_are(tmp_path):

@@ -90,8 +90,10 @@ def log_path(option: str, path: Path) -> Path:
 
 
 def log_paths(option: str, paths: list[Path]) -> list[Path]:
-    """Check that all logs exist."""
-    return [log_path(option, path) for path in paths]
+    """Check that a log exists: of many, one that is missing, or a broken link, is a row, and the others go on."""
+    if not any(path.exists() for path in paths):
+        log_path(option, paths[0])
+    return paths
 
 
 def observer_name(option: str, text: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import stdtrit
 
 FEWEST = 8
 """Fewest logs among which one can be odd."""
@@ -15,6 +16,16 @@ FAR = 6.0
 """Robust standard deviations from the median beyond which a number is odd."""
 LEAST_FACTOR = 1.5
 """Least factor between an odd number and the median, where all logs are nearly alike."""
+LEAST_FACTORS = {"rate": 1.002}
+"""The same of numbers that vary less: clocks are good to a tenth of this."""
+FEWEST_ROWS = 50
+"""Fewest rows of a log whose numbers can be odd and not chance."""
+CHANCE = 1e-3
+"""Probability that of numbers without an outlier one is called so."""
+MOST_OUTLIERS = 100
+"""Most outliers that are looked for."""
+IDLE = "too little motion"
+"""What `check` finds in a log that says nothing of its model, which among many logs is no fault."""
 CLEAR = 4.0
 """Standard errors beyond which an offset or a drift is more than chance, among many logs."""
 JUDGED = ("nis", "nees", "innovation_rms", "velocity_rmse", "state_rmse", "rate")
@@ -30,17 +41,59 @@ class LogRow(NamedTuple):
     row: dict[str, Any]
 
 
-def among_logs(rows: Sequence[LogRow]) -> tuple[str, ...]:
-    """Sentences on what is unlike the rest among the rows of many logs, in the order in which they are given."""
+class Among(NamedTuple):
+    """What is unlike the rest among the rows of many logs.
+
+    Attributes:
+        sentences: What to print.
+        odd: Names of the odd numbers of a log, by the index of its row.
+    """
+
+    sentences: tuple[str, ...]
+    odd: dict[int, list[str]]
+
+
+def among_logs(given: Sequence[LogRow]) -> Among:
+    """Compare the rows of many logs, those of a machine in the order of their dates, or of their names."""
+    order = _in_time(given)
+    rows = [given[k] for k in order]
     failed = [k for k, (_, row) in enumerate(rows) if "failed" in row]
     known = [k for k, (_, row) in enumerate(rows) if "failed" not in row]
-    sound = [k for k in known if not rows[k].row.get("wrong")]
-    return (
+    idle = [k for k in known if rows[k].row.get("verdict") == IDLE]
+    sound = [k for k in known if not rows[k].row.get("wrong") and rows[k].row.get("rows", math.inf) >= FEWEST_ROWS]
+    odd = _odd(rows, sound)
+    by_row: dict[int, list[str]] = defaultdict(list)
+    for name, (_, places) in odd.items():
+        for k in places:
+            by_row[order[k]].append(name)
+    sentences = (
         *_failures(rows, failed),
         *_findings(rows, known),
-        *_odd(rows, sound),
+        *([f"IDLE {len(idle)} of {len(known)} logs, which move too little: {_where(rows, idle, known)}"] * bool(idle)),
+        *(sentence for sentence, _ in odd.values()),
         *_numbers([rows[k] for k in known]),
     )
+    return Among(sentences, dict(by_row))
+
+
+def _in_time(rows: Sequence[LogRow]) -> list[int]:
+    """Indices of the rows by machine and date, or name where a log of the machine has no date: log2 before log10."""
+    dated = {
+        machine: all("t_counts_from" in rows[k].row for k in places if "failed" not in rows[k].row)
+        for machine, places in _by_machine(rows, range(len(rows))).items()
+    }
+
+    def key(k: int) -> tuple[Any, ...]:
+        name, row = rows[k]
+        machine = machine_of(name)
+        return _natural(machine), row.get("t_counts_from", "") if dated[machine] else "", _natural(name)
+
+    return sorted(range(len(rows)), key=key)
+
+
+def _natural(name: str) -> list[tuple[int, int, str]]:
+    """Sorting key by which numbers within names count as such."""
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
 def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
@@ -101,8 +154,9 @@ def _where(rows: Sequence[LogRow], places: Sequence[int], compared: Sequence[int
     return "; ".join(phrase for _, phrase in phrases[:LISTED]) + (f"; and {more} more" if more else "")
 
 
-def _odd(rows: Sequence[LogRow], sound: Sequence[int]) -> Iterator[str]:
-    """Logs with a number far from that of the others."""
+def _odd(rows: Sequence[LogRow], sound: Sequence[int]) -> dict[str, tuple[str, list[int]]]:
+    """Numbers that are in some logs far from those of the others: a sentence, and these logs."""
+    found = {}
     names = dict.fromkeys(name for k in sound for name in rows[k].row if name.startswith(JUDGED))
     for name in names:
         values = np.array([rows[k].row.get(name, math.nan) for k in sound], float)
@@ -114,43 +168,69 @@ def _odd(rows: Sequence[LogRow], sound: Sequence[int]) -> Iterator[str]:
         sizes = np.log(values)
         median = np.median(sizes)
         spread = 1.4826 * np.median(np.abs(sizes - median))
-        odd = np.abs(sizes - median) > max(FAR * spread, math.log(LEAST_FACTOR))
+        odd = np.abs(sizes - median) > max(FAR * spread, math.log(LEAST_FACTORS.get(name, LEAST_FACTOR)))
         if odd.any():
-            low, high = (f"{value:.3g}" for value in (values[odd].min(), values[odd].max()))
-            yield (
+            low, high, middle = (f"{v:.4g}" for v in (values[odd].min(), values[odd].max(), math.exp(median)))
+            found[name] = (
                 f"ODD {name} in {odd.sum()} of {len(values)} logs ({low}{f' to {high}' * (low != high)}, "
-                f"median {math.exp(median):.3g}): {_where(rows, places[odd].tolist(), places.tolist())}"
+                f"median {middle}): {_where(rows, places[odd].tolist(), places.tolist())}",
+                places[odd].tolist(),
             )
+    return found
 
 
 def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
-    """Numbers fitted to each log: the shared one, offsets of machines, and drifts from log to log."""
+    """Numbers fitted to each log: the shared one, machines or logs that are unlike it, and drifts from log to log."""
     names = dict.fromkeys(
         name for _, row in rows for name in row if f"{name}_std" in row and isinstance(row[name], float)
     )
     several = len(_by_machine(rows, range(len(rows)))) > 1
     for name in names:
         value, std = (np.array([row.get(key, math.nan) for _, row in rows], float) for key in (name, f"{name}_std"))
-        known = np.isfinite(value) & np.isfinite(std) & (std > 0)
-        if known.sum() < 3:
+        known = np.flatnonzero(np.isfinite(value) & np.isfinite(std) & (std > 0)).tolist()
+        if len(known) < 3:
             continue
-        groups = _by_machine(rows, np.flatnonzero(known).tolist())
-        means = {machine: _mean(value[places], std[places]) for machine, places in groups.items()}
-        shared, error, between = (
-            _mean(*(np.array(column) for column in zip(*((m, e) for m, e, _ in means.values()), strict=True)))
-            if several
-            else _mean(value[known], std[known])
-        )
-        of = f"{len(means)} machines" if several else f"{known.sum()} logs"
+        groups = _by_machine(rows, known)
+        compared = groups if several else {rows[k].name: [k] for k in known}
+        means, errors = np.array([_mean(value[places], std[places])[:2] for places in compared.values()]).T
+        odd = _outliers(means, errors)
+        shared, error, between = _mean(means[~odd], errors[~odd])
+        of = f"{f'{sum(~odd)} of ' * bool(odd.any())}{len(means)} {'machines' if several else 'logs'}"
         yield f"{name} = {shared:.4g} ± {error:.2g} shared by {of}, which differ by {between:.2g} beyond their errors"
-        for machine, (mean, mean_error, _) in means.items() if several else ():
-            if abs(mean - shared) > CLEAR * math.hypot(mean_error, between):
-                yield f"  {machine}: {mean - shared:+.3g} ± {mean_error:.2g}"
+        unlike = [
+            f"{each}: {mean - shared:+.3g} ± {own:.2g}"
+            for each, mean, own, is_odd in zip(compared, means, errors, odd, strict=True)
+            if is_odd and abs(mean - shared) > CLEAR * math.hypot(own, error)
+        ]
+        yield from (f"  {sentence}" for sentence in unlike[:LISTED])
+        if len(unlike) > LISTED:
+            yield f"  and {len(unlike) - LISTED} more"
         for machine, places in groups.items():
             drift = _drift(value[places], std[places])
             if drift is not None:
                 first, last = rows[places[0]].name, rows[places[-1]].name
                 yield f"  {name} drifts{f' on {machine}' * several}: {drift:+.3g} from {first} to {last}"
+
+
+def _outliers(value: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Which of some values are outliers among the others, which may differ by more than their standard errors.
+
+    Source: Rosner 1983, Percentage points for a generalized ESD many-outlier procedure.
+    """
+    left, removed, count = np.arange(len(value)), [], 0
+    for _ in range(min(max((len(value) - 2) // 3, 1), MOST_OUTLIERS)):
+        n = len(left)
+        off = np.abs(value[left] - value[left].mean())
+        spread = max(np.std(value[left], ddof=1), math.sqrt(np.mean(std[left] ** 2)))
+        t = stdtrit(n - 2, 1 - CHANCE / (2 * n))
+        farthest = int(np.argmax(off))
+        removed.append(left[farthest])
+        left = np.delete(left, farthest)
+        if off[farthest] / spread > (n - 1) * t / math.sqrt((n - 2 + t**2) * n):
+            count = len(removed)
+    odd = np.zeros(len(value), bool)
+    odd[np.array(removed[:count], int)] = True
+    return odd
 
 
 def _mean(value: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:

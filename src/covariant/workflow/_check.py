@@ -71,7 +71,7 @@ def check(
         progress("checking the log again with what it asks for")
         diagnosis = _with_remedies_that_survive(job, diagnosis)
     diagnosis = diagnosis._replace(findings=tuple(_with_names(finding, job) for finding in diagnosis.findings))
-    return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis)
+    return CheckResult(job.model_name, job.log_name, len(loaded.log.record.t), loaded.rate, diagnosis, loaded.origin)
 
 
 def _diagnose(job: Job) -> tuple[Loaded, Diagnosis]:
@@ -162,6 +162,7 @@ class CheckResult(AbstractResult):
         rows: Number of rows that were read.
         rate: Sampling rate [Hz], from the median interval.
         diagnosis: The findings, the worst first, and what was looked for.
+        t_counts_from: Date in UTC from which the stamps count; None unless the log has dates.
 
     Example:
         >>> import covariant
@@ -176,6 +177,7 @@ class CheckResult(AbstractResult):
     rows: int
     rate: float
     diagnosis: Diagnosis
+    t_counts_from: str | None = None
 
     @property
     def findings(self) -> tuple[Finding, ...]:

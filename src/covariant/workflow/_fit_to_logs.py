@@ -109,6 +109,8 @@ def fit_to_logs(
         "inputs": _input_details(used, logs.stated, gain)
     }
     details |= problem.details(best, parts[used][0])
+    if (origin := logs.logs[0].loaded.origin) is not None:
+        details["t_counts_from"] = origin
     # A log that is misread says nothing of what it determines.
     return jobs, contents, details | ({"undetermined": [], "unlike": []} if suspicion else {})
 

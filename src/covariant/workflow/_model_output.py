@@ -1,10 +1,15 @@
 """What `fit` and `tune` read and write, checked before anything is computed. Loads nothing heavy."""
 
+import contextlib
 import errno
 import hashlib
-import importlib.util
+import importlib.machinery
 import io
+import itertools
+import modulefinder
 import os
+import re
+import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -99,14 +104,48 @@ def read_sources(model: Any) -> dict[Path, bytes]:
 
 
 def model_hash(model: Any) -> list[str]:
-    """Hashes of the files that a model is read from."""
-    contents = list(read_sources(model).values())
-    module = str(model).partition(":")[0]
-    if isinstance(model, str) and ":" in model and all(part.isidentifier() for part in module.split(".")):
-        spec = importlib.util.find_spec(module)
-        if spec is not None and spec.origin is not None:
-            contents.append(Path(spec.origin).read_bytes())
-    return [hashlib.sha256(content).hexdigest() for content in contents]
+    """Hashes of all files that a model is read from: its own, those of its robot, and modules of its code."""
+    contents = read_sources(model)
+    spec, folder = (os.fspath(model) if isinstance(model, str | os.PathLike) else ""), None
+    for path, content in list(contents.items()):
+        if path.suffix == ".xml":
+            contents |= _named_files(path, content)
+        if path.suffix == ".toml":
+            with contextlib.suppress(ValueError):  # which others say
+                spec, folder = str(tomllib.loads(content.decode()).get("system", "")), path.parent
+    return [hashlib.sha256(content).hexdigest() for content in contents.values()] + code_hash(spec, folder)
+
+
+def _named_files(path: Path, content: bytes, seen: frozenset[Path] = frozenset()) -> dict[Path, bytes]:
+    """The files, such as other parts and meshes, that an MJCF file names."""
+    text, found = content.decode(errors="replace"), {}
+    folders = ["", *re.findall(r'(?:mesh|asset)dir\s*=\s*"([^"]*)"', text)]
+    for name, folder in itertools.product(re.findall(r'\bfile\s*=\s*"([^"]*)"', text), folders):
+        part = path.parent / folder / name
+        if part.is_file() and part not in seen:
+            found[part] = part.read_bytes()
+            if part.suffix == ".xml":
+                found |= _named_files(part, found[part], seen | {part})
+    return found
+
+
+def code_hash(spec: str, folder: Path | None = None) -> list[str]:
+    """Hashes of the module of `module:attribute`, from a folder or the current one, and of what it imports beside it.
+
+    Empty for other texts, for a module that cannot be read, and for this library, which has a version.
+    """
+    module, beside = spec.partition(":")[0], os.path.abspath(folder or "")
+    top = module.partition(".")[0]
+    found = importlib.machinery.PathFinder.find_spec(top, [beside, *sys.path]) if ":" in spec and top else None
+    if found is None or found.origin is None or top == __package__.partition(".")[0]:
+        return []
+    root = Path(found.origin).parents[found.submodule_search_locations is not None]
+    others = [each.stem for each in root.iterdir() if each.stem != top] if "site-packages" in root.parts else []
+    finder = modulefinder.ModuleFinder([str(root)], excludes=others)
+    with contextlib.suppress(Exception):  # a module may be broken in any way, which others say
+        finder.import_hook(module)
+    files = sorted({str(each.__file__) for each in finder.modules.values() if each.__file__})
+    return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files]
 
 
 def check_read_once(sources: Mapping[Path, bytes]) -> None:

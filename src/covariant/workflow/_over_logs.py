@@ -1,5 +1,6 @@
 """`over_logs`: a verb over many logs, each by itself: a row of a table for each, and a folder of estimates."""
 
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
@@ -11,7 +12,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
@@ -21,7 +21,7 @@ import numpy as np
 from covariant import models, workflow
 from covariant._cases import CaseTable, Crew, content_hash, run_chunks
 from covariant.logs import source_name
-from covariant.workflow._among_logs import LogRow, among_logs
+from covariant.workflow._among_logs import IDLE, Among, LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import model_hash
 from covariant.workflow._outcome import summary
@@ -29,8 +29,8 @@ from covariant.workflow._outputs import write_table
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
 
-FILES = {"estimate": ".parquet", "check": "", "fit": ".toml", "smooth": ".parquet"}
-"""Ending of the file of each log, by the verb; `check` has none."""
+FILES = {"estimate": ".parquet", "check": "", "fit": ".toml", "smooth": "_smoothed.parquet"}
+"""End of the name of the file of each log, by the verb, so that verbs can share a folder; `check` has none."""
 CHUNKS_A_WORKER = 16
 """Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
 LEAST_COST = 2e6
@@ -129,7 +129,7 @@ def over_logs(
     fresh: dict[str, dict[str, Any]] = {}
     try:
         work = _Work(verb, model, settings)
-        with closing(run_chunks(work, chunks, crew, lambda chunk: [[case] for case in chunk])) as results:
+        with contextlib.closing(run_chunks(work, chunks, crew, lambda chunk: [[case] for case in chunk])) as results:
             for chunk, result in results:
                 if isinstance(result, BrokenExecutor):
                     result = {case.key: {"failed": str(result)} for case in chunk}
@@ -235,6 +235,13 @@ def _saved(path: Path | None) -> int | None:
     return path.stat().st_mtime_ns if path is not None and path.exists() else None
 
 
+def _remove_earlier(path: Path | None) -> None:
+    """Remove the file of a log, from when the log or the model was another."""
+    with contextlib.suppress(OSError):  # of a full or broken disk, which the row says
+        if path is not None:
+            path.unlink(missing_ok=True)
+
+
 class _Work(NamedTuple):
     """A verb with its model and settings, for any chunk of logs."""
 
@@ -258,8 +265,10 @@ class _Work(NamedTuple):
             row = _row(result)
             if case.path is not None and getattr(result, "better", True):
                 result.save(case.path, overwrite=True)
-                row |= {"file": case.path.name, "saved": _saved(case.path)}
+                return row | {"file": case.path.name, "saved": _saved(case.path)}
+            _remove_earlier(case.path)
         except Exception as error:  # one log shall not stop the others
+            _remove_earlier(case.path)
             kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
             return {"failed": reason}
@@ -273,14 +282,18 @@ def _row(result: Any) -> dict[str, Any]:
         row = {}
         for name, value, std in values:
             row |= {name: float(value), f"{name}_std": float(std)}
-        return row | {"better": "yes" if result.better else "no"}
+        dated = {key: result.details[key] for key in ("t_counts_from",) if key in result.details}
+        return row | {"better": "yes" if result.better else "no"} | dated
     if isinstance(result, workflow.CheckResult):
         named = {True: [], False: []}
         for finding in result.findings:
             named[finding.wrong].append(f"{finding.what} of {finding.where}" if finding.where else finding.what)
         lines = [finding.line for finding in result.findings if finding.wrong and finding.line]
         row = {"rows": float(result.rows), "rate": result.rate, "verdict": "WRONG" if result.wrong else "ok"}
-        return row | {"wrong": "; ".join(named[True]), "notes": "; ".join(named[False]), "what to do": "; ".join(lines)}
+        if named[True] == [IDLE]:  # one machine of many may rest
+            row["verdict"], named = IDLE, {True: [], False: [IDLE, *named[False]]}
+        row |= {"wrong": "; ".join(named[True]), "notes": "; ".join(named[False]), "what to do": "; ".join(lines)}
+        return row | ({} if result.t_counts_from is None else {"t_counts_from": result.t_counts_from})
     # Without the comparison with filters that know no model, which takes three quarters of the time of `estimate`.
     of_filter = result.filtered if isinstance(result, workflow.SmoothResult) else result
     numbers = summary(of_filter.outcome, of_filter.loaded.kind.what)
@@ -336,26 +349,38 @@ class LogsResult(AbstractTable):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        names = sorted({name for _, row in self.each for name in row})
-        texts = {name for _, row in self.each for name, value in row.items() if isinstance(value, str)}
-        empty = {name: ("", object) if name in texts else (np.nan, float) for name in names}
-        return {"log": np.array([name for name, _ in self.each], object)} | {
-            name: np.array([row.get(name, none) for _, row in self.each], dtype)
-            for name, (none, dtype) in empty.items()
-        }
+        rows = self._rows
+        names = sorted({name for row in rows for name in row if name != "log"})
+        texts = {name for row in rows for name, value in row.items() if isinstance(value, str)}
+        empty = {name: ("", object) if name in texts else (np.nan, float) for name in ("log", *names)}
+        return {name: np.array([row.get(name, none) for row in rows], dtype) for name, (none, dtype) in empty.items()}
+
+    @property
+    def _rows(self) -> list[dict[str, Any]]:
+        """The rows, each with the name of its log, and of its numbers that are odd."""
+        odd = self._among.odd
+        return [
+            {"log": name, **row, **({"odd": ", ".join(odd[k])} if k in odd else {})}
+            for k, (name, row) in enumerate(self.each)
+        ]
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return self._among
+        return self._among.sentences
 
     @functools.cached_property
-    def _among(self) -> tuple[str, ...]:
+    def _among(self) -> Among:
         return among_logs(self.each)
 
     @property
     def summary(self) -> dict[str, Any]:
-        rows = [{"log": name, **row} for name, row in self.each]
-        found = {"verb": self.verb, "model": self.model_name, "logs": rows, "failed": self.failed, "among": self._among}
+        found = {
+            "verb": self.verb,
+            "model": self.model_name,
+            "logs": self._rows,
+            "failed": self.failed,
+            "among": self._among.sentences,
+        }
         return found if self.out is None else found | {"out": str(self.out)}
 
     @property
@@ -366,9 +391,9 @@ class LogsResult(AbstractTable):
     @property
     def _blocks(self) -> list[Any]:
         # Those to look at first.
-        rows = sorted(self.each, key=lambda each: not ("failed" in each.row or each.row.get("wrong")))
+        rows = sorted(self._rows, key=lambda row: not ("failed" in row or row.get("wrong") or "odd" in row))
         more = [f"{len(rows) - ON_PAGE} more logs are in the table (.csv)."] if len(rows) > ON_PAGE else []
-        return ["# Logs", [{"log": name, **row} for name, row in rows[:ON_PAGE]], *more]
+        return ["# Logs", rows[:ON_PAGE], *more]
 
     written = (".csv",)
 

@@ -1,7 +1,6 @@
 """A study of many runs: what its file says, checked."""
 
 import functools
-import hashlib
 import itertools
 import json
 import math
@@ -164,12 +163,6 @@ class Study(NamedTuple):
         content = self.content
         tables = {f"{table}.{name}": v for table in STATES for name, v in content.get(table, {}).items()}
         return {key: content[key] for key in OF_RUN if key in content} | tables
-
-    def feedback_hash(self) -> list[str]:
-        """Hash of the file beside the study that the feedback is read from, if there is one."""
-        spec = self.content.get("feedback", {"folder": "", "function": ""})
-        path = Path(spec["folder"]) / f"{spec['function'].partition(':')[0]}.py"
-        return [hashlib.sha256(path.read_bytes()).hexdigest()] if path.is_file() else []
 
     @property
     def grid(self) -> Grid:

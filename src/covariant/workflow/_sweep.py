@@ -12,7 +12,7 @@ import numpy as np
 
 from covariant.metrics import map_grid, open_grid
 from covariant.workflow._arguments import Scheduler
-from covariant.workflow._model_output import model_hash
+from covariant.workflow._model_output import code_hash, model_hash
 from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._pages import write_result_page
 from covariant.workflow._progress import Progress, notebook_line
@@ -72,7 +72,9 @@ def sweep(
     check_output(out, ".zarr", store=True)
     plan = read_study(path)
     progress(f"designing {', '.join(plan.observers)}")
-    runs = Runs(plan.text, tuple(model_hash(plan.model) + plan.feedback_hash()))
+    feedback = plan.content.get("feedback", {"function": "", "folder": ""})
+    code = code_hash(feedback["function"], Path(feedback["folder"]))
+    runs = Runs(plan.text, (*model_hash(plan.model), *code))
     result = runs.variables()
 
     def report(done: int, total: int) -> None:
