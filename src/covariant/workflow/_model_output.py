@@ -1,7 +1,6 @@
 """What `fit` and `tune` read and write, checked before anything is computed. Loads nothing heavy."""
 
 import contextlib
-import errno
 import hashlib
 import importlib.machinery
 import io
@@ -29,7 +28,7 @@ def as_logs(log: Any) -> tuple[Any, ...]:
         raise ValueError("log: no log is given; give a path, a Record, a table, or a list of them")
     for one in each:
         if isinstance(one, str | os.PathLike) and not Path(one).exists():
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), os.fspath(one))
+            raise FileNotFoundError(f"{one}: no such file")
     return each
 
 
