@@ -559,3 +559,26 @@ def test_on_curved_spaces_it_is_consistent_and_better_than_the_filter(name, lag)
     assert (ratio < 0.65).all()
     assert (ratio > 0.45).all()
     assert abs(nees[:, inner].mean() - 1) < 0.1
+
+
+@pytest.mark.long
+def test_one_program_serves_logs_of_similar_lengths(monkeypatch):
+    """Which takes seconds to compile; and rows that are added change nothing."""
+    lengths, block = set(), _smoother._block
+
+    def counted(observer, state, rows, *rest):
+        lengths.add(len(rows.dt))
+        return block(observer, state, rows, *rest)
+
+    monkeypatch.setattr(_smoother, "_block", counted)
+    ekf = EKF(models.oscillator(), jnp.eye(1), 1e-4 * jnp.eye(1), SPEED, substeps=1)
+    t, u, y = log()[:3]
+    for count in (56, 49):
+        part = Record(t[:count], u[:count, :1], y[:count, :1])
+        result = smooth(ekf, part)
+        assert len(result.run.t) == len(result.run.estimate) == len(result.std) == count
+        np.testing.assert_allclose(result.run.estimate[-1], result.filtered.estimate[-1], rtol=1e-12)
+    assert lengths == {57}
+    monkeypatch.setattr(_smoother, "_rounded_up", lambda count: count)
+    for exact, rounded in zip(jax.tree.leaves(smooth(ekf, part)), jax.tree.leaves(result), strict=True):
+        np.testing.assert_allclose(exact, rounded, rtol=1e-9, atol=1e-12)

@@ -240,9 +240,9 @@ def smoothed(
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
     blocks = -(-count // BLOCK)
-    size = -(-count // blocks)
+    size = _rounded_up(-(-count // blocks))
     # The rows added at the end are no steps: nothing of this reaches a row of the log.
-    rows, state, later = _begin_smoothing(observer, t, u, y, blocks * size + ahead - count)
+    rows, state, later = _begin_smoothing(observer, *_lengthened((t, u, y), blocks * size + ahead - count))
     fields = None if keep is None else frozenset(keep)
 
     def block(k, state, later):
@@ -274,24 +274,23 @@ def _join_blocks(parts: list[Any], count: int) -> Any:
     return jax.tree.unflatten(tree, joined)
 
 
+def _rounded_up(count: int) -> int:
+    """A number of rows that few programs serve: four to an octave."""
+    step = 2 ** max(count.bit_length() - 3, 0)
+    return -(-count // step) * step
+
+
+def _lengthened(arrays: tuple[Array, ...], more: int) -> tuple[Array, ...]:
+    """Arrays with the last entry of each as many times more."""
+    return tuple(jnp.concatenate([a, jnp.broadcast_to(a[-1:], (more, *a.shape[1:]))]) for a in arrays)
+
+
 @eqx.filter_jit  # one program in place of some twenty small ones
-def _begin_smoothing(
-    observer: AbstractGatedFilter, t: Array, u: Array, y: Array, more: int
-) -> tuple[Rows, Any, Smoothing]:
-    """The rows of a record and `more`, the state at the first, and as much knowledge of the error after the last."""
+def _begin_smoothing(observer: AbstractGatedFilter, t: Array, u: Array, y: Array) -> tuple[Rows, Any, Smoothing]:
+    """The rows of a record, the state at the first, and as much knowledge of the error after the last."""
     state = observer.init(y[0], t[0])
     root = observer.root(state)
-    return _lengthen_rows(Rows.of(t, u, y), more), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
-
-
-def _lengthen_rows(rows: Rows, more: int) -> Rows:
-    """Rows with as many `more` at the end that are no steps."""
-    return Rows(
-        *(
-            jnp.concatenate([a, jnp.broadcast_to(a[-1:] * scale, (more, *a.shape[1:]))])
-            for a, scale in zip(rows, (1, 1, 0), strict=True)
-        )
-    )
+    return Rows.of(t, u, y), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
 
 
 @functools.partial(jax.jit, static_argnames="count")
