@@ -28,25 +28,25 @@ def start_sentence(best: Fit) -> str:
     return f"The search from {won} ended best, {rest}."
 
 
-def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float) -> str:
-    """What another reading of the log explains, with the line of the model file that says so; `step` is of its rows."""
-    names = ", ".join(map(str, file.columns.u))
-    less = f"the same fit then predicts {held_out} with {rival.growth:.2g} times the errors"
+def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float, machine: str = "") -> str:
+    """What another reading of the logs explains, or of those of one machine, with the line of the model file that says
+    so; `step` is of its rows."""
+    names, time = ", ".join(map(str, file.columns.u)), abs(rival.rows) * step
+    # The model file is that of all machines, and values of one log are given by overrides.
+    logs, place = (f" in the logs of {machine}", "overrides for these logs") if machine else ("", "the model file")
+    fit, predicted = ("a fit to these alone", f"those of {machine}") if machine else ("the same fit", held_out)
     if rival.column >= 0:
         column = file.columns.u[rival.column]
         factors = np.where(np.arange(len(file.columns.u)) == rival.column, -1.0, 1.0)
-        return (
-            f"The input {column} seems to be logged with the other sign: {less}. Mend it by "
-            f"{names_of(file).line('u', factors)} in the model file, or by the signs of its positions, and fit again; "
-            "`covariant check` looks closer"
-        )
-    time = abs(rival.rows) * step
-    if rival.rows > 0:
-        line = later_line(file, time)
-        claim = f"Positions seem to follow {names} by about {time:.2g} s later than the model file says"
+        claim = f"The input {column}{logs} seems to be logged with the other sign"
+        line = f"{names_of(file).line('u', factors)} in {place}, or by the signs of its positions"
+    elif rival.rows > 0:
+        claim = f"Positions{logs} seem to follow {names} by about {time:.2g} s later than the model file says"
+        line = later_line(file, time) + (f", in {place}" if machine else "")
     else:
-        claim = f"The stamps of {names} seem to be about {time:.2g} s later than they act"
+        claim = f"The stamps of {names}{logs} seem to be about {time:.2g} s later than they act"
         line = f"taking {time:.2g} s off them"
+    less = f"{fit} then predicts {predicted} with {rival.growth:.2g} times the errors"
     return f"{claim}: {less}. Mend it by {line}, and fit again; `covariant check` looks closer"
 
 

@@ -192,9 +192,11 @@ class _PredictionProblem(NamedTuple):
         rival = better_reading(self.family, fitted, held_out, best)
         if rival is None:
             return ""
-        log = self.logs.logs[0]
+        misread = max(rival.machine, 0)
+        log = self.logs.logs[self.logs.machines.index(misread)]
         step = float(np.median(np.diff(np.asarray(log.raw.t))))
-        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step)
+        machine = self.machines[misread] if rival.machine >= 0 else ""
+        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step, machine)
 
     def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
@@ -444,6 +446,7 @@ def robot_details(best: RobotFit) -> dict[str, Any]:
         sentences.append(MIRRORED)
     return {
         "undetermined": sentences,
+        "unlike": list(best.unlike),
         "combinations": list(combinations.determined),
         "redundant": list(combinations.absorbed),
         "rank": combinations.rank,

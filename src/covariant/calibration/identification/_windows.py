@@ -51,6 +51,12 @@ class Windows(NamedTuple):
     steps: Float[AnyArray, "*k S"]
     machine: Int[AnyArray, "*k W"]
 
+    def of_machine(self, machine: int) -> "Windows":
+        """The windows of one machine, as those of a fit to its logs alone."""
+        mine = np.asarray(self.machine) == machine
+        t, y, v, rows = (np.asarray(each)[mine] for each in (self.t, self.y, self.v, self.rows))
+        return Windows(t, y, v, rows, self.inputs, self.steps, np.zeros(len(t), int))
+
 
 def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0, count: int = 1) -> float:
     """Length of the windows that suits a motion: twice the time in which its velocity changes by its own size.
