@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import covariant
+from covariant import models
 from covariant.calibration.identification import held_out_logs
 from covariant.workflow import FitResult, check_machine_files, fit, over_logs
 from covariant.workflow._inputs import Job
@@ -169,6 +171,23 @@ def test_each_machine_has_a_file_with_its_numbers(tmp_path):
     with pytest.raises(ValueError, match=r"fitted_arm2\.toml: there is such a file already"):
         result.save(tmp_path / "fitted.toml")
     assert not (tmp_path / "fitted_arm1.toml").exists()
+
+
+def test_a_urdf_file_in_the_way_of_one_machine_leaves_no_file_of_another(tmp_path):
+    inertia = {"lower": [0.6, 0.0, 0.0, -0.1, 0.02, 0.02, 0.001, 0.0, 0.0, 0.0]}
+    robot = {"system": "robot", "parameters": {"path": "double_pendulum", "inertia": inertia}}
+    details = {"parameters": [], "undetermined": [], "fitted_to": "a.csv", "better": True}
+    result = FitResult([Job("double_pendulum", None)], {}, details, None, dict.fromkeys(("arm1", "arm2"), robot))
+    (tmp_path / "fitted_arm2.urdf").write_text("mine\n")
+    with pytest.raises(ValueError, match=r"fitted_arm2\.urdf: there is such a file already"):
+        result.save(tmp_path / "fitted.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["fitted_arm2.urdf"]
+    result.save(tmp_path / "fitted.toml", overwrite=True)
+    written = models.load(str(tmp_path / "fitted_arm2.toml")).model
+    expected = models.robots.load("double_pendulum", inertia=inertia)
+    q = jnp.array([0.3, -0.8])
+    np.testing.assert_allclose(written.space(q), expected.space(q), rtol=1e-9)
+    assert (tmp_path / "fitted_arm1.urdf").exists()
 
 
 def test_a_file_of_a_machine_that_exists_is_refused_before_the_fit(tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 
 from covariant.workflow._among_logs import machine_of
 from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
-from covariant.workflow._model_output import as_logs, check_model_output, read_sources, write_model
+from covariant.workflow._model_output import as_logs, check_model_output, read_sources, write_models
 from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
@@ -120,7 +120,7 @@ def _folders(logs: Sequence[Any]) -> list[str]:
 
 def _files(path: Path, machines: Iterable[str]) -> list[Path]:
     """The model file of each machine with numbers of its own, where `path` is asked for."""
-    return [path.with_stem(f"{path.stem}_{machine}") for machine in dict.fromkeys(machines)]
+    return [path.with_stem(f"{path.stem}_{machine}".replace(os.sep, "_")) for machine in dict.fromkeys(machines)]
 
 
 def check_machine_files(
@@ -253,11 +253,9 @@ class FitResult(AbstractTable):
         """
         if not self.better:
             raise ValueError(f"{path}: {self._worse}")
-        model, paths = self.jobs[0].model, self.written_files(path)
-        for each in paths:  # before the first one is written
-            check_model_output(model, each, overwrite)
-        for each, (machine, content) in zip(paths, (self.machines or {"": self.content}).items(), strict=True):
-            write_model(model, each, overwrite, self._head(machine), content, self.sources)
+        paths, contents = self.written_files(path), self.machines or {"": self.content}
+        texts = [(self._head(machine), content) for machine, content in contents.items()]
+        write_models(self.jobs[0].model, dict(zip(paths, texts, strict=True)), overwrite, self.sources)
         return paths[0]
 
     def written_files(self, path: str | Path) -> list[Path]:

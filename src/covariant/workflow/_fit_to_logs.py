@@ -238,10 +238,10 @@ class _RobotProblem(NamedTuple):
         family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
             machines, of_log = own.numbered
-            opened = models.robot_family(jobs[0].model_name, own.names, jobs[0].overrides).names
-            for name in opened:
-                refuse_unknown("number in `parameters`", name, family.names)
-            family = family.of_machines(machines, opened)
+            try:
+                family = family.of_machines(machines, _own_robot_numbers(jobs[0], own.names, family.names))
+            except ValueError as error:
+                raise ValueError(f"each: {error}") from error
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
         for name, log in zip(logs.names, logs.logs, strict=True):
@@ -402,6 +402,18 @@ def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
         return _PredictionProblem
     model = models.load(job.model, job.overrides).model
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
+
+
+def _own_robot_numbers(job: Job, names: Sequence[str], fitted: tuple[str, ...]) -> list[str]:
+    """Those of the fitted numbers that names stand for, each for one at least, as `friction` for all that is fitted of
+    it."""
+    own = []
+    for name in names:
+        stated = models.robot_family(job.model_name, [name], job.overrides).names
+        if not set(stated) & set(fitted):
+            refuse_unknown("number in `parameters`", name.strip(), fitted)
+        own += [number for number in stated if number in fitted]
+    return own
 
 
 def _first_part(record: Record) -> Record:

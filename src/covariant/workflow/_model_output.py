@@ -134,29 +134,33 @@ def _check_unchanged(path: Path, sources: Mapping[Path, bytes]) -> None:
             )
 
 
-def write_model(
-    model: Any, path: str | Path, overwrite: bool, head: str, content: Any, sources: Mapping[Path, bytes] | None = None
-) -> Path:
-    """Write the file of a model with other numbers, and for a robot with new inertias another URDF file beside it.
+def write_models(
+    model: Any,
+    files: Mapping[Path, tuple[str, dict[str, Any]]],
+    overwrite: bool,
+    sources: Mapping[Path, bytes] | None = None,
+) -> None:
+    """Write files of a model with other numbers, each from its head and content; all are checked before the first.
 
-    Comments and layout stay. They are those of `sources`, the files as they were first read.
+    A robot with new inertias has a URDF file of its own beside each. Comments and layout stay. They are those of
+    `sources`, the files as they were first read.
     """
     from covariant import models
     from covariant._files import write_together
 
-    check_model_output(model, path, overwrite)
-    source = models.robots.located(content.get("parameters", {}).get("path", ""))
-    content, urdf = robot_content(content, Path(path))
-    if urdf is not None:
-        _refuse_source(urdf[0], source)
-        check_model_output(model, path, overwrite, urdf=True)
     sources = read_sources(model) if sources is None else sources
-    _check_unchanged(Path(path), sources)
-    text = head + models.rewrite(model_text(model, sources), content)
-    # Both files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
-    beside = {} if urdf is None else {urdf[0]: urdf[1].encode()}
-    write_together({**beside, Path(path): text.encode()})
-    return Path(path)
+    texts: dict[Path, bytes] = {}
+    for path, (head, stated) in files.items():
+        check_model_output(model, path, overwrite)
+        content, urdf = robot_content(stated, path)
+        if urdf is not None:
+            _refuse_source(urdf[0], models.robots.located(stated["parameters"]["path"]))
+            check_model_output(model, path, overwrite, urdf=True)
+            texts[urdf[0]] = urdf[1].encode()
+        _check_unchanged(path, sources)
+        texts[path] = (head + models.rewrite(model_text(model, sources), content)).encode()
+    # All files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
+    write_together(texts)
 
 
 def model_text(model: str | os.PathLike[str], sources: Mapping[Path, bytes] = MappingProxyType({})) -> str:
