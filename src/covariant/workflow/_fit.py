@@ -52,8 +52,8 @@ def fit(
             if none has several, the last third of each. Not for robots with servos.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values; or a list of such values,
-            one for each log of a robot with servos, of what is known to differ between them, such as a gain or a
-            payload.
+            one for each log, of what is known to differ between them, such as the unit of a column, a delay, or a gain
+            or a payload of a robot with servos.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
         every, start, until, anyway, progress: As for `estimate`.
 

@@ -32,8 +32,9 @@ def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float, ma
     """What another reading of the logs explains, or of those of one machine, with the line of the model file that says
     so; `step` is of its rows."""
     names, time = ", ".join(map(str, file.columns.u)), abs(rival.rows) * step
-    # The model file is that of all machines, and values of one log are given by overrides.
-    logs, place = (f" in the logs of {machine}", "overrides for these logs") if machine else ("", "the model file")
+    logs = f" in the logs of {machine}" if machine else ""
+    # The model file is that of all machines.
+    place = "overrides for these logs (from Python)" if machine else "the model file"
     fit, predicted = ("a fit to these alone", f"those of {machine}") if machine else ("the same fit", held_out)
     if rival.column >= 0:
         column = file.columns.u[rival.column]
