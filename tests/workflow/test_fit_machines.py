@@ -236,11 +236,13 @@ def test_a_urdf_file_in_the_way_of_one_machine_leaves_no_file_of_another(tmp_pat
         result.save(tmp_path / "fitted.toml")
     assert [path.name for path in tmp_path.iterdir()] == ["fitted_arm2.urdf"]
     result.save(tmp_path / "fitted.toml", overwrite=True)
-    written = models.load(str(tmp_path / "fitted_arm2.toml")).model
+    written: Any = models.load(str(tmp_path / "fitted_arm2.toml")).model
     expected = models.robots.load("double_pendulum", inertia=inertia)
     q = jnp.array([0.3, -0.8])
     np.testing.assert_allclose(written.space(q), expected.space(q), rtol=1e-9)
-    assert (tmp_path / "fitted_arm1.urdf").exists()
+    names = [path.name for path in result.written_files(tmp_path / "fitted.toml")]
+    assert names == ["fitted_arm1.toml", "fitted_arm1.urdf", "fitted_arm2.toml", "fitted_arm2.urdf"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
 def test_a_file_of_a_machine_that_exists_is_refused_before_the_fit(tmp_path):

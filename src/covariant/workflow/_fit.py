@@ -12,7 +12,7 @@ import numpy as np
 
 from covariant.workflow._among_logs import machine_of
 from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
-from covariant.workflow._model_output import as_logs, check_model_output, read_sources, write_models
+from covariant.workflow._model_output import as_logs, check_model_output, read_sources, urdf_beside, write_models
 from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
@@ -253,14 +253,19 @@ class FitResult(AbstractTable):
         """
         if not self.better:
             raise ValueError(f"{path}: {self._worse}")
-        paths, contents = self.written_files(path), self.machines or {"": self.content}
-        texts = [(self._head(machine), content) for machine, content in contents.items()]
-        write_models(self.jobs[0].model, dict(zip(paths, texts, strict=True)), overwrite, self.sources)
-        return paths[0]
+        contents = self._contents(path)
+        files = {each: (self._head(machine), content) for each, (machine, content) in contents.items()}
+        write_models(self.jobs[0].model, files, overwrite, self.sources)
+        return next(iter(files))
 
     def written_files(self, path: str | Path) -> list[Path]:
-        path = Path(path)
-        return _files(path, self.machines) or [path]
+        pairs = ((each, urdf_beside(content, each)) for each, (_, content) in self._contents(path).items())
+        return [file for pair in pairs for file in pair if file is not None]
+
+    def _contents(self, path: str | Path) -> dict[Path, tuple[str, dict[str, Any]]]:
+        """The machine and the content of each model file."""
+        paths = _files(Path(path), self.machines) or [Path(path)]
+        return dict(zip(paths, (self.machines or {"": self.content}).items(), strict=True))
 
     def _head(self, machine: str) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""

@@ -175,16 +175,22 @@ def model_text(model: str | os.PathLike[str], sources: Mapping[Path, bytes] = Ma
         return io.TextIOWrapper(file, encoding="utf-8").read()  # as `read_text`, with the line ends of Windows
 
 
+def urdf_beside(content: dict[str, Any], path: Path) -> Path | None:
+    """Path of the URDF file that is written beside a model file, of a robot with other inertias; or None."""
+    parameters = content.get("parameters", {})
+    robot = parameters.get("path") if content.get("system") == "robot" and "inertia" in parameters else None
+    return path.with_suffix(".urdf") if robot in ROBOTS or str(robot).endswith(".urdf") else None
+
+
 def robot_content(content: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[Path, str] | None]:
     """Content of a robot's model file for the place where it is written."""
     parameters = content.get("parameters", {})
     if content.get("system") != "robot" or (parameters.get("path") in ROBOTS and "inertia" not in parameters):
         return content, None
-    robot = parameters["path"]
-    if "inertia" in parameters and (robot in ROBOTS or robot.endswith(".urdf")):
+    robot, urdf = parameters["path"], urdf_beside(content, path)
+    if urdf is not None:
         from covariant.models.robots import urdf_with_inertias
 
-        urdf = path.with_suffix(".urdf")
         rest = {key: value for key, value in parameters.items() if key != "inertia"}
         text = urdf_with_inertias(robot, parameters["inertia"])
         return content | {"parameters": rest | {"path": urdf.name}}, (urdf, text)
