@@ -36,7 +36,14 @@ from covariant.calibration.identification import (
 from covariant.signals import Record
 from covariant.workflow._aligned import Aligned
 from covariant.workflow._fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
-from covariant.workflow._fit_sentences import rival_sentence, start_sentence, unlike_servos
+from covariant.workflow._fit_sentences import (
+    number_rows,
+    rival_sentence,
+    robot_details,
+    servo_details,
+    start_sentence,
+    unlike_servos,
+)
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._model_output import check_read_once
 from covariant.workflow._outcome import rounded
@@ -49,10 +56,6 @@ CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 4, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
-MIRRORED = (
-    "on which side of its link the load is: with the offsets of joints open too, a mirrored load with other offsets "
-    "may explain these logs as well, and the solution nearest to the first values is given"
-)
 
 Parts = dict[str, tuple[Windows, Windows]]
 """Windows to fit and held-out windows, by the way inputs go between stamps."""
@@ -439,61 +442,6 @@ def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
     return not names or any("[" not in name and not name.strip().startswith("inputs.") for name in names)
 
 
-def robot_details(best: RobotFit) -> dict[str, Any]:
-    """What the log does not determine, in sentences, and which combinations it does."""
-    unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
-    combinations = best.combinations
-    sentences = []
-    if unknown:
-        shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
-        sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")
-    sentences += [f"only the combination {text} is determined" for text in combinations.determined]
-    sentences += [
-        f"{name} cannot be told from zero by this log: {value:.3g} ± {error:.2g}"
-        for name, _, value, error, determined in _rows(best)
-        if np.isfinite(error) and not determined
-    ]
-    places = any(name.startswith("payload.") and not name.partition("@")[0].endswith(".mass") for name in best.names)
-    if places and any(name.startswith("offsets.") for name in best.names):
-        sentences.append(MIRRORED)
-    return {
-        "undetermined": sentences,
-        "unlike": list(best.unlike),
-        "combinations": list(combinations.determined),
-        "redundant": list(combinations.absorbed),
-        "rank": combinations.rank,
-        "window": float(f"{2 * best.half:.4g}"),
-        "residual_torque": [float(f"{size:.4g}") for size in best.torque],
-    }
-
-
-def servo_details(best: RobotFit, family: models.RobotFamily) -> dict[str, Any]:
-    """What the logs do not determine of servos, and how large the residual positions are."""
-    details = robot_details(best)
-    position = details.pop("residual_torque")
-    at = {number.name: i for i, number in enumerate(family.numbers)}
-    ratios = [
-        number.target
-        for number in family.numbers
-        if (number.group, number.number) == ("servo", "stiffness")
-        and not best.determined[at[number.name]]
-        and (f"servo.{number.target}.armature" in at or f"armature.{number.target}" in at)
-    ]
-    if ratios:
-        sentence = (
-            f"stiffness and inertia of {', '.join(ratios)} act by their ratio alone where no weight pulls: a second "
-            "log with a known mass in the hand separates them, given by overrides of its own, "
-            "[{}, {'parameters.payload': {'LINK': [mass, x, y, z]}}]"
-        )
-        details["undetermined"] = [*details["undetermined"], sentence]
-    return {**details, "residual_position": position, "open_loop": True}
-
-
-def _rows(best: Fit | RobotFit):
-    """Name, values before and after, standard error and whether it is determined, of each number."""
-    return zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)
-
-
 def _details(
     job: Job,
     logs: FitLogs,
@@ -509,7 +457,9 @@ def _details(
     ratio = error_growth(before, after)
     # The number of a machine, viscous@arm1, is no longer the placeholder of the file if one machine shows it.
     known = {
-        name.partition("@")[0] for name, first, value, _, determined in _rows(best) if determined or value != first
+        name.partition("@")[0]
+        for name, first, value, _, determined in number_rows(best)
+        if determined or value != first
     }
     return {
         "model": job.model_name,
@@ -526,7 +476,7 @@ def _details(
                 "standard_error": float(f"{error:.3g}") if np.isfinite(error) else None,
                 "determined": bool(determined) and not suspicion,
             }
-            for name, first, value, error, determined in _rows(best)
+            for name, first, value, error, determined in number_rows(best)
         ],
         "placeholders": {k: value for k, value in guessed.items() if k not in known},
         "coordinates": list(names),
