@@ -6,7 +6,7 @@ those that explain clearly more by predictions too. Of several machines the logs
 by a fit of that machine alone: a shared number in which it differs from the others is no misreading.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -31,6 +31,8 @@ SURE, LIKELY = 3.0, 2.0
 predictions."""
 CLEARLY_LESS, LESS = 0.95, 0.8
 """Size of the errors with another reading, over that without, below which it is tried by predictions, and believed."""
+AT_ONCE = 100
+"""Numbers of the machines whose readings are tried at once: memory grows with the square."""
 
 
 class Rival(NamedTuple):
@@ -72,20 +74,16 @@ def better_reading(family: Family, fitted: Windows, held_out: Windows, best: Fit
     readings = _readings(fitted)
     if not readings:
         return None
-    parts, machine = family.parts, np.asarray(fitted.machine)
-    suspects = list(_suspects(family, best.values, fitted, readings, np.ones((1, len(machine)), bool)))
+    parts = family.parts
+    suspects = list(_suspects(family, best.values, fitted, readings, {-1: np.ones(len(fitted.t), bool)}))
     if len(parts) > 1:
-        # All machines at once, though no number is shared: one program for logs of any length.
-        apart = _with_numbers(family, parts.ravel(), np.arange(parts.size).reshape(parts.shape))
-        theirs = machine == np.arange(len(parts))[:, None]
-        found = _suspects(apart, best.values[parts.ravel()], fitted, readings, theirs)
-        suspects += [s._replace(values=s.values[apart.parts[s.rival.machine]]) for s in found]
+        suspects += _suspects_apart(family, best.values, fitted, readings)
     for rival, _, values in sorted(suspects, key=lambda each: -each.fall):
         if rival.machine < 0:
             growth = _growth(family, fitted, held_out, best, rival, values)
         else:
-            own = _with_numbers(family, parts[rival.machine], np.arange(parts.shape[1])[None])
-            seen, unseen = (windows.of_machine(rival.machine) for windows in (fitted, held_out))
+            own = _apart(family, parts[[rival.machine]])
+            seen, unseen = (windows.of_machines([rival.machine]) for windows in (fitted, held_out))
             # Of a machine with a single log nothing may be held out.
             unseen = unseen if len(unseen.t) else seen
             growth = _growth(own, seen, unseen, search(own, seen), rival, values)
@@ -106,10 +104,30 @@ def _readings(windows: Windows) -> list[Rival]:
     return [Rival(int(j), 0) for j in driven] + shifts
 
 
-def _with_numbers(family: Family, chosen: Int[np.ndarray, "p"], parts: Int[np.ndarray, "M k"]) -> Family:
-    """Family with the chosen ones of its numbers, of which each machine has the k at its part."""
-    names, positive = tuple(family.names[j] for j in chosen), tuple(family.positive[j] for j in chosen)
-    return family._replace(names=names, first=family.first[chosen], positive=positive, parts=parts)
+def _apart(family: Family, parts: Int[np.ndarray, "M k"]) -> Family:
+    """Family of some machines, by their parts, of which each has all its numbers to itself."""
+    names, positive = tuple(family.names[j] for j in parts.flat), tuple(family.positive[j] for j in parts.flat)
+    own = np.arange(parts.size).reshape(parts.shape)
+    return family._replace(names=names, first=family.first[parts.ravel()], positive=positive, parts=own)
+
+
+def _suspects_apart(
+    family: Family, values: Float[np.ndarray, "p"], windows: Windows, readings: Sequence[Rival]
+) -> Iterator[_Suspect]:
+    """The best reading for each machine, with all numbers its own, if it explains its changes of velocity clearly
+    better; several machines at once, so that one program serves logs of any length."""
+    parts = family.parts
+    at_once = max(1, AT_ONCE // parts.shape[1])
+    for machines in np.split(np.arange(len(parts)), np.arange(at_once, len(parts), at_once)):
+        theirs, chosen = windows.of_machines(machines.tolist()), parts[machines]
+        groups = {int(m): np.asarray(theirs.machine) == k for k, m in enumerate(machines)}
+        groups = {m: group for m, group in groups.items() if np.sum(group) >= parts.shape[1] + LEAST_FREE}
+        if not groups:
+            continue
+        apart = _apart(family, chosen)
+        for suspect in _suspects(apart, values[chosen.ravel()], theirs, readings, groups):
+            own = apart.parts[suspect.rival.machine - machines[0]]
+            yield suspect._replace(values=suspect.values[own])
 
 
 def _suspects(
@@ -117,10 +135,10 @@ def _suspects(
     values: Float[np.ndarray, "p"],
     windows: Windows,
     readings: Sequence[Rival],
-    groups: Bool[np.ndarray, "G W"],
+    groups: Mapping[int, Bool[np.ndarray, "W"]],
 ) -> Iterator[_Suspect]:
-    """The best reading for each group of windows, if it explains their changes of velocity clearly better; a group of
-    several is a machine."""
+    """The best reading for the windows of each machine, or −1 for those of all, if it explains their changes of
+    velocity clearly better."""
     unknowns = Unknowns.of(family)
     places = np.zeros(len(values)), unknowns.relative(values)
 
@@ -128,16 +146,14 @@ def _suspects(
         return [regress(unknowns, windows, z, 1) for z in places]
 
     before, tried = regressed(windows), [(rival, regressed(rival.windows(windows))) for rival in readings]
-    for k, group in enumerate(groups):
-        if len(groups) > 1 and np.sum(group) < family.parts.shape[1] + LEAST_FREE:
-            continue
+    for machine, group in groups.items():
 
         def best(places: list[Regression], group: Bool[np.ndarray, "W"] = group) -> Regression:
             return min((each._replace(errors=each.errors[group]) for each in places), key=lambda each: each.loss)
 
         now = best(before)
         rival, then = min(((rival, best(each)) for rival, each in tried), key=lambda each: each[1].loss)
-        reading = rival._replace(machine=k) if len(groups) > 1 else rival
+        reading = rival._replace(machine=machine)
         losses = [np.sum(np.asarray(robust(each.errors / then.sizes)[0]), axis=(1, 2)) for each in (now, then)]
         least = SURE if reading.machine < 0 else LIKELY
         if _size_ratio(then, now) < CLEARLY_LESS and _is_more(losses[0] - losses[1], reading, least):

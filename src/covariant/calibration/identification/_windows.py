@@ -51,11 +51,13 @@ class Windows(NamedTuple):
     steps: Float[AnyArray, "*k S"]
     machine: Int[AnyArray, "*k W"]
 
-    def of_machine(self, machine: int) -> "Windows":
-        """The windows of one machine, as those of a fit to its logs alone."""
-        mine = np.asarray(self.machine) == machine
-        t, y, v, rows = (np.asarray(each)[mine] for each in (self.t, self.y, self.v, self.rows))
-        return Windows(t, y, v, rows, self.inputs, self.steps, np.zeros(len(t), int))
+    def of_machines(self, machines: Sequence[int]) -> "Windows":
+        """The windows of some machines, in rising order, as those of a fit to their logs alone."""
+        theirs = np.isin(self.machine, machines)
+        t, y, v, rows, machine = (
+            np.asarray(each)[theirs] for each in (self.t, self.y, self.v, self.rows, self.machine)
+        )
+        return Windows(t, y, v, rows, self.inputs, self.steps, np.searchsorted(machines, machine))
 
 
 def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0, count: int = 1) -> float:
