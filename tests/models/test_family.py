@@ -107,6 +107,20 @@ def test_comments_and_layout_remain_when_values_change():
     assert models.rewrite(TEXT, tomllib.loads(TEXT)) == TEXT
 
 
+def test_a_table_within_another_stays_under_its_header():
+    text = (
+        'system = "robot"\n[parameters]\npath = "arm.urdf"\n[parameters.armature]\nelbow = 0.01  # a rotor\n'
+        '[parameters.friction.elbow]\nviscous = 0.1\n[inputs]\nbetween = "held"\n'
+    )
+    content = tomllib.loads(text)
+    content["parameters"]["armature"] = {"elbow": 0.02, "wrist": 0.01}
+    content["parameters"]["friction"] = {"elbow": {"viscous": 0.2, "coulomb": 0.3}, "wrist": {"viscous": 0.4}}
+    content["parameters"]["torque_constants"] = {"elbow": 1.1}
+    written = models.rewrite(text, content)
+    assert tomllib.loads(written) == content
+    assert "[parameters.armature]\nelbow = 0.02  # a rotor\nwrist = 0.01\n[parameters.friction.elbow]" in written
+
+
 def test_a_layout_that_is_not_followed_is_refused():
     text = 'system = "oscillator"\nparameters.stiffness = 1.0\n'
     with pytest.raises(ValueError, match=r"\[parameters\] is written in a way that cannot be changed"):

@@ -1,12 +1,15 @@
 """`fit(..., each=...)`: logs of several machines fitted together, with shared numbers and numbers of their own."""
 
+import re
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import covariant
+from covariant import logs, models
 from covariant.calibration.identification import held_out_logs
 from covariant.workflow import FitResult, check_machine_files, fit, over_logs
 from covariant.workflow._inputs import Job
@@ -69,6 +72,58 @@ def test_a_shared_number_that_a_machine_contradicts_is_named(arms, found):
     both = machines | {"arm3": short}
     right = fit("pendulum_chain", both, "inertia,viscous", each="viscous", overrides=FIRST, horizon=0.6)
     assert not right.warnings
+
+
+def with_fault(arms: dict[str, list[Any]], sign: float, late: int) -> tuple[list[str], list[dict[str, Any]]]:
+    """Logs written to a folder for each machine, those of arm2 with a fault, and the first values of each."""
+    paths = []
+    for arm, records in arms.items():
+        Path(arm).mkdir()
+        for k, record in enumerate(records):
+            t, u, q = (np.asarray(each).reshape(len(record.t), -1)[:, 0] for each in record[:3])
+            if arm == "arm2":
+                t, u, q = t[: len(t) - late], sign * u[late:], q[: len(q) - late]
+            paths.append(f"{arm}/log{k}.csv")
+            logs.write(Path(paths[-1]), {"t": t, "u": u, "q": q})
+    return paths, [FIRST | {"columns.q": ["q"], "columns.u": ["u"]} for _ in paths]
+
+
+@pytest.mark.long
+def test_a_reversed_input_of_one_machine_is_named_and_mended(arms, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    paths, overrides = with_fault(arms, -1.0, 0)
+    misread = fit("pendulum_chain", paths, "inertia,viscous", each="viscous", overrides=overrides, anyway=True)
+    assert not misread.better
+    assert re.match(r'The input u in the logs of arm2 .* \[units\] u = "-1" in overrides', misread.details["suspicion"])
+    mended = [each | ({"units.u": "-1"} if "arm2" in path else {}) for each, path in zip(overrides, paths, strict=True)]
+    right = fit("pendulum_chain", paths, "inertia,viscous", each="viscous", overrides=mended)
+    assert right.better
+    assert (np.abs(right.values - [INERTIA, *FRICTION.values()]) < 4 * right.standard_errors).all(), right
+
+
+@pytest.mark.long
+def test_late_positions_of_one_machine_are_named(arms, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    paths, overrides = with_fault(arms, 1.0, 4)
+    late = fit("pendulum_chain", paths, "inertia,viscous", each="viscous", overrides=overrides, anyway=True)
+    assert re.match(r"Positions in the logs of arm2 seem to follow u by about 0\.08 s", late.details["suspicion"])
+    assert not late.better
+
+
+@pytest.mark.long
+def test_a_shared_number_of_robots_that_one_contradicts_is_named():
+    """Three rotors that the fit takes for one; friction, which is each arm's own, is no contradiction."""
+    arms = {}
+    for k, (rotor, viscous) in enumerate([(0.004, 0.02), (0.004, 0.04), (0.012, 0.06)]):
+        law = {"elbow": {"viscous": viscous, "coulomb": 0.0}}
+        truth = {"parameters.friction": law, "parameters.armature": {"elbow": rotor}}
+        motion: dict[str, Any] = {"duration": 8.0, "rate": 200.0, "amplitude": [2.2, 0.5], "frequency": 0.6}
+        log = covariant.simulate("double_pendulum", **motion, noise=1e-4, seed=k, overrides=truth)
+        arms[f"arm{k}"] = [log.record]
+    first = {"inputs.between": "held"}
+    names = "friction.elbow.viscous,armature.elbow"
+    (sentence,) = fit("double_pendulum", arms, names, each="friction", overrides=first).details["unlike"]
+    assert sentence.startswith("armature.elbow is shared, but the logs of arm2 alone change it by +0.00")
 
 
 @pytest.mark.long
@@ -169,6 +224,25 @@ def test_each_machine_has_a_file_with_its_numbers(tmp_path):
     with pytest.raises(ValueError, match=r"fitted_arm2\.toml: there is such a file already"):
         result.save(tmp_path / "fitted.toml")
     assert not (tmp_path / "fitted_arm1.toml").exists()
+
+
+def test_a_urdf_file_in_the_way_of_one_machine_leaves_no_file_of_another(tmp_path):
+    inertia = {"lower": [0.6, 0.0, 0.0, -0.1, 0.02, 0.02, 0.001, 0.0, 0.0, 0.0]}
+    robot = {"system": "robot", "parameters": {"path": "double_pendulum", "inertia": inertia}}
+    details = {"parameters": [], "undetermined": [], "fitted_to": "a.csv", "better": True}
+    result = FitResult([Job("double_pendulum", None)], {}, details, None, dict.fromkeys(("arm1", "arm2"), robot))
+    (tmp_path / "fitted_arm2.urdf").write_text("mine\n")
+    with pytest.raises(ValueError, match=r"fitted_arm2\.urdf: there is such a file already"):
+        result.save(tmp_path / "fitted.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["fitted_arm2.urdf"]
+    result.save(tmp_path / "fitted.toml", overwrite=True)
+    written: Any = models.load(str(tmp_path / "fitted_arm2.toml")).model
+    expected = models.robots.load("double_pendulum", inertia=inertia)
+    q = jnp.array([0.3, -0.8])
+    np.testing.assert_allclose(written.space(q), expected.space(q), rtol=1e-9)
+    names = [path.name for path in result.written_files(tmp_path / "fitted.toml")]
+    assert names == ["fitted_arm1.toml", "fitted_arm1.urdf", "fitted_arm2.toml", "fitted_arm2.urdf"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
 def test_a_file_of_a_machine_that_exists_is_refused_before_the_fit(tmp_path):

@@ -10,7 +10,7 @@ from covariant import models
 from covariant.calibration import Combinations, RobotFit
 from covariant.signals import Record
 from covariant.workflow import FitResult, MisfitError, check_model_output, fit, simulate
-from covariant.workflow._fit_to_logs import robot_details
+from covariant.workflow._fit_sentences import robot_details
 
 MODEL = """system = "robot"
 

@@ -227,12 +227,12 @@ def test_an_edit_while_the_model_is_read_is_refused(verb, named, tmp_path, monke
 
 
 def test_line_ends_of_windows_are_read_as_at_first(tmp_path):
-    from covariant.workflow._model_output import read_sources, write_model
+    from covariant.workflow._model_output import read_sources, write_models
 
     path = tmp_path / "spring.toml"
     path.write_bytes(b'system = "oscillator"  # mine\r\n\r\n[parameters]\r\nstiffness = 1.0\r\n')
     content = {"system": "oscillator", "parameters": {"stiffness": 1.3}, "measurement": {"std": 1e-3}}
-    written = write_model(path, tmp_path / "out.toml", False, "# head\n", content, read_sources(path)).read_bytes()
-    assert written == (
+    write_models(path, {tmp_path / "out.toml": ("# head\n", content)}, False, read_sources(path))
+    assert (tmp_path / "out.toml").read_bytes() == (
         b'# head\nsystem = "oscillator"  # mine\n\n[parameters]\nstiffness = 1.3\n\n[measurement]\nstd = 0.001\n'
     )

@@ -92,10 +92,15 @@ class Blocks(NamedTuple):
         return cls(jnp.sum(loss), gradient[p:], gradient[:p], *parts(weight), parts(weight**3), rest)
 
     @property
-    def information(self) -> Float[NumpyArray, "p p"]:
-        """Second derivatives (p, p) of the loss in z with the best s: the Schur complement of these."""
+    def informations(self) -> Float[NumpyArray, "B p p"]:
+        """Second derivatives (p, p) of the loss of each block in z with the best s: the Schur complement of these."""
         ss, sz, zz = self.curved
-        return np.sum(zz - np.swapaxes(sz, 1, 2) @ np.linalg.solve(ss + _ridge(ss), sz), axis=0)
+        return zz - np.swapaxes(sz, 1, 2) @ np.linalg.solve(ss + _ridge(ss), sz)
+
+    @property
+    def information(self) -> Float[NumpyArray, "p p"]:
+        """Second derivatives (p, p) of the whole loss in z."""
+        return np.sum(self.informations, axis=0)
 
     def inverse(self, fixed: NumpyArray) -> Float[NumpyArray, "p p"]:
         """Covariance of z for independent errors with combinations fixed; zero along these."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from covariant.workflow._among_logs import machine_of
 from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
-from covariant.workflow._model_output import as_logs, check_model_output, read_sources, write_model
+from covariant.workflow._model_output import as_logs, check_model_output, read_sources, urdf_beside, write_models
 from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
@@ -52,8 +52,8 @@ def fit(
             if none has several, the last third of each. Not for robots with servos.
         horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values; or a list of such values,
-            one for each log of a robot with servos, of what is known to differ between them, such as a gain or a
-            payload.
+            one for each log, of what is known to differ between them, such as the unit of a column, a delay, or a gain
+            or a payload of a robot with servos.
         columns: Names of columns by field (t, q, u) that replace those of the model file.
         every, start, until, anyway, progress: As for `estimate`.
 
@@ -120,7 +120,7 @@ def _folders(logs: Sequence[Any]) -> list[str]:
 
 def _files(path: Path, machines: Iterable[str]) -> list[Path]:
     """The model file of each machine with numbers of its own, where `path` is asked for."""
-    return [path.with_stem(f"{path.stem}_{machine}") for machine in dict.fromkeys(machines)]
+    return [path.with_stem(f"{path.stem}_{machine}".replace(os.sep, "_")) for machine in dict.fromkeys(machines)]
 
 
 def check_machine_files(
@@ -253,16 +253,19 @@ class FitResult(AbstractTable):
         """
         if not self.better:
             raise ValueError(f"{path}: {self._worse}")
-        model, paths = self.jobs[0].model, self.written_files(path)
-        for each in paths:  # before the first one is written
-            check_model_output(model, each, overwrite)
-        for each, (machine, content) in zip(paths, (self.machines or {"": self.content}).items(), strict=True):
-            write_model(model, each, overwrite, self._head(machine), content, self.sources)
-        return paths[0]
+        contents = self._contents(path)
+        files = {each: (self._head(machine), content) for each, (machine, content) in contents.items()}
+        write_models(self.jobs[0].model, files, overwrite, self.sources)
+        return next(iter(files))
 
     def written_files(self, path: str | Path) -> list[Path]:
-        path = Path(path)
-        return _files(path, self.machines) or [path]
+        pairs = ((each, urdf_beside(content, each)) for each, (_, content) in self._contents(path).items())
+        return [file for pair in pairs for file in pair if file is not None]
+
+    def _contents(self, path: str | Path) -> dict[Path, tuple[str, dict[str, Any]]]:
+        """The machine and the content of each model file."""
+        paths = _files(Path(path), self.machines) or [Path(path)]
+        return dict(zip(paths, (self.machines or {"": self.content}).items(), strict=True))
 
     def _head(self, machine: str) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""

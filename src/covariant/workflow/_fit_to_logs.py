@@ -36,7 +36,14 @@ from covariant.calibration.identification import (
 from covariant.signals import Record
 from covariant.workflow._aligned import Aligned
 from covariant.workflow._fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
-from covariant.workflow._fit_sentences import rival_sentence, start_sentence, unlike_servos
+from covariant.workflow._fit_sentences import (
+    number_rows,
+    rival_sentence,
+    robot_details,
+    servo_details,
+    start_sentence,
+    unlike_servos,
+)
 from covariant.workflow._inputs import Job, MisfitError, coordinates
 from covariant.workflow._model_output import check_read_once
 from covariant.workflow._outcome import rounded
@@ -49,10 +56,6 @@ CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 4, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
-MIRRORED = (
-    "on which side of its link the load is: with the offsets of joints open too, a mirrored load with other offsets "
-    "may explain these logs as well, and the solution nearest to the first values is given"
-)
 
 Parts = dict[str, tuple[Windows, Windows]]
 """Windows to fit and held-out windows, by the way inputs go between stamps."""
@@ -194,9 +197,11 @@ class _PredictionProblem(NamedTuple):
         rival = better_reading(self.family, fitted, held_out, best)
         if rival is None:
             return ""
-        log = self.logs.logs[0]
+        misread = max(rival.machine, 0)
+        log = self.logs.logs[self.logs.machines.index(misread)]
         step = float(np.median(np.diff(np.asarray(log.raw.t))))
-        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step)
+        machine = self.machines[misread] if rival.machine >= 0 else ""
+        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step, machine)
 
     def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
@@ -238,10 +243,10 @@ class _RobotProblem(NamedTuple):
         family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
             machines, of_log = own.numbered
-            opened = models.robot_family(jobs[0].model_name, own.names, jobs[0].overrides).names
-            for name in opened:
-                refuse_unknown("number in `parameters`", name, family.names)
-            family = family.of_machines(machines, opened)
+            try:
+                family = family.of_machines(machines, _own_robot_numbers(jobs[0], own.names, family.names))
+            except ValueError as error:
+                raise ValueError(f"each: {error}") from error
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
         for name, log in zip(logs.names, logs.logs, strict=True):
@@ -404,6 +409,18 @@ def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
 
 
+def _own_robot_numbers(job: Job, names: Sequence[str], fitted: tuple[str, ...]) -> list[str]:
+    """Those of the fitted numbers that names stand for, each for one at least, as `friction` for all that is fitted of
+    it."""
+    own = []
+    for name in names:
+        stated = models.robot_family(job.model_name, [name], job.overrides).names
+        if not set(stated) & set(fitted):
+            refuse_unknown("number in `parameters`", name.strip(), fitted)
+        own += [number for number in stated if number in fitted]
+    return own
+
+
 def _first_part(record: Record) -> Record:
     """The rows of a log that a fit to its first part sees."""
     t, u, y = (np.asarray(column) for column in record[:3])
@@ -427,60 +444,6 @@ def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
     return not names or any("[" not in name and not name.strip().startswith("inputs.") for name in names)
 
 
-def robot_details(best: RobotFit) -> dict[str, Any]:
-    """What the log does not determine, in sentences, and which combinations it does."""
-    unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
-    combinations = best.combinations
-    sentences = []
-    if unknown:
-        shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
-        sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")
-    sentences += [f"only the combination {text} is determined" for text in combinations.determined]
-    sentences += [
-        f"{name} cannot be told from zero by this log: {value:.3g} ± {error:.2g}"
-        for name, _, value, error, determined in _rows(best)
-        if np.isfinite(error) and not determined
-    ]
-    places = any(name.startswith("payload.") and not name.partition("@")[0].endswith(".mass") for name in best.names)
-    if places and any(name.startswith("offsets.") for name in best.names):
-        sentences.append(MIRRORED)
-    return {
-        "undetermined": sentences,
-        "combinations": list(combinations.determined),
-        "redundant": list(combinations.absorbed),
-        "rank": combinations.rank,
-        "window": float(f"{2 * best.half:.4g}"),
-        "residual_torque": [float(f"{size:.4g}") for size in best.torque],
-    }
-
-
-def servo_details(best: RobotFit, family: models.RobotFamily) -> dict[str, Any]:
-    """What the logs do not determine of servos, and how large the residual positions are."""
-    details = robot_details(best)
-    position = details.pop("residual_torque")
-    at = {number.name: i for i, number in enumerate(family.numbers)}
-    ratios = [
-        number.target
-        for number in family.numbers
-        if (number.group, number.number) == ("servo", "stiffness")
-        and not best.determined[at[number.name]]
-        and (f"servo.{number.target}.armature" in at or f"armature.{number.target}" in at)
-    ]
-    if ratios:
-        sentence = (
-            f"stiffness and inertia of {', '.join(ratios)} act by their ratio alone where no weight pulls: a second "
-            "log with a known mass in the hand separates them, given by overrides of its own, "
-            "[{}, {'parameters.payload': {'LINK': [mass, x, y, z]}}]"
-        )
-        details["undetermined"] = [*details["undetermined"], sentence]
-    return {**details, "residual_position": position, "open_loop": True}
-
-
-def _rows(best: Fit | RobotFit):
-    """Name, values before and after, standard error and whether it is determined, of each number."""
-    return zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)
-
-
 def _details(
     job: Job,
     logs: FitLogs,
@@ -496,7 +459,9 @@ def _details(
     ratio = error_growth(before, after)
     # The number of a machine, viscous@arm1, is no longer the placeholder of the file if one machine shows it.
     known = {
-        name.partition("@")[0] for name, first, value, _, determined in _rows(best) if determined or value != first
+        name.partition("@")[0]
+        for name, first, value, _, determined in number_rows(best)
+        if determined or value != first
     }
     return {
         "model": job.model_name,
@@ -513,7 +478,7 @@ def _details(
                 "standard_error": float(f"{error:.3g}") if np.isfinite(error) else None,
                 "determined": bool(determined) and not suspicion,
             }
-            for name, first, value, error, determined in _rows(best)
+            for name, first, value, error, determined in number_rows(best)
         ],
         "placeholders": {k: value for k, value in guessed.items() if k not in known},
         "coordinates": list(names),

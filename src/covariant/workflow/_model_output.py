@@ -172,29 +172,33 @@ def _check_unchanged(path: Path, sources: Mapping[Path, bytes]) -> None:
             )
 
 
-def write_model(
-    model: Any, path: str | Path, overwrite: bool, head: str, content: Any, sources: Mapping[Path, bytes] | None = None
-) -> Path:
-    """Write the file of a model with other numbers, and for a robot with new inertias another URDF file beside it.
+def write_models(
+    model: Any,
+    files: Mapping[Path, tuple[str, dict[str, Any]]],
+    overwrite: bool,
+    sources: Mapping[Path, bytes] | None = None,
+) -> None:
+    """Write files of a model with other numbers, each from its head and content; all are checked before the first.
 
-    Comments and layout stay. They are those of `sources`, the files as they were first read.
+    A robot with new inertias has a URDF file of its own beside each. Comments and layout stay. They are those of
+    `sources`, the files as they were first read.
     """
     from covariant import models
     from covariant._files import write_together
 
-    check_model_output(model, path, overwrite)
-    source = models.robots.located(content.get("parameters", {}).get("path", ""))
-    content, urdf = robot_content(content, Path(path))
-    if urdf is not None:
-        _refuse_source(urdf[0], source)
-        check_model_output(model, path, overwrite, urdf=True)
     sources = read_sources(model) if sources is None else sources
-    _check_unchanged(Path(path), sources)
-    text = head + models.rewrite(model_text(model, sources), content)
-    # Both files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
-    beside = {} if urdf is None else {urdf[0]: urdf[1].encode()}
-    write_together({**beside, Path(path): text.encode()})
-    return Path(path)
+    texts: dict[Path, bytes] = {}
+    for path, (head, stated) in files.items():
+        check_model_output(model, path, overwrite)
+        content, urdf = robot_content(stated, path)
+        if urdf is not None:
+            _refuse_source(urdf[0], models.robots.located(stated["parameters"]["path"]))
+            check_model_output(model, path, overwrite, urdf=True)
+            texts[urdf[0]] = urdf[1].encode()
+        _check_unchanged(path, sources)
+        texts[path] = (head + models.rewrite(model_text(model, sources), content)).encode()
+    # All files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
+    write_together(texts)
 
 
 def model_text(model: str | os.PathLike[str], sources: Mapping[Path, bytes] = MappingProxyType({})) -> str:
@@ -209,16 +213,22 @@ def model_text(model: str | os.PathLike[str], sources: Mapping[Path, bytes] = Ma
         return io.TextIOWrapper(file, encoding="utf-8").read()  # as `read_text`, with the line ends of Windows
 
 
+def urdf_beside(content: dict[str, Any], path: Path) -> Path | None:
+    """Path of the URDF file that is written beside a model file, of a robot with other inertias; or None."""
+    parameters = content.get("parameters", {})
+    robot = parameters.get("path") if content.get("system") == "robot" and "inertia" in parameters else None
+    return path.with_suffix(".urdf") if robot in ROBOTS or str(robot).endswith(".urdf") else None
+
+
 def robot_content(content: dict[str, Any], path: Path) -> tuple[dict[str, Any], tuple[Path, str] | None]:
     """Content of a robot's model file for the place where it is written."""
     parameters = content.get("parameters", {})
     if content.get("system") != "robot" or (parameters.get("path") in ROBOTS and "inertia" not in parameters):
         return content, None
-    robot = parameters["path"]
-    if "inertia" in parameters and (robot in ROBOTS or robot.endswith(".urdf")):
+    robot, urdf = parameters["path"], urdf_beside(content, path)
+    if urdf is not None:
         from covariant.models.robots import urdf_with_inertias
 
-        urdf = path.with_suffix(".urdf")
         rest = {key: value for key, value in parameters.items() if key != "inertia"}
         text = urdf_with_inertias(robot, parameters["inertia"])
         return content | {"parameters": rest | {"path": urdf.name}}, (urdf, text)

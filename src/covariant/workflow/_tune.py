@@ -7,7 +7,7 @@ from typing import Any
 
 from covariant.engine import EngineName
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, read_sources, write_model
+from covariant.workflow._model_output import as_logs, read_sources, write_models
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
@@ -133,7 +133,8 @@ class TuneResult(AbstractResult):
         """
         names = ", ".join(Path(job.log_name).name for job in self.jobs)
         head = f"# Tuned by covariant tune to {names}.\n\n"
-        return write_model(self.jobs[0].model, path, overwrite, head, self.tuned.content, self.sources)
+        write_models(self.jobs[0].model, {Path(path): (head, self.tuned.content)}, overwrite, self.sources)
+        return Path(path)
 
     def report(self, path: str | Path) -> list[Path]:
         """Write an interactive page of estimates on the last log before and after, and figures (.png) beside it.

@@ -1,61 +1,77 @@
 """Numbers that machines share in a fit, though the logs of one of them contradict it."""
 
-import jax
-import numpy as np
-from jaxtyping import Float
+from typing import NamedTuple
 
-from covariant.calibration._least_squares import ROUNDING, Blocks, block_covariance
-from covariant.calibration.identification._windows import Windows
-from covariant.models import Family
+import numpy as np
+from jaxtyping import Float, Int
+
+from covariant.calibration._least_squares import ROUNDING, block_covariance
 
 NumpyArray = np.ndarray
 
 CONTRADICTION = 4.0
 """Standard errors by which the logs of one machine must contradict a shared number before it is said."""
 LEAST_FREE = 4
-"""Windows that a machine has at least beside those that its numbers take, before it can contradict."""
+"""Blocks that a machine has at least beside those that its numbers take, before it can contradict."""
+
+
+class Evidence(NamedTuple):
+    """What each of B blocks of logs says of the k unknowns of its machine: slopes and curvature of its loss."""
+
+    machine: Int[NumpyArray, "B"]
+    scores: Float[NumpyArray, "B k"]
+    information: Float[NumpyArray, "B k k"]
 
 
 def contradictions(
-    family: Family,
-    windows: Windows,
-    blocks: Blocks,
-    values: NumpyArray,
-    slopes: NumpyArray,
-    fixed: Float[NumpyArray, "p p"],
+    names: tuple[str, ...],
+    parts: Int[NumpyArray, "M k"],
+    values: Float[NumpyArray, "p"],
+    slopes: Float[NumpyArray, "p p"],
+    evidence: Evidence,
+    inverse: Float[NumpyArray, "p p"],
 ) -> tuple[str, ...]:
     """Sentences on shared numbers that one machine alone would have otherwise, by the next step of its own search.
 
-    `slopes` (p,) are those of the values in the unknowns, and `fixed` projects on combinations that are not determined.
+    `slopes` are those of the values in the unknowns, and `inverse` is the covariance of these for independent errors.
     """
-    sentences, parts = [], np.asarray(family.parts)
     shared = [j for j in range(len(values)) if (parts == j).any(axis=1).all()]
     if not shared or len(shared) == parts.shape[1]:  # of one machine, or with nothing of their own
         return ()
-    machines = np.asarray(windows.machine)
-    # Scores around the mean of their machine, which is the contradiction itself.
-    centred = np.array(blocks.z)
-    for machine in np.unique(machines):
-        centred[machines == machine] -= centred[machines == machine].mean(axis=0)
-    joint = block_covariance(centred, blocks.information, blocks.inverse(fixed))
+    changes, own, left = zip(*(_alone(evidence, machine) for machine in range(len(parts))), strict=True)
+    # Errors that the numbers of each machine leave: what it contradicts is no noise.
+    scores, curvature = np.zeros((len(evidence.machine), len(values))), np.zeros_like(inverse)
     for machine, part in enumerate(parts):
-        here = machines == machine
-        if np.sum(here) < parts.shape[1] + LEAST_FREE:
+        here = evidence.machine == machine
+        scores[np.ix_(here, part)] = left[machine]
+        curvature[np.ix_(part, part)] += np.sum(evidence.information[here], axis=0)
+    joint = block_covariance(scores, curvature, inverse)
+    sentences = []
+    for machine, part in enumerate(parts):
+        if len(left[machine]) < len(part) + LEAST_FREE:
             continue
-        mine = jax.tree.map(lambda leaf, here=here: np.asarray(leaf)[here], blocks._replace(rest=None))
-        information = mine.information[np.ix_(part, part)]
-        size, axes = np.linalg.eigh(information)
-        told = axes[:, size > ROUNDING * size[-1]]
-        inverse = told @ np.linalg.inv(told.T @ information @ told) @ told.T
-        change = -inverse @ mine.z[:, part].sum(axis=0)
-        own = block_covariance(centred[np.ix_(here, part)], information, inverse)
-        error = np.sqrt(np.maximum(np.diagonal(own), 0.0) + np.maximum(np.diagonal(joint)[part], 0.0))
-        name = next(family.names[j].partition("@")[2] for j in part if j not in shared)
+        slope = slopes[np.ix_(part, part)]
+        change = slope @ changes[machine]
+        both = own[machine] + joint[np.ix_(part, part)]
+        error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slope, both, slope), 0.0))
+        name = next(names[j].partition("@")[2] for j in part if j not in shared)
         sentences += [
-            f"{family.names[j]} is shared, but the logs of {name} alone change it by {change[k] * slopes[j]:+.2g} "
-            f"± {error[k] * abs(slopes[j]):.1g} from {values[j]:.4g}: let each machine have its own, or look for "
-            "another number in which this machine differs"
+            f"{names[j]} is shared, but the logs of {name} alone change it by {change[k]:+.2g} ± {error[k]:.1g} from "
+            f"{values[j]:.4g}: let each machine have its own, or look for another number in which this machine differs"
             for k, j in enumerate(part)
             if j in shared and abs(change[k]) > CONTRADICTION * error[k]
         ]
     return tuple(sentences)
+
+
+def _alone(evidence: Evidence, machine: int) -> tuple[NumpyArray, NumpyArray, NumpyArray]:
+    """The step (k,) of a search on the logs of one machine, its covariance, and the scores (B, k) after it."""
+    here = evidence.machine == machine
+    scores, information = evidence.scores[here], evidence.information[here]
+    whole = np.sum(information, axis=0)
+    size, axes = np.linalg.eigh(whole)
+    known = axes[:, size > ROUNDING * size[-1]]
+    inverse = known @ np.linalg.inv(known.T @ whole @ known) @ known.T
+    change = -inverse @ np.sum(scores, axis=0)
+    left = scores + information @ change
+    return change, block_covariance(left, whole, inverse), left

@@ -28,7 +28,7 @@ from covariant.calibration._least_squares import (
     combination_rows,
     minimise,
 )
-from covariant.calibration.identification._contradictions import contradictions
+from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._innovations import Weighing, frequencies, innovations, weighing
 from covariant.calibration.identification._predict import differences, follow, lagged, needed_substeps
 from covariant.calibration.identification._regression import starts
@@ -240,7 +240,12 @@ def _conclude(
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
     frequency, scale = problem.weighing
     scale = np.asarray(scale[0] if len(scale) == 1 else scale)
-    unlike = contradictions(family, problem.windows, point.blocks, values, slopes, fixed.directions)
+    machine, blocks = np.asarray(problem.windows.machine), point.blocks
+    theirs, each = family.parts[machine], np.arange(len(machine))[:, None]
+    information = blocks.informations[each[:, :, None], theirs[:, :, None], theirs[:, None, :]]
+    evidence = Evidence(machine, np.asarray(blocks.z)[each, theirs], information)
+    inverse = blocks.inverse(fixed.directions)
+    unlike = contradictions(family.names, family.parts, values, np.diag(slopes), evidence, inverse)
     return Fit(family.names, family.first, values, errors, rows, scale, float(frequency), step_count, tried, unlike)
 
 

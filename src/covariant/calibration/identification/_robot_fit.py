@@ -24,6 +24,7 @@ from covariant import scoring
 from covariant._linalg import solve
 from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
 from covariant.calibration.diagnosis import held_inputs
+from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._robot_combinations import Combinations
 from covariant.calibration.identification._robot_torques import (
     BLOCK,
@@ -80,6 +81,7 @@ class RobotFit(NamedTuple):
         rounds: Number of Gauss–Newton steps.
         coordinates: Coordinates (p,) of the family.
         losses: Negative log-likelihood (B,) of each block of the logs, up to a constant.
+        unlike: Sentences on machines whose logs contradict a number that all machines share.
 
     Example:
         >>> import numpy as np
@@ -102,6 +104,7 @@ class RobotFit(NamedTuple):
     rounds: int
     coordinates: Float[np.ndarray, "p"]
     losses: Float[np.ndarray, "B"]
+    unlike: tuple[str, ...] = ()
 
 
 def fit_robot(
@@ -172,6 +175,7 @@ def fit_robot(
         rounds,
         point.x,
         solution.losses,
+        search.unlike(point, values) if len(family.parts) > 1 else (),
     )
 
 
@@ -217,6 +221,22 @@ class _Step(NamedTuple):
     scale: Float[np.ndarray, "n"]
     settled: bool
     losses: Float[np.ndarray, "B"]
+
+
+class _Rows(NamedTuple):
+    """Residual torques at rows of all logs, their derivatives and robust losses in units of their scale, which of them
+    count, the block and the machine of each row, the part of the rows that is independent, and scores of the blocks."""
+
+    slopes: Float[np.ndarray, "r n p"]
+    torque: Float[np.ndarray, "r n"]
+    counts: Bool[np.ndarray, "r n"]
+    scale: Float[np.ndarray, "r n"]
+    loss: Float[np.ndarray, "r n"]
+    weight: Float[np.ndarray, "r n"]
+    block: Int[np.ndarray, "r"]
+    machine: Int[np.ndarray, "r"]
+    thinned: float
+    scores: Float[np.ndarray, "B p"]
 
 
 class _Search(NamedTuple):
@@ -289,6 +309,44 @@ class _Search(NamedTuple):
 
     def step(self, point: _Point) -> _Step:
         """Gauss–Newton step from a point, with the covariance of the numbers."""
+        rows = self._weighed(point)
+        z, counts, weight = rows.slopes, rows.counts, rows.weight
+        information, curvature = (
+            rows.thinned * np.einsum("kjp,kj,kjq->pq", z, counts * each, z, optimize=True)
+            for each in (weight, weight**3)
+        )
+        prior = np.eye(len(self.sizes)) / PRIOR**2
+        gradient = np.sum(rows.scores, axis=0) + prior @ (point.x / self.sizes)
+        covariance = block_covariance(rows.scores, curvature, np.linalg.inv(curvature + prior), prior)
+        dz = minimise_above_bounds(information + prior, gradient, (self.family.least - point.x) / self.sizes)
+        dz *= min(1.0, LONGEST_STEP / max(np.abs(dz).max(), 1e-300))
+        settled = bool(np.all(np.abs(dz) < CONVERGED * np.sqrt(np.diagonal(covariance))))
+        outer = np.outer(self.sizes, self.sizes)
+        # The logarithm of the scale normalises the density.
+        losses = rows.thinned * np.bincount(rows.block, np.sum(counts * (rows.loss + np.log(rows.scale)), axis=1))
+        scale = _scales(rows.torque, counts)
+        return _Step(dz * self.sizes, covariance * outer, information / outer, scale, settled, losses)
+
+    def unlike(self, point: _Point, values: Float[np.ndarray, "p"]) -> tuple[str, ...]:
+        """Sentences on machines whose logs contradict a number that all machines share."""
+        rows, parts = self._weighed(point), self.family.parts
+        # Below its bound a number is held, though the logs of any machine alone would lower it.
+        free = (point.x > self.family.least) | (np.sum(rows.scores, axis=0) < 0)
+        scores, machine = rows.scores * free, np.zeros(len(rows.scores), int)
+        machine[rows.block] = rows.machine
+        information = np.zeros((len(scores), parts.shape[1], parts.shape[1]))
+        whole = np.eye(len(self.sizes)) / PRIOR**2
+        for b, part in enumerate(parts[machine]):
+            here = rows.block == b
+            z, weight = rows.slopes[here][:, :, part] * free[part], rows.counts[here] * rows.weight[here] ** 3
+            information[b] = rows.thinned * np.einsum("kjp,kj,kjq->pq", z, weight, z, optimize=True)
+            whole[np.ix_(part, part)] += information[b]
+        evidence = Evidence(machine, np.take_along_axis(scores, parts[machine], axis=1), information)
+        slopes = np.asarray(jax.jit(jax.jacfwd(self.family.values))(point.x)) * self.sizes
+        return contradictions(self.family.names, parts, values, slopes, evidence, np.linalg.inv(whole))
+
+    def _weighed(self, point: _Point) -> _Rows:
+        """Rows of all logs at a point, weighed by the scale of the torques of their machine."""
         rows = [self._rows(point, i) for i in range(len(self.tracks))]
         slopes, torque, counts, blocks = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         # Machines may differ in their noise, and in what the model lacks of them.
@@ -302,21 +360,9 @@ class _Search(NamedTuple):
         # Neighbouring windows overlap: as many rows are independent as half windows fit into the log.
         _, numbering = np.unique(blocks, return_inverse=True)
         thinned = min(1.0, BLOCK * (numbering.max() + 1) / len(blocks))
-        information, curvature = (
-            thinned * np.einsum("kjp,kj,kjq->pq", z, counts * each, z, optimize=True) for each in (weight, weight**3)
-        )
-        prior = np.eye(len(self.sizes)) / PRIOR**2
         scores = np.zeros((numbering.max() + 1, len(self.sizes)))
         np.add.at(scores, numbering, thinned * np.einsum("kjp,kj->kp", z, counts * weight * relative, optimize=True))
-        gradient = np.sum(scores, axis=0) + prior @ (point.x / self.sizes)
-        covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
-        dz = minimise_above_bounds(information + prior, gradient, (self.family.least - point.x) / self.sizes)
-        dz *= min(1.0, LONGEST_STEP / max(np.abs(dz).max(), 1e-300))
-        settled = bool(np.all(np.abs(dz) < CONVERGED * np.sqrt(np.diagonal(covariance))))
-        outer = np.outer(self.sizes, self.sizes)
-        # The logarithm of the scale normalises the density.
-        losses = thinned * np.bincount(numbering, np.sum(counts * (loss + np.log(scale)), axis=1))
-        return _Step(dz * self.sizes, covariance * outer, information / outer, _scales(torque, counts), settled, losses)
+        return _Rows(z, torque, counts, scale, loss, weight, numbering, whose, thinned, scores)
 
     def _rows(self, point: _Point, i: int):
         """Derivatives (r, n, p) of the torques, residual torques (r, n), which count, and the block of each row."""

@@ -51,6 +51,14 @@ class Windows(NamedTuple):
     steps: Float[AnyArray, "*k S"]
     machine: Int[AnyArray, "*k W"]
 
+    def of_machines(self, machines: Sequence[int]) -> "Windows":
+        """The windows of some machines, in rising order, as those of a fit to their logs alone."""
+        theirs = np.isin(self.machine, machines)
+        t, y, v, rows, machine = (
+            np.asarray(each)[theirs] for each in (self.t, self.y, self.v, self.rows, self.machine)
+        )
+        return Windows(t, y, v, rows, self.inputs, self.steps, np.searchsorted(machines, machine))
+
 
 def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.0, count: int = 1) -> float:
     """Length of the windows that suits a motion: twice the time in which its velocity changes by its own size.

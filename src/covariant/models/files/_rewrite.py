@@ -36,8 +36,8 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
         damping = 0.5  # of the error
     """
     before = _toml.parse(text)
-    stated = _tables(before)
-    for table, values in _tables(content).items():
+    stated = _tables(before, text)
+    for table, values in _tables(content, text).items():
         old = stated.get(table, {})
         for key in [key for key in old if key not in values]:
             text = _replace_value(text, table, key, None)
@@ -54,12 +54,28 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
     return text
 
 
-def _tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The tables of a document by the names in their headers; each servo and each loop has a table of its own."""
-    tables = {name: values for name, values in content.items() if isinstance(values, dict)}
-    for several in (_toml.SERVO, _toml.LOOP):
-        tables |= {f"{several}.{_key(name)}": table for name, table in tables.pop(several, {}).items()}
+def _tables(content: dict[str, Any], text: str) -> dict[str, dict[str, Any]]:
+    """The tables of a document by the names in their headers: one for each servo, each loop, and each table within
+    another that the text has under a header, as [parameters.armature]."""
+    tables, several = {}, (_toml.SERVO, _toml.LOOP)
+
+    def add(header: str, values: dict[str, Any]) -> None:
+        headers = {key: f"{header}.{_key(key)}" for key, entry in values.items() if isinstance(entry, dict)}
+        within = {key: name for key, name in headers.items() if header in several or _has_header(text, name)}
+        if header not in several:
+            tables[header] = {key: entry for key, entry in values.items() if key not in within}
+        for key, name in within.items():
+            add(name, values[key])
+
+    for header, values in content.items():
+        if isinstance(values, dict):
+            add(header, values)
     return tables
+
+
+def _has_header(text: str, table: str) -> bool:
+    """Whether a text has a table, or one within it, under a header."""
+    return re.search(rf"^[ \t]*\[[ \t]*{re.escape(table)}[ \t]*[.\]]", text, re.MULTILINE) is not None
 
 
 def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None) -> str:
