@@ -103,6 +103,9 @@ def _output(help: str, *suffixes: str, needed: bool = False, **more: Any) -> Opt
     return Option("out", PATH, help, REQUIRED if needed else None, ("-o", "--out"), suffixes=suffixes)._replace(**more)
 
 
+ESTIMATE = _output("", *WRITTEN)._replace(
+    help=f"Write the estimate here ({', '.join(WRITTEN)}); of many logs, give a folder."
+)
 MODEL_FILE = _output("Write the model file with the new numbers here", ".toml", suffixes=())
 REPORT = Option(
     "report",
@@ -161,7 +164,11 @@ COMMANDS = (
         LOG,
         "fit arm.toml log.csv --parameters com,viscous -o fitted.toml",
         "docs/identification.md",
-        own=(MODEL_FILE, PAGE, OVERWRITE),
+        own=(
+            MODEL_FILE._replace(help="Model file to write (.toml); a folder fits each log by itself."),
+            PAGE,
+            OVERWRITE,
+        ),
         changes={"log": SEVERAL | {"help": "Logs to fit; the last of several, or the last third of one, is held out."}},
         run=_fit,
         over_logs=True,
@@ -183,7 +190,7 @@ COMMANDS = (
         "estimate arm.toml log.csv -o velocity.csv --report page.html",
         "docs/your-log.md",
         own=(
-            _output("Write the estimate here", *WRITTEN),
+            ESTIMATE,
             REPORT,
             RERUN,
             OVERWRITE,
@@ -200,7 +207,7 @@ COMMANDS = (
         LOG,
         "smooth arm.toml log.csv -o smooth.csv",
         "docs/smoothing.md",
-        own=(_output("Write the estimate here", *WRITTEN), REPORT, RERUN, OVERWRITE),
+        own=(ESTIMATE, REPORT, RERUN, OVERWRITE),
         changes={"log": EACH},
         again=True,
         over_logs=True,
