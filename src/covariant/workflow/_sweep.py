@@ -4,6 +4,7 @@ import functools
 import itertools
 import json
 import math
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import model_hash
 from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._pages import write_result_page
-from covariant.workflow._progress import Progress, notebook_line
+from covariant.workflow._progress import Progress, notebook_line, time_left
 from covariant.workflow._result import AbstractTable
 from covariant.workflow._study import Axis, Study, read_study
 from covariant.workflow._sweep_runs import Runs, plain
@@ -71,12 +72,19 @@ def sweep(
     out, path = Path(store), Path(study)
     check_output(out, ".zarr", store=True)
     plan = read_study(path)
-    progress(f"designing {', '.join(plan.observers)}")
-    runs = Runs(plan.text, tuple(model_hash(plan.model) + plan.feedback_hash()))
-    result = runs.variables()
+    progress(f"{path.name}: {plan.grid.size} cases, {plan.steps:.2g} steps of observers; designing them")
+    # What counts as converged is asked of finished runs, and needs no new ones.
+    content = {key: value for key, value in plan.content.items() if key != "below"}
+    runs = Runs(json.dumps(content), tuple(model_hash(plan.model) + plan.feedback_hash()))
+    try:
+        result = runs.variables()
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    began: list[tuple[float, int]] = []  # when, and how many cases were there
 
     def report(done: int, total: int) -> None:
-        progress(f"{path.name}: {done} of {total} cases", done / total)
+        began.append((time.monotonic(), done))
+        progress(f"{path.name}: {done} of {total} cases{time_left(*began[0], done, total)}", done / total)
 
     try:
         map_grid(
@@ -84,7 +92,7 @@ def sweep(
             plan.grid,
             out,
             variables=result,
-            provenance={"study": json.loads(plan.text)},
+            provenance={"study": content},
             workers=workers,
             scheduler=scheduler,
             on_progress=report,
