@@ -197,13 +197,16 @@ def _load(model: str, fixed: Mapping[str, Any], changes: Mapping[str, Any], plac
     try:
         return models.load(model, {**fixed, **changes})
     except ValueError:
+        models.load(model, fixed)  # what is wrong without the changes is not theirs
         for key, value in changes.items():
             try:
                 models.load(model, {**fixed, key: value})
             except ValueError as error:
-                table = key.partition(".")[0]
-                hint = did_you_mean(table, (*STATES, *KEYS)).strip()
-                raise ValueError(f"{place}{key}: {hint}{' ' * bool(hint)}{error}") from error
+                table, known = key.partition(".")[0], (*STATES, *KEYS)
+                hint = (
+                    f" {table} is a key of the study, not of a model." if table in known else did_you_mean(table, known)
+                )
+                raise ValueError(f"{place}{key}:{hint} {error}") from error
         raise
 
 
