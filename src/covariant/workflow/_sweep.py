@@ -38,9 +38,13 @@ def sweep(
     A study is a small TOML file. Its table [axes] has what varies: `"start.q1"` and other initial positions and
     velocities of the machine, `"error.q1"` and other first errors of the observers, `noise` of its positions, random
     `acceleration` of the machine, the `rate` of the samples, `draw`, a number of random draws, and any key of the model
-    file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which the observers are designed with and the
-    machine is not; or tables of several of these, which vary together. All combinations are run, by compiled C where
-    there is a compiler. A run that was stopped goes on when it is called again.
+    file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which is varied in the model of the observers
+    only; the machine keeps its own. Several of these may vary together, as lists by key. All combinations are run, by
+    compiled C if there is a compiler. A run that was stopped goes on when it is called again.
+
+    The observers are those that the model file designs without a log. `estimate` takes the usual speed of each
+    coordinate from the log if it is larger than `uncertainty.motion_acceleration` times `uncertainty.motion_time`; give
+    these two keys in the table [set] to design for that speed here.
 
     Use it for basins of attraction, for the consistency of a filter, and for what a gain costs at another rate.
 
@@ -57,7 +61,8 @@ def sweep(
         up to which multiple all runs end there.
 
     Raises:
-        ValueError: For a study that makes no sense, or a store of another one.
+        ValueError: For a study that makes no sense or is too large, or a store of another one. One with another `below`
+            is the same study.
 
     Example:
         >>> from pathlib import Path
