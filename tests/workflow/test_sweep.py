@@ -76,6 +76,10 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
         ('rate = 50.0\nfeedback = "math:pi"\n', "feedback math:pi: with a time and a state"),
         ("rate = 50.0\nstart = 3\n", "start must be a table"),
         ("rate = 50.0\nfeedback = {function = 'math:pi'}\n", "feedback must be"),
+        ("rate = 1e12\n", r"a run of 2 s at 1e\+12 Hz has 2e\+12 samples; it needs 5 to 1000000"),
+        ("rate = 1.0\n", "has 2 samples; it needs 5"),
+        ("rate = 50.0\n[spread]\nv1 = -1.0\n", "spread.v1 must be a standard deviation"),
+        ("rate = 50.0\n[start]\nv9 = 1.0\n", r"study.toml: start.v9: unknown state 'v9'"),
     ],
 )
 def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
@@ -92,6 +96,27 @@ def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
         ("noise = [0.1, nan]", "noise must be a standard deviation"),
         ("noise = [0.1, 0.2]\n[[axes.case]]\nnoise = 0.1\n[[axes.case]]\nnoise = 0.2", "in two axes"),
         ('"start.q1" = {low = 0.0, high = 1.0, count = 2.5}', "must be a whole number"),
+        ('"start.q1" = {low = 0.0, high = 1.0, count = 1e9}', "whole number from 2 to 1000000; got 1000000000.0"),
+        (
+            '"start.q1" = {low = 0.0, high = 1.0, count = nan}',
+            "count of axes.start.q1 must be a finite number; got nan",
+        ),
+        ('"start.q1" = {low = 0.0, high = inf, count = 3}', "high of axes.start.q1 must be a finite number; got inf"),
+        ('"start.q1" = {low = 0.0, high = 1.0, count = 3, log = true}', "axes.start.q1: unknown key 'log'"),
+        ('"start.q1" = {low = 1.0, high = 1.0, count = 3}', "low and high of axes.start.q1 are both 1.0"),
+        ('"start.q1" = [1.0, 2, 1]', "axes.start.q1 has 1 twice"),
+        ("[axes.case]\nname = ['a', 'b']\nnoise = [0.1, 0.1]", "axes.case has {'noise': 0.1} twice"),
+        ("draw = 1000001", "axes.draw has 1000001 values; 1000000 are the most"),
+        (
+            "".join(f"{key} = {{low = 0.1, high = 0.2, count = 200}}\n" for key in ("noise", "acceleration"))
+            + "draw = 40000",
+            "1600000000 cases are more than 1000000000",
+        ),
+        ('"parameters.stiffness" = {low = 0.1, high = 0.2, count = 10001}', "10001 designs of an observer are more"),
+        (
+            '"star.v1" = [1.0, 2.0]',
+            r"study.toml: axes.star.v1: Did you mean 'start'\? oscillator: unknown table or key",
+        ),
         ("[[axes.case]]\nnois = 0.1\n[[axes.case]]\nnoise = 0.2", "unknown table or key 'nois'"),
         ("[axes.case]\nnoise = [0.1, 0.2]\nrate = [50.0]", "need one length; got noise 2, rate 1"),
         ("[axes.case]\nnoise = [0.1]", "needs a list of two values"),
@@ -140,6 +165,33 @@ def test_the_basin_is_the_largest_multiple_up_to_which_all_runs_converge(tmp_pat
     np.testing.assert_allclose(error[1:] / error[1], [1.0, 10.0, 1e6], rtol=1e-6)
     assert basin == [0.0, 1.0, 10.0, 1e6][int(np.flatnonzero(error < 0.05)[-1])]
     assert beyond == 0
+
+
+def test_another_limit_needs_no_new_run_and_time_is_left(tmp_path):
+    told = []
+    axes = '[axes]\n"start.v1" = {low = 0.0, high = 2.0, count = 5000}\n'
+    head = HEAD.replace(', "intrinsic-kalman"', "").replace("2.0", "0.2") + "rate = 50.0\n"
+    for below, converged in (("1e-12", False), ("100.0", True)):
+        (tmp_path / "study.toml").write_text(head.replace("0.05", below) + SET + axes)
+        result = workflow.sweep(
+            tmp_path / "study.toml",
+            tmp_path / "study.zarr",
+            workers=1,
+            progress=lambda text, done=None: told.append(text),
+        )
+        assert (result.columns["converged"][0] == 1) == converged
+    assert told[0] == "study.toml: 5000 cases, 5e+04 steps of observers; designing them"
+    assert [text.partition(" cases")[0] for text in told[1:]][:2] == [
+        "study.toml: 0 of 5000",
+        "study.toml: 2500 of 5000",
+    ]
+    assert told[2].endswith(" s left")
+    assert told[-1] == "study.toml: 5000 of 5000 cases"  # the first report of the second run, and its only one
+
+
+def test_an_observer_twice_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="observers has 'intrinsic' twice"):
+        run(tmp_path, "noise = [0.1, 0.2]", HEAD.replace("intrinsic-kalman", "intrinsic") + "rate = 50.0\n")
 
 
 def test_multiples_that_do_not_grow_are_refused(tmp_path):

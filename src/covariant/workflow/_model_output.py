@@ -136,15 +136,15 @@ def code_hash(spec: str, folder: Path | None = None) -> list[str]:
     module, beside = spec.partition(":")[0], os.path.abspath(folder or "")
     top = module.partition(".")[0]
     found = importlib.machinery.PathFinder.find_spec(top, [beside, *sys.path]) if ":" in spec and top else None
-    if found is None or found.origin is None or top == __package__.partition(".")[0]:
+    if found is None or found.origin is None or top == __name__.partition(".")[0]:
         return []
     root = Path(found.origin).parents[found.submodule_search_locations is not None]
     others = [each.stem for each in root.iterdir() if each.stem != top] if "site-packages" in root.parts else []
     finder = modulefinder.ModuleFinder([str(root)], excludes=others)
     with contextlib.suppress(Exception):  # a module may be broken in any way, which others say
         finder.import_hook(module)
-    files = sorted({str(each.__file__) for each in finder.modules.values() if each.__file__})
-    return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files]
+    files = {getattr(each, "__file__", None) for each in finder.modules.values()}
+    return [hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in sorted(filter(None, files))]
 
 
 def check_read_once(sources: Mapping[Path, bytes]) -> None:

@@ -26,7 +26,7 @@ from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import model_hash
 from covariant.workflow._outcome import summary
 from covariant.workflow._outputs import write_table
-from covariant.workflow._progress import Progress, notebook_line
+from covariant.workflow._progress import Progress, notebook_line, time_left
 from covariant.workflow._result import AbstractTable
 
 FILES = {"estimate": ".parquet", "check": "", "fit": ".toml", "smooth": "_smoothed.parquet"}
@@ -118,10 +118,9 @@ def over_logs(
     first, written, failed = done, began, Counter("failed" in row for row in rows.values())
 
     def report() -> None:
-        left = (time.monotonic() - began) * (total - done) / (done - first) if done > first else None
         progress(
             f"{verb}: {len(rows)} of {len(costs)} logs{f', {failed[True]} failed' * (True in failed)}"
-            + ("" if left is None else f", {left:.0f} s left"),
+            + time_left(began, first, done, total),
             done / max(total, 1),
         )
 
@@ -150,7 +149,9 @@ def over_logs(
             table.write(fresh)
     for row in rows.values():
         row.pop("saved", None)
-    result = LogsResult(verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases], out and Path(out))
+    result = LogsResult(
+        verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases], None if out is None else Path(out)
+    )
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")

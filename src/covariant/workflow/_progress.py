@@ -27,6 +27,13 @@ class Progress(Protocol):
     def __call__(self, description: str, fraction: float | None = None) -> None: ...
 
 
+def time_left(began: float, first: float | int, done: float | int, total: float | int) -> str:
+    """Time left at the pace since `began` [s, monotonic], when `first` of the work was done; "" before any was."""
+    if done <= first:
+        return ""
+    return f", {(time.monotonic() - began) * (total - done) / (done - first):.0f} s left"
+
+
 OFTEN = 0.1
 """Seconds between two updates of a line whose description stays."""
 

@@ -62,6 +62,12 @@ STATES = ("start", "spread", "error")
 """Tables of a study with a number for each position and velocity."""
 OF_DESIGN = ("rate", "duration", "push")
 """Keys of the study that a design may have of its own."""
+ENDS = ("low", "high", "count")
+"""Keys of an axis of equal steps."""
+FEWEST_SAMPLES = 5
+"""The last fifth of a run, of which errors are told, has one sample at least."""
+MOST_SAMPLES, MOST_VALUES, MOST_DESIGNS, MOST_CASES = 10**6, 10**6, 10**4, 10**9
+"""Samples of a run, values of an axis, designs of an observer, and cases of a store, which has a file for 4096."""
 
 
 def of_run(key: str) -> bool:
@@ -158,6 +164,17 @@ class Study(NamedTuple):
         return [functools.reduce(operator.or_, each, {}) for each in itertools.product(*axes)]
 
     @property
+    def samples(self) -> list[int]:
+        """Number of samples of a run, for each design."""
+        content = self.content
+        return [round(run["duration"] * run["rate"]) for run in ({**content, **each} for each in self.designs)]
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of all observers in all cases."""
+        return sum(self.samples) * (self.grid.size // len(self.designs)) * len(self.observers)
+
+    @property
     def numbers(self) -> dict[str, float]:
         """What every run has of its own, by key, if no axis says otherwise."""
         content = self.content
@@ -198,34 +215,10 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
         content["model"] = str((folder / content["model"]).absolute())
     if isinstance(content.get("feedback"), str):
         content["feedback"] = {"function": content["feedback"], "folder": str(folder.absolute())}
+    _refuse_twice(f"{name}: observers", content["observers"])
     axes = []
-    for key, values in content["axes"].items():
-        if isinstance(values, Mapping) and values and all(isinstance(each, list) for each in values.values()):
-            lengths = {each: len(list_) for each, list_ in values.items()}
-            if len(set(lengths.values())) > 1:
-                counts = ", ".join(f"{each} {count}" for each, count in lengths.items())
-                raise ValueError(f"{name}: lists of axes.{key} vary together, and need one length; got {counts}")
-            values = [dict(zip(values, together, strict=True)) for together in zip(*values.values(), strict=True)]
-        elif isinstance(values, Mapping):
-            try:
-                low, high, count = (float(values[end]) for end in ("low", "high", "count"))
-            except (KeyError, TypeError, ValueError) as error:
-                raise ValueError(f"{name}: axes.{key} needs a list, {{low, high, count}}, or lists by key") from error
-            if count < 2 or count != int(count):
-                raise ValueError(
-                    f"{name}: count of axes.{key} must be a whole number from 2 on; got {values['count']!r}"
-                )
-            values = np.linspace(low, high, int(count)).tolist()
-        elif key == "draw":
-            if not isinstance(values, int) or isinstance(values, bool) or values < 2:
-                raise ValueError(f"{name}: axes.draw must be a number of draws, 2 or more; got {values!r}")
-            values = list(range(values))
-        if not isinstance(values, list) or len(values) < 2:
-            raise ValueError(
-                f"{name}: axes.{key} needs a list of two values or more; put a single value into [set] or [start]"
-            )
-        if len({isinstance(value, dict) for value in values}) > 1:
-            raise ValueError(f"{name}: axes.{key} has tables and other values; give all as tables")
+    for key, given in content["axes"].items():
+        values = _values(name, key, given)
         if key in TAKEN or (isinstance(values[0], dict) and (of_run(key) or key == "draw")):
             raise ValueError(f"{name}: axes.{key} cannot be a name for tables: it is taken")
         if key == "error" and not (all(_number(v, 0.0) for v in values) and np.all(np.diff(values) > 0)):
@@ -246,16 +239,96 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
             raise ValueError(f"{name}: {key} is in two axes; keep one")
     if "error" in varied and "error" not in content and not any(key.startswith("error.") for key in varied):
         raise ValueError(f"{name}: axes.error multiplies the first error, which is missing: a table [error]")
+    designing = [axis for axis in study.axes if axis.designs]
+    for what, axes, most in (("cases", study.axes, MOST_CASES), ("designs of an observer", designing, MOST_DESIGNS)):
+        sizes = {axis.key: len(axis.values) for axis in axes}
+        if math.prod(sizes.values()) > most:
+            counts = ", ".join(f"{key} {count}" for key, count in sizes.items())
+            raise ValueError(f"{name}: {math.prod(sizes.values())} {what} are more than {most}; axes have {counts}")
     for each in study.designs:
+        run = {**content, **each}
         for key in ("rate", "duration"):
-            if key not in {**content, **each}:
+            if key not in run:
                 raise ValueError(f"{name}: {key} is missing: {KEYS[key][1]}, or an axis of it")
+        samples = run["duration"] * run["rate"]
+        if not FEWEST_SAMPLES <= round(min(samples, 2.0 * MOST_SAMPLES)) <= MOST_SAMPLES:
+            raise ValueError(
+                f"{name}: a run of {run['duration']:g} s at {run['rate']:g} Hz has {samples:.7g} samples; "
+                f"it needs {FEWEST_SAMPLES} to {MOST_SAMPLES}"
+            )
     return study
+
+
+def _values(name: str, key: str, given: Any) -> list[Any]:
+    """Values of an axis as a study gives them: a number of draws, equal steps, lists by key, or a list."""
+    values = given
+    if key == "draw":
+        if not isinstance(given, int) or isinstance(given, bool) or given < 2:
+            raise ValueError(f"{name}: axes.draw must be a number of draws, 2 or more; got {given!r}")
+        values = range(given)
+    elif isinstance(given, Mapping) and given and all(isinstance(each, list) for each in given.values()):
+        lengths = {each: len(list_) for each, list_ in given.items()}
+        if len(set(lengths.values())) > 1:
+            counts = ", ".join(f"{each} {count}" for each, count in lengths.items())
+            raise ValueError(f"{name}: lists of axes.{key} vary together, and need one length; got {counts}")
+        values = [dict(zip(given, together, strict=True)) for together in zip(*given.values(), strict=True)]
+    elif isinstance(given, Mapping):
+        values = _equal_steps(name, key, given)
+    if not isinstance(values, list | range) or len(values) < 2:
+        raise ValueError(
+            f"{name}: axes.{key} needs a list of two values or more; put a single value into [set] or [start]"
+        )
+    if len(values) > MOST_VALUES:
+        raise ValueError(f"{name}: axes.{key} has {len(values)} values; {MOST_VALUES} are the most of an axis")
+    tables = [value for value in values if isinstance(value, dict)]
+    if tables and len(tables) < len(values):
+        raise ValueError(f"{name}: axes.{key} has tables and other values; give all as tables")
+    bare = [{k: v for k, v in table.items() if k != "name"} for table in tables]
+    for each in (bare or values, [table["name"] for table in tables if "name" in table]):
+        _refuse_twice(f"{name}: axes.{key}", each)
+    return list(values)
+
+
+def _refuse_twice(place: str, values: Sequence[Any]) -> None:
+    """Refuse a value that is there twice."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return frozenset((key, plain(each)) for key, each in value.items())
+        return tuple(map(plain, value)) if isinstance(value, list) else value
+
+    seen = set()
+    for value in values:
+        if (known := plain(value)) in seen:
+            raise ValueError(f"{place} has {value!r} twice; keep one")
+        seen.add(known)
+
+
+def _equal_steps(name: str, key: str, ends: Mapping[str, Any]) -> list[float]:
+    """Values of an axis {low, high, count}."""
+    if not all(end in ends for end in ENDS):
+        raise ValueError(f"{name}: axes.{key} needs a list, {{low, high, count}}, or lists by key")
+    for end, value in ends.items():
+        if end not in ENDS:
+            raise ValueError(f"{name}: axes.{key}: {unknown('key', end, ENDS)}")
+        if not _number(value):
+            raise ValueError(f"{name}: {end} of axes.{key} must be a finite number; got {value!r}")
+    low, high, count = (ends[end] for end in ENDS)
+    if count != int(count) or not 2 <= count <= MOST_VALUES:
+        raise ValueError(f"{name}: count of axes.{key} must be a whole number from 2 to {MOST_VALUES}; got {count!r}")
+    if low == high:
+        raise ValueError(
+            f"{name}: low and high of axes.{key} are both {low!r}; put a single value into [set] or [start]"
+        )
+    return np.linspace(low, high, int(count)).tolist()
 
 
 def _check(name: str, key: str, value: Any) -> None:
     """Refuse a value that a key of a study cannot have; keys of the model file are checked with it."""
-    if key.partition(".")[0] in STATES:
+    table = key.partition(".")[0]
+    if table == "spread":
+        holds, what = KEYS["noise"]
+    elif table in STATES:
         holds, what = (_number, "a finite number")
     else:
         holds, what = KEYS.get(key, (lambda value: True, ""))

@@ -4,6 +4,7 @@ import functools
 import itertools
 import json
 import math
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import code_hash, model_hash
 from covariant.workflow._outputs import check_output, write_table
 from covariant.workflow._pages import write_result_page
-from covariant.workflow._progress import Progress, notebook_line
+from covariant.workflow._progress import Progress, notebook_line, time_left
 from covariant.workflow._result import AbstractTable
 from covariant.workflow._study import Axis, Study, read_study
 from covariant.workflow._sweep_runs import Runs, plain
@@ -37,9 +38,13 @@ def sweep(
     A study is a small TOML file. Its table [axes] has what varies: `"start.q1"` and other initial positions and
     velocities of the machine, `"error.q1"` and other first errors of the observers, `noise` of its positions, random
     `acceleration` of the machine, the `rate` of the samples, `draw`, a number of random draws, and any key of the model
-    file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which the observers are designed with and the
-    machine is not; or tables of several of these, which vary together. All combinations are run, by compiled C where
-    there is a compiler. A run that was stopped goes on when it is called again.
+    file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which is varied in the model of the observers
+    only; the machine keeps its own. Several of these may vary together, as lists by key. All combinations are run, by
+    compiled C if there is a compiler. A run that was stopped goes on when it is called again.
+
+    The observers are those that the model file designs without a log. `estimate` takes the usual speed of each
+    coordinate from the log if it is larger than `uncertainty.motion_acceleration` times `uncertainty.motion_time`; give
+    these two keys in the table [set] to design for that speed here.
 
     Use it for basins of attraction, for the consistency of a filter, and for what a gain costs at another rate.
 
@@ -56,7 +61,8 @@ def sweep(
         up to which multiple all runs end there.
 
     Raises:
-        ValueError: For a study that makes no sense, or a store of another one.
+        ValueError: For a study that makes no sense or is too large, or a store of another one. One with another `below`
+            is the same study.
 
     Example:
         >>> from pathlib import Path
@@ -71,14 +77,22 @@ def sweep(
     out, path = Path(store), Path(study)
     check_output(out, ".zarr", store=True)
     plan = read_study(path)
-    progress(f"designing {', '.join(plan.observers)}")
-    feedback = plan.content.get("feedback", {"function": "", "folder": ""})
+    progress(f"{path.name}: {plan.grid.size} cases, {plan.steps:.2g} steps of observers; designing them")
+    # What counts as converged is asked of finished runs, and needs no new ones.
+    content = {key: value for key, value in plan.content.items() if key != "below"}
+    feedback = content.get("feedback", {"function": "", "folder": ""})
     code = code_hash(feedback["function"], Path(feedback["folder"]))
-    runs = Runs(plan.text, (*model_hash(plan.model), *code))
-    result = runs.variables()
+    runs = Runs(json.dumps(content), (*model_hash(plan.model), *code))
+    try:
+        result = runs.variables()
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    began: list[tuple[float, int]] = []  # when, and how many cases were there
 
     def report(done: int, total: int) -> None:
-        progress(f"{path.name}: {done} of {total} cases", done / total)
+        if not began:
+            began.append((time.monotonic(), done))
+        progress(f"{path.name}: {done} of {total} cases{time_left(*began[0], done, total)}", done / total)
 
     try:
         map_grid(
@@ -86,7 +100,7 @@ def sweep(
             plan.grid,
             out,
             variables=result,
-            provenance={"study": json.loads(plan.text)},
+            provenance={"study": content},
             workers=workers,
             scheduler=scheduler,
             on_progress=report,

@@ -13,13 +13,13 @@ import numpy as np
 
 from covariant import engine, models
 from covariant._compile import compiler
-from covariant._names import unknown
+from covariant._names import did_you_mean, unknown
 from covariant.metrics import Variable
 from covariant.observers import with_velocity
 from covariant.workflow._arguments import numbers
 from covariant.workflow._design import design
 from covariant.workflow._simulated_log import DETUNED, pushed, pushes
-from covariant.workflow._study import Axis, Study, designed_with, of_run, parse_study
+from covariant.workflow._study import KEYS, STATES, Axis, Study, designed_with, of_run, parse_study
 
 SETTLED = 0.8
 """Part of a run after which errors count."""
@@ -150,7 +150,7 @@ def _compiled(runs: Runs) -> _Machine:
     plan = parse_study(json.loads(runs.text))
     content, designs = plan.content, plan.designs
     overrides = content.get("set", {})
-    file = models.load(plan.model, overrides)
+    file = _load(plan.model, {}, overrides, "[set] ")
     model: Any = file.need_mechanical(plan.model, "a sweep simulates")
     if model.feet is not None:
         raise ValueError(f"{plan.model}: a sweep simulates no contacts; take a model without feet")
@@ -160,15 +160,15 @@ def _compiled(runs: Runs) -> _Machine:
     keys = dict.fromkeys((*plan.numbers, *varied, *(k for each in designs for k in each if of_run(k))))
     for key in keys:
         if "." in key and key.partition(".")[2] not in names:
-            raise ValueError(f"{key.partition('.')[0]}: {unknown('state', key.partition('.')[2], names)}")
+            raise ValueError(f"{key}: {unknown('state', key.partition('.')[2], names)}")
     own = {
         key: varied.get(key, jnp.asarray([float({**plan.numbers, **each}.get(key, 0.0)) for each in designs]))
         for key in keys
     }
-    rates, durations = (np.array([float({**content, **each}[key]) for each in designs]) for key in ("rate", "duration"))
+    rates = np.array([float({**content, **each}["rate"]) for each in designs])
     largest = [numbers("push", {**content, **each}.get("push", 0.0), names[n:], one=True) for each in designs]
     inputs = models.input_count(model, n)
-    files = [models.load(plan.model, overrides | designed_with(each)) for each in designs]
+    files = [_load(plan.model, overrides, designed_with(each), "axes.") for each in designs]
     for each in files:
         if any(np.any(late) for late in (each.delay, each.input_delay, each.input_lag, each.input_lead)):
             raise ValueError(f"{plan.model}: a sweep has no delays; leave out those of [measurement] and [inputs]")
@@ -179,7 +179,6 @@ def _compiled(runs: Runs) -> _Machine:
             made = [each.without_gate() for each in made]
         driven = "acceleration" in keys or bool(np.any(largest))
         families[name] = _family(model, [each.observer for each in made], inputs, driven, "noise" in keys)
-    counts = jnp.asarray(np.maximum(np.round(durations * rates), 2).astype(int))
     return _Machine(
         plan,
         model,
@@ -187,10 +186,28 @@ def _compiled(runs: Runs) -> _Machine:
         _inputs(content, model, inputs, n),
         own,
         jnp.asarray(1 / rates),
-        counts,
+        jnp.asarray(plan.samples),
         jnp.asarray(np.stack(largest)),
         families,
     )
+
+
+def _load(model: str, fixed: Mapping[str, Any], changes: Mapping[str, Any], place: str) -> models.ModelFile:
+    """The model file with keys of a study; an error names the key, and what of a study may be meant."""
+    try:
+        return models.load(model, {**fixed, **changes})
+    except ValueError:
+        models.load(model, fixed)  # what is wrong without the changes is not theirs
+        for key, value in changes.items():
+            try:
+                models.load(model, {**fixed, key: value})
+            except ValueError as error:
+                table, known = key.partition(".")[0], (*STATES, *KEYS)
+                hint = (
+                    f" {table} is a key of the study, not of a model." if table in known else did_you_mean(table, known)
+                )
+                raise ValueError(f"{place}{key}:{hint} {error}") from error
+        raise
 
 
 def _inputs(content: Mapping[str, Any], model: Any, count: int, n: int) -> Callable[[Any, Any, Any], Any]:
