@@ -68,7 +68,7 @@ from covariant.calibration.diagnosis._suspicion import (
 )
 from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, THRESHOLDS
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
-from covariant.calibration.diagnosis._unexplained import unexplained
+from covariant.calibration.diagnosis._unexplained import constant_inputs, unexplained
 from covariant.models import ModelFile
 from covariant.observers import on_legs
 from covariant.scoring import unwrap
@@ -197,6 +197,7 @@ def _findings(
         return [*on_group, *clock], (*checks, "unit of time", "repeated rows")
     checks += ("periods", "several senders", "outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), names_of(file)
+    constant = constant_inputs(record, names)
     quantum = file.quantum if quantum is None else quantum
     still, whole = still_findings(y, names.q, names.units)
     if whole:
@@ -262,7 +263,7 @@ def _findings(
     moved = case._replace(
         record=case.record._replace(y=moved_rows(np.asarray(case.record.y), timing.rows + np.array(shift)))
     )
-    left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0])
+    left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0], constant)
     beside = sensor_checks(case, rows.t, sensors, timing.delay - timing.delay.min())
     return [*findings, *_sensors(moved, quantum, edges), *beside, *lacking, *delays, *small, *left], checks
 
@@ -411,7 +412,8 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
         return accepted[1]
     if file.wrenches or file.external_force or file.external_force_std:
         return None  # the forces that the file states may be what the model leaves
-    findings = [each for each in unexplained(case, left) if each.what == "model"] if left else []
+    constant = constant_inputs(record, case.names)
+    findings = [each for each in unexplained(case, left, None, constant) if each.what == "model"] if left else []
     log = clearly(case)
     if not findings or log is None:
         return None
