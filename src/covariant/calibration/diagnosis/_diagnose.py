@@ -37,6 +37,7 @@ from covariant.calibration.diagnosis._columns import COLUMNS, units
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._jumps import (
+    moved_zeros,
     period_findings,
     periods,
     second_sender,
@@ -52,7 +53,7 @@ from covariant.calibration.diagnosis._readings import (
     readings,
     still_findings,
 )
-from covariant.calibration.diagnosis._repeats import repeated_findings, without_repeated
+from covariant.calibration.diagnosis._repeats import repeated_findings, stuck, without_repeated
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
@@ -211,6 +212,12 @@ def _findings(
         # Two motions in one column look like noise, outliers, delays and wrong units.
         clock = [each for each in findings if each.what not in ("missing rows", "irregular stamps")]
         return [*clock, *still, *senders], checks
+    broken = [] if file.input_kind == "command" else _broken_parts(case, np.asarray(record.y), rows)
+    for each, _ in broken:
+        record = each.apply(case._replace(record=record)).record
+    if broken:
+        findings += [finding for _, finding in broken]
+        case, outliers = case_without_outliers(file, record, rows, quantum)
     y, ticks, as_read = np.asarray(record.y), case.ticks, case._replace(record=record)
     edges = edge_findings(rows.t, y, ticks, names, quantum)
     if edges:
@@ -266,6 +273,30 @@ def _findings(
     left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0], constant)
     beside = sensor_checks(case, rows.t, sensors, timing.delay - timing.delay.min())
     return [*findings, *_sensors(moved, quantum, edges), *beside, *lacking, *delays, *small, *left], checks
+
+
+def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspicion, Finding]]:
+    """What is accepted about parts of the log in which a position is stuck, or from which on its zero is another one.
+
+    Readings name the rows, and the model judges them on those around: a joint may rest, and its readings may jump over
+    rows that are missing.
+    """
+    found: list[tuple[Suspicion, Finding]] = []
+    for _ in range(MOST_CHANGES):
+        accepted = None
+        for each in itertools.chain(stuck(case, read, rows), moved_zeros(case, read, rows)):
+            at = int(np.searchsorted(rows.t, each.numbers.get("time", each.numbers.get("begin"))))
+            near = slice(max(at - FEW_ROWS // 2, 0), at + FEW_ROWS // 2)
+            around = case._replace(record=Record(*(np.asarray(a)[near] for a in case.record[:3])))
+            accepted = judge(around, [each], clearly_unexplained)
+            if accepted is not None:
+                break
+        if accepted is None:
+            break
+        found.append(accepted)
+        case = accepted[0].apply(case)
+        read = accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y
+    return found
 
 
 def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
