@@ -85,6 +85,9 @@ NOISY = 0.01
 """Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
 MOST_PAIRS = 6
 """Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
+AROUND_PART, FEWEST_AROUND = 3, 150
+"""Rows on either side of a part of the log that judge it, if many do not show it: relative to its own rows with the
+windows beside it, and the fewest."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
 COMPARED = (
@@ -283,20 +286,32 @@ def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspic
     """
     found: list[tuple[Suspicion, Finding]] = []
     for _ in range(MOST_CHANGES):
-        accepted = None
-        for each in itertools.chain(stuck(case, read, rows), moved_zeros(case, read, rows)):
-            at = int(np.searchsorted(rows.t, each.numbers.get("time", each.numbers.get("begin"))))
-            near = slice(max(at - FEW_ROWS // 2, 0), at + FEW_ROWS // 2)
-            around = case._replace(record=Record(*(np.asarray(a)[near] for a in case.record[:3])))
-            accepted = judge(around, [each], clearly_unexplained)
-            if accepted is not None:
-                break
+        suspicions = itertools.chain(stuck(case, read, rows), moved_zeros(case, read, rows))
+        accepted = next((one for each in suspicions if (one := _judge_around(case, each)) is not None), None)
         if accepted is None:
             break
         found.append(accepted)
         case = accepted[0].apply(case)
-        read = accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y
-    return found
+        read = np.asarray(accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y)
+    # The rows before the first one are right; those before another one are not, as they stand.
+    found.sort(key=lambda each: each[1].numbers["begin"])
+    return [
+        (each, one if k == 0 else one._replace(line=one.line.split("; or ")[-1])) for k, (each, one) in enumerate(found)
+    ]
+
+
+def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding] | None:
+    """Judge a suspicion about a part of the log on many rows around it, or, if it is short, on few."""
+    t = np.asarray(case.record.t)
+    begin, end = np.searchsorted(t, [suspicion.numbers["begin"], suspicion.numbers["end"]])
+    # Of 30 blocks of so few rows some that are held out see it.
+    few = int(AROUND_PART * (end - begin + 2 * case.file.reference_half / case.spacing))
+    for beside in (FEW_ROWS // 2, np.clip(few, FEWEST_AROUND, FEW_ROWS // 2)):
+        near = slice(max(begin - beside, 0), min(end, begin + FEW_ROWS) + beside)
+        around = case._replace(record=Record(*(np.asarray(a)[near] for a in case.record[:3])))
+        if (accepted := judge(around, [suspicion], clearly_unexplained)) is not None:
+            return accepted
+    return None
 
 
 def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:

@@ -162,7 +162,7 @@ def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Itera
             moved[np.asarray(case.record.t) >= time, i] -= jump
             return case._replace(record=case.record._replace(y=moved))
 
-        numbers = {"jump": jump, "time": time}
+        numbers = {"jump": jump, "begin": time, "end": time}
         words = "without this jump"
         yield Suspicion("zero of a position", name, words, line, apply, "part of the log", claim, numbers)
 
