@@ -5,7 +5,8 @@ log is in the units, order and signs of the model, and whether every column was 
 
 Suspicions are judged against each other on rows held out, in an order where that cannot decide:
 
-1. What readings and stamps show by themselves, since smoothing needs readings without outliers.
+1. What readings and stamps show by themselves, since smoothing needs readings without outliers; of parts in which a
+   position may be stuck, or from which on its zero may be another one, the model decides.
 2. `COLUMNS`, one after another: in wrong units or order nothing else explains anything.
 3. Delays and scales against friction and rotors, each of which looks like the other.
 4. Whole rows and what inputs do between rows, in the log without these: so small a fault shows only there.
@@ -287,9 +288,11 @@ def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspic
     found: list[tuple[Suspicion, Finding]] = []
     for _ in range(MOST_CHANGES):
         suspicions = itertools.chain(stuck(case, read, rows), moved_zeros(case, read, rows))
-        accepted = next((one for each in suspicions if (one := _judge_around(case, each)) is not None), None)
-        if accepted is None:
+        judged = [one for each in suspicions if (one := _judge_around(case, each)) is not None]
+        if not judged:
             break
+        # A stuck encoder that is read again jumps, and beside a jump a turn may look stuck.
+        accepted = min(judged, key=lambda one: one[1].numbers["unexplained_after"])
         found.append(accepted)
         case = accepted[0].apply(case)
         read = np.asarray(accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y)

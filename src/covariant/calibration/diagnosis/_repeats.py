@@ -130,7 +130,7 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
     span may look like.
     """
     t, y = rows.t, read
-    spans: dict[tuple[int, int], list[int]] = {}
+    spans: dict[tuple[int, int], bool] = {}  # whether no rest looks like it
     white = None
     for i, column in enumerate(y.T):
         seen = np.flatnonzero(np.isfinite(column))
@@ -138,16 +138,17 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
         edges = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0, [True]]))
         lengths = np.diff(edges)
         for k in np.flatnonzero(lengths >= HELD_ROWS) if len(lengths) > 1 else ():
-            beside = np.concatenate([lengths[max(k - 2, 0) : k], lengths[k + 1 : k + 3]])
-            if lengths[k] < HELD_TIMES * beside.max():
-                continue
             begin, end = edges[k], edges[k + 1] - 1
             white = readings(case.record, case.model.circles).white if white is None else white
             smallest = max(4 * float(case.ticks[i]), ROUNDING * float(np.abs(x).max()))
+            sides = ((lengths[max(k - 2, 0) : k], x[begin::-1]), (lengths[k + 1 : k + 3], x[end:]))
+            longer = [lengths[k] >= HELD_TIMES * beside.max(initial=1) for beside, _ in sides]
+            at_once = any(long and _abrupt(away, smallest) for long, (_, away) in zip(longer, sides, strict=True))
             # A reading with noise is never the same twice, at rest neither.
-            noisy = case.ticks[i] == 0 and bool(white[i])
-            if noisy or _abrupt(x[begin::-1], smallest) or _abrupt(x[end:], smallest):
-                spans.setdefault((int(seen[begin]), int(seen[end])), []).append(i)
+            sure = at_once or (case.ticks[i] == 0 and bool(white[i]))
+            if at_once or all(longer):
+                span = int(seen[begin]), int(seen[end])
+                spans[span] = spans.get(span, False) or sure
     for begin, end in sorted(spans, key=lambda span: span[0] - span[1])[:MOST_RUNS]:
         # Columns of one sender stop together, with a row more or less where one of them turned.
         which = [i for i, column in enumerate(y.T) if np.ptp(column[begin + 1 : end]) == 0 and np.nanstd(column) > 0]
@@ -155,16 +156,17 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
         where = ", ".join(names)
         read = " and ".join(f"{case.names.q[i]} reads {y[end, i]:.6g} {case.names.units[i]}".rstrip() for i in which)
         claim = f"{read} in all rows from {rows.named(begin)} to {rows.named(end)}"
-        line = f"leave the cells of {where} empty there, and look at the sensor and its cable"
+        line = (
+            f"leave the cells of {where} empty there; look at the sensor and its cable, and at what may hold the joint"
+        )
         if end >= len(t) - 1 - HELD_ROWS:
             line = f"until = {stated_time(t[begin])} keeps the rows before that; or {line}"
         elif begin <= HELD_ROWS:
             line = f"start = {stated_time(t[end + 1])} keeps the rows after that; or {line}"
         numbers = {"rows": end - begin + 1, "begin": float(t[begin]), "end": float(t[end])}
         apply = without_rows(which, float(t[begin]), float(t[end]))
-        yield Suspicion(
-            "repeated rows", where, "without these readings", line, apply, "part of the log", claim, numbers
-        )
+        threshold = "part of the log" if spans[begin, end] else "rest"
+        yield Suspicion("repeated rows", where, "without these readings", line, apply, threshold, claim, numbers)
 
 
 def _abrupt(x: Float[np.ndarray, "k"], smallest: float) -> bool:

@@ -52,6 +52,8 @@ THRESHOLDS = {
     "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5, alike=1.5),
     # Readings of a part of the log, which may be short: they look wrong by themselves, and the model says so as well.
     "part of the log": Threshold(1e-3, 1 / 2, 0.5, sure=-np.inf),
+    # The same of readings that look like those of a joint at rest, as by friction that the model lacks.
+    "rest": Threshold(0.15, 1 / 10, 0.02, sure=-np.inf),
     # Torques and delays or scales together.
     "torques and fitted": Threshold(0.01, 1 / 2, 0.15),
 }
