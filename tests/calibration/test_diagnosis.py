@@ -412,25 +412,22 @@ def test_a_zero_that_moves_during_the_log_is_named_with_time_and_size(pendulum, 
 
 
 def test_a_joint_that_rests_and_then_moves_is_not_called_stuck(pendulum, exact):
-    """Exact readings, and ticks: both keep one value while it stands."""
+    """Its encoder reads one value for a second, and later for 67 rows at a turn beside ticks of three rows."""
     moved = exact(0.0, 0.0, 0.0, 0.0)
     t, rest = np.arange(len(moved.t) + 500) * SPACING, np.zeros((500, 2))
-    stood = Record(t, np.concatenate([rest, moved.u]), np.concatenate([rest, moved.y]))
-    for y in (stood.y, QUANTUM * np.round(stood.y / QUANTUM)):
-        assert not [
-            each for each in diagnose(pendulum._replace(quantum=QUANTUM), stood._replace(y=y)).findings if each.wrong
-        ]
+    y = QUANTUM * np.round(np.concatenate([rest, moved.y]) / QUANTUM)
+    found = diagnose(pendulum._replace(quantum=QUANTUM), Record(t, np.concatenate([rest, moved.u]), y)).findings
+    assert not [each for each in found if each.wrong]
 
 
+@pytest.mark.long
 def test_inputs_that_never_change_are_named_before_an_uncertainty(pendulum, clean):
-    u = np.where([True, False], 0.0, clean.u)
-    (found,) = [each for each in diagnose(pendulum, clean._replace(u=u)).findings if each.wrong]
+    u = np.where([True, False], 0.0, clean.u)[:1000]
+    short = clean._replace(t=clean.t[:1000], y=clean.y[:1000])
+    (found,) = [each for each in diagnose(pendulum, short._replace(u=u)).findings if each.wrong]
     assert found.what in ("model", "uncertainty")
-    assert found.evidence.startswith("tau1 is 0 in all 3001 rows; ")
+    assert found.evidence.startswith("tau1 is 0 in all 1000 rows; ")
     assert found.line.startswith("log what drives the machine")
-    free = simulate(pendulum.model, jnp.array([0.5, -0.8, 0.0, 0.0]), jnp.asarray(clean.t), lambda t, x: jnp.zeros(2))
-    y = sense(PositionSensor(500.0, noise_std=2e-4), np.asarray(free.y), 3)
-    assert diagnose(pendulum, Record(clean.t, np.zeros_like(clean.u), y)).findings == ()
 
 
 def test_what_spoils_most_comes_first(pendulum, clean):

@@ -140,7 +140,7 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
         for k in np.flatnonzero(lengths >= HELD_ROWS) if len(lengths) > 1 else ():
             begin, end = edges[k], edges[k + 1] - 1
             white = readings(case.record, case.model.circles).white if white is None else white
-            smallest = max(4 * float(case.ticks[i]), ROUNDING * float(np.abs(x).max()))
+            smallest = max(8 * float(case.ticks[i]), ROUNDING * float(np.abs(x).max()))
             sides = ((lengths[max(k - 2, 0) : k], x[begin::-1]), (lengths[k + 1 : k + 3], x[end:]))
             longer = [lengths[k] >= HELD_TIMES * beside.max(initial=1) for beside, _ in sides]
             at_once = any(long and _abrupt(away, smallest) for long, (_, away) in zip(longer, sides, strict=True))
@@ -176,6 +176,6 @@ def _abrupt(x: Float[np.ndarray, "k"], smallest: float) -> bool:
             return False
         first, second = abs(x[count] - x[0]), abs(x[2 * count] - x[count])
         if first > smallest:
-            # From rest, at a constant acceleration, the second stretch is three times as long as the first.
+            # From rest, at a constant acceleration, the second stretch is at least twice as long as the first.
             return bool(first > ABRUPT * second)
     return False

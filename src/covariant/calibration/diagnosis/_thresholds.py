@@ -110,9 +110,9 @@ repeat the reading before, from which readings are repeated."""
 AT_REST = 0.25
 """Repeated readings among the fastest rows, relative to those among all, below which they are ticks between which an
 encoder was interpolated."""
-HELD_ROWS, HELD_TIMES, ABRUPT = 20, 10.0, 0.6
+HELD_ROWS, HELD_TIMES, ABRUPT = 20, 10.0, 0.75
 """Fewest rows in which a position keeps one value, and their number relative to that for the values beside it, from
-which it may be stuck; its motion in the rows beside it relative to that in as many rows farther away, which is 1/3 if
+which it may be stuck; its motion in the rows beside it relative to that in as many rows farther away, at most 1/2 if
 it came from rest."""
 LATTICE = 0.05
 """Largest distance of changes from whole ticks, as a fraction of one."""
