@@ -177,7 +177,8 @@ def without_rows(columns: Sequence[int], begin: float, end: float) -> Callable[[
 
     def apply(case: Case) -> Case:
         t, y = np.asarray(case.record.t), np.array(case.record.y, float)
-        y[np.ix_((t >= begin) & (t <= end), columns)] = np.nan
+        for i in columns:
+            y[(t >= begin) & (t <= end), i] = np.nan
         return case._replace(record=case.record._replace(y=y))
 
     return apply

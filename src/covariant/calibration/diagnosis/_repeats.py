@@ -151,11 +151,11 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
                 spans[span] = spans.get(span, False) or sure
     for begin, end in sorted(spans, key=lambda span: span[0] - span[1])[:MOST_RUNS]:
         # Columns of one sender stop together, with a row more or less where one of them turned.
-        which = [i for i, column in enumerate(y.T) if np.ptp(column[begin + 1 : end]) == 0 and np.nanstd(column) > 0]
-        names = [case.names.q[i] for i in which]
-        where = ", ".join(names)
-        read = " and ".join(f"{case.names.q[i]} reads {y[end, i]:.6g} {case.names.units[i]}".rstrip() for i in which)
-        claim = f"{read} in all rows from {rows.named(begin)} to {rows.named(end)}"
+        parts = [column[begin + 1 : end][np.isfinite(column[begin + 1 : end])] for column in y.T]
+        held = {i: part[0] for i, part in enumerate(parts) if len(part) and np.ptp(part) == 0 < np.nanstd(y[:, i])}
+        where = ", ".join(case.names.q[i] for i in held)
+        texts = (f"{case.names.q[i]} reads {value:.6g} {case.names.units[i]}".rstrip() for i, value in held.items())
+        claim = f"{' and '.join(texts)} in all rows from {rows.named(begin)} to {rows.named(end)}"
         line = (
             f"leave the cells of {where} empty there; look at the sensor and its cable, and at what may hold the joint"
         )
@@ -164,7 +164,7 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
         elif begin <= HELD_ROWS:
             line = f"start = {stated_time(t[end + 1])} keeps the rows after that; or {line}"
         numbers = {"rows": end - begin + 1, "begin": float(t[begin]), "end": float(t[end])}
-        apply = without_rows(which, float(t[begin]), float(t[end]))
+        apply = without_rows(list(held), float(t[begin]), float(t[end]))
         threshold = "part of the log" if spans[begin, end] else "rest"
         yield Suspicion("repeated rows", where, "without these readings", line, apply, threshold, claim, numbers)
 
