@@ -258,6 +258,21 @@ def held_readings(made: Made, random: np.random.Generator, joint: int) -> Fault:
     return Fault(made.file, made.record._replace(y=y), ("repeated rows",))
 
 
+def stuck_encoder(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    """A position keeps one value from the middle on, or for a tenth of the log."""
+    y, begin = made.record.y.copy(), int(random.integers(ROWS // 3, ROWS // 2))
+    end = ROWS if random.random() < 0.5 else begin + ROWS // 10
+    y[begin:end, joint] = y[begin, joint]
+    return Fault(made.file, made.record._replace(y=y), ("repeated rows",))
+
+
+def moved_zero(made: Made, random: np.random.Generator, joint: int) -> Fault:
+    """A position has another zero from a row on."""
+    y = made.record.y.copy()
+    y[int(random.integers(ROWS // 3, 2 * ROWS // 3)) :, joint] += random.choice([-1, 1]) * random.uniform(0.1, 0.4)
+    return Fault(made.file, made.record._replace(y=y), ("zero of a position",))
+
+
 def clock_forward(made: Made, random: np.random.Generator, joint: int) -> Fault:
     t = made.record.t + 0.4 * (np.arange(ROWS) >= int(np.argmax(np.abs(np.diff(made.exact[200:1200, 0])))) + 200)
     return Fault(made.file, made.record._replace(t=t), ("clock set forward",))
@@ -334,6 +349,8 @@ FAULTS = {
     "scale": (scale, ALL),
     "gap": (gap, ALL),
     "held readings": (held_readings, ALL),
+    "stuck encoder": (stuck_encoder, ALL),
+    "moved zero": (moved_zero, ALL),
     "clock set forward": (clock_forward, ALL),
     "unknown friction": (unknown_friction, ANGLES),
     "unknown rotor": (unknown_rotor, ANGLES),

@@ -389,6 +389,47 @@ def test_readings_that_repeat_are_told_from_ticks(pendulum, clean):
     assert "repeated rows" not in [found.what for found in diagnose(pendulum, clean).findings]
 
 
+@pytest.mark.parametrize("end", [1560, 3001])
+def test_a_stuck_encoder_is_named_with_its_rows(pendulum, clean, end):
+    y = clean.y.copy()
+    y[1500:end, 1] = y[1500, 1]
+    (found,) = diagnose(pendulum, clean._replace(y=y)).findings
+    assert (found.what, found.where, found.wrong) == ("repeated rows", "q2", True)
+    assert f"in all rows from row 1501 (3 s) to row {end}" in found.evidence
+    assert found.line.startswith("until = 3 keeps" if end == len(y) else "leave the cells of q2 empty")
+
+
+def test_a_zero_that_moves_during_the_log_is_named_with_time_and_size(pendulum, clean):
+    y = clean.y.copy()
+    y[1500:, 1] += 0.1
+    y[2000:, 1] += 0.1
+    found = diagnose(pendulum, clean._replace(y=y)).findings
+    assert [(each.what, each.where, each.wrong) for each in found] == [("zero of a position", "q2", True)] * 2
+    assert [each.numbers["jump"] for each in found] == pytest.approx([0.1, 0.1], abs=2e-3)
+    assert [each.numbers["begin"] for each in found] == pytest.approx([3.0, 4.0])
+    assert found[0].line.startswith("until = 3 keeps")
+    assert found[1].line.startswith("subtract 0.")
+
+
+def test_a_joint_that_rests_and_then_moves_is_not_called_stuck(pendulum, exact):
+    """Its encoder reads one value for a second, and later for 67 rows at a turn beside ticks of three rows."""
+    moved = exact(0.0, 0.0, 0.0, 0.0)
+    t, rest = np.arange(len(moved.t) + 500) * SPACING, np.zeros((500, 2))
+    y = QUANTUM * np.round(np.concatenate([rest, moved.y]) / QUANTUM)
+    found = diagnose(pendulum._replace(quantum=QUANTUM), Record(t, np.concatenate([rest, moved.u]), y)).findings
+    assert not [each for each in found if each.wrong]
+
+
+@pytest.mark.long
+def test_inputs_that_never_change_are_named_before_an_uncertainty(pendulum, clean):
+    u = np.where([True, False], 0.0, clean.u)[:1000]
+    short = clean._replace(t=clean.t[:1000], y=clean.y[:1000])
+    (found,) = [each for each in diagnose(pendulum, short._replace(u=u)).findings if each.wrong]
+    assert found.what in ("model", "uncertainty")
+    assert found.evidence.startswith("tau1 is 0 in all 1000 rows; ")
+    assert found.line.startswith("log what drives the machine")
+
+
 def test_what_spoils_most_comes_first(pendulum, clean):
     y = clean.y.copy()
     y[400] += 0.4

@@ -172,6 +172,18 @@ def case_without_outliers(
     return case, outlier_findings(is_outlier, sizes, names.q, names.units, rows or Rows(t))
 
 
+def without_rows(columns: Sequence[int], begin: float, end: float) -> Callable[[Case], Case]:
+    """Function from a case to the case without the readings of some columns from one time to another [s]."""
+
+    def apply(case: Case) -> Case:
+        t, y = np.asarray(case.record.t), np.array(case.record.y, float)
+        for i in columns:
+            y[(t >= begin) & (t <= end), i] = np.nan
+        return case._replace(record=case.record._replace(y=y))
+
+    return apply
+
+
 def smoothed(case: Case, half: float) -> Smooth:
     """Smooth the record over windows of ±`half` [s], with the sensor delays of the model file removed."""
     delay = np.asarray(case.file.delay, float)

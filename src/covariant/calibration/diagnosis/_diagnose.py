@@ -5,7 +5,8 @@ log is in the units, order and signs of the model, and whether every column was 
 
 Suspicions are judged against each other on rows held out, in an order where that cannot decide:
 
-1. What readings and stamps show by themselves, since smoothing needs readings without outliers.
+1. What readings and stamps show by themselves, since smoothing needs readings without outliers; of parts in which a
+   position may be stuck, or from which on its zero may be another one, the model decides.
 2. `COLUMNS`, one after another: in wrong units or order nothing else explains anything.
 3. Delays and scales against friction and rotors, each of which looks like the other.
 4. Whole rows and what inputs do between rows, in the log without these: so small a fault shows only there.
@@ -37,6 +38,7 @@ from covariant.calibration.diagnosis._columns import COLUMNS, units
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._jumps import (
+    moved_zeros,
     period_findings,
     periods,
     second_sender,
@@ -52,7 +54,7 @@ from covariant.calibration.diagnosis._readings import (
     readings,
     still_findings,
 )
-from covariant.calibration.diagnosis._repeats import repeated_findings, without_repeated
+from covariant.calibration.diagnosis._repeats import repeated_findings, stuck, without_repeated
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
@@ -68,7 +70,7 @@ from covariant.calibration.diagnosis._suspicion import (
 )
 from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, THRESHOLDS
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
-from covariant.calibration.diagnosis._unexplained import unexplained
+from covariant.calibration.diagnosis._unexplained import constant_inputs, unexplained
 from covariant.models import ModelFile
 from covariant.observers import on_legs
 from covariant.scoring import unwrap
@@ -84,6 +86,9 @@ NOISY = 0.01
 """Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
 MOST_PAIRS = 6
 """Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
+AROUND_PART, FEWEST_AROUND = 3, 150
+"""Rows on either side of a part of the log that judge it, if many do not show it: relative to its own rows with the
+windows beside it, and the fewest."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
 COMPARED = (
@@ -197,6 +202,7 @@ def _findings(
         return [*on_group, *clock], (*checks, "unit of time", "repeated rows")
     checks += ("periods", "several senders", "outliers", "repeated rows", "ticks", "noise")
     y, names = np.asarray(record.y), names_of(file)
+    constant = constant_inputs(record, names)
     quantum = file.quantum if quantum is None else quantum
     still, whole = still_findings(y, names.q, names.units)
     if whole:
@@ -210,6 +216,12 @@ def _findings(
         # Two motions in one column look like noise, outliers, delays and wrong units.
         clock = [each for each in findings if each.what not in ("missing rows", "irregular stamps")]
         return [*clock, *still, *senders], checks
+    broken = [] if file.input_kind == "command" else _broken_parts(case, np.asarray(record.y), rows)
+    for each, _ in broken:
+        record = each.apply(case._replace(record=record)).record
+    if broken:
+        findings += [finding for _, finding in broken]
+        case, outliers = case_without_outliers(file, record, rows, quantum)
     y, ticks, as_read = np.asarray(record.y), case.ticks, case._replace(record=record)
     edges = edge_findings(rows.t, y, ticks, names, quantum)
     if edges:
@@ -262,9 +274,47 @@ def _findings(
     moved = case._replace(
         record=case.record._replace(y=moved_rows(np.asarray(case.record.y), timing.rows + np.array(shift)))
     )
-    left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0])
+    left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0], constant)
     beside = sensor_checks(case, rows.t, sensors, timing.delay - timing.delay.min())
     return [*findings, *_sensors(moved, quantum, edges), *beside, *lacking, *delays, *small, *left], checks
+
+
+def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspicion, Finding]]:
+    """What is accepted about parts of the log in which a position is stuck, or from which on its zero is another one.
+
+    Readings name the rows, and the model judges them on those around: a joint may rest, and its readings may jump over
+    rows that are missing.
+    """
+    found: list[tuple[Suspicion, Finding]] = []
+    for _ in range(MOST_CHANGES):
+        suspicions = itertools.chain(stuck(case, read, rows), moved_zeros(case, read, rows))
+        judged = [one for each in suspicions if (one := _judge_around(case, each)) is not None]
+        if not judged:
+            break
+        # A stuck encoder that is read again jumps, and beside a jump a turn may look stuck.
+        accepted = min(judged, key=lambda one: one[1].numbers["unexplained_after"])
+        found.append(accepted)
+        case = accepted[0].apply(case)
+        read = np.asarray(accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y)
+    # The rows before the first one are right; those before another one are not, as they stand.
+    found.sort(key=lambda each: each[1].numbers["begin"])
+    return [
+        (each, one if k == 0 else one._replace(line=one.line.split("; or ")[-1])) for k, (each, one) in enumerate(found)
+    ]
+
+
+def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding] | None:
+    """Judge a suspicion about a part of the log on many rows around it, or, if it is short, on few."""
+    t = np.asarray(case.record.t)
+    begin, end = np.searchsorted(t, [suspicion.numbers["begin"], suspicion.numbers["end"]])
+    # Of 30 blocks of so few rows some that are held out see it.
+    few = int(AROUND_PART * (end - begin + 2 * case.file.reference_half / case.spacing))
+    for beside in (FEW_ROWS // 2, np.clip(few, FEWEST_AROUND, FEW_ROWS // 2)):
+        near = slice(max(begin - beside, 0), min(end, begin + FEW_ROWS) + beside)
+        around = case._replace(record=Record(*(np.asarray(a)[near] for a in case.record[:3])))
+        if (accepted := judge(around, [suspicion], clearly_unexplained)) is not None:
+            return accepted
+    return None
 
 
 def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
@@ -411,7 +461,8 @@ def misfit(file: ModelFile, record: Record) -> Finding | None:
         return accepted[1]
     if file.wrenches or file.external_force or file.external_force_std:
         return None  # the forces that the file states may be what the model leaves
-    findings = [each for each in unexplained(case, left) if each.what == "model"] if left else []
+    constant = constant_inputs(record, case.names)
+    findings = [each for each in unexplained(case, left, None, constant) if each.what == "model"] if left else []
     log = clearly(case)
     if not findings or log is None:
         return None

@@ -1,14 +1,17 @@
-"""Jumps between neighbouring readings that are no motion: an encoder that wraps, and rows of a second sender."""
+"""Jumps between neighbouring readings that are no motion: an encoder that wraps or loses its zero, a second sender."""
 
 import heapq
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration.diagnosis._finding import Finding, Names, Rows
-from covariant.calibration.diagnosis._readings import FEWEST, prediction_errors
+from covariant.calibration.diagnosis._case import Case
+from covariant.calibration.diagnosis._finding import Finding, Names, Rows, stated_time
+from covariant.calibration.diagnosis._readings import FEWEST, local_std, prediction_errors
+from covariant.calibration.diagnosis._suspicion import Suspicion
 from covariant.calibration.diagnosis._thresholds import (
     ALL_JUMPS,
     APART,
@@ -16,9 +19,11 @@ from covariant.calibration.diagnosis._thresholds import (
     FAR,
     FEWEST_WRAPS,
     MINORITY,
+    OFF_ZERO,
     SAME_JUMP,
     WHOLE_RANGE,
 )
+from covariant.scoring import unwrap
 
 NEIGHBOURS = 5
 """Number of neighbouring steps whose median is the motion in a step."""
@@ -28,6 +33,8 @@ HYPOTHESES = 8
 """Number of assignments of readings to two motions that are followed."""
 SAME_TICKS, SAME_TURN = 1e-4, 5e-3
 """Relative difference of a period from a whole fraction of a turn up to which it is that: with known ticks, and not."""
+MOST_ZEROS = 3
+"""Largest jumps of a column after which its zero is suspected to be another one."""
 MOST_DIVISIONS = 1000
 """Largest whole number of periods in a turn that a message names."""
 
@@ -118,6 +125,46 @@ def period_findings(found: Float[np.ndarray, "n"], ticks: Float[np.ndarray, "n"]
             {"period": [float(value) for value in found]},
         )
     ]
+
+
+def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Suspicion]:
+    """Suspect that the zero of a position is another one from a row on, the largest jumps first.
+
+    `read` are the positions with their outliers: a jump makes the readings beside it look like some.
+    """
+    t, y, found = rows.t, unwrap(np.asarray(case.record.y), case.model.circles), []
+    for i, tick in enumerate(case.ticks):
+        seen = np.flatnonzero(np.isfinite(y[:, i]))
+        if len(seen) < FEWEST:
+            continue
+        steps, passed = np.diff(y[seen, i]), np.diff(t[seen])
+        # The motion in a step is that of the steps before and after it, which an outlier among them does not change.
+        medians = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(steps / passed, 3, mode="edge"), 3), axis=1)
+        jumps = steps - passed * (medians[: len(steps)] + medians[4:]) / 2
+        usual = max(1.4826 * float(np.median(np.abs(jumps))), float(tick), np.finfo(float).tiny)
+        large = np.flatnonzero(np.abs(jumps) > OFF_ZERO * usual)
+        large = large[np.abs(jumps[large]) > OFF_ZERO * local_std(jumps, large)]
+        for k in large[np.argsort(-np.abs(jumps[large]))[:MOST_ZEROS]]:
+            between = np.nan_to_num(np.abs(np.diff(read[seen[k] : seen[k + 1] + 1, i])))
+            row = int(seen[k] + 1 + np.argmax(between))
+            found.append((-float(abs(jumps[k]) / usual), i, row, float(jumps[k])))
+    for _, i, row, jump in sorted(found)[:MOST_ZEROS]:
+        name, unit, time = case.names.q[i], case.names.units[i], float(t[row])
+        size = f"{jump:.3g} {unit}".rstrip()
+        claim = f"{name} jumps by {size} at {rows.named(row)}, and goes on from there"
+        line = (
+            f"until = {stated_time(time)} keeps the rows before that; or subtract {size} from {name} from there on; "
+            f"look for a coupling that slips, steps that are lost, or a zero that is set anew"
+        )
+
+        def apply(case: Case, i: int = i, time: float = time, jump: float = jump) -> Case:
+            moved = np.array(case.record.y, float)
+            moved[np.asarray(case.record.t) >= time, i] -= jump
+            return case._replace(record=case.record._replace(y=moved))
+
+        numbers = {"jump": jump, "begin": time, "end": time}
+        words = "without this jump"
+        yield Suspicion("zero of a position", name, words, line, apply, "part of the log", claim, numbers)
 
 
 def second_sender(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Bool[np.ndarray, "T"] | None:

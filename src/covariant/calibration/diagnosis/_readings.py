@@ -105,7 +105,7 @@ def outliers(
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
             candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation
-            scale = np.maximum(floor[candidates], _local_std(error, candidates))
+            scale = np.maximum(floor[candidates], local_std(error, candidates))
             size[candidates] = np.where(
                 np.abs(error[candidates]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[candidates]), 0.0
             )
@@ -118,7 +118,7 @@ def outliers(
         removed = np.flatnonzero(wrong[:, i])
         if len(removed):
             sampled = np.arange(0, len(error), max(1, len(error) // SAMPLED))
-            scale = float(np.median(np.maximum(floor[sampled], _local_std(error, sampled))))
+            scale = float(np.median(np.maximum(floor[sampled], local_std(error, sampled))))
             wrong[_readmit_rows(t, column, remaining, removed, scale), i] = False
             places = np.flatnonzero(wrong[:, i])
             sizes[i] = (
@@ -161,7 +161,7 @@ def _readmit_rows(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float
     return removed[np.abs(error) < FAR * scale]
 
 
-def _local_std(error: np.ndarray, rows: np.ndarray, half: int = 25) -> np.ndarray:
+def local_std(error: np.ndarray, rows: np.ndarray, half: int = 25) -> np.ndarray:
     """Robust standard deviation of the errors around each of some rows."""
     padded = np.pad(np.abs(error), half, mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)

@@ -1,17 +1,30 @@
 """Readings that repeat those of the row before, although the position moves."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Rows
+from covariant.calibration.diagnosis._case import Case, without_rows
+from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Rows, stated_time
+from covariant.calibration.diagnosis._readings import ROUNDING, readings
+from covariant.calibration.diagnosis._suspicion import Suspicion
 from covariant.calibration.diagnosis._thresholds import (
+    ABRUPT,
     AROUND,
     AT_REST,
     FAST_TICKS,
     FEW_REPEATED,
     FEWEST_FAST,
+    HELD_ROWS,
     HELD_TICKS,
+    HELD_TIMES,
 )
+
+EDGE_ROWS = (3, 6, 12, 25, 50)
+"""Rows beside a run of equal readings in which its motion is looked at: the fewest in which it exceeds the ticks."""
+MOST_RUNS = 3
+"""Longest runs of equal readings that are suspected."""
 
 
 def repeated_findings(
@@ -107,3 +120,62 @@ def _only_at_rest(y: Float[np.ndarray, "T k"], same: Bool[np.ndarray, "T"]) -> b
 def _find_repeats(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:
     """Rows (T,) whose readings of these positions are those of the row before."""
     return np.concatenate([[False], (np.diff(y[:, moving], axis=0) == 0).all(axis=1)])
+
+
+def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Suspicion]:
+    """Suspect that positions were not read in a span in which they keep one value, the longest first.
+
+    At rest an encoder reads one value as well, but it comes to rest and leaves it slowly. A turn takes at most five
+    times as long as the ticks beside it. `read` are the positions with their outliers, which the last readings of a
+    span may look like.
+    """
+    t, y = rows.t, read
+    spans: dict[tuple[int, int], bool] = {}  # whether no rest looks like it
+    white = None
+    for i, column in enumerate(y.T):
+        seen = np.flatnonzero(np.isfinite(column))
+        x = column[seen]
+        edges = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0, [True]]))
+        lengths = np.diff(edges)
+        for k in np.flatnonzero(lengths >= HELD_ROWS) if len(lengths) > 1 else ():
+            begin, end = edges[k], edges[k + 1] - 1
+            white = readings(case.record, case.model.circles).white if white is None else white
+            smallest = max(8 * float(case.ticks[i]), ROUNDING * float(np.abs(x).max()))
+            sides = ((lengths[max(k - 2, 0) : k], x[begin::-1]), (lengths[k + 1 : k + 3], x[end:]))
+            longer = [lengths[k] >= HELD_TIMES * beside.max(initial=1) for beside, _ in sides]
+            at_once = any(long and _abrupt(away, smallest) for long, (_, away) in zip(longer, sides, strict=True))
+            # A reading with noise is never the same twice, at rest neither.
+            sure = at_once or (case.ticks[i] == 0 and bool(white[i]))
+            if at_once or all(longer):
+                span = int(seen[begin]), int(seen[end])
+                spans[span] = spans.get(span, False) or sure
+    for begin, end in sorted(spans, key=lambda span: span[0] - span[1])[:MOST_RUNS]:
+        # Columns of one sender stop together, with a row more or less where one of them turned.
+        parts = [column[begin + 1 : end][np.isfinite(column[begin + 1 : end])] for column in y.T]
+        held = {i: part[0] for i, part in enumerate(parts) if len(part) and np.ptp(part) == 0 < np.nanstd(y[:, i])}
+        where = ", ".join(case.names.q[i] for i in held)
+        texts = (f"{case.names.q[i]} reads {value:.6g} {case.names.units[i]}".rstrip() for i, value in held.items())
+        claim = f"{' and '.join(texts)} in all rows from {rows.named(begin)} to {rows.named(end)}"
+        line = (
+            f"leave the cells of {where} empty there; look at the sensor and its cable, and at what may hold the joint"
+        )
+        if end >= len(t) - 1 - HELD_ROWS:
+            line = f"until = {stated_time(t[begin])} keeps the rows before that; or {line}"
+        elif begin <= HELD_ROWS:
+            line = f"start = {stated_time(t[end + 1])} keeps the rows after that; or {line}"
+        numbers = {"rows": end - begin + 1, "begin": float(t[begin]), "end": float(t[end])}
+        apply = without_rows(list(held), float(t[begin]), float(t[end]))
+        threshold = "part of the log" if spans[begin, end] else "rest"
+        yield Suspicion("repeated rows", where, "without these readings", line, apply, threshold, claim, numbers)
+
+
+def _abrupt(x: Float[np.ndarray, "k"], smallest: float) -> bool:
+    """Whether readings after a run of equal ones, outward from its value, go on at once with their speed."""
+    for count in EDGE_ROWS:
+        if len(x) <= 2 * count:
+            return False
+        first, second = abs(x[count] - x[0]), abs(x[2 * count] - x[count])
+        if first > smallest:
+            # From rest, at a constant acceleration, the second stretch is at least twice as long as the first.
+            return bool(first > ABRUPT * second)
+    return False

@@ -50,6 +50,10 @@ THRESHOLDS = {
     "servo": Threshold(5e-3, 1 / 3, 0.5, alike=1.2),
     # A servo that lets go, or changes its gain or zero: only a part of the log is otherwise.
     "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5, alike=1.5),
+    # Readings of a part of the log, which may be short: they look wrong by themselves, and the model says so as well.
+    "part of the log": Threshold(1e-3, 1 / 2, 0.5, sure=-np.inf),
+    # The same of readings that look like those of a joint at rest, as by friction that the model lacks.
+    "rest": Threshold(0.15, 1 / 10, 0.02, sure=-np.inf),
     # Torques and delays or scales together.
     "torques and fitted": Threshold(0.01, 1 / 2, 0.15),
 }
@@ -106,6 +110,10 @@ repeat the reading before, from which readings are repeated."""
 AT_REST = 0.25
 """Repeated readings among the fastest rows, relative to those among all, below which they are ticks between which an
 encoder was interpolated."""
+HELD_ROWS, HELD_TIMES, ABRUPT = 20, 10.0, 0.75
+"""Fewest rows in which a position keeps one value, and their number relative to that for the values beside it, from
+which it may be stuck; its motion in the rows beside it relative to that in as many rows farther away, at most 1/2 if
+it came from rest."""
 LATTICE = 0.05
 """Largest distance of changes from whole ticks, as a fraction of one."""
 STATED_LATTICE = 0.1
@@ -120,6 +128,9 @@ CLEAR = 10.0
 """Ratio of the mean square of accelerations to that of their noise from which they count as more than noise."""
 
 # Jumps of readings that are no motion.
+OFF_ZERO = 8.0
+"""Jump of a position after which it goes on as before, as a multiple of the usual error, from which its zero may have
+moved."""
 FEWEST_WRAPS = 2
 """Fewest jumps of one size that show a period."""
 SAME_JUMP = 0.03

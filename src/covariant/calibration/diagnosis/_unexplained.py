@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.diagnosis._case import Case, Residual, acting, clearly, residual, smoothed
-from covariant.calibration.diagnosis._finding import Finding
+from covariant.calibration.diagnosis._finding import Finding, Names
 from covariant.calibration.diagnosis._smooth import Smooth, smooth
 from covariant.calibration.diagnosis._thresholds import BARELY, FARTHEST, TWIN
 from covariant.models import MechanicalSystem, Motion, advance
@@ -25,10 +25,18 @@ STEP = 5e-4
 MOST_STEPS = 50
 
 
-def unexplained(case: Case, left: Residual, half: float | None = None) -> list[Finding]:
+def constant_inputs(record: Record, names: Names) -> str:
+    """Words on the inputs that have one value in all rows of a log, which then may lack what drives the machine."""
+    columns = zip(names.u, np.asarray(record.u).T, strict=True)
+    same = [f"{name} is {column[0]:.4g}" for name, column in columns if np.ptp(column) == 0]
+    return f"{', '.join(same)} in all {len(record.t)} rows" if same else ""
+
+
+def unexplained(case: Case, left: Residual, half: float | None = None, constant: str = "") -> list[Finding]:
     """A finding where the residual accelerations exceed what the data sheet states.
 
-    `half` is the half width of the windows of `left`, by default that of `clearly`.
+    `half` is the half width of the windows of `left`, by default that of `clearly`; `constant` names the inputs that
+    are constant in the whole log.
     """
     file, names, clear = case.file, case.names, left.told
     if not clear.any():
@@ -51,11 +59,15 @@ def unexplained(case: Case, left: Residual, half: float | None = None) -> list[F
         f"{f'its data sheet says {stated:.3g} {unit}' if stated else 'its data sheet says nothing of it'}"
     )
     numbers = {"left": float(size[worst]), "acceleration": whole, "stated": stated, "unexplained": left.misfit}
-    if left.misfit > BARELY:
-        line = "look at [parameters] and at what the columns are: no other unit, order or sign of the log explains it"
-        return [Finding("model", names.q[worst], evidence, line, True, numbers)]
+    what = "model" if left.misfit > BARELY else "uncertainty"
     line = f"[uncertainty] acceleration = {size[worst]:.2g}, or better [parameters]"
-    return [Finding("uncertainty", names.q[worst], evidence, line, True, numbers)]
+    if what == "model":
+        line = "look at [parameters] and at what the columns are: no other unit, order or sign of the log explains it"
+    if constant:
+        # A large uncertainty would hide that the log lacks an input, and make an observer follow its noise.
+        evidence = f"{constant}; {evidence}"
+        line = "log what drives the machine there; if nothing does, look at [parameters]"
+    return [Finding(what, names.q[worst], evidence, line, True, numbers)]
 
 
 def _residual_fraction(left: Residual) -> np.ndarray:
