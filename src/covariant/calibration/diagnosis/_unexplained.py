@@ -66,7 +66,7 @@ def unexplained(case: Case, left: Residual, half: float | None = None, constant:
     if constant:
         # A large uncertainty would hide that the log lacks an input, and make an observer follow its noise.
         evidence = f"{constant}; {evidence}"
-        line = "log what drives the machine there; if nothing does, look at [parameters]"
+        line = f"log what drives the machine there; if nothing does, {line}"
     return [Finding(what, names.q[worst], evidence, line, True, numbers)]
 
 
