@@ -262,6 +262,15 @@ def test_logs_are_in_the_order_of_their_dates_or_of_the_numbers_in_their_names()
     )
 
 
+def test_any_name_has_a_place_and_one_or_two_machines_have_no_odd_one(recwarn):
+    names = ["1²3/x²5.csv", "1²3/٣.csv", "a/b.csv", "²/²"]
+    rows = [LogRow(name, {"mass": 1.0 + k, "mass_std": 0.01}) for k, name in enumerate(names)]
+    for part in (rows[:3], [*rows[:1], *rows[:1], *rows[:1], LogRow("b/c.csv", {"failed": "no rows"})], rows):
+        (line,) = (line for line in among_logs(part).sentences if "shared" in line)
+        assert "of" not in line.split("shared by")[1].split("which")[0]
+    assert not recwarn.list
+
+
 def test_a_clock_a_percent_fast_is_odd_and_a_short_or_idle_log_is_not():
     rows = [
         LogRow(f"arm{k % 10}/log{k // 10}.csv", {"rows": 500.0, "rate": 250.0 * (1 + 1e-9 * k), "nis": 1.0})

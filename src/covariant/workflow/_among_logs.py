@@ -93,7 +93,7 @@ def _in_time(rows: Sequence[LogRow]) -> list[int]:
 
 def _natural(name: str) -> list[tuple[int, int, str]]:
     """Sorting key by which numbers within names count as such."""
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"([0-9]+)", name) if part]
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
 def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
@@ -218,7 +218,8 @@ def _outliers(value: np.ndarray, std: np.ndarray) -> np.ndarray:
     Source: Rosner 1983, Percentage points for a generalized ESD many-outlier procedure.
     """
     left, removed, count = np.arange(len(value)), [], 0
-    for _ in range(min(max((len(value) - 2) // 3, 1), MOST_OUTLIERS)):
+    most = max((len(value) - 2) // 3, 1) if len(value) > 2 else 0  # of two none is the odd one
+    for _ in range(min(most, MOST_OUTLIERS)):
         n = len(left)
         off = np.abs(value[left] - value[left].mean())
         spread = max(np.std(value[left], ddof=1), math.sqrt(np.mean(std[left] ** 2)))
