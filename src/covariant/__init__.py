@@ -9,6 +9,7 @@ import os
 import sys
 from typing import TYPE_CHECKING, Any
 
+from covariant._errors import InputError
 from covariant._programs import keep_programs
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ VERBS = ("check", "certify", "compare", "design_excitation", "estimate", "export
 """Functions of `covariant.workflow` that are also available here: from a model and a log to a result."""
 
 __all__ = [
+    "InputError",
     "Record",
     "Run",
     "StepCode",

@@ -21,6 +21,7 @@ from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from covariant._errors import InputError
 from covariant._files import write_atomically
 from covariant._optional import load_optional
 
@@ -49,9 +50,9 @@ class Crew(NamedTuple):
     def check(self) -> "Crew":
         """Raise `ValueError` for workers that make no sense."""
         if self.cluster is not None and self.workers is not None:
-            raise ValueError("the scheduler has its own workers; give scheduler or workers, not both")
+            raise InputError("the scheduler has its own workers; give scheduler or workers, not both")
         if self.workers is not None and self.workers < 1:
-            raise ValueError(f"workers must be 1 or more; got {self.workers}")
+            raise InputError(f"workers must be 1 or more; got {self.workers}")
         return self
 
     @property

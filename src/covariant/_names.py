@@ -3,6 +3,8 @@
 import difflib
 from collections.abc import Collection
 
+from covariant._errors import InputError
+
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
     """Suggest the nearest known name, as a sentence after a blank; empty if none is near."""
@@ -21,4 +23,4 @@ def unknown(what: str, name: str, known: Collection[str]) -> str:
 def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
     """Raise `ValueError` for a name that is not a known one."""
     if name not in known:
-        raise ValueError(unknown(what, name, known))
+        raise InputError(unknown(what, name, known))

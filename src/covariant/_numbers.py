@@ -2,6 +2,8 @@
 
 import re
 
+from covariant._errors import InputError
+
 DECIMAL = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 """A decimal number in ASCII. Python's own `float` would also accept `1_0` and the digits of other scripts."""
 SPECIAL = r"[+-]?(?i:nan|inf|infinity)"
@@ -14,7 +16,7 @@ def number(text: str) -> float:
     """Decimal number in a text, with spaces around it allowed."""
     plain = text.strip()
     if not _NUMBER.fullmatch(plain):
-        raise ValueError(f"{text!r} is not a decimal number")
+        raise InputError(f"{text!r} is not a decimal number")
     return float(plain)
 
 
@@ -22,5 +24,5 @@ def integer(text: str) -> int:
     """Integer in a text, without point or exponent, with spaces around it allowed."""
     plain = text.strip()
     if not re.fullmatch(r"[+-]?[0-9]+", plain):
-        raise ValueError(f"{text!r} is not a whole number")
+        raise InputError(f"{text!r} is not a whole number")
     return int(plain)

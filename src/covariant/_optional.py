@@ -3,6 +3,8 @@
 import importlib
 from typing import Any
 
+from covariant._errors import MissingPackageError
+
 
 def load_optional(module: str, *, use: str, extra: str) -> Any:
     """Import a module of an optional package."""
@@ -10,4 +12,6 @@ def load_optional(module: str, *, use: str, extra: str) -> Any:
         return importlib.import_module(module)
     except ImportError as missing:
         package = module.partition(".")[0]
-        raise ImportError(f"{use} {package}, which is not installed: pip install 'covariant[{extra}]'") from missing
+        raise MissingPackageError(
+            f"{use} {package}, which is not installed: pip install 'covariant[{extra}]'"
+        ) from missing

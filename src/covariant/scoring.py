@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from covariant._errors import InputError
+
 NumpyArray = np.ndarray
 
 HOLE = 3.0
@@ -219,7 +221,7 @@ class _Fit(NamedTuple):
 def _fits(t, at, half, order) -> Iterator[_Fit]:
     order = int(order)
     if len(t) < order + 3:
-        raise ValueError(f"a reference of order {order} needs {order + 3} measurements; there are {len(t)}")
+        raise InputError(f"a reference of order {order} needs {order + 3} measurements; there are {len(t)}")
     reach = half * (1 + 1e-9)  # so that no rounding decides on the samples at the ends of a window
     first, last = np.searchsorted(t, at - reach), np.searchsorted(t, at + reach, side="right")
     # order + 1 coefficients, and two samples more, so that noise is averaged and not interpolated.

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
+
 MOST_MISSING = 0.05
 """How much of a lagged input may come from inputs that are missing, before it is missing itself."""
 SAME_TIME = 1e-6
@@ -87,7 +89,7 @@ COARSEST = 0.01
 """Largest rounding of stamps, as a fraction of the step between rows: velocities are wrong by the same fraction."""
 
 
-class StampError(ValueError):
+class StampError(InputError):
     """Error of stamps that repeat or go back.
 
     Example:
@@ -166,31 +168,31 @@ class Record(_Fields):
         """
         t, u, y = (np.asarray(a) for a in (self.t, self.u, self.y))
         if self.y is None:
-            raise ValueError("a record needs positions y (T, n) or (T, N, N); got none")
+            raise InputError("a record needs positions y (T, n) or (T, N, N); got none")
         for name, array in (("stamps t (T,)", t), ("inputs u (T, m)", u), ("positions y (T, n)", y)):
             if np.iscomplexobj(array) and array.ndim < 3:  # elements of a group of matrices may be complex
-                raise ValueError(f"{name} are complex; they must be real numbers")
+                raise InputError(f"{name} are complex; they must be real numbers")
             if array.dtype == bool:
-                raise ValueError(f"{name} are true and false; they must be numbers")
+                raise InputError(f"{name} are true and false; they must be numbers")
             if np.ma.isMaskedArray(getattr(self, name.split()[1])):
-                raise ValueError(f"{name} are a masked array; fill what is masked, by NaN where it is a measurement")
+                raise InputError(f"{name} are a masked array; fill what is masked, by NaN where it is a measurement")
         if t.ndim != 1 or u.ndim != 2 or y.ndim not in (2, 3) or not len(t) == len(u) == len(y):
-            raise ValueError(
+            raise InputError(
                 f"a record needs t (T,), u (T, m), y (T, n) or (T, N, N); got {t.shape}, {u.shape}, {y.shape}"
             )
         if len(t) < 2:
-            raise ValueError(f"a record needs at least two rows; this one has {len(t)}")
+            raise InputError(f"a record needs at least two rows; this one has {len(t)}")
         for name, array in (("t", t), ("u", u)):
             absent = name == "u" and missing_inputs
             bad = (np.isinf if absent else lambda a: ~np.isfinite(a))(array.reshape(len(t), -1)).any(1)
             if bad.any():
                 may = "mark a missing one by NaN" if absent else "only measurements may be missing"
-                raise ValueError(f"row {bad.argmax() + 1}: {name} is not a finite number; {may}")
+                raise InputError(f"row {bad.argmax() + 1}: {name} is not a finite number; {may}")
         if (latest := np.abs(t).max()) > LATEST_STAMP:
-            raise ValueError(f"stamps reach {latest:g} s, after the year 2200; they must be in seconds")
+            raise InputError(f"stamps reach {latest:g} s, after the year 2200; they must be in seconds")
         infinite = np.isinf(y.reshape(len(t), -1)).any(1)
         if infinite.any():
-            raise ValueError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
+            raise InputError(f"row {infinite.argmax() + 1}: a measurement is infinite; mark a missing one by NaN")
         step = np.diff(t.astype(float))  # unsigned numbers would not go back
         if (step < 0).any():
             k = int((step < 0).argmax())
@@ -200,7 +202,7 @@ class Record(_Fields):
             raise StampError(f"rows {k + 1} and {k + 2} have the same stamp {t[k]:g} s; keep one of them")
         check_rounding(t)
         if np.isnan(y[0] if start is None else y[0].ravel()[start]).any():
-            raise ValueError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")
+            raise InputError("row 1 lacks a measurement, so no estimate can start there; cut the log to begin later")
         return self
 
 
@@ -222,7 +224,7 @@ def check_rounding(t: Float[np.ndarray, "T"], precision: Any = None) -> None:
     rounded = np.dtype(t.dtype if precision is None else precision)
     least, step = np.spacing(np.abs(t).max().astype(rounded)), np.median(np.diff(t))
     if rounded.itemsize < 8 and least > COARSEST * step:
-        raise ValueError(
+        raise InputError(
             f"stamps in {rounded} near {np.abs(t).max():g} s are whole multiples of {least:.2g} s, and rows are "
             f"{step:.2g} s apart; write them in float64, or count them from the first before they are rounded"
         )
@@ -385,12 +387,12 @@ def acting_inputs(
         [[0.5], [1.0]]
     """
     if between not in ("held", "linear"):
-        raise ValueError(f"acting_inputs: between must be 'held' or 'linear'; got {between!r}")
+        raise InputError(f"acting_inputs: between must be 'held' or 'linear'; got {between!r}")
     late, ahead = (np.broadcast_to(np.asarray(each, float), record.u.shape[1:]) for each in (delay, lead))
     if not ((late >= 0) & np.isfinite(late)).all():
-        raise ValueError(f"acting_inputs: delay must be a number ≥ 0 [s]; got {delay}")
+        raise InputError(f"acting_inputs: delay must be a number ≥ 0 [s]; got {delay}")
     if not np.isfinite(ahead).all():
-        raise ValueError(f"acting_inputs: lead must be a finite number [s]; got {lead}")
+        raise InputError(f"acting_inputs: lead must be a finite number [s]; got {lead}")
     unchanged = between == "held" and not late.any() and not ahead.any()
     if unchanged and rows is None:
         return record

@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.models import ModelFile
 from covariant.observers import StateNoise
 
@@ -16,7 +17,7 @@ def state_noise(file: ModelFile, rate: float) -> StateNoise:
     if missing:
         options = [f"{key}=NUMBER" for key in missing]
         them = "it" if len(missing) == 1 else "them"
-        raise ValueError(
+        raise InputError(
             f"{file.name}: its observers need {' and '.join(missing)}; put {them} in the model file, or give "
             f"`overrides={options}`"
         )
@@ -43,7 +44,7 @@ def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:
     start = start if file.initial_state is None else file.initial_state
     deviation = (high - low) / np.sqrt(12) if file.initial_std is None else file.initial_std
     if not np.isfinite(deviation).all():
-        raise ValueError(
+        raise InputError(
             f"{file.name}: its observers need initial.std, how far the states may be from initial.state at first; put "
             "it in the model file, or give `overrides=['initial.std=NUMBER']`"
         )

@@ -2,23 +2,38 @@
 
 import os
 import sys
+import traceback
 
 # Before numpy is loaded: a threaded BLAS slows the tiny matrices of a compiled step by orders of magnitude.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+INTERNAL_ERROR = 70
+"""Exit code of a command that ended with a bug: `EX_SOFTWARE` of sysexits.h."""
+BUG = (
+    "this is a bug of covariant, unless the traceback ends in a model of your own. Please report it with the lines "
+    "above, the command and `covariant doctor`"
+)
+
+
 def main() -> None:
     """Entry point; bad input gives one line on standard error and exit code 2.
 
-    A log that does not fit its model at all gives exit code 1.
+    A log that does not fit its model at all gives exit code 1. Any other exception is a bug of this library, or of a
+    model that the user wrote in Python: it is shown with its traceback, and the exit code is 70.
     """
+    from covariant._errors import InputError
     from covariant.cli._app import app
     from covariant.cli._terminal import say
 
     try:
         app()  # leaves by SystemExit, with code 2 when the options are wrong
-    except (ValueError, OSError, ImportError) as error:
+    except (InputError, OSError) as error:
         if os.environ.get("COVARIANT_DEBUG"):
             raise
         say(f"covariant: {' '.join(str(error).split())}", sys.stderr)
-        sys.exit(getattr(error, "exit_code", 2))
+        sys.exit(getattr(error, "exit_code", InputError.exit_code))
+    except Exception:
+        traceback.print_exc()
+        say(f"covariant: {BUG}", sys.stderr)
+        sys.exit(INTERNAL_ERROR)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from covariant import workflow
+from covariant._errors import InputError
 from covariant.cli._console import progress_bar, show
 from covariant.cli._options import COLUMNS, FLAG, TEXT, Kind, Option, flags_of, in_options, of_verb
 from covariant.cli._signature import signature
@@ -73,7 +74,7 @@ class Command:
                 if self._is_folder(own["out"], read["log"]):
                     return self._over_logs(read, own, crew, json, flags)
                 if any(each is not None for each in crew.values()):
-                    raise ValueError("`workers` and `scheduler` are for many logs; give --out FOLDER")
+                    raise InputError("`workers` and `scheduler` are for many logs; give --out FOLDER")
                 if self.verb != "fit":
                     read["log"] = read["log"][0]
             for option in self.own:
@@ -86,20 +87,20 @@ class Command:
         except KeyboardInterrupt as stopped:
             say(f"covariant: {str(stopped) or 'stopped'}", sys.stderr)
             raise SystemExit(130) from None  # 128 + 2, what shells report of a process that SIGINT ended
-        except ValueError as error:
+        except InputError as error:
             error.args = (in_options(str(error), flags),)
             raise
 
     def _is_folder(self, out: Path | None, logs: list[Path]) -> bool:
         """Whether each log is computed by itself."""
         if len(logs) > 1 and self.verb != "fit" and out is not None and out.suffix and not out.is_dir():
-            raise ValueError(f"--out {out}: of several logs it is a folder; give its name without a suffix")
+            raise InputError(f"--out {out}: of several logs it is a folder; give its name without a suffix")
         return (out is not None and (not out.suffix or out.is_dir())) or (len(logs) > 1 and self.verb != "fit")
 
     def _over_logs(self, read: Any, own: Any, crew: Any, json: bool, flags: Mapping[str, str]) -> int:
         asked = [option.typed for option in self.own if option.name != "out" and own[option.name]]
         if asked:
-            raise ValueError(f"{asked[0]} is for one log; of many, --out FOLDER has a page and a file of each")
+            raise InputError(f"{asked[0]} is for one log; of many, --out FOLDER has a page and a file of each")
         call = Invocation(self.verb, json, {name: value for name, value in read.items() if value is not None}, flags)
         if crew["scheduler"] is None and crew["workers"] is None:
             crew["workers"] = os.cpu_count()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from covariant import workflow
+from covariant._errors import InputError
 from covariant.cli import _parse
 from covariant.cli._command import Command, Invocation
 from covariant.cli._options import FLAG, PATH, TEXT, Kind, Option
@@ -18,7 +19,7 @@ from covariant.workflow import FIGURES, TABLES, check_machine_files, check_model
 
 def _estimate(call: Invocation, smooth: bool, lag: float | None, **places: Any) -> Any:
     if smooth or lag is not None:
-        raise ValueError(
+        raise InputError(
             "estimate knows the rows before each only; `covariant smooth MODEL LOG`, with --lag SECONDS or all rows "
             "after each, writes smoothed estimates and those of the filter beside them"
         )
@@ -27,7 +28,7 @@ def _estimate(call: Invocation, smooth: bool, lag: float | None, **places: Any) 
 
 def _compare(call: Invocation, force: str | None, report: Path | None, out: Path | None) -> Any:
     if force is not None and report is not None:
-        raise ValueError("--report: forces have no page; give -o TABLE.csv, or leave out --force")
+        raise InputError("--report: forces have no page; give -o TABLE.csv, or leave out --force")
     return call.show(call() if force is None else call("compare_force", force=force), out, report)
 
 
@@ -50,13 +51,13 @@ def _tune(call: Invocation, out: Path | None, report: Path | None, overwrite: bo
 
 def _check(call: Invocation, out: Path | None, report: Path | None) -> Any:
     if out is not None:
-        raise ValueError(f"--out {out}: it is of many logs; give the name of a folder, or --report FILE")
+        raise InputError(f"--out {out}: it is of many logs; give the name of a folder, or --report FILE")
     return call.show(call(), report=report)
 
 
 def _init(call: Invocation, out: Path) -> Any:
     if out.exists():
-        raise ValueError(f"{out}: there is such a file already, and it is not overwritten; give another name")
+        raise InputError(f"{out}: there is such a file already, and it is not overwritten; give another name")
     return call.show(call(), out)
 
 
@@ -77,17 +78,17 @@ def _certify(
     call: Invocation, out: Path | None, report: Path | None, figure: Path | None, check: Path | None, given: str | None
 ) -> Any:
     if given is not None and check is None:
-        raise ValueError("--model goes with --check FILE; the model to certify is the first argument")
+        raise InputError("--model goes with --check FILE; the model to certify is the first argument")
     if ("model" in call.values) == (check is not None):
-        raise ValueError("give a model to certify, or --check FILE to verify a saved certificate")
+        raise InputError("give a model to certify, or --check FILE to verify a saved certificate")
     if report is not None and check is not None:
-        raise ValueError("--report shows a certificate that is computed; leave --check out")
+        raise InputError("--report shows a certificate that is computed; leave --check out")
     if check is not None:
         if not check.exists():
-            raise ValueError(f"{check} does not exist; give the path of a saved certificate")
+            raise InputError(f"{check} does not exist; give the path of a saved certificate")
         return call.show(call("check_certificate", path=check, model=given))
     if figure is not None and "interval" in call.values:
-        raise ValueError("--figure is for certificates in continuous time; leave --interval out")
+        raise InputError("--figure is for certificates in continuous time; leave --interval out")
     result = call()
     return call.show(result, None if result.wrong else out, report, figure=figure)
 

@@ -5,6 +5,7 @@ Each function takes the option, for its message, and the text of its value.
 
 from pathlib import Path
 
+from covariant._errors import InputError
 from covariant._names import did_you_mean, unknown
 from covariant._numbers import integer, number
 from covariant.models import check_spec
@@ -23,7 +24,7 @@ def number_list(option: str, text: str) -> list[float]:
     try:
         return [number(part) for part in text.split(",")]
     except ValueError:
-        raise ValueError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
+        raise InputError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
 
 
 def count_list(option: str, text: str) -> list[int]:
@@ -31,7 +32,7 @@ def count_list(option: str, text: str) -> list[int]:
     try:
         return [integer(part) for part in text.split(",")]
     except ValueError:
-        raise ValueError(f"{option}: {text!r} is not a list of whole numbers separated by commas") from None
+        raise InputError(f"{option}: {text!r} is not a list of whole numbers separated by commas") from None
 
 
 def interval_map(option: str, text: str) -> dict[str, tuple[float, float]]:
@@ -47,9 +48,9 @@ def interval_map(option: str, text: str) -> dict[str, tuple[float, float]]:
         try:
             low, high = map(number, pair.split(":"))
         except ValueError:
-            raise ValueError(f"{option}: {part!r} does not have the form NAME=LOW:HIGH") from None
+            raise InputError(f"{option}: {part!r} does not have the form NAME=LOW:HIGH") from None
         if name in ends:
-            raise ValueError(f"{option}: {name} is given twice; keep one of them")
+            raise InputError(f"{option}: {name} is given twice; keep one of them")
         ends[name] = low, high
     return ends
 
@@ -67,7 +68,7 @@ def byte_count(option: str, text: str) -> int:
     except (ValueError, OverflowError):  # no number, or infinity
         count = 0
     if count <= 0:
-        raise ValueError(f"{option} must be a number of bytes, such as 64k, 1M or 65536; got {text!r}")
+        raise InputError(f"{option} must be a number of bytes, such as 64k, 1M or 65536; got {text!r}")
     return count
 
 
@@ -106,6 +107,6 @@ def one_of(option: str, text: str, names: tuple[str, ...]) -> str:
     if text not in names:
         listed, thing = ", ".join(names), option.removeprefix("--")
         if thing in ("observer", "paper"):
-            raise ValueError(unknown(thing, text, names))
-        raise ValueError(f"{option} must be one of {listed}; got {text!r}.{did_you_mean(text, names)}".rstrip("."))
+            raise InputError(unknown(thing, text, names))
+        raise InputError(f"{option} must be one of {listed}; got {text!r}.{did_you_mean(text, names)}".rstrip("."))
     return text

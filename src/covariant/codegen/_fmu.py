@@ -18,6 +18,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from covariant._compile import NO_COMPILER, built, compiler_command
+from covariant._errors import InputError
 from covariant._files import write_atomically, zipped
 from covariant._templates import Words, fill, template
 from covariant.codegen._program import Program
@@ -187,9 +188,9 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
         ['modelDescription.xml']
     """
     if path.is_dir() or (path.exists() and not overwrite):
-        raise ValueError(f"{path}: there is one already; name a new one, or replace a file by `overwrite=True`")
+        raise InputError(f"{path}: there is one already; name a new one, or replace a file by `overwrite=True`")
     if not path.resolve().parent.is_dir():
-        raise ValueError(f"{path}: there is no folder {path.resolve().parent}; make it first")
+        raise InputError(f"{path}: there is no folder {path.resolve().parent}; make it first")
     write_atomically(path, lambda file: file.write(zipped(unit.files)))
 
 

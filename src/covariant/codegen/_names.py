@@ -8,6 +8,7 @@ import keyword
 import re
 import sys
 
+from covariant._errors import InputError
 from covariant.lowering import check_name
 
 LONGEST = 63
@@ -71,13 +72,13 @@ def check_export_name(name: str, python: bool = False, wasm: bool = False) -> No
     )
     for names, kind in kinds:
         if name in names.split():
-            raise ValueError(f"{name!r} is {kind}; take another name, such as 'my_{name}'")
+            raise InputError(f"{name!r} is {kind}; take another name, such as 'my_{name}'")
     if re.fullmatch(r"con|prn|aux|nul|(com|lpt)[0-9]", name, re.IGNORECASE):
-        raise ValueError(f"{name!r} is a device of Windows, which has no file {name}.c; take another name")
+        raise InputError(f"{name!r} is a device of Windows, which has no file {name}.c; take another name")
     if "__" in name or name.endswith("_"):
-        raise ValueError(f"{name!r}: C++ reserves names with two underscores in a row, as in {name}_init; take another")
+        raise InputError(f"{name!r}: C++ reserves names with two underscores in a row, as in {name}_init; take another")
     if len(name) > LONGEST:
-        raise ValueError(f"{name[:20]!r}… has {len(name)} letters; take at most {LONGEST}")
+        raise InputError(f"{name[:20]!r}… has {len(name)} letters; take at most {LONGEST}")
 
 
 def export_name(text: str, python: bool = False, wasm: bool = False) -> str:

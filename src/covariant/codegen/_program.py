@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant.lowering import Lowered, TracedFunction, lower_traced, trace
 from covariant.models import Family, Motion, Parameter, input_count
 from covariant.observers import AbstractObserver
@@ -282,7 +283,7 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
     outside = [(path, leaf) for path, leaf in paths if id(leaf) not in index_in_model]
     if len(outside) == len(paths):
-        raise ValueError("of_family: the observer is not one of family.file.model; make it of that model")
+        raise InputError("of_family: the observer is not one of family.file.model; make it of that model")
     names = _shortest_names([_path_keys(path) for path, _ in outside], [np.asarray(leaf) for _, leaf in outside])
     groups: dict[str, list[int]] = {}
     for k, name in enumerate(family.names):

@@ -10,6 +10,7 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._templates import Words, fill
 from covariant.codegen._program import Program
 from covariant.codegen._python_package import python_files
@@ -58,7 +59,7 @@ def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str,
         (True, True)
     """
     if len(program.y) != 1 or program.sensors or [leaf.name for leaf in program.output][:2] != ["q", "v"]:
-        raise ValueError("--ros2 is for observers of joints, each with a position; this one reads something else")
+        raise InputError("--ros2 is for observers of joints, each with a position; this one reads something else")
     words = common_words(program, name, about) | _words(program, name, about, rate)
     package, native = f"{name.lower()}_ros", f"{name.lower()}_ros_c"
     module = python_files(program, texts, name, about, rate)

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
 from covariant.codegen._program import Member, Program, Real, part_text
@@ -104,7 +105,7 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
             return source
         least = min(least, math.ceil(size / 1024))
     closed = ", close numbers by `parameters=[]`" if program.numbers else ""
-    raise ValueError(
+    raise InputError(
         f"{name} takes about {least} kB of flash, with loops over tables too, and may take {flash / 1024:g}; give it "
         f"{least}k or more{closed}, or choose a cheaper observer"
     )
@@ -122,7 +123,7 @@ def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
     core = {"init": _init(program, name), "step": _step(program, name, program.step, program.measurements)}
     for part, count in program.parts if program.alone else ():
         if step_of(part) in core:
-            raise ValueError(f"the steps by sensor need names that differ in C; {step_of(part)} is there twice")
+            raise InputError(f"the steps by sensor need names that differ in C; {step_of(part)} is there twice")
         core[step_of(part)] = _step(program, name, dict(program.alone)[part], count)
     core["estimate"] = _estimate(program, name)
     functions = {

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.codegen._program import DTYPES, Program
 from covariant.lowering import Lowered, evaluate, perturbed
 
@@ -82,7 +83,7 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
         ((40,), 17)
     """
     if len(measured) <= LAST_FAULT + 1:
-        raise ValueError(f"test vectors need at least {LAST_FAULT + 2} measurements; got {len(measured)}")
+        raise InputError(f"test vectors need at least {LAST_FAULT + 2} measurements; got {len(measured)}")
     dtype = DTYPES[program.real]
     rows, random = len(measured) - 1, np.random.default_rng(0)
     y = np.asarray(measured, dtype).reshape(rows + 1, -1).astype(float)

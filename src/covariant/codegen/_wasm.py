@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from covariant._compile import built, zig
+from covariant._errors import InputError
 from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
 from covariant.codegen._program import Member, Program
@@ -90,14 +91,14 @@ def _compiled(files: Mapping[str, str]) -> bytes:
     clang, packaged = shutil.which("clang"), zig()
     commands = ([[clang]] if clang else []) + ([packaged] if packaged else [])
     if not commands:
-        raise ValueError(f"no compiler for WebAssembly is installed; {REMEDY}")
+        raise InputError(f"no compiler for WebAssembly is installed; {REMEDY}")
     messages = []
     for command in commands:
         try:
             return built(command, FLAGS, files, "the observer")
         except OSError as error:
             messages.append(str(error))
-    raise ValueError(f"no WebAssembly could be compiled; {REMEDY}\n" + "\n".join(messages))
+    raise InputError(f"no WebAssembly could be compiled; {REMEDY}\n" + "\n".join(messages))
 
 
 def _words(program: Program, rate: float) -> Words:

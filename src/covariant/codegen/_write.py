@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._files import temporary, write_together
 from covariant._templates import fill
 from covariant.codegen._data_sheet import Facts, data_sheet
@@ -120,11 +121,11 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
         ValueError: exported: the folder is not empty; name a new one, or replace its files by `overwrite=True`
     """
     if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder}: this is a file; name a folder")
+        raise InputError(f"{folder}: this is a file; name a folder")
     if folder.exists() and any(folder.iterdir()) and not overwrite:
-        raise ValueError(f"{folder}: the folder is not empty; name a new one, or replace its files by `overwrite=True`")
+        raise InputError(f"{folder}: the folder is not empty; name a new one, or replace its files by `overwrite=True`")
     if not folder.resolve().parent.is_dir():
-        raise ValueError(f"{folder}: there is no folder {folder.resolve().parent}; make it first")
+        raise InputError(f"{folder}: there is no folder {folder.resolve().parent}; make it first")
     contents = {path: file.encode() if isinstance(file, str) else file for path, file in files.items()}
     if folder.exists():
         for path in contents:

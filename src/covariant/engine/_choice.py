@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._programs import cache_folder
 from covariant.engine._compile import missing
 from covariant.engine._kernel import Kernel, KernelForm, NoKernelError, prepared
@@ -67,7 +68,7 @@ def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, aske
         'as asked'
     """
     if asked not in get_args(EngineName):
-        raise ValueError(f"engine must be one of {', '.join(get_args(EngineName))}; got {asked!r}")
+        raise InputError(f"engine must be one of {', '.join(get_args(EngineName))}; got {asked!r}")
     if asked == "jax":
         return Engine("jax", "as asked")
     lacking = missing()

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._compile import FAST, compiled as load, compiler, vector_bytes
+from covariant._errors import InputError
 from covariant._templates import fill
 from covariant.lowering import Lowered, c_rows, lower
 
@@ -47,11 +48,11 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
     types = {leaf.dtype for leaf in jax.tree.leaves(shapes)}
     if len(types) != 1 or not types <= set(REALS):
         names = ", ".join(sorted(map(str, types))) or "none"
-        raise ValueError(f"compiled: the arguments must be float64 or float32, all of them one; got {names}")
+        raise InputError(f"compiled: the arguments must be float64 or float32, all of them one; got {names}")
     (dtype,) = types
     lowered = lower(function, *shapes, loops="any")
     if not lowered.inputs * len(lowered.outputs):
-        raise ValueError("compiled: the function needs at least one number as argument and one as result")
+        raise InputError("compiled: the function needs at least one number as argument and one as result")
     rows_of = _rows(
         _register_target(lowered, REALS[dtype]), len(lowered.outputs), getattr(function, "__name__", "function")
     )
@@ -59,7 +60,7 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
     @functools.wraps(function)
     def call(*values: Any) -> Any:
         if _describe_shapes(values) != kinds:
-            raise ValueError(f"compiled: the arguments are {_describe_shapes(values)}; it was compiled for {kinds}")
+            raise InputError(f"compiled: the arguments are {_describe_shapes(values)}; it was compiled for {kinds}")
         row = rows_of(jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(values)]))
         ends = np.cumsum([leaf.size for leaf in lowered.results])[:-1].tolist()
         parts = zip(jnp.split(row, ends), lowered.results, strict=True)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.codegen import TracedProgram
 
 
@@ -47,7 +48,7 @@ class Layout(NamedTuple):
             states, estimates, infos = map(int, sizes)
             return cls((states, estimates, infos), tuple(map(int, y)), int(u), _tree(info), _tree(estimate))
         except (TypeError, AttributeError, KeyError, ValueError) as error:
-            raise ValueError(f"no layout: {error}") from error
+            raise InputError(f"no layout: {error}") from error
 
 
 def _data(tree: Any) -> Any:
@@ -56,7 +57,7 @@ def _data(tree: Any) -> Any:
     if isinstance(tree, jax.ShapeDtypeStruct):
         return {"shape": list(tree.shape), "dtype": tree.dtype.name}
     if type(tree) is not tuple and _tuples(type(tree).__module__, type(tree).__qualname__) is not type(tree):
-        raise ValueError(f"{type(tree)} is not a tuple of this library")
+        raise InputError(f"{type(tree)} is not a tuple of this library")
     named = () if type(tree) is tuple else (type(tree).__module__, type(tree).__qualname__)
     return {"class": list(named), "fields": list(map(_data, tree))}
 
@@ -74,5 +75,5 @@ def _tuples(module: str, name: str) -> Any:
     """A NamedTuple of this library, of a module that is loaded; a file names nothing else."""
     held = getattr(sys.modules.get(module), name, None) if module.partition(".")[0] == "covariant" else None
     if not (isinstance(held, type) and issubclass(held, tuple) and hasattr(held, "_fields")):
-        raise ValueError(f"{module}.{name} is not a tuple of this library")
+        raise InputError(f"{module}.{name} is not a tuple of this library")
     return held

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from covariant._compile import vector_bytes
+from covariant._errors import InputError
 from covariant.engine._choice import EngineName, choose_open
 from covariant.engine._kernel import Kernel, KernelForm
 from covariant.observers import AbstractObserver, checked, run
@@ -99,7 +100,7 @@ def run_logs(
     many = [observers] if isinstance(observers, AbstractObserver) else list(observers)
     logs = [records] if isinstance(records, Record) else list(records)
     if not many or not logs or (1 not in (len(many), len(logs)) and len(many) != len(logs)):
-        raise ValueError(
+        raise InputError(
             f"run_logs needs one observer, one record, or as many of both; got {len(many)} observers "
             f"and {len(logs)} records"
         )
@@ -107,7 +108,7 @@ def run_logs(
     forms = {(r.y.shape[1:], r.u.shape[1]) for r in logs}
     if len(forms) > 1:
         shapes = ", ".join(f"y {y} and {u} inputs" for y, u in sorted(forms, key=str))
-        raise ValueError(f"run_logs: measurements and inputs must have one shape in all records; got {shapes}")
+        raise InputError(f"run_logs: measurements and inputs must have one shape in all records; got {shapes}")
     count = max(len(many), len(logs))
     each, logs = many * (count // len(many)), logs * (count // len(logs))
     # Below that number of runs cores would stand idle while others compute lanes.

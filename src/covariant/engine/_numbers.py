@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.observers import AbstractObserver
 
 MODEL = {"model", "metric"}
@@ -42,7 +43,7 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
     real = [eqx.is_inexact_array(leaf) and not np.iscomplexobj(leaf) for leaf in leaves[0]]
     for k, (tree, others) in enumerate(zip(trees, leaves, strict=True)):
         if tree != trees[0] or not all(map(_alike, real, others, leaves[0])):
-            raise ValueError(
+            raise InputError(
                 f"run_logs: observer {k} is of another kind than the first, not only of other numbers; run it alone"
             )
     paths = [path for path, _ in jax.tree_util.tree_flatten_with_path(observers[0])[0]]

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.engine._backends import backend
 from covariant.engine._choice import EngineName
 from covariant.models import Motion
@@ -101,9 +102,9 @@ class Stream:
         sink: Callable[[float, Any, StepCode], None] | None = None,
     ):
         if not 0 < rate < math.inf:
-            raise ValueError(f"Stream: rate must be a positive, finite number; got {rate}")
+            raise InputError(f"Stream: rate must be a positive, finite number; got {rate}")
         if rate < LEAST_RATE:
-            raise ValueError(
+            raise InputError(
                 f"Stream: rate must be at least {LEAST_RATE:g} Hz, as an estimate starts anew after {LONGEST_GAP:g} s "
                 f"without a sample; got {rate:g} Hz"
             )
@@ -162,13 +163,13 @@ class Stream:
         # The common case is inlined, since a call would take as long as the observer's computation.
         try:
             if type(y) is not ndarray or y.dtype is not DOUBLE:
-                raise ValueError
+                raise InputError
             self._y_place[:] = y
         except ValueError:  # of another size, or not in one piece
             self._read(self._y, y)
         try:
             if type(u) is not ndarray or u.dtype is not DOUBLE:
-                raise ValueError
+                raise InputError
             self._u_place[:] = u
         except ValueError:
             self._read(self._u, u)
@@ -234,7 +235,7 @@ class Stream:
                     values = np.ma.filled(values.astype(float), math.nan)
                 array = np.asarray(values)
                 if array.size != into.size or array.dtype.kind not in NUMBERS:
-                    raise ValueError
+                    raise InputError
                 into[:] = array.ravel()
         except (TypeError, ValueError):
             into.fill(math.nan)

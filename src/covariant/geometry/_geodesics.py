@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from covariant._errors import InputError
 from covariant._integrate import rk4, rk8
 from covariant._linalg import pivots, solve
 from covariant._typing import Code, Flag, Matrix, Scalar, Vector, Vectors
@@ -287,7 +288,7 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
 def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget) -> Shot:
     """Geodesic from p to a q close to it, corrected by the derivative of the second-order expansion of its end."""
     if budget.newton is None:
-        raise ValueError("Budget: near=True makes a fixed number of corrections; name it, as in newton=1")
+        raise InputError("Budget: near=True makes a fixed number of corrections; name it, as in newton=1")
     d = space.manifold.local(p, q)
 
     def second_order(v: Vector) -> Vector:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import ldl
 from covariant._typing import Flag, Matrix, Vector
 
@@ -78,7 +79,7 @@ class Interpolated(eqx.Module):
         """The metric's matrix (n, n) at x (n,); NaN outside the grid and close to unknown points."""
         n = self.low.shape[0]
         if x.shape != (n,):
-            raise ValueError(f"the metric is a function of {n} coordinates; x has shape {x.shape}")
+            raise InputError(f"the metric is a function of {n} coordinates; x has shape {x.shape}")
         position = (x - self.low.astype(x.dtype)) / self.spacing.astype(x.dtype)
         # A cell needs four neighbours; with the border, the first of them has the index of the cell.
         last = jnp.array(self.factors.shape[:n], jnp.int32) - 4
@@ -143,15 +144,15 @@ def _metric_mask(values: np.ndarray) -> np.ndarray:
 def _check_axes(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
     n, counts = len(axes), tuple(axis.size for axis in axes)
     if values.shape != (*counts, n, n):
-        raise ValueError(f"values must have shape {(*counts, n, n)} on this grid of {n} axes; got {values.shape}")
+        raise InputError(f"values must have shape {(*counts, n, n)} on this grid of {n} axes; got {values.shape}")
     for k, axis in enumerate(axes):
         if axis.ndim != 1 or axis.size < 4:
-            raise ValueError(f"axis {k + 1} needs at least four points to interpolate between; it has {axis.size}")
+            raise InputError(f"axis {k + 1} needs at least four points to interpolate between; it has {axis.size}")
         steps = np.diff(axis)
         # The steps of a grid far from 0 differ by the rounding of its coordinates.
         rounding = 4 * np.finfo(axis.dtype).eps * np.abs(axis).max()
         if not (np.isfinite(axis).all() and steps.min() > 0 and np.ptp(steps) <= 1e-6 * steps.mean() + rounding):
-            raise ValueError(
+            raise InputError(
                 f"axis {k + 1} must have equal steps upward; they are {steps.min():.6g} to {steps.max():.6g}"
             )
 
@@ -159,7 +160,7 @@ def _check_axes(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
 def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
     known = _metric_mask(values)
     if not known.any():
-        raise ValueError("there is no metric at any point of the grid")
+        raise InputError("there is no metric at any point of the grid")
     filled = np.where(known[..., None, None], values, 0)
     # Relative to the diagonal, so that the test does not depend on the units of the coordinates.
     size = np.sqrt(np.abs(np.diagonal(filled, axis1=-2, axis2=-1)))
@@ -168,14 +169,14 @@ def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
     wrong = np.asarray((np.abs(filled - np.swapaxes(filled, -1, -2)) > 1e-6 * scale).any(axis=(-2, -1)))
     if wrong.any():
         where, point = _first(axes, wrong)
-        raise ValueError(f"the metric at {point} is not symmetric: {_in_one_line(values[where])}")
+        raise InputError(f"the metric at {point} is not symmetric: {_in_one_line(values[where])}")
 
 
 def _check_definite(axes: tuple[np.ndarray, ...], values: np.ndarray, factors: np.ndarray) -> None:
     wrong = ~np.asarray(np.isfinite(factors).all(axis=-1))
     if wrong.any():
         where, point = _first(axes, wrong)
-        raise ValueError(f"the metric at {point} is not positive definite: {_in_one_line(values[where])}")
+        raise InputError(f"the metric at {point} is not positive definite: {_in_one_line(values[where])}")
 
 
 def _first(axes: tuple[np.ndarray, ...], wrong: np.ndarray) -> tuple[tuple[int, ...], str]:

@@ -21,6 +21,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant._linalg import pivots, solve
 from covariant._typing import Flag, Matrix, Vector, Vectors
 from covariant.geometry import _geodesics as geodesics
@@ -471,12 +472,12 @@ class _LeafManifold(AbstractManifold):
 
     def _refuse_undetermined(self, q: Configuration, y: Configuration) -> None:
         if not bool(jnp.max(jnp.abs(self.leaf.constraint(q))) < CLOSED):
-            raise ValueError(
+            raise InputError(
                 "the first measurement cannot be reached from the way in which the loop is assembled: give another "
                 f"assembly, or a complete first configuration; got {np.asarray(y).round(6).tolist()}"
             )
         if not bool(self._complete(q, y)):
-            raise ValueError(
+            raise InputError(
                 "the measured coordinates do not determine the others at the first measurement, as at a dead centre: "
                 "begin elsewhere, measure another coordinate, or give a complete first configuration"
             )

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant.geometry._manifold import Configuration
 from covariant.lowering import on_batches
@@ -53,7 +54,7 @@ def closed(look: Look, near: np.ndarray) -> np.ndarray:
             break
         x = look.retract(x, -np.linalg.pinv(rows, rcond=SINGULAR) @ c)
     if not left < CLOSED:
-        raise ValueError(
+        raise InputError(
             f"the loop does not close near the given configuration: a gap of {left:.3g} is left; give the assembly, "
             "a configuration in which it is closed as it is built"
         )
@@ -66,7 +67,7 @@ def independent(look: Look, constraint: Callable, start: np.ndarray) -> Callable
     ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
     least, most, count = min(ranks), max(ranks), len(rows[0])
     if least < most:
-        raise ValueError(
+        raise InputError(
             f"the rows of the loop have rank {least} and {most} along its motion: at such a change point it can go on "
             "in two ways; keep away from it, or couple the links otherwise"
         )
@@ -75,7 +76,7 @@ def independent(look: Look, constraint: Callable, start: np.ndarray) -> Callable
     # A combination that is zero at all samples is an eigenvector of this sum with the eigenvalue zero.
     values, vectors = np.linalg.eigh(sum(a @ a.T / np.linalg.norm(a, 2) ** 2 for a in rows) / len(rows))
     if np.sum(values > SINGULAR**2) > most:
-        raise ValueError(
+        raise InputError(
             f"the {count} rows of the loop have rank {most}, and depend on each other differently from place to place: "
             "an overconstrained linkage, which closes by its exact lengths alone; open it at another joint, or give "
             "the independent rows"

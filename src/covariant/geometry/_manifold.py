@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Flag, Vector
 
 Configuration = Inexact[Array, "..."]
@@ -339,7 +340,7 @@ class AbstractManifold(eqx.Module):
         """
         if len(y.shape) != len(self.shape) or any(w not in (None, n) for n, w in zip(y.shape, self.shape, strict=True)):
             expected = ", ".join("n" if size is None else str(size) for size in self.shape)
-            raise ValueError(f"a configuration must have shape ({expected}); got {y.shape}")
+            raise InputError(f"a configuration must have shape ({expected}); got {y.shape}")
         return y
 
 
@@ -383,7 +384,7 @@ class Coordinates(AbstractManifold):
 
     def origin(self, dtype: Any = float) -> Vector:
         if self.dimension is None:
-            raise ValueError("the number of coordinates is not known; name them, or give Coordinates(dimension=...)")
+            raise InputError("the number of coordinates is not known; name them, or give Coordinates(dimension=...)")
         return jnp.zeros(self.dimension, dtype)
 
     def zero(self, x: Vector) -> Vector:
@@ -478,10 +479,10 @@ class ProductManifold(AbstractManifold):
 
     def __check_init__(self):
         if not self.manifolds:
-            raise ValueError("ProductManifold: give at least one factor")
+            raise InputError("ProductManifold: give at least one factor")
         for factor in self.manifolds:
             if None in factor.shape:
-                raise ValueError("ProductManifold: say how many coordinates there are, as in Coordinates(dimension=2)")
+                raise InputError("ProductManifold: say how many coordinates there are, as in Coordinates(dimension=2)")
 
     @property
     def factors(self) -> tuple[AbstractManifold, ...]:

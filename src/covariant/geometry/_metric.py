@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Matrix, MatrixField, Vector
 from covariant.geometry._manifold import AbstractManifold, Configuration, Coordinates
@@ -130,5 +131,5 @@ def as_space(metric: AbstractSpace | MatrixField, manifold: AbstractManifold | N
     if manifold is None:
         return metric
     if not metric.manifold.commuting:
-        raise ValueError(f"the metric is on {metric.manifold}, not in coordinates; build a MechanicalSystem on it")
+        raise InputError(f"the metric is on {metric.manifold}, not in coordinates; build a MechanicalSystem on it")
     return dataclasses.replace(metric, manifold=manifold)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant._typing import Flag, Matrix, Scalar, Vector, Vectors
 from covariant.geometry._geodesics import Budget, Shot, Transported
 from covariant.geometry._manifold import split
@@ -339,7 +340,7 @@ class Product(AbstractMetric):
 
     def __check_init__(self):
         if len(self.spaces) != len(self.sizes):
-            raise ValueError(f"Product: {len(self.spaces)} spaces but {len(self.sizes)} sizes; give one size a space.")
+            raise InputError(f"Product: {len(self.spaces)} spaces but {len(self.sizes)} sizes; give one size a space.")
 
     def __call__(self, x: Vector) -> Matrix:
         return jax.scipy.linalg.block_diag(*(space(part) for space, part in self._each(x)))

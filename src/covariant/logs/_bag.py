@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._mcap import check_checksums
@@ -34,7 +35,7 @@ def joints(message: Any) -> dict[str, float]:
     for field in FIELDS:
         values = getattr(message, field)
         if len(values) not in (0, len(message.name)):
-            raise ValueError(f"names {len(message.name)} joints and has {len(values)} numbers of {field}")
+            raise InputError(f"names {len(message.name)} joints and has {len(values)} numbers of {field}")
         numbers |= {f"{name}/{field}": value for name, value in zip(message.name, values, strict=False)}
     return numbers
 

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError, MissingPackageError
 from covariant.signals import Record
 
 
-class LogError(ValueError):
+class LogError(InputError):
     """A log that cannot be used. The message is one line: the file, column and row, the fault, and the remedy.
 
     It is a `ValueError`. Values that are wrong but readable, such as degrees for radians, do not raise it: `check`
@@ -185,5 +186,5 @@ def pyarrow() -> Any:
         import pyarrow.csv
         import pyarrow.parquet
     except ImportError as error:
-        raise ImportError("reading and writing logs needs pyarrow: pip install 'covariant[logs]'") from error
+        raise MissingPackageError("reading and writing logs needs pyarrow: pip install 'covariant[logs]'") from error
     return pyarrow

@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from covariant._errors import InputError
+
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, CHUNK, DATA_END = 0x02, 0x06, 0x0F
 """Codes of the records that hold a checksum; of these, 0 stands for one that is not known."""
@@ -39,10 +41,10 @@ def check_checksums(path: Path) -> None:
             stated, content = _chunk(file, record)
             # A compressed chunk is checked by whoever unpacks it.
             if stated and content is not None and zlib.crc32(content) != stated:
-                raise ValueError(f"chunk {number} does not fit its checksum: the file is damaged; copy it again")
+                raise InputError(f"chunk {number} does not fit its checksum: the file is damaged; copy it again")
         for name, stated, computed in _sections(file, records):
             if stated not in (0, computed):
-                raise ValueError(f"its {name} does not fit its checksum: the file is damaged; copy it again")
+                raise InputError(f"its {name} does not fit its checksum: the file is damaged; copy it again")
 
 
 def write_checksums(path: Path) -> None:

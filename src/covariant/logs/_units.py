@@ -4,6 +4,7 @@ import math
 import re
 from typing import NamedTuple
 
+from covariant._errors import InputError
 from covariant._numbers import DECIMAL
 
 
@@ -52,7 +53,7 @@ def _unit(text: str) -> _Unit:
         match = _FACTOR.match(rest)
         part = None if match is None else _part(match)
         if match is None or part is None:
-            raise ValueError(
+            raise InputError(
                 f"unit {text!r} is not understood at {rest[:12]!r}; write it as in ms, us, deg, deg/s, mm, mN m, "
                 "turn/4096 for ticks of a 4096th of a turn, or -1 N m for the other sign"
             )
@@ -65,7 +66,7 @@ def _unit(text: str) -> _Unit:
         if rest[:1] in ("/", "*", "·"):
             sign, rest = -1 if rest[0] == "/" else 1, rest[1:].strip()
     if not size or not math.isfinite(size):
-        raise ValueError(f"unit {text!r} is {size:g}; a unit must be a finite number other than zero")
+        raise InputError(f"unit {text!r} is {size:g}; a unit must be a finite number other than zero")
     return _Unit(size, tuple(exponents) if has_symbol else None)
 
 
@@ -130,4 +131,4 @@ def check_unit(text: str, wanted: str) -> None:
     except ValueError:
         return
     if None not in (parsed.exponents, needed.exponents) and parsed.exponents != needed.exponents:
-        raise ValueError(f"unit {text!r} is no unit of what is measured in {wanted}")
+        raise InputError(f"unit {text!r} is no unit of what is measured in {wanted}")

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import half_solve
 from covariant._typing import Matrix, MatrixField, Number, Vector
 from covariant.lowering import along, jacobian
@@ -44,10 +45,10 @@ class Equation(eqx.Module):
         # Only Python numbers are checked: the value of an array may be unknown, as inside a compiled function.
         if isinstance(self.rate, float | int):
             if not 0 <= self.rate < float("inf"):
-                raise ValueError(f"rate must be a number ≥ 0; got {self.rate}")
+                raise InputError(f"rate must be a number ≥ 0; got {self.rate}")
             # Without λ and Q nothing is forgotten, and W grows without bound.
             if self.rate == 0 and self.process_cov is None:
-                raise ValueError("an equation needs a rate λ > 0, a process_cov Q, or both; it has neither")
+                raise InputError("an equation needs a rate λ > 0, a process_cov Q, or both; it has neither")
 
     def noise(self, x: Vector) -> Matrix | None:
         """Q (n, n) at the state x (n,), or None for an equation without Q."""
@@ -133,4 +134,4 @@ def check_state(model: StateSpace, x: Array) -> None:
     """Check the shape of a state."""
     n = len(model.coordinates)
     if x.ndim != 1 or (n and x.shape[0] != n):
-        raise ValueError(f"x must be a state ({n or 'n'},); it has shape {x.shape}")
+        raise InputError(f"x must be a state ({n or 'n'},); it has shape {x.shape}")

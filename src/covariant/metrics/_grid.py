@@ -9,6 +9,8 @@ from typing import NamedTuple, SupportsFloat, SupportsIndex
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -42,19 +44,19 @@ class Grid:
 
     def __post_init__(self):
         if not len(self.names) == len(self.units) == len(self.low) == len(self.high) == len(self.counts) > 0:
-            raise ValueError(
+            raise InputError(
                 "a grid needs a name, a unit, a low and a high end and a count for each axis; got "
                 f"{[len(part) for part in (self.names, self.units, self.low, self.high, self.counts)]} of them"
             )
         for name, low, high, count in zip(self.names, *self.ends, self.counts, strict=True):
             if not name.isidentifier():
-                raise ValueError(f"axis {name!r}: use a name of letters, digits and _")
+                raise InputError(f"axis {name!r}: use a name of letters, digits and _")
             if list(self.names).count(name) > 1:
-                raise ValueError(f"axis {name!r}: two axes have this name")
+                raise InputError(f"axis {name!r}: two axes have this name")
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                raise ValueError(f"axis {name!r}: low must be below high, both finite; got {low} and {high}")
+                raise InputError(f"axis {name!r}: low must be below high, both finite; got {low} and {high}")
             if not isinstance(count, SupportsIndex) or operator.index(count) < 2:
-                raise ValueError(f"axis {name!r}: the count must be a whole number, 2 or more; got {count}")
+                raise InputError(f"axis {name!r}: the count must be a whole number, 2 or more; got {count}")
 
     @property
     def axes(self) -> tuple[Float[np.ndarray, " count"], ...]:
@@ -124,7 +126,7 @@ class Blocks(NamedTuple):
 def cut(grid: Grid, points: int) -> Blocks:
     """Cut a grid into blocks, as close to cubes as the counts allow."""
     if points < 1:
-        raise ValueError(f"a block needs at least one point; got {points}")
+        raise InputError(f"a block needs at least one point; got {points}")
     sides, remaining, shape = [1] * len(grid.shape), points, grid.shape
     for k, axis in enumerate(sorted(range(len(shape)), key=shape.__getitem__)):
         # The small number is for rounding: 4096 ** (1 / 3) is less than 16 in doubles.

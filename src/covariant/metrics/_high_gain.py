@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._typing import Matrix, MatrixField, Number, Vector
 from covariant.metrics._equation import model_input
 from covariant.models import StateSpace
@@ -41,7 +42,7 @@ def high_gain(model: StateSpace, rate: Number) -> MatrixField:
         [[1.0, -1.0], [-1.0, 2.0]]
     """
     if len(model.outputs) > 1:
-        raise ValueError(f"high_gain is for one output; the model has {len(model.outputs)}: {', '.join(model.outputs)}")
+        raise InputError(f"high_gain is for one output; the model has {len(model.outputs)}: {', '.join(model.outputs)}")
 
     def metric(x: Vector) -> Matrix:
         n = x.shape[0]

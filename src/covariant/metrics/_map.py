@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._cases import Crew, run_chunks
+from covariant._errors import InputError
 from covariant.lowering import fingerprint
 from covariant.metrics import _store
 from covariant.metrics._grid import Blocks, Grid, cut
@@ -140,21 +141,21 @@ def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) 
     outputs = jax.eval_shape(function, jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
     if not isinstance(outputs, Mapping) or set(outputs) != set(variables):
         returned = sorted(outputs) if isinstance(outputs, Mapping) else f"a {type(outputs).__name__}"
-        raise ValueError(
+        raise InputError(
             f"the function must return a dict of {sorted(variables)}, as variables says; it made {returned}"
         )
     sizes: dict[str, int] = {}
     for name, variable in variables.items():
         shape = outputs[name].shape
         if len(variable.dims) != len(shape) or len(set(variable.dims)) != len(shape):
-            raise ValueError(f"variable {name!r} has shape {shape}; its dims {variable.dims} must name as many axes")
+            raise InputError(f"variable {name!r} has shape {shape}; its dims {variable.dims} must name as many axes")
         for dim, size in zip(variable.dims, shape, strict=True):
             if sizes.setdefault(dim, size) != size:
-                raise ValueError(f"variable {name!r}: {dim!r} has length {size}, but {sizes[dim]} in another variable")
+                raise InputError(f"variable {name!r}: {dim!r} has length {size}, but {sizes[dim]} in another variable")
     names = [*grid.names, *sizes, *variables, _store.DONE]
     for name in names:
         if names.count(name) > 1 or not name.isidentifier():
-            raise ValueError(f"{name!r} cannot name a variable or an axis here: it is taken, or not a plain name")
+            raise InputError(f"{name!r} cannot name a variable or an axis here: it is taken, or not a plain name")
     return {
         name: {**variable._asdict(), "shape": outputs[name].shape, "dtype": outputs[name].dtype.name}
         for name, variable in variables.items()

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Bounds
 from covariant.geometry import Interpolated
 from covariant.metrics import Equation, Grid, Variable, map_grid, metric_at, open_grid
@@ -77,7 +78,7 @@ def metric_on_grid(
     """
     n = len(model.coordinates)
     if n and tuple(grid.names) != model.coordinates:
-        raise ValueError(f"the grid has axes {', '.join(grid.names)}; the states are {', '.join(model.coordinates)}")
+        raise InputError(f"the grid has axes {', '.join(grid.names)}; the states are {', '.join(model.coordinates)}")
 
     def at(x: Array) -> dict[str, Array]:
         solution = metric_at(model, equation, x, start=start, tolerance=tolerance, domain=domain, u=u)
@@ -206,7 +207,7 @@ def open_metric(path: str | os.PathLike[str]) -> Any:
     """
     store = open_grid(path, complete=True)
     if set(store) != set(VARIABLES):
-        raise ValueError(
+        raise InputError(
             f"{path} holds {', '.join(map(str, store))} and no metric of metrics.metric_on_grid; give another path"
         )
     return store

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._integrate import rk8
 from covariant._linalg import whiten
 from covariant._typing import Bounds, Code, Matrix, Number, Scalar, Vector
@@ -268,12 +269,12 @@ def rate_from_gramian(
     unobserved = indices.max(axis=1) <= SINGULAR
     if unobserved.any():
         point = ", ".join(f"{entry:.4g}" for entry in np.asarray(points)[int(unobserved.argmax())])
-        raise ValueError(f"({point}) is not reconstructible from any past up to {longest:g} s, so it has no rate")
+        raise InputError(f"({point}) is not reconstructible from any past up to {longest:g} s, so it has no rate")
     # One rate for all points, so each window counts by the point that it determines worst.
     least = indices.min(axis=0)
     enough = int((least >= share * least.max()).argmax())
     if not enough:
-        raise ValueError(
+        raise InputError(
             f"the first of {len(least)} windows up to {longest:g} s tells most: shorten the longest window, or, where "
             "the past grows, take a rate above twice its rate of growth"
         )

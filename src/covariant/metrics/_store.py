@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from covariant._cases import content_hash, optional
+from covariant._errors import InputError
 from covariant._files import attended, sweep, temporary
 from covariant.metrics._grid import Blocks, Grid
 
@@ -80,7 +81,7 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     flagged = math.prod(counts) if attributes["complete"] else len(_chunks(path / DONE, len(counts)))
     missing = math.prod(counts) - len(written(path, len(counts)))
     if missing > math.prod(counts) - flagged or (complete and not attributes["complete"]):
-        raise ValueError(
+        raise InputError(
             f"{path} is not complete: {missing} of {math.prod(counts)} blocks are missing; run its map_grid again"
         )
     dataset = optional("xarray").open_zarr(path, consolidated=False, chunks="auto", decode_cf=False)
@@ -104,7 +105,7 @@ def configuration(
     try:
         text = json.dumps(whole, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"provenance must be made of texts, finite numbers, lists and dicts: {error}") from error
+        raise InputError(f"provenance must be made of texts, finite numbers, lists and dicts: {error}") from error
     plain = json.loads(text)
     return plain | {"digest": content_hash(plain)}
 
@@ -122,7 +123,7 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
         compared -= {FUNCTION, "digest"}
     stored, asked = ({name: each.get(name) for name in settings if name in compared} for each in (attributes, settings))
     if stored != asked:
-        raise ValueError(
+        raise InputError(
             f"{path} holds another map: {_difference(stored, asked)}; give another path, or remove that store"
         )
     if not begun:
@@ -220,7 +221,7 @@ def _attributes(path: Path) -> dict[str, Any]:
     with contextlib.suppress(OSError, ValueError):
         attributes = optional("zarr").open_group(str(path), mode="r").attrs.asdict()
     if attributes.get("format") != FORMAT:
-        raise ValueError(f"{path} is not a map made by map_grid; give another path")
+        raise InputError(f"{path} is not a map made by map_grid; give another path")
     return attributes
 
 

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._integrate import rk4_step
 from covariant._typing import Element, MatrixField, Number, Scalar, Vector
@@ -357,7 +358,7 @@ class GroupSystem(MechanicalSystem):
         n = group.dimension
         names, units = tuple(velocities) or tuple(f"v{i + 1}" for i in range(n)), tuple(units) or ("",) * n
         if not len(names) == len(units) == n:
-            raise ValueError(f"the group has {n} velocities; got {len(names)} names, {len(units)} units")
+            raise InputError(f"the group has {n} velocities; got {len(names)} names, {len(units)} units")
         super().__init__(
             LeftInvariant(group, inertia),
             potential,
@@ -409,7 +410,7 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
     q = jax.eval_shape(model.manifold.origin) if known else jax.ShapeDtypeStruct((dimension,), jnp.float64)
     if any(not 0 <= i < q.shape[0] for i in model.circles):
         count = q.shape[0]
-        raise ValueError(f"circles {model.circles} must be indices of the {count} coordinates, 0 to {count - 1}")
+        raise InputError(f"circles {model.circles} must be indices of the {count} coordinates, 0 to {count - 1}")
     v = jax.eval_shape(model.manifold.zero, q)
     n = v.shape[0]
     u = jax.ShapeDtypeStruct((input_count(model, n),), jnp.float64)
@@ -425,7 +426,7 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
     if model.feet is not None:
         shape = jax.eval_shape(model.feet, q).shape
         if len(shape) != 2 or shape[0] > u.shape[0]:
-            raise ValueError(
+            raise InputError(
                 f"feet must return positions (k, d) of k feet, of which each has one of the {u.shape[0]} inputs, the "
                 f"last ones, that says whether it is on the ground; it returned shape {shape}"
             )
@@ -438,9 +439,9 @@ def check_shapes(functions, given: str, whom: str) -> None:
             shape = jax.eval_shape(function, *arguments).shape
         except (TypeError, ValueError, IndexError, AttributeError) as error:
             reason = str(error).splitlines()[0]
-            raise ValueError(f"{name} cannot be evaluated with {given}: {reason}") from error
+            raise InputError(f"{name} cannot be evaluated with {given}: {reason}") from error
         if shape != wanted:
-            raise ValueError(f"{name} must return shape {wanted} for {whom}; it returned {shape}")
+            raise InputError(f"{name} must return shape {wanted} for {whom}; it returned {shape}")
 
 
 def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
@@ -468,7 +469,7 @@ def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, 
     # Equal shapes are demanded, since broadcasting one input over all coordinates would pass unnoticed.
     force, slope = model.force(t, q, u), differential(model.manifold, model.potential, q)
     if force.shape != slope.shape:
-        raise ValueError(f"force must return shape {slope.shape}; with {u.shape[0]} inputs it returned {force.shape}")
+        raise InputError(f"force must return shape {slope.shape}; with {u.shape[0]} inputs it returned {force.shape}")
     return force - slope  # the differential dU points uphill
 
 
@@ -660,7 +661,7 @@ def body_velocity(system: MechanicalSystem, g: Element, momentum: Vector) -> Vec
 
 def _group_of(system: MechanicalSystem) -> AbstractGroup:
     if not isinstance(system.manifold, AbstractGroup):
-        raise ValueError(f"the momentum in space is that of a system on a group; this one is on {system.manifold}")
+        raise InputError(f"the momentum in space is that of a system on a group; this one is on {system.manifold}")
     return system.manifold
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 
 AnyArray = Array | np.ndarray
@@ -122,4 +123,4 @@ def check_parameters(
 def check_range(what: str, value: Any, least: float) -> None:
     """Raise `ValueError` for a number that is not finite or below its least value; traced ones are not checked."""
     if known(value) and not ((numbers := np.asarray(value)) >= least).all() & np.isfinite(numbers).all():
-        raise ValueError(f"{what} must be {RANGES[least]}; got {numbers.tolist()!r}")
+        raise InputError(f"{what} must be {RANGES[least]}; got {numbers.tolist()!r}")

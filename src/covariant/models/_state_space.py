@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import Coordinates, wrap
@@ -166,7 +167,7 @@ def state_space(model: MechanicalSystem) -> StateSpace:
         ('r', 'theta', 'r_dot', 'theta_dot')
     """
     if model.manifold.redundant:
-        raise ValueError(
+        raise InputError(
             "a machine with closed loops has no state-space form: its coordinates depend on each other, so that a box "
             "of states, a gain or a metric in them would be about open loops; use Intrinsic or IntrinsicKalman"
         )
@@ -211,16 +212,16 @@ def _check(model: StateSpace, box: Sequence[tuple[Any, Any]]) -> int:
     if not count:
         shape = getattr(jax.eval_shape(model.h, t, x, u), "shape", None)
         if shape is None or len(shape) != 1 or not shape[0]:
-            raise ValueError(f"h must return a vector of outputs (p,), p ≥ 1; it returned {shape}")
+            raise InputError(f"h must return a vector of outputs (p,), p ≥ 1; it returned {shape}")
         count = shape[0]
     check_shapes((("h", model.h, (t, x, u), (count,)),), arguments_text, f"{count} outputs")
     if any(not 0 <= i < count for i in model.circles):
-        raise ValueError(f"circles {model.circles} must be indices of the {count} outputs, 0 to {count - 1}")
+        raise InputError(f"circles {model.circles} must be indices of the {count} outputs, 0 to {count - 1}")
     for name, entries in (("units", model.units), ("box", box)):
         if entries and len(entries) != n:
-            raise ValueError(f"{name} needs one entry for each of the {n} states; it has {len(entries)}")
+            raise InputError(f"{name} needs one entry for each of the {n} states; it has {len(entries)}")
     for name, (low, high) in zip(model.coordinates, box, strict=False):
         # Python cannot branch on traced numbers, so bounds that are being fitted are not checked.
         if not (isinstance(low, Tracer) or isinstance(high, Tracer) or low < high):
-            raise ValueError(f"box of {name}: the lower bound {low:g} must be below the upper one {high:g}")
+            raise InputError(f"box of {name}: the lower bound {low:g} must be below the upper one {high:g}")
     return count

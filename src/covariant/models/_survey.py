@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import half_solve
 from covariant.geometry import sectional_curvature
 from covariant.lowering import evaluate_batch
@@ -59,7 +60,7 @@ def survey(
     count = len(model.coordinates)
     box = np.tile([-np.pi, np.pi], (count, 1)) if box is None else np.asarray(box, float)
     if box.shape != (count, 2) or not np.isfinite(box).all():
-        raise ValueError(f"the box must be {count} pairs of finite numbers; got shape {box.shape}")
+        raise InputError(f"the box must be {count} pairs of finite numbers; got shape {box.shape}")
     rng = np.random.default_rng(seed)
     origin = model.manifold.origin()
     n = model.manifold.zero(origin).shape[0]

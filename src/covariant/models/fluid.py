@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
+from covariant._errors import InputError
 from covariant._linalg import at_places
 from covariant._typing import Element, Scalar, Vector
 from covariant.geometry.lie import SU, AbstractInertia
@@ -59,9 +60,9 @@ def ideal_fluid(n: int, viscosity: float = 0.0) -> GroupSystem:
     """
     # n odd: one half then exists modulo n (`_coefficients`), and no frequency n/2 lacks its negative.
     if not isinstance(n, int) or n < 3 or n % 2 == 0:
-        raise ValueError(f"ideal_fluid: n must be an odd integer of 3 or more; got {n!r}")
+        raise InputError(f"ideal_fluid: n must be an odd integer of 3 or more; got {n!r}")
     if not viscosity >= 0:
-        raise ValueError(f"ideal_fluid: the viscosity must not be negative; got {viscosity!r}")
+        raise InputError(f"ideal_fluid: the viscosity must not be negative; got {viscosity!r}")
     return GroupSystem(
         ParticleMaps(n),
         Laplacian(n),
@@ -414,7 +415,7 @@ def _nonzero_squares(n: int) -> np.ndarray:
 def _rows(n: int, points: int) -> np.ndarray:
     """Indices of the n frequencies of either sign among those of a grid."""
     if points < n:
-        raise ValueError(f"a grid of {n} frequencies needs at least {n} points a side; got {points}")
+        raise InputError(f"a grid of {n} frequencies needs at least {n} points a side; got {points}")
     return _frequencies(n) % points  # negative frequencies are at the end
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering import Domain, Lowered, evaluate, expand, pairs
 from covariant.proofs._form import Form
 from covariant.proofs.checker import halves
@@ -84,7 +85,7 @@ class BallMatrix:
             return 1
         if not depth:
             box = ", ".join(f"{a:.6g} to {b:.6g}" for a, b in zip(low, high, strict=True))
-            raise ValueError(f"{what} is not shown in balls to be right where the variables are {box}")
+            raise InputError(f"{what} is not shown in balls to be right where the variables are {box}")
         lows, highs = halves(low[None], high[None], np.array([axis]))
         return 1 + sum(self.show(a, b, what, depth - 1) for a, b in zip(lows, highs, strict=True))
 

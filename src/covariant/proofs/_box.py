@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
+
 
 class Box(NamedTuple):
     """Bounds of named variables: the domain of a proof. A variable with equal bounds is fixed.
@@ -110,5 +112,5 @@ def check_box(given: Box) -> Box:
     """
     for name, low, high in zip(given.names, given.low, given.high, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):
-            raise ValueError(f"bounds of {name} must be finite, the lower one first; got {low:g} to {high:g}")
+            raise InputError(f"bounds of {name} must be finite, the lower one first; got {low:g} to {high:g}")
     return given

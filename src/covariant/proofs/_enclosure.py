@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from covariant._errors import InputError
 from covariant._typing import Arithmetic
 from covariant.lowering import Enclosure, Graph, Lowered, expand, graft, pairs
 from covariant.proofs._box import Box
@@ -66,7 +67,7 @@ class Expansions(NamedTuple):
         """The expansions of the graph of all entries."""
         shape = entries.results[0].shape
         if len(shape) != 2 or shape[0] != shape[1] or not shape[0]:
-            raise ValueError(f"the matrix must be square; it has shape {shape}")
+            raise InputError(f"the matrix must be square; it has shape {shape}")
         rows, columns = np.tril_indices(shape[0])
         graph = Graph.of(entries.graph.nodes)
         # xᵀMx depends on the symmetric part only; two formulas of an entry and its mirror image become one entry.

@@ -14,6 +14,8 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from covariant._errors import InputError
+
 MOST_BYTES, MOST_VALUES, DEEPEST = 64 * 2**20, 2_000_000, 8
 """Largest size of a file [bytes], number of values in it, and depth of nesting, all checked before it is parsed."""
 CHUNK = 2**20
@@ -46,15 +48,15 @@ def read_file(path: str | Path) -> bytes:
     try:
         if not Path(path).is_file():  # a pipe or a device may never end
             missing = "is no file" if Path(path).exists() else "does not exist"
-            raise ValueError(f"{file} {missing}; give the path of a saved certificate")
+            raise InputError(f"{file} {missing}; give the path of a saved certificate")
         with Path(path).open("rb") as opened:
             # One byte more than allowed shows that a file is too large, without reading all of it.
             content = opened.read(MOST_BYTES + 1)
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise ValueError(f"{file} cannot be read: {reason}; give the path of a saved certificate") from error
+        raise InputError(f"{file} cannot be read: {reason}; give the path of a saved certificate") from error
     if len(content) > MOST_BYTES:
-        raise ValueError(f"{file} is larger than a certificate may be, {MOST_BYTES >> 20} MiB; {REMEDY}")
+        raise InputError(f"{file} is larger than a certificate may be, {MOST_BYTES >> 20} MiB; {REMEDY}")
     return content
 
 
@@ -110,15 +112,15 @@ def _values(file: str, content: bytes) -> Any:
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{file} is no text in UTF-8, at byte {error.start}; {REMEDY}") from error
+        raise InputError(f"{file} is no text in UTF-8, at byte {error.start}; {REMEDY}") from error
     # Without escapes a quotation mark always opens or closes a string, on which the count of brackets below relies.
     if "\\" in text:
         line = 1 + text.count("\n", 0, text.index("\\"))
-        raise ValueError(f"{file} has a backslash on line {line}, and the strings of a certificate have none; {REMEDY}")
+        raise InputError(f"{file} has a backslash on line {line}, and the strings of a certificate have none; {REMEDY}")
     if text.count(",") >= MOST_VALUES:
-        raise ValueError(f"{file} holds more than {MOST_VALUES} values; {REMEDY}")
+        raise InputError(f"{file} holds more than {MOST_VALUES} values; {REMEDY}")
     if _depth(content) > DEEPEST:
-        raise ValueError(f"{file} is nested more than {DEEPEST} deep; {REMEDY}")
+        raise InputError(f"{file} is nested more than {DEEPEST} deep; {REMEDY}")
 
     try:
         # Numbers beyond the range of doubles become infinite here, and are refused where they are used.
@@ -127,7 +129,7 @@ def _values(file: str, content: bytes) -> Any:
         )
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
-        raise ValueError(f"{file} is not JSON: {error.msg} at {where}; {REMEDY}") from error
+        raise InputError(f"{file} is not JSON: {error.msg} at {where}; {REMEDY}") from error
 
 
 def _once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -136,7 +138,7 @@ def _once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(record) < len(pairs):
         keys = [key for key, _ in pairs]
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"{file}: the key {brief(twice)} is there twice; {REMEDY}")
+        raise InputError(f"{file}: the key {brief(twice)} is there twice; {REMEDY}")
     return record
 
 
@@ -201,7 +203,7 @@ class Field(NamedTuple):
             ValueError: Always.
         """
         what = f"{self.file}: {self.key}" if self.key else self.file
-        raise ValueError(f"{what} must be {wanted}; found {brief(self.value)}; {REMEDY}")
+        raise InputError(f"{what} must be {wanted}; found {brief(self.value)}; {REMEDY}")
 
     def need(self, holds: Any, wanted: str) -> None:
         """Refuse the field unless a condition holds.
@@ -243,7 +245,7 @@ class Field(NamedTuple):
         ):
             if wrong:
                 key = f"{self.key}.{brief(min(wrong))}" if self.key else brief(min(wrong))
-                raise ValueError(f"{self.file}: the key {key} {how}; wanted are {', '.join(keys)}; {REMEDY}")
+                raise InputError(f"{self.file}: the key {key} {how}; wanted are {', '.join(keys)}; {REMEDY}")
         return {key: self.at(key) for key in keys}
 
     def rows(self, least: int, most: int) -> list["Field"]:

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from covariant._errors import InputError
 from covariant._typing import Arithmetic
 from covariant.lowering import TRUTHS, Lowered, expand
 from covariant.proofs._box import Box, check_box
@@ -190,13 +191,13 @@ def prove_at_corners(
     check_box(domain)
     unknown = set(affine) - set(domain.names)
     if unknown:
-        raise ValueError(f"prove_at_corners: no variable {sorted(unknown)[0]!r}; the box has {', '.join(domain.names)}")
+        raise InputError(f"prove_at_corners: no variable {sorted(unknown)[0]!r}; the box has {', '.join(domain.names)}")
     formed = as_form(matrix).graph(jnp.asarray(domain.low))
     indices = np.array([domain.names.index(name) for name in affine], int)
     kink = _kink(formed.entries, indices.tolist())
     if kink is not None:
         # Its second derivatives vanish on either side of the kink, so they do not show that it is not affine.
-        raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
+        raise InputError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
     # A jointly affine matrix is a convex combination of its values at the corners, and the cone S > 0 is convex.
     derivatives = expand(formed.entries, indices.tolist(), 2)
     entries = np.array([not derivatives.graph.is_zero(i) for i in derivatives.outputs]).reshape(
@@ -204,7 +205,7 @@ def prove_at_corners(
     )
     enters_block = [bool(row.any()) for row in entries]
     if any(enters_block[1 + len(indices) :]):
-        raise ValueError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)} together")
+        raise InputError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)} together")
     # A variable that does not enter the matrix needs one end only.
     ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(indices, enters_block[1:], strict=False)]
     # The conditions are not affine: they are proved over the whole domain.

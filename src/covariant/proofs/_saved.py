@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering import FOLD, Lowered
 from covariant.proofs._file import MOST_VALUES, Field, is_number
 
@@ -39,7 +40,7 @@ def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
     """
     most = max((int(codes.max()) for codes in levels if codes.size), default=-1) + 1
     if most > len(LETTERS):
-        raise ValueError(f"files hold trees over at most {len(LETTERS)} variables; this one halves {most}")
+        raise InputError(f"files hold trees over at most {len(LETTERS)} variables; this one halves {most}")
     table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
     return [table[codes].tobytes().decode("ascii") for codes in levels]
 

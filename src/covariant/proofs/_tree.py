@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float, Int
 
+from covariant._errors import InputError
 from covariant.proofs._box import Box
 
 CHUNK = 2048
@@ -37,7 +38,7 @@ def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, 
     low, high = domain.low[None], domain.high[None]
     for codes in itertools.chain(levels, [np.zeros(0, int)]):
         if len(codes) != len(low):
-            raise ValueError(f"a level of the tree of boxes must hold {len(low)} boxes; it holds {len(codes)}")
+            raise InputError(f"a level of the tree of boxes must hold {len(low)} boxes; it holds {len(codes)}")
         end = codes < 0
         yield codes[end], low[end], high[end]
         low, high = halves(low[~end], high[~end], codes[~end])

@@ -7,6 +7,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
+
 MEASURED = "measured"
 """Legend entry of the measured positions."""
 
@@ -137,30 +139,30 @@ class EstimateReport(NamedTuple):
         """
         samples, n = len(self.t), len(self.coordinates)
         if not samples or not n or not self.estimates:
-            raise ValueError("a report needs at least one sample, one coordinate and one estimate")
+            raise InputError("a report needs at least one sample, one coordinate and one estimate")
         if len(self.units) != n:
-            raise ValueError(f"a report needs one unit a coordinate; got {n} coordinates and {len(self.units)} units")
+            raise InputError(f"a report needs one unit a coordinate; got {n} coordinates and {len(self.units)} units")
         if self.estimated not in _PLURAL:
-            raise ValueError(f"estimated must be one of {', '.join(_PLURAL)}; got {self.estimated!r}")
+            raise InputError(f"estimated must be one of {', '.join(_PLURAL)}; got {self.estimated!r}")
         if self.estimated == "state" and self.q_measured is not None:
-            raise ValueError("q_measured belongs to velocities; a report of states has none, and it must be None")
+            raise InputError("q_measured belongs to velocities; a report of states has none, and it must be None")
         for label, x in self.estimates.items():
             if np.shape(x) not in self._accepted(samples, n):
                 accepted = " or ".join(f"{shape} ({what})" for shape, what in self._accepted(samples, n).items())
-                raise ValueError(f"estimates[{label!r}] must have the shape {accepted}; got {np.shape(x)}")
+                raise InputError(f"estimates[{label!r}] must have the shape {accepted}; got {np.shape(x)}")
         for name, array, shape in self._shapes(samples, n):
             if np.shape(array) != shape:
-                raise ValueError(f"{name} must have the shape {shape}; got {np.shape(array)}")
+                raise InputError(f"{name} must have the shape {shape}; got {np.shape(array)}")
         for name in ("innovation", "distance", "std", "innovation_std"):
             entries = getattr(self, name)
             unknown = set(entries) - set(self.estimates)
             if unknown:
-                raise ValueError(
+                raise InputError(
                     f"{name} has {sorted(unknown)}, but there are estimates only of {list(self.estimates)}"
                 )
         reserved = set(self.estimates) & set(self.backdrops)
         if reserved:
-            raise ValueError(
+            raise InputError(
                 f"an estimate cannot be called {reserved.pop()!r}: that names the curve it is compared with"
             )
         return self

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._files import write_atomically
 from covariant.report._estimate import DIFFERENCE, MARKS, MEASURED, EstimateReport
 from covariant.report._optional import optional
@@ -228,5 +229,5 @@ def figure_format(path: str | os.PathLike[str]) -> str:
     """Format of a figure by the suffix of its file, for a check before the figure is computed."""
     suffix = Path(path).suffix.removeprefix(".")
     if not suffix:
-        raise ValueError(f"{path}: name the format by a suffix, such as .png, .pdf or .svg")
+        raise InputError(f"{path}: name the format by a suffix, such as .png, .pdf or .svg")
     return suffix

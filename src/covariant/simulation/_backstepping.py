@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import solve_square
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.geometry import wrap
@@ -57,7 +58,7 @@ class Backstepping(eqx.Module):
         product = np.asarray(self.kp @ self.lam)
         # V' has −η̃ᵀK_pΛη̃, of which only the symmetric part counts. `not … > 0` is true for NaN as well.
         if not np.linalg.eigvalsh(product + product.T)[0] > 0:
-            raise ValueError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
+            raise InputError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
 
     def error(self, t: Scalar, eta: Vector) -> Vector:
         """Tracking error `η̃ = η − η_d`, with angles wrapped to ±π.
@@ -119,9 +120,9 @@ def _gain(name: str, values: Numbers, n: int) -> Matrix:
     array = np.asarray(values, float)
     matrix = np.diag(np.broadcast_to(array, (n,))) if array.ndim < 2 and array.size in (1, n) else array
     if matrix.shape != (n, n):
-        raise ValueError(f"{name} must be a number, {n} numbers or a matrix ({n}, {n}); its shape is {array.shape}")
+        raise InputError(f"{name} must be a number, {n} numbers or a matrix ({n}, {n}); its shape is {array.shape}")
     if not np.allclose(matrix, matrix.T) or not np.linalg.eigvalsh(matrix)[0] > 0:
-        raise ValueError(
+        raise InputError(
             f"{name} must be symmetric positive definite; its eigenvalues are "
             f"{', '.join(f'{e:.3g}' for e in np.linalg.eigvals(matrix).real)}"
         )

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant._integrate import compiled
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, advance, applied_force, resistance, standing
@@ -55,7 +56,7 @@ def simulate_contacts(
     """
     feet = model.feet
     if feet is None:
-        raise ValueError("simulate_contacts: the model has no feet")
+        raise InputError("simulate_contacts: the model has no feet")
 
     def step(now, bounds):
         motion, down, spots = now

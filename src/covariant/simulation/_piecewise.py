@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from covariant._errors import InputError
 from covariant._integrate import compiled
 from covariant._typing import Number
 from covariant.models import MechanicalSystem, StateSpace
@@ -101,7 +102,7 @@ def logged_inputs(
         ([0.5, 1.5], [1.0])
     """
     if between not in ("held", "linear"):
-        raise ValueError(f"logged_inputs: between must be 'held' or 'linear'; got {between!r}")
+        raise InputError(f"logged_inputs: between must be 'held' or 'linear'; got {between!r}")
     late, ahead = (np.broadcast_to(np.asarray(each, float), u.shape[1:]) for each in (delay, lead))
     # Times that agree in so many digits are one, although they were computed in different ways.
     begin = np.unique(np.round(np.concatenate([(t[:, None] + late).ravel(), [] if at is None else at]), DIGITS))

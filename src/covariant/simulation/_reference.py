@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Numbers, Scalar, Vector
 
 
@@ -102,9 +103,9 @@ def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 
     a, b = np.asarray(start, float), np.asarray(goal, float)
     w = np.broadcast_to(np.asarray(bandwidth, float), a.shape)
     if a.shape != b.shape or a.ndim != 1:
-        raise ValueError(f"set_point: start and goal must be vectors of one length; got {a.shape} and {b.shape}")
+        raise InputError(f"set_point: start and goal must be vectors of one length; got {a.shape} and {b.shape}")
     if not (w > 0).all():
-        raise ValueError(f"set_point: bandwidth must be positive [rad/s]; got {bandwidth}")
+        raise InputError(f"set_point: bandwidth must be positive [rad/s]; got {bandwidth}")
 
     def at(t: Scalar) -> Reference:
         rate, change = jnp.asarray(w, t.dtype), jnp.asarray(b - a, t.dtype)

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
+
 NumpyArray = np.ndarray
 PerPosition = float | Sequence[float] | NumpyArray
 """One number for all positions, or one for each of them."""
@@ -48,13 +50,13 @@ class PositionSensor(NamedTuple):
             ValueError: Names the first invalid field.
         """
         if not 0 < self.rate < np.inf:
-            raise ValueError(f"sensor: rate must be positive [Hz]; got {self.rate}")
+            raise InputError(f"sensor: rate must be positive [Hz]; got {self.rate}")
         for name in ("noise_std", "quantum", "jitter"):
             values = np.asarray(getattr(self, name), float)
             if not ((values >= 0) & (values < np.inf)).all():
-                raise ValueError(f"sensor: {name} must be a number ≥ 0; got {getattr(self, name)}")
+                raise InputError(f"sensor: {name} must be a number ≥ 0; got {getattr(self, name)}")
         if not 0 <= self.dropout < 1:
-            raise ValueError(f"sensor: dropout is a probability below 1; got {self.dropout}")
+            raise InputError(f"sensor: dropout is a probability below 1; got {self.dropout}")
         return self
 
 
@@ -83,7 +85,7 @@ def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[Nump
     sensor.check()
     steps = duration * sensor.rate + 1e-9  # 0.29 s hold 29 steps at 100 Hz, although 0.29 * 100 rounds to less
     if not 1 <= steps < np.inf:
-        raise ValueError(f"sensor: {duration} s at {sensor.rate} Hz do not hold two samples or more")
+        raise InputError(f"sensor: {duration} s at {sensor.rate} Hz do not hold two samples or more")
     count = int(steps) + 1
     # Stamps (0) and values (1) have separate random streams, so that neither depends on the draws of the other.
     offsets = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
@@ -133,5 +135,5 @@ def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) ->
 def _each(name: str, values: PerPosition, count: int) -> Float[NumpyArray, "n"]:
     array = np.asarray(values, float)
     if array.ndim > 1 or (array.ndim == 1 and len(array) != count):
-        raise ValueError(f"sensor: {name} has {array.size} numbers for {count} positions; give one, or one for each")
+        raise InputError(f"sensor: {name} has {array.size} numbers for {count} positions; give one, or one for each")
     return np.broadcast_to(array, count)

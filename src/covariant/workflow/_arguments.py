@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant._names import unknown
 
 Region = Mapping[str, Sequence[float | int]]
@@ -48,7 +49,7 @@ def numbers(
     try:
         values = np.atleast_1d(np.asarray(given, float))
     except (TypeError, ValueError):
-        raise ValueError(f"{argument}: {given!r} is not a list of numbers") from None
+        raise InputError(f"{argument}: {given!r} is not a list of numbers") from None
     counts = (1, len(names)) if one else (len(names),)
     fits = values.ndim == 1 and len(values) in counts
     # `initial`: a model without inputs has no number here, and an empty array has no minimum.
@@ -56,7 +57,7 @@ def numbers(
         whose = f", for {', '.join(names)}" if names else ""
         needed = "one number, or " if one and len(names) > 1 else ""
         kind = "positive" if positive else "finite"
-        raise ValueError(f"{argument} needs {needed}{len(names)} {kind} numbers{whose}; got {_format_values(values)}")
+        raise InputError(f"{argument} needs {needed}{len(names)} {kind} numbers{whose}; got {_format_values(values)}")
     return np.full(len(names), values[0]) if len(values) < len(names) else values
 
 
@@ -65,9 +66,9 @@ def finite(argument: str, given: Amounts | None) -> None:
     try:
         values = np.atleast_1d(np.asarray(0.0 if given is None else given, float))
     except (TypeError, ValueError):
-        raise ValueError(f"{argument}: {given!r} is not a list of numbers") from None
+        raise InputError(f"{argument}: {given!r} is not a list of numbers") from None
     if not np.isfinite(values).all():
-        raise ValueError(f"{argument} must be finite numbers; got {_format_values(values)}")
+        raise InputError(f"{argument} must be finite numbers; got {_format_values(values)}")
 
 
 def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.ndarray, "n"]:
@@ -76,7 +77,7 @@ def amounts(argument: str, given: Amounts, names: Sequence[str]) -> Float[np.nda
     limits = numbers(argument, given, names, one=True)
     # As above: there may be no bound at all.
     if limits.min(initial=0.0) < 0:
-        raise ValueError(f"{argument}: bounds must not be negative; got {_format_values(limits)}")
+        raise InputError(f"{argument}: bounds must not be negative; got {_format_values(limits)}")
     return limits
 
 
@@ -87,11 +88,11 @@ def bounds(
     intervals = {}
     for name, pair in given.items():
         if name not in names:
-            raise ValueError(f"{argument}: {unknown(what, name, names)}")
+            raise InputError(f"{argument}: {unknown(what, name, names)}")
         ends = numbers(f"{argument} {name}", pair, ("the low end", "the high end"))
         low, high = float(ends[0]), float(ends[1])
         if not (low < high or (equal and low == high)):
-            raise ValueError(f"{argument}: the low end of {name} must be below the high one; got {low:g} and {high:g}")
+            raise InputError(f"{argument}: the low end of {name} must be below the high one; got {low:g} and {high:g}")
         intervals[name] = low, high
     return intervals
 
@@ -99,18 +100,18 @@ def bounds(
 def above_zero(argument: str, value: float | int) -> float:
     """Check that an argument is a positive finite number."""
     if not 0 < value < math.inf:  # false for NaN too
-        raise ValueError(f"{argument} must be a positive number; got {value:g}")
+        raise InputError(f"{argument} must be a positive number; got {value:g}")
     return float(value)
 
 
 def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[float, float] | None:
     """Check the gains α and β, which belong together."""
     if (alpha is None) != (beta is None):
-        raise ValueError("`alpha` and `beta` belong together: give both or neither")
+        raise InputError("`alpha` and `beta` belong together: give both or neither")
     if alpha is None or beta is None:
         return None
     if not (0 < alpha < math.inf and 0 < beta < math.inf):
-        raise ValueError(f"`alpha` and `beta` must be positive numbers; got {alpha:g} and {beta:g}")
+        raise InputError(f"`alpha` and `beta` must be positive numbers; got {alpha:g} and {beta:g}")
     return float(alpha), float(beta)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
+from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.certificates import (
     AbstractClaim,
@@ -132,21 +133,21 @@ def certify(
         True
     """
     if velocity is None:
-        raise ValueError(
+        raise InputError(
             "velocity is missing: no certificate exists without a bound of the velocity, because the tube in which "
             "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
         )
     if error is None:
-        raise ValueError("error is missing: give how far an estimated position may be off, one bound or one each")
+        raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
     if observer not in OBSERVERS:
-        raise ValueError(unknown("observer", observer, OBSERVERS))
+        raise InputError(unknown("observer", observer, OBSERVERS))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
     file = models.load(model, overrides)
     system = file.need_mechanical(name, "certificates are about intrinsic observers of")
     if system.feet is not None:
-        raise ValueError(
+        raise InputError(
             f"{name} has feet: no certificate covers impacts; `certificates.dwell_time` states what is known of small "
             "errors from step to step"
         )
@@ -350,7 +351,7 @@ class CertifyResult(AbstractResult):
         path = Path(path)
         check_output(path, ".json", overwrite=overwrite)
         if self.wrong:
-            raise ValueError(f"{path}: no certificate is written of a statement that is wrong")
+            raise InputError(f"{path}: no certificate is written of a statement that is wrong")
         return self.certificate.save(path)
 
     def _write_page(self, path: Path) -> list[Path]:
@@ -363,7 +364,7 @@ class CertifyResult(AbstractResult):
         from covariant.report import certificate_figure
 
         if self.certificate.sampling is not None:
-            raise ValueError("figures are of certificates in continuous time; this one is about sampled measurements")
+            raise InputError("figures are of certificates in continuous time; this one is about sampled measurements")
         return certificate_figure(self.certificate)
 
 
@@ -484,7 +485,7 @@ def _region(
     missing = [each for each in names if each not in ends]
     if missing:
         example = ",".join(f"{each}=LOW:HIGH" for each in names)
-        raise ValueError(f"region lacks {', '.join(missing)}; {name} needs the ends of all: {example}")
+        raise InputError(f"region lacks {', '.join(missing)}; {name} needs the ends of all: {example}")
     low, high = zip(*(ends[each] for each in names), strict=True)
     return np.array(low), np.array(high)
 
@@ -500,7 +501,7 @@ def _matrix_region(
     ends = bounds("region", region, names, "matrix entry", equal=True)
     missing = [name for name in names if name not in ends]
     if missing:
-        raise ValueError(f"region lacks {', '.join(missing)}: on a group all entries of its matrices need bounds")
+        raise InputError(f"region lacks {', '.join(missing)}: on a group all entries of its matrices need bounds")
     low, high = zip(*(ends[name] for name in names), strict=True)
     return np.reshape(low, (order, order)), np.reshape(high, (order, order))
 
@@ -511,7 +512,7 @@ def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] |
         return None
     a, c, b = numbers("q", entries, ("a", "c", "b"))
     if not (a > 0 and a * b > c * c):  # Sylvester's criterion
-        raise ValueError(f"q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {a:g}, {c:g}, {b:g}")
+        raise InputError(f"q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {a:g}, {c:g}, {b:g}")
     return np.array([[a, c], [c, b]])
 
 

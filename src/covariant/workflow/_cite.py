@@ -11,6 +11,7 @@ from typing import Any
 import jax
 
 from covariant import models
+from covariant._errors import InputError
 from covariant._files import write_atomically
 from covariant.calibration import estimators
 from covariant.models import Overrides, Parameter
@@ -48,7 +49,7 @@ def cite(model: Any, *, observer: str | None = None, overrides: Overrides = ()) 
     fitting = estimators(system)
     observer = observer or fitting[0]
     if observer not in fitting:
-        raise ValueError(f"observer {observer} does not fit {name}; these do: {', '.join(fitting)}")
+        raise InputError(f"observer {observer} does not fit {name}; these do: {', '.join(fitting)}")
     source = next(entry.source for entry in REGISTRY if entry.name == observer)
     leaves = jax.tree.leaves(system, is_leaf=lambda leaf: isinstance(leaf, Parameter))
     numbers = dict.fromkeys(leaf.source for leaf in leaves if isinstance(leaf, Parameter))

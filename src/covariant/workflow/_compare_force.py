@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.models import Overrides
 from covariant.observers import AbstractWrapper, IntrinsicKalman, KalmanState, SlowVariables, run
 from covariant.scoring import rmse, scored_window
@@ -75,7 +76,7 @@ def compare_force(
     """
     names = column_names(force)
     if columns and columns.get("truth") is not None:
-        raise ValueError('`columns["truth"]` names true velocities, and with `force` forces are scored; leave it out')
+        raise InputError('`columns["truth"]` names true velocities, and with `force` forces are scored; leave it out')
     job = Job(
         _without_unit(model, overrides), log, (), every, until, {**(columns or {}), "truth": names}, anyway, start
     )
@@ -250,14 +251,14 @@ def _without_unit(model: Any, overrides: Overrides) -> models.ModelFile:
 def _check(job: Job, loaded: Loaded, names: tuple[str, ...]) -> None:
     file = loaded.file
     if len(names) != file.dimension:
-        raise ValueError(
+        raise InputError(
             f"`force` names {len(names)} columns, and {job.model_name} has {file.dimension} velocities; give a "
             f"generalised force for each, as `simulate` with `push` writes them; got {','.join(names)}"
         )
     if loaded.log.truth is None:
-        raise ValueError(f"{job.log_name} has no column of true forces; a Record has none, give a table with them")
+        raise InputError(f"{job.log_name} has no column of true forces; a Record has none, give a table with them")
     if file.external_force is None and file.external_force_std is None and not file.wrenches:
-        raise ValueError(
+        raise InputError(
             f"{job.model_name} has the filter estimate no force; give "
             "`overrides=['uncertainty.external_force_std=NUMBER', 'uncertainty.external_force_time=SECONDS']`, "
             "the usual size of a push and how long it lasts, or a [wrench.NAME] in the model file"

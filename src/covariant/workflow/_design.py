@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.calibration import (
     DataSheet,
     estimators,
@@ -140,11 +141,11 @@ def design(
     fitting = estimators(model)
     name, spec = name or (default_observer(file) if gains is None else fitting[0]), spec or file.name
     if name not in fitting:
-        raise ValueError(f"observer {name} does not fit {spec}; these do: {', '.join(fitting)}")
+        raise InputError(f"observer {name} does not fit {spec}; these do: {', '.join(fitting)}")
     sheet = functools.cache(lambda: log_sheet(file, log))
     if metric is not None:
         if name != "riccati":
-            raise ValueError(f"`metric` is for the observer riccati; {name} has no metric")
+            raise InputError(f"`metric` is for the observer riccati; {name} has no metric")
         notes = f"Its metric is that of {Path(metric).name}; none is outside its grid."
         return Design(file, name, stored_observer(model, metric, first_estimate(file)[0]), notes, sheet, log)
     if gains is not None:
@@ -153,7 +154,7 @@ def design(
             known = (
                 f"they do to {', '.join(available)}" if available else "`alpha` and `beta` are for mechanical models"
             )
-            raise ValueError(
+            raise InputError(
                 f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}; "
                 f"{known}"
             )
@@ -163,7 +164,7 @@ def design(
         )
     if rate is None:
         sheet()  # first names the numbers that the model file lacks, if any
-        raise ValueError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
+        raise InputError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
     kind = kind_of(file)
     return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate, name), sheet, log)
 

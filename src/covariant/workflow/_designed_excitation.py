@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import logs, models
+from covariant._errors import InputError
 from covariant.calibration import (
     ExcitationPlan,
     ExpectedErrors,
@@ -52,7 +53,7 @@ def designed_excitation(
     file = family.file
     machine: Any = file.model
     if file.measurement_std is None:
-        raise ValueError(
+        raise InputError(
             f"{model}: the noise of the encoders is not known; put measurement.std or measurement.quantum in the model "
             "file, or give `overrides=['measurement.std=NUMBER']`"
         )
@@ -62,7 +63,7 @@ def designed_excitation(
     torque_noise = TORQUE_NOISE * limits.effort
     if servos is not None:
         if given.torque_noise is not None:
-            raise ValueError(f"{model}: its servos are told positions and log no torque; leave out `torque_noise`")
+            raise InputError(f"{model}: its servos are told positions and log no torque; leave out `torque_noise`")
         # A torque is known as well as the error that makes it.
         torque_noise = noise * of_coordinates(servos, servos.stiffness)
     elif given.torque_noise is not None:
@@ -70,7 +71,7 @@ def designed_excitation(
     sensing = Sensing(noise, torque_noise, rate)
 
     if not float(round(plan.duration * rate, 6)).is_integer():
-        raise ValueError(
+        raise InputError(
             f"rate: {rate:g} rows a second are no whole number of rows in {plan.duration:g} s, so the table would not "
             f"end at rest; give {round(plan.duration * rate) / plan.duration:.6g}"
         )
@@ -96,7 +97,7 @@ def designed_excitation(
             u, q, v, third, _ = found.designed
             kind = {"torques": _third_names(file), "moving": moving}
     except ValueError as error:
-        raise ValueError(f"{model}: {error}") from error
+        raise InputError(f"{model}: {error}") from error
     columns, units = _columns(file, t, (q, v, third, u))
     details = {
         "model": model,
@@ -148,7 +149,7 @@ def _refuse_followers(model: str, robot: robots.Description, names: Sequence[str
     followers = [j.name for j in robot.joints if j.follows and j.follows.joint and j.name not in names]
     missing = [key for key in ("region", "velocity", "effort") if getattr(given, key) is None or given.region == {}]
     if followers and missing:
-        raise ValueError(
+        raise InputError(
             f"{model}: joint {followers[0]!r} follows another one, and its limits bind that one, too; give limits that "
             f"keep both, by {', '.join(f'`{key}`' for key in missing)}"
         )
@@ -172,7 +173,7 @@ def _refuse_missing(model: str, limits: JointLimits) -> None:
         if names:
             example = ",".join(f"{name}=LOW:HIGH" for name in names) if argument == "region" else "NUMBER"
             what = {"region": "ends of its positions", "velocity": "largest speed", "effort": "largest torque"}
-            raise ValueError(
+            raise InputError(
                 f"{model}: joint {names[0]!r} has no {what[argument]} in its file"
                 + (" that is read from MJCF" if str(model).endswith(".xml") and argument != "region" else "")
                 + (f", and neither have {', '.join(names[1:])}" if names[1:] else "")
@@ -184,7 +185,7 @@ def _refuse_velocity_servos(model: str, robot: robots.Description, names: Sequen
     """Raise `ValueError` for a motor that is told a velocity: its torque is not its input."""
     for motor in robot.motors:
         if motor.joint in names and motor.damping and not motor.stiffness:
-            raise ValueError(
+            raise InputError(
                 f"{model}: actuator {motor.name!r} is a servo of velocities, whose torque is not its input; give the "
                 f"joints whose torques are logged, as `overrides=['parameters.actuated=[\"{motor.joint}\"]']`"
             )
@@ -196,7 +197,7 @@ def _column_names(file: ModelFile) -> list[str]:
     listed = [names.t, *(name for group in groups for name in group)]
     for name in listed:
         if listed.count(name) > 1:
-            raise ValueError(f"{file.name}: two columns would be named {name!r}; rename the one in [columns]")
+            raise InputError(f"{file.name}: two columns would be named {name!r}; rename the one in [columns]")
     return listed
 
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import logs
+from covariant._errors import InputError
 from covariant._names import unknown as unknown_name
 from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
@@ -119,7 +120,7 @@ def estimate(
     progress(f"estimating with {observer}")
     outcome = drive(chosen, loaded, engine)
     if outcome.failed:
-        raise ValueError(
+        raise InputError(
             f"{job.log_name}: the estimate left the finite numbers; lower the gains or check model and units"
         )
     return EstimateResult(job, loaded, observer, notes, outcome, engine, determined(chosen, loaded, outcome))
@@ -397,7 +398,7 @@ def _gains(observer: str | None, alpha: float | None, beta: float | None) -> tup
     """The gains, where they are given; raises `ValueError` for an unknown observer and for gains that make no sense."""
     names = (*ESTIMATORS, *STATE_ESTIMATORS)
     if observer is not None and observer not in names:
-        raise ValueError(unknown_name("observer", observer, names))
+        raise InputError(unknown_name("observer", observer, names))
     return gain_pair(alpha, beta)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from covariant import logs
+from covariant._errors import InputError
 from covariant.workflow._arguments import Amounts, Overrides, Region, above_zero
 from covariant.workflow._outputs import TABLES, check_output
 from covariant.workflow._progress import Progress, notebook_line
@@ -89,7 +90,7 @@ def design_excitation(
         True
     """
     if not isinstance(model, str | PathLike):
-        raise ValueError(
+        raise InputError(
             f"model: the robot is made anew with other numbers, so this takes a model file, a robot's file or a name, "
             f"and no finished {type(model).__name__}"
         )
@@ -108,20 +109,20 @@ def design_excitation(
 
 def _check_plan(duration: float, rate: float, frequency: float, harmonics: int, margin: float, starts: int) -> None:
     if harmonics < 2:
-        raise ValueError(f"harmonics: a motion that starts at rest needs 2 or more; got {harmonics}")
+        raise InputError(f"harmonics: a motion that starts at rest needs 2 or more; got {harmonics}")
     if not 0 < margin <= 1:
-        raise ValueError(f"margin must be a fraction of the limits, above 0 and up to 1; got {margin:g}")
+        raise InputError(f"margin must be a fraction of the limits, above 0 and up to 1; got {margin:g}")
     if starts < 1:
-        raise ValueError(f"starts must be 1 or more; got {starts}")
+        raise InputError(f"starts must be 1 or more; got {starts}")
     periods = duration * frequency
     if round(periods) < 1 or abs(periods - round(periods)) > 1e-9 * periods:
         nearest = [count / frequency for count in (math.floor(periods), math.ceil(periods)) if count]
-        raise ValueError(
+        raise InputError(
             f"duration must be a whole number of periods of {1 / frequency:g} s; got {duration:g} s; give "
             f"{' or '.join(f'{each:g}' for each in nearest)}"
         )
     if rate < FEWEST_ROWS * harmonics * frequency:
-        raise ValueError(
+        raise InputError(
             f"rate: harmonics up to {harmonics * frequency:g} Hz need {FEWEST_ROWS * harmonics * frequency:g} Hz or "
             f"more; got {rate:g}"
         )

@@ -12,6 +12,7 @@ import numpy as np
 
 from covariant import certificates, models
 from covariant._compile import NO_COMPILER
+from covariant._errors import InputError
 from covariant.certificates import audit
 from covariant.codegen import (
     Facts,
@@ -162,9 +163,9 @@ def export(
     if logged is not None:
         file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
     if not file.mechanical and certificate is not None:
-        raise ValueError(f"certificate is for mechanical models; {label} is a state-space model")
+        raise InputError(f"certificate is for mechanical models; {label} is a state-space model")
     if not kind_of(file).makes_up_for_delays and float(np.max(file.delay)) > 0:
-        raise ValueError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
+        raise InputError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
     designed = design(file, observer, gains, rate, logged, metric=metric, spec=label)
     refusals, assumed = designed.explain_gate() if gate else (UNGATED, "")
     designed = designed if gate else designed.without_gate()
@@ -184,7 +185,7 @@ def export(
     # Where the observer chooses its substeps, errors of predictions are not proved, and so is no bound.
     bounded = sampling is not None and sampling.substeps is not None and real == "double"
     if bounded and parameters:
-        raise ValueError("the certificate is about the numbers of the model as they are; leave out `parameters`")
+        raise InputError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     # Only an observer with a model can predict from the time of a late reading to the present.
     delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
     late = entry.knows_model and np.any(delay)
@@ -193,7 +194,7 @@ def export(
     unwrapped = Unwrapped(runs, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else runs
     delayed = Delayed(unwrapped, delay, stored) if late else unwrapped
     if step_per_sensor and not getattr(runs, "sensors", ()):
-        raise ValueError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
+        raise InputError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
     if lag is not None:
         delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
     progress(f"writing {prefix}")
@@ -320,17 +321,17 @@ def _check(
 ) -> None:
     """What needs the arguments alone."""
     if real not in REALS:
-        raise ValueError(f"real must be one of {', '.join(REALS)}; got {real!r}")
+        raise InputError(f"real must be one of {', '.join(REALS)}; got {real!r}")
     if fmi is not None and not unit:
-        raise ValueError("fmi is for a unit: name a file that ends in .fmu by -o")
+        raise InputError("fmi is for a unit: name a file that ends in .fmu by -o")
     if fmi not in (None, *VERSIONS):
-        raise ValueError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
+        raise InputError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
     if unit and flash is not None:
-        raise ValueError("flash is for a microcontroller, and a unit is not for one; leave it out")
+        raise InputError("flash is for a microcontroller, and a unit is not for one; leave it out")
     if unit and alone:
-        raise ValueError("step_per_sensor is for C, and a unit has one step for all; leave it out")
+        raise InputError("step_per_sensor is for C, and a unit has one step for all; leave it out")
     if unit and (python or wasm or ros2):
-        raise ValueError(
+        raise InputError(
             f"{'python' if python else 'wasm' if wasm else 'ros2'} is for a folder, and a unit is one file; name a "
             "folder by -o"
         )
@@ -340,11 +341,11 @@ def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> Fix
     """The observer with estimates that are some samples late."""
     samples = above_zero("lag", lag) * rate
     if round(samples) < 1:
-        raise ValueError(f"lag {lag:g} is less than half a sample of {1 / rate:g} s; leave it out")
+        raise InputError(f"lag {lag:g} is less than half a sample of {1 / rate:g} s; leave it out")
     if isinstance(observer, Delayed):
-        raise ValueError("lag is for positions that are read in time, not for late ones (measurement.delay)")
+        raise InputError("lag is for positions that are read in time, not for late ones (measurement.delay)")
     if name not in SMOOTHED:
-        raise ValueError(f"lag is for filters with a covariance: {', '.join(SMOOTHED)}; {name} is none")
+        raise InputError(f"lag is for filters with a covariance: {', '.join(SMOOTHED)}; {name} is none")
     return FixedLag(observer, round(samples))
 
 
@@ -377,9 +378,9 @@ def _verify_certificate(
     """Check a saved certificate of this observer, and return it with its statement as lines; raises `ValueError`."""
     document, name = certificates.parse(path), models.spec_name(model)
     if not isinstance(model, str | os.PathLike) or document.recipe != (recipe := models.recipe(name, overrides)):
-        raise ValueError(f"{path}: the certificate is for another model, or other numbers, than {name}")
+        raise InputError(f"{path}: the certificate is for another model, or other numbers, than {name}")
     if document.observer["kind"] != designed.name:
-        raise ValueError(
+        raise InputError(
             f"{path}: the certificate is for the observer {document.observer['kind']}, not for {designed.name}"
         )
     certificates.check_observer(document._replace(recipe=recipe), designed.inner)
@@ -388,7 +389,7 @@ def _verify_certificate(
     if sampling is not None:
         shortest, longest = sampling.interval.tolist()
         if not shortest <= 1 / rate <= longest:
-            raise ValueError(
+            raise InputError(
                 f"{path}: the certificate is for samples {shortest:g} to {longest:g} s apart, and at {rate:g} Hz they "
                 f"are {1 / rate:g} s apart"
             )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from covariant import models
+from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.codegen import Program, Recipe, of_family, program, with_open_numbers
 from covariant.lowering import LoweringError
@@ -38,13 +39,13 @@ def exported_program(
         return program(recipe, y, inputs, real, True, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         if closed:
-            raise ValueError(f"{name}: no code can be written: {error}") from error
+            raise InputError(f"{name}: no code can be written: {error}") from error
     try:
         # The function from numbers to model may be no graph of scalars while the model is: then its arrays are open.
         return program(_usual(observer), y, inputs, real, True, alone)  # pyright: ignore[reportArgumentType]
     except LoweringError as error:
         remedy = "" if "table" in str(error) else "; try without numbers that may be changed (`parameters=[]`)"
-        raise ValueError(f"{name}: no code can be written: {error}{remedy}") from error
+        raise InputError(f"{name}: no code can be written: {error}{remedy}") from error
 
 
 def open_family(model: Any, overrides: Overrides, parameters: Sequence[str] | None) -> Family | None:
@@ -67,7 +68,7 @@ def _recipe(observer: AbstractObserver, parameters: Sequence[str] | None) -> Rec
     everything = with_open_numbers(observer)
     for pattern in parameters:
         if not any(fnmatchcase(name, pattern) for name in everything.numbers):
-            raise ValueError(f"parameters: {unknown('number', pattern, tuple(everything.numbers))}")
+            raise InputError(f"parameters: {unknown('number', pattern, tuple(everything.numbers))}")
     closed = [n for n in everything.numbers if not any(fnmatchcase(n, pattern) for pattern in parameters)]
     return with_open_numbers(observer, closed)
 

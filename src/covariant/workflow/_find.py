@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from covariant import certificates
+from covariant._errors import InputError
 from covariant.certificates import Attempt, ContractionCertificate
 
 FIND = {
@@ -21,9 +22,9 @@ def largest_proved(
 ) -> tuple[ContractionCertificate, tuple[Attempt, ...]]:
     """Search the largest value of a setting that is proved."""
     if find not in FIND:
-        raise ValueError(f"find: choose one of {', '.join(FIND)}; got {find!r}")
+        raise InputError(f"find: choose one of {', '.join(FIND)}; got {find!r}")
     if find != "error" and settings[find] is None:
-        raise ValueError(f"find: give {find}, with which the search for the largest begins")
+        raise InputError(f"find: give {find}, with which the search for the largest begins")
     error, interval = settings["error"], settings["interval"]
     first, least = 1.0, 0.0
     if find == "rate":

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.workflow._among_logs import machine_of
 from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
 from covariant.workflow._model_output import as_logs, check_model_output, read_sources, urdf_beside, write_models
@@ -73,12 +74,12 @@ def fit(
         True
     """
     if not isinstance(model, str | PathLike):
-        raise ValueError(
+        raise InputError(
             f"model: a fit makes the model anew with other numbers, so it takes a model file, a name or "
             f"module:attribute, and no finished {type(model).__name__}"
         )
     if horizon is not None and not 0 < horizon < math.inf:
-        raise ValueError(f"horizon must be a positive number of seconds; got {horizon}")
+        raise InputError(f"horizon must be a positive number of seconds; got {horizon}")
     names = _names(parameters)  # whoever makes the family says which names there are
     by_machine = log if type(log) is dict else {}  # a Dataset is a mapping of another type
     logs = as_logs([one for own in by_machine.values() for one in as_logs(own)] if by_machine else log)
@@ -111,7 +112,7 @@ def _names(text: str | Sequence[str]) -> list[str]:
 def _folders(logs: Sequence[Any]) -> list[str]:
     """The machine of each log: the name of its folder, or the path if several have that name."""
     if not all(isinstance(log, str | PathLike) for log in logs):
-        raise ValueError("each: a log in memory does not say of which machine it is; give {machine: logs} as the logs")
+        raise InputError("each: a log in memory does not say of which machine it is; give {machine: logs} as the logs")
     folders = [machine_of(os.fspath(log)) for log in logs]
     names = {folder: Path(folder).resolve().name for folder in folders}
     unique = {folder for folder, name in names.items() if list(names.values()).count(name) == 1}
@@ -136,7 +137,7 @@ def _of_each_log(overrides: Any, count: int) -> list[Overrides]:
     if isinstance(overrides, Mapping) or not any(isinstance(each, Mapping) for each in overrides):
         return [overrides] * count
     if len(overrides) != count:
-        raise ValueError(f"overrides: there are {count} logs and values for {len(overrides)}; give a mapping for each")
+        raise InputError(f"overrides: there are {count} logs and values for {len(overrides)}; give a mapping for each")
     return list(overrides)
 
 
@@ -252,7 +253,7 @@ class FitResult(AbstractTable):
                 model is not `better`.
         """
         if not self.better:
-            raise ValueError(f"{path}: {self._worse}")
+            raise InputError(f"{path}: {self._worse}")
         contents = self._contents(path)
         files = {each: (self._head(machine), content) for each, (machine, content) in contents.items()}
         write_models(self.jobs[0].model, files, overwrite, self.sources)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.calibration import horizon, outliers
 from covariant.calibration.identification import FITTED, held_out_logs
 from covariant.workflow._aligned import Aligned, aligned
@@ -123,7 +124,7 @@ def refuse_other_parameters(jobs: list[Job], shared: Collection[str]) -> None:
     for job, own in zip(jobs[1:], others, strict=True):
         for name, value in own.items():
             if value != first[name]:
-                raise ValueError(
+                raise InputError(
                     f"{job.log_name}: its overrides make {name} others than those of {jobs[0].log_name}, with which "
                     "all logs are predicted; only robots with servos have known numbers of each log"
                 )

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models, scoring
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.calibration import (
     Fit,
@@ -88,7 +89,7 @@ def fit_to_logs(
         }
         fits = _solve(problem, parts, progress)
     except ValueError as error:
-        raise ValueError(f"{', '.join(logs.names)}: {error}") from error
+        raise InputError(f"{', '.join(logs.names)}: {error}") from error
     progress("errors on what is held out", 1.0)
     gain = problem.gain(parts, fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
@@ -173,7 +174,7 @@ class _PredictionProblem(NamedTuple):
             try:
                 family = family.of_machines(machines, own.names)
             except ValueError as error:
-                raise ValueError(f"each: {error}") from error
+                raise InputError(f"each: {error}") from error
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
 
     def acting(self, log: Aligned, between: str) -> Record:
@@ -246,7 +247,7 @@ class _RobotProblem(NamedTuple):
             try:
                 family = family.of_machines(machines, _own_robot_numbers(jobs[0], own.names, family.names))
             except ValueError as error:
-                raise ValueError(f"each: {error}") from error
+                raise InputError(f"each: {error}") from error
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
         for name, log in zip(logs.names, logs.logs, strict=True):
@@ -312,7 +313,7 @@ class _ServoProblem(NamedTuple):
         cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
     ) -> "_ServoProblem":
         if own is not None:
-            raise ValueError(
+            raise InputError(
                 "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
                 "`covariant fit MODEL LOG... -o FOLDER`"
             )
@@ -322,7 +323,7 @@ class _ServoProblem(NamedTuple):
                 name for name, a, b in zip(family.names, family.first, families[0].first, strict=True) if a != b
             ]
             if differing:
-                raise ValueError(
+                raise InputError(
                     f"{job.log_name}: {', '.join(differing)} is fitted, and so is one number for all logs; "
                     "overrides of a log are for what is known, such as a gain or a payload"
                 )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from covariant import logs, models
+from covariant._errors import InputError
 from covariant._files import write_together
 from covariant._templates import fill
 from covariant.calibration import Draft, draft
@@ -71,7 +72,7 @@ def init(
     settings = {f"{table}.{key}": value for table, keys in content.items() for key, value in keys.items()}
     for key in settings:
         if key not in SETTABLE:
-            raise ValueError(f"{key} is no value of a draft; write it into its file. There are {', '.join(SETTABLE)}")
+            raise InputError(f"{key} is no value of a draft; write it into its file. There are {', '.join(SETTABLE)}")
     units = {
         key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in content.get("units", {}).items()
     }
@@ -80,9 +81,9 @@ def init(
     try:
         drafted = draft(survey.columns, known, survey.units, units, survey.labels)
     except ValueError as error:
-        raise ValueError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
+        raise InputError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
     if robot and not drafted.servos:
-        raise ValueError(f"{logs.source_name(log)}: no commands of servos were found, and parameters.path is for these")
+        raise InputError(f"{logs.source_name(log)}: no commands of servos were found, and parameters.path is for these")
     joints = match_joints(drafted, robot) if drafted.servos else None
     if joints is not None:
         drafted = with_joints(drafted, joints)
@@ -216,7 +217,7 @@ class InitResult(AbstractResult):
         texts = {path.with_name(name): text for name, text in self.texts(path.stem, path.parent).items()}
         # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
-            raise ValueError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
+            raise InputError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
         write_together({file: text.encode() for file, text in texts.items()})
         # A draft that cannot be loaded fails here, and not in the command after it.
         models.load(str(path))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import logs, models, scoring
+from covariant._errors import InputError
 from covariant.calibration import misfit
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, ActingInputs, Delayed
@@ -74,7 +75,7 @@ FITTED = ("friction", "rotor inertia", "friction and rotor inertia", "model")
 """Findings on what a fit is for: the model may explain the log with other numbers."""
 
 
-class MisfitError(ValueError):
+class MisfitError(InputError):
     """Error of a log that its model does not explain at all. The message is one line: log, evidence, and what to do.
 
     Example:
@@ -202,7 +203,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     try:
         kind.check(y)
     except ValueError as error:
-        raise ValueError(f"{job.model_name} on {job.log_name}: {error}") from error
+        raise InputError(f"{job.model_name} on {job.log_name}: {error}") from error
     file, note = _in_ticks(file, y)
     known = None if log.truth is None else (log.truth, f"true {kind.what}")
     if known is None and score:
@@ -223,7 +224,7 @@ def _with_inputs_only(record: Record) -> Record:
     if known.all():
         return record
     if known.sum() < 2:
-        raise ValueError("fewer than two rows have all inputs; name other columns of u")
+        raise InputError("fewer than two rows have all inputs; name other columns of u")
     rows = (None if part is None else np.asarray(part)[known] for part in (record.t, record.u, record.y))
     return Record(*rows)
 
@@ -251,7 +252,7 @@ def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
     if not np.any(file.period):
         return ()
     if not file.model.manifold.commuting:
-        raise ValueError(f"{job.model_name}: measurement.period is for coordinates, and this model is on a group")
+        raise InputError(f"{job.model_name}: measurement.period is for coordinates, and this model is on a group")
     return tuple(np.broadcast_to(file.period, len(file.columns.q)).tolist())
 
 
@@ -270,7 +271,7 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     if longest == 0:
         return dict(observers)
     if not loaded.kind.makes_up_for_delays:
-        raise ValueError(
+        raise InputError(
             f"{loaded.file.name}: readings that are late are made up for in mechanical models and bases on legs only"
         )
     rate = densest_rate(np.asarray(loaded.record.t), longest)
@@ -299,7 +300,7 @@ def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str
     if late:
         named = ", ".join(f"{key} = {delay}" for key, delay in late.items())
         settings = [f"{key}=0" for key in late]
-        raise ValueError(
+        raise InputError(
             f"{job.model_name}: {why} ({named}); shift the positions, or what the sensors read, in the log to when "
             f"they were true, and give `overrides={settings}`"
         )
@@ -428,26 +429,26 @@ def _reversals(steps: np.ndarray) -> float:
 def _check_columns(job: Job, file: models.ModelFile, columns: logs.Columns) -> None:
     """Check the number of columns, that the representation of an attitude is given, and that names are unique."""
     if columns.q and not file.columns.q:
-        raise ValueError(
+        raise InputError(
             f'`columns["q"]` names coordinates, and {job.model_name} is on a group; name its columns in [columns] '
             "or by `overrides`"
         )
     if len(columns.q) != len(file.columns.q) or len(columns.u) != len(file.columns.u):
-        raise ValueError(
+        raise InputError(
             f"{job.model_name} has {len(file.columns.q)} positions and {len(file.columns.u)} inputs; "
             f"`columns` name {len(columns.q)} and {len(columns.u)}"
         )
     if file.model.manifold.commuting:
         return
     if file.unnamed_attitudes:
-        raise ValueError(
+        raise InputError(
             f"{job.model_name}: no columns of the attitude are named, and their order is never guessed; give one of "
             f"{', '.join(logs.ATTITUDES)} in [columns], or "
             """`overrides=['columns.quaternion_wxyz=["qw","qx","qy","qz"]']`"""
         )
     shared = {"t", *file.model.velocities} & set(columns.measured)
     if shared:
-        raise ValueError(
+        raise InputError(
             f"{job.model_name}: the estimate would have two columns named {min(shared)!r}; rename the one in the log"
         )
 

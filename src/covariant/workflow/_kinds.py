@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant import logs, models, scoring, simulation
+from covariant._errors import InputError
 from covariant._integrate import rk4
 from covariant.calibration import (
     DataSheet,
@@ -337,7 +338,7 @@ class InStates(AbstractKind):
 
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
         if v0 is not None:
-            raise ValueError("v0: a state-space model has no velocities; give all its initial state by q0")
+            raise InputError("v0: a state-space model has no velocities; give all its initial state by q0")
         return or_zeros("q0", q0, self.estimates.names)
 
     def truth(self, layout: logs.Columns, y: np.ndarray, x: Any) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -356,7 +357,7 @@ class OnLegs(InStates):
         return np.where(np.arange(outputs) < joints, y, k % 3 < 2)  # flags of contact come and go
 
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
-        raise ValueError(f"{self.file.name}: how the legs move is no part of the model, so that it cannot be simulated")
+        raise InputError(f"{self.file.name}: how the legs move is no part of the model, so that it cannot be simulated")
 
     def note(self, sheet: Callable[[], DataSheet], rate: float, name: str | None = None) -> str:
         return "Designed from the noise of IMU and encoders and from the slip of feet in the model file."

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.metrics import Equation, Grid, MetricSummary, metric_on_grid, metric_summary, rate_from_gramian
 from covariant.models import ModelFile, Overrides, StateSpace
 from covariant.workflow._arguments import Amounts, Region, Scheduler, above_zero, bounds, numbers
@@ -97,7 +98,7 @@ def design_metric(
     above_zero("start", start)
     above_zero("tolerance", tolerance)
     if scheduler is not None and workers is not None:
-        raise ValueError("workers are threads of this process, and those of a scheduler are its own; give one")
+        raise InputError("workers are threads of this process, and those of a scheduler are its own; give one")
     name = models.spec_name(model)
     progress("reading the model")
     file = models.load(model, overrides)
@@ -205,11 +206,11 @@ class MetricResult(AbstractResult):
 
 def _check_rates(rate: float, window: float | None, process_cov: Amounts | None) -> None:
     if not 0 <= rate < math.inf:
-        raise ValueError(f"rate must be a number ≥ 0 [1/s]; got {rate}")
+        raise InputError(f"rate must be a number ≥ 0 [1/s]; got {rate}")
     if rate and window is not None:
-        raise ValueError("rate and window both say what λ is; keep one of them")
+        raise InputError("rate and window both say what λ is; keep one of them")
     if not rate and window is None and process_cov is None:
-        raise ValueError("an equation needs λ > 0 by rate or window, Q by process-cov, or both; neither was given")
+        raise InputError("an equation needs λ > 0 by rate or window, Q by process-cov, or both; neither was given")
     if window is not None:
         above_zero("window", window)
 
@@ -217,13 +218,13 @@ def _check_rates(rate: float, window: float | None, process_cov: Amounts | None)
 def system_in_coordinates(name: str, file: ModelFile) -> StateSpace:
     """The model as a state-space model with names of its states."""
     if not file.model.manifold.commuting:
-        raise ValueError(
+        raise InputError(
             f"{name} is on a group, and metrics are designed in coordinates; give a StateSpace or a Lagrangian, or use "
             "the observers on groups by `covariant estimate`"
         )
     model = models.state_space(file.model)
     if not model.coordinates:
-        raise ValueError(f"{name}: the model names no coordinates; give it some: they are the axes of the grid")
+        raise InputError(f"{name}: the model names no coordinates; give it some: they are the axes of the grid")
     return model
 
 
@@ -237,7 +238,7 @@ def box_of(name: str, model: StateSpace, region: Region | None) -> dict[str, tup
     missing = [each for each in model.coordinates if each not in ends]
     if missing:
         example = ",".join(f"{each}=LOW:HIGH" for each in model.coordinates)
-        raise ValueError(
+        raise InputError(
             f"region lacks {', '.join(missing)}, and {name} has no box of its own; give the ends of all: {example}"
         )
     return ends
@@ -254,7 +255,7 @@ def _counts(grid: int | Sequence[int], names: Sequence[str]) -> tuple[int, ...]:
     """Number of points along each axis; a single one holds for all axes."""
     counts = (grid,) if isinstance(grid, int) else tuple(grid)
     if len(counts) not in (1, len(names)) or min(counts) < 2:
-        raise ValueError(
+        raise InputError(
             f"grid needs one count of points for all axes, or {len(names)}, for {', '.join(names)}, each 2 or more; "
             f"got {', '.join(map(str, counts))}"
         )
@@ -313,7 +314,7 @@ def _check_scheduler(address: str) -> None:
     try:
         asyncio.run(greet())
     except (OSError, ValueError, MemoryError) as error:  # MemoryError where something else answers
-        raise ValueError(
+        raise InputError(
             f"scheduler: no Dask scheduler answers at {address!r} ({error or 'no answer'}); give an address such as "
             "tcp://10.0.0.1:8786"
         ) from error

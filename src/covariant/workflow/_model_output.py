@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from covariant._errors import InputError
 from covariant.models.robots import ROBOTS
 from covariant.workflow._outputs import check_output
 
@@ -25,7 +26,7 @@ def as_logs(log: Any) -> tuple[Any, ...]:
     """Convert an argument that is one log, or a list or tuple of them, to a tuple."""
     each = tuple(log) if type(log) in (list, tuple) else (log,)  # a Record is a tuple of another type
     if not each:
-        raise ValueError("log: no log is given; give a path, a Record, a table, or a list of them")
+        raise InputError("log: no log is given; give a path, a Record, a table, or a list of them")
     for one in each:
         if isinstance(one, str | os.PathLike) and not Path(one).exists():
             raise FileNotFoundError(f"{one}: no such file")
@@ -58,19 +59,19 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
     path = Path(path)
     check_output(path, ".toml")
     if not isinstance(model, str | os.PathLike):
-        raise ValueError(f"{path}: the model has no file; give its file or its name, or put the numbers into your code")
+        raise InputError(f"{path}: the model has no file; give its file or its name, or put the numbers into your code")
     spec = os.fspath(model)
     if ":" in spec and not spec.endswith(".toml"):
-        raise ValueError(f"{path}: {spec} is code, which is not rewritten; put the numbers there")
+        raise InputError(f"{path}: {spec} is code, which is not rewritten; put the numbers there")
     if path.exists() and not overwrite:
         same = Path(spec).exists() and path.samefile(spec)
         what = "this is the model file itself" if same else "there is such a file already"
-        raise ValueError(f"{path}: {what}; write to another file, or say `overwrite=True`")
+        raise InputError(f"{path}: {what}; write to another file, or say `overwrite=True`")
     beside = path.with_suffix(".urdf")
     if urdf and beside.exists():
         _refuse_source(beside, _robot_file(spec))
         if not overwrite:
-            raise ValueError(f"{beside}: there is such a file already; write to another file, or say `overwrite=True`")
+            raise InputError(f"{beside}: there is such a file already; write to another file, or say `overwrite=True`")
 
 
 def _robot_file(spec: str) -> Path | None:
@@ -87,7 +88,7 @@ def _robot_file(spec: str) -> Path | None:
 def _refuse_source(path: Path, robot: Path | None) -> None:
     """Raise where a URDF file that would be written is the one that the robot is read from."""
     if robot is not None and path.exists() and robot.exists() and path.samefile(robot):
-        raise ValueError(
+        raise InputError(
             f"{path}: the robot is read from this file, which is never replaced; write to another file, such as "
             f"{path.stem}_fitted.toml, beside which the URDF file with the new inertias then is"
         )
@@ -150,7 +151,7 @@ def code_hash(spec: str, folder: Path | None = None) -> list[str]:
 def check_read_once(sources: Mapping[Path, bytes]) -> None:
     """Raise if a file was changed while it was read: several readers would have seen different texts."""
     for source in _changed(sources):
-        raise ValueError(f"{source}: it was changed while it was read; run the command again")
+        raise InputError(f"{source}: it was changed while it was read; run the command again")
 
 
 def _changed(sources: Mapping[Path, bytes]) -> list[Path]:
@@ -162,12 +163,12 @@ def _check_unchanged(path: Path, sources: Mapping[Path, bytes]) -> None:
     """Raise if the file to replace, or the robot to copy, was changed after it was read."""
     for source in _changed(sources):
         if path.exists() and source.exists() and path.samefile(source):
-            raise ValueError(
+            raise InputError(
                 f"{path}: it was changed after it was read, and the change is not replaced; write to another file, "
                 "which then has the text as it was read"
             )
         if source.suffix in OF_ROBOTS:
-            raise ValueError(
+            raise InputError(
                 f"{source}: it was changed after it was read, so nothing is written; run the command again"
             )
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from covariant._errors import InputError
 from covariant._files import write_atomically
 from covariant._optional import load_optional
 
@@ -43,16 +44,16 @@ def check_output(
     if path is None:
         return
     if path.suffix not in suffixes:
-        raise ValueError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
+        raise InputError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
     if path.is_dir() and not store:
-        raise ValueError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
+        raise InputError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
     if not path.parent.is_dir():
-        raise ValueError(f"{path}: there is no folder {path.parent}; make it first")
+        raise InputError(f"{path}: there is no folder {path.parent}; make it first")
     # `samefile` and not equality: a link or another spelling of the path is the log too.
     if isinstance(log, str | Path) and path.exists() and Path(log).exists() and path.samefile(log):
-        raise ValueError(f"{path}: this is the log itself; write to another file")
+        raise InputError(f"{path}: this is the log itself; write to another file")
     if path.exists() and not (overwrite or store):
-        raise ValueError(f"{path}: there is such a file already; write to another file, or say `overwrite=True`")
+        raise InputError(f"{path}: there is such a file already; write to another file, or say `overwrite=True`")
 
 
 def has_columns(path: Path, names: Iterable[str]) -> bool:

@@ -20,6 +20,7 @@ import numpy as np
 
 from covariant import models, workflow
 from covariant._cases import CaseTable, Crew, content_hash, run_chunks
+from covariant._errors import InputError
 from covariant.logs import source_name
 from covariant.workflow._among_logs import IDLE, Among, LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
@@ -88,13 +89,13 @@ def over_logs(
         [1001.0, 1001.0, nan]
     """
     if verb not in FILES:
-        raise ValueError(f"over_logs: {verb!r} is not one of {', '.join(FILES)}")
+        raise InputError(f"over_logs: {verb!r} is not one of {', '.join(FILES)}")
     if verb == "fit" and settings.get("each"):
-        raise ValueError(
+        raise InputError(
             "`each` is for logs that are fitted together, by `fit` without a folder; with one, no number is shared"
         )
     if not logs:
-        raise ValueError("over_logs: there are no logs; give a list of them")
+        raise InputError("over_logs: there are no logs; give a list of them")
     in_memory = not all(isinstance(each, str | os.PathLike) for each in (model, *logs))
     crew = Crew(workers, scheduler).check()
     if scheduler is None and (in_memory or workers is None):
@@ -103,7 +104,7 @@ def over_logs(
     folder = None if out is None else Path(out).absolute()  # the workers of a cluster have their own working folders
     if folder is not None:
         if folder.is_file():
-            raise ValueError(f"{out}: there is a file of this name; give a folder")
+            raise InputError(f"{out}: there is a file of this name; give a folder")
         folder.mkdir(parents=True, exist_ok=True)
     table = None if folder is None or in_memory else CaseTable(folder / "cases")
     cases = _cases(verb, model, logs, folder, settings)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, notebook_line
@@ -40,7 +41,7 @@ def reproduce_paper(paper: str, *, progress: Progress = notebook_line) -> "Repro
         ValueError: unknown paper 'kalman'. Known: aghannan-rouchon, maithripala, ...
     """
     if paper not in PAPERS:
-        raise ValueError(unknown("paper", paper, PAPERS))
+        raise InputError(unknown("paper", paper, PAPERS))
     progress("reading the paper's models", 0.0)
     module = importlib.import_module(f"covariant.papers.{PAPERS[paper]}")
     begun = 0

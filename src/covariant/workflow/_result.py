@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.workflow._outputs import FIGURES, check_output, has_columns
 
@@ -143,7 +144,7 @@ class AbstractResult(abc.ABC):
         """
         path = Path(path)
         if not self.written:
-            raise ValueError(f"{path}: a {type(self).__name__} has no file of its own to write; use report()")
+            raise InputError(f"{path}: a {type(self).__name__} has no file of its own to write; use report()")
         check_output(path, *self.written, log=self._log, overwrite=overwrite or self._wrote(path))
         self._write(path)
         return path
@@ -184,7 +185,7 @@ class AbstractResult(abc.ABC):
         return WrittenFiles(self._write_page(Path(path)))
 
     def _write_page(self, path: Path) -> list[Path]:
-        raise ValueError(f"{path}: a {type(self).__name__} has no page")
+        raise InputError(f"{path}: a {type(self).__name__} has no page")
 
     def plot(self, path: str | Path | None = None) -> Any:
         """Draw the result.
@@ -209,7 +210,7 @@ class AbstractResult(abc.ABC):
         return figure
 
     def _figure(self) -> Any:
-        raise ValueError(f"a {type(self).__name__} has no figure")
+        raise InputError(f"a {type(self).__name__} has no figure")
 
     def draw(self, path: str | Path) -> list[Path]:
         """Draw the figures of the result into files.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from covariant import models
+from covariant._errors import InputError
 from covariant._files import write_together
 from covariant.workflow._outputs import check_output
 from covariant.workflow._result import AbstractResult
@@ -29,14 +30,14 @@ def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFi
     defaults = {name: each.default for name, each in inspect.signature(verb).parameters.items()}
     for name, value in values.items():
         if name not in ROBOT_ARGUMENTS and value != defaults[name]:
-            raise ValueError(f"{name} is for an observer, and {out} is the file of a robot; leave it out")
+            raise InputError(f"{name} is for an observer, and {out} is the file of a robot; leave it out")
     check_output(out, *FORMATS, overwrite=values["overwrite"])
     label = models.spec_name(model)
     if model is not label and not isinstance(model, str | Path):
-        raise ValueError(f"{label}: a robot is written from its model file, its own file or its name")
+        raise InputError(f"{label}: a robot is written from its model file, its own file or its name")
     recipe = models.recipe(label, values["overrides"])
     if recipe.get("system") != "robot":
-        raise ValueError(f"{label}: only a robot is written as {FORMATS[out.suffix]} ({out.suffix})")
+        raise InputError(f"{label}: only a robot is written as {FORMATS[out.suffix]} ({out.suffix})")
     parameters, step = dict(recipe["parameters"]), 1 / rate
     about = [f"Written by covariant export from {Path(label).name}, for steps of {step:.6g} s."]
     about.append(HEAD_NOTES[out.suffix])

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.simulation import PositionSensor, stamps
 from covariant.workflow._arguments import Amounts, amounts, finite
 
@@ -48,9 +49,9 @@ def check_scenario(scenario: Scenario) -> None:
     """Check what makes no sense for any model, before one is loaded."""
     PositionSensor(scenario.rate, 0.0, 0.0, scenario.jitter, scenario.dropout).check()
     if not math.isfinite(scenario.frequency) or scenario.frequency < 0:
-        raise ValueError(f"frequency must be a finite number ≥ 0 [Hz]; got {scenario.frequency}")
+        raise InputError(f"frequency must be a finite number ≥ 0 [Hz]; got {scenario.frequency}")
     if scenario.seed < 0:
-        raise ValueError(f"seed must be a whole number ≥ 0; got {scenario.seed}")
+        raise InputError(f"seed must be a whole number ≥ 0; got {scenario.seed}")
     for name in ("noise", "quantum"):
         amounts(name, getattr(scenario, name), ("",) * np.size(getattr(scenario, name)))
     for name in ("q0", "v0", "amplitude", "push"):

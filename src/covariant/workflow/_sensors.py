@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs
+from covariant._errors import InputError
 from covariant.models import MechanicalSystem, ModelFile, Motion, acceleration, input_count
 from covariant.observers import Instant, Sensor
 from covariant.observers.sensors import SENSOR_KINDS
@@ -69,12 +70,12 @@ def file_sensors(file: ModelFile) -> tuple[FileSensor, ...]:
         try:
             found.append(_sensor(name, file, content))
         except (ValueError, TypeError) as error:
-            raise ValueError(f"{file.name}: [sensors.{name}]: {error}") from error
+            raise InputError(f"{file.name}: [sensors.{name}]: {error}") from error
     names = [column for each in found for column in each.columns.measured]
     taken = {file.columns.t, *file.columns.measured, *file.columns.u}
     twice = next((column for column in names if names.count(column) > 1 or column in taken), None)
     if twice is not None:
-        raise ValueError(f"{file.name}: [sensors]: column {twice!r} is named twice; give each sensor its own columns")
+        raise InputError(f"{file.name}: [sensors]: column {twice!r} is named twice; give each sensor its own columns")
     return tuple(found)
 
 
@@ -86,13 +87,13 @@ def _sensor(name: str, file: ModelFile, content: Mapping[str, Any]) -> FileSenso
     columns, needed = logs.Columns(t=file.columns.t, q=names, units={"q": texts} if texts else {}), sensor.count
     if attitude is not None:
         if texts:
-            raise ValueError("a pose has no units: its position is in m")
+            raise InputError("a pose has no units: its position is in m")
         columns = columns._replace(q=(), position=names[:3], **{attitude: names[3:]})
         needed = 3 + logs.ATTITUDES[attitude]
     if len(names) != needed or len(set(names)) < needed:
-        raise ValueError(f"columns must be {needed} different names; got {', '.join(names)}")
+        raise InputError(f"columns must be {needed} different names; got {', '.join(names)}")
     if len(texts) not in (0, 1, needed):
-        raise ValueError(f"units lists {len(texts)} units; give {needed}, or one without brackets")
+        raise InputError(f"units lists {len(texts)} units; give {needed}, or one without brackets")
     for text in texts:
         logs.check_unit(text, unit)
     return FileSensor(sensor, columns, float(content.get("delay", 0.0)), unit)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.calibration import Draft
 from covariant.calibration.identification import DraftedServo
 from covariant.logs import unit_factor
@@ -61,7 +62,7 @@ def match_joints(draft: Draft, path: str) -> Joints:
         return Joints("", tuple(_joint_name(name) for name in plain), tuple(range(len(plain))))
     model = models.robots.load(path)
     if not model.manifold.commuting:
-        raise ValueError(f"{path}: servos are drafted for a robot whose base stands still and has no ball joints")
+        raise InputError(f"{path}: servos are drafted for a robot whose base stands still and has no ball joints")
     joints, words = model.coordinates, [_words(name) for name in plain]
     by_name: dict[str, int] = {}
     for joint in joints:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.calibration import DataSheet, suggest_noise
 from covariant.models import ModelFile
 from covariant.observers import SlowVariables, sensor_bias, uncertain_parameters, wrench
@@ -19,7 +20,7 @@ def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
         if value is None
     ]
     if missing:
-        raise ValueError(f"{file.name}: gains need {' and '.join(missing)}; {_remedy(file, missing, record)}")
+        raise InputError(f"{file.name}: gains need {' and '.join(missing)}; {_remedy(file, missing, record)}")
     known = {
         "measurement_std": file.typical_std,
         "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
@@ -72,7 +73,7 @@ def _wrench(file: ModelFile, name: str, given: Mapping[str, Any]) -> SlowVariabl
     try:
         return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
     except (ValueError, TypeError) as error:
-        raise ValueError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error
+        raise InputError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error
 
 
 def _stands_for(key: str, name: str) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs, models, simulation
+from covariant._errors import InputError
 from covariant.models import ModelFile, Overrides, Parametric
 from covariant.signals import Record
 from covariant.simulation import PiecewiseInputs, PositionSensor
@@ -63,7 +64,7 @@ def simulated_log(
     now, rows = (np.searchsorted(acting.begin, times) for times in (np.round(t, DIGITS), read))
     true, x = everything.y[now], jax.tree.map(lambda leaf: leaf[now], everything.x)
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(x)):
-        raise ValueError(f"{name}: the motion leaves the finite numbers; check initial state and inputs")
+        raise InputError(f"{name}: the motion leaves the finite numbers; check initial state and inputs")
     of_sensors = rows[len(delays) :]
     true_then = everything.y[rows[0]]  # the configuration at the time of the reading, not of the stamp
     if len(delays) > 1:
@@ -115,7 +116,7 @@ def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: Any) -> tuple[st
 
 def _sensor(name: str, kind: AbstractKind, scenario: Scenario) -> PositionSensor:
     if np.any(scenario.quantum) and not kind.has_ticks:
-        raise ValueError(f"quantum: encoders step in coordinates, and {name} is on a group; use noise")
+        raise InputError(f"quantum: encoders step in coordinates, and {name} is on a group; use noise")
     noise = amounts("noise", scenario.noise, kind.noise_axes)
     quantum = amounts("quantum", scenario.quantum, kind.noise_axes) if kind.has_ticks else 0.0
     return PositionSensor(scenario.rate, noise, quantum, scenario.jitter, scenario.dropout)

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from covariant import logs
+from covariant._errors import InputError
 from covariant.calibration import estimators
 from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
@@ -69,15 +70,15 @@ def smooth(
         True
     """
     if lag is not None and not 0 <= lag < np.inf:
-        raise ValueError(f"`lag` must be a time [s], 0 or more; got {lag}")
+        raise InputError(f"`lag` must be a time [s], 0 or more; got {lag}")
     if observer is not None and observer not in SMOOTHED:
-        raise ValueError(f"observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
+        raise InputError(f"observer {observer} cannot be smoothed; these can: {', '.join(SMOOTHED)}")
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score, missing_inputs=True)
     fitting = [name for name in SMOOTHED if name in estimators(loaded.model)]
     if not fitting:
-        raise ValueError(f"{job.model_name}: its observers cannot be smoothed; these can: {', '.join(SMOOTHED)}")
+        raise InputError(f"{job.model_name}: its observers cannot be smoothed; these can: {', '.join(SMOOTHED)}")
     name = observer or fitting[0]
     chosen, notes = choose_observer(job, loaded, name)
     refuse_delays(job, loaded, chosen, "a smoother does not compensate late readings")
@@ -91,7 +92,7 @@ def smooth(
     if filtered_result.outcome.failed or not (
         np.isfinite(smoothed_result.velocity).all() and np.isfinite(smoothed.std).all()
     ):
-        raise ValueError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
+        raise InputError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
     return SmoothResult(smoothed_result, filtered_result, np.asarray(smoothed.std), rows)
 
 
@@ -101,7 +102,7 @@ def lag_rows(t: np.ndarray, lag: float) -> int | None:
         return None
     spacing = float(np.median(np.diff(t)))
     if 0 < lag < spacing / 2:
-        raise ValueError(
+        raise InputError(
             f"`lag={lag:g}` is less than half a row of the log, {spacing:.3g} s; give 0 for the filter itself"
         )
     return round(lag / spacing)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.metrics import Grid
 
@@ -194,7 +195,7 @@ def read_study(path: Path) -> Study:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"{path}: not a TOML file: {error}") from error
+        raise InputError(f"{path}: not a TOML file: {error}") from error
     return parse_study(content, str(path), path.parent)
 
 
@@ -203,14 +204,14 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
     content = dict(content)
     for key, value in content.items():
         if key not in (*KEYS, *STATES):
-            raise ValueError(f"{name}: {unknown('key', key, (*KEYS, *STATES))}")
+            raise InputError(f"{name}: {unknown('key', key, (*KEYS, *STATES))}")
         if key in STATES and not isinstance(value, Mapping):
-            raise ValueError(f"{name}: {key} must be a table of positions and velocities; got {value!r}")
+            raise InputError(f"{name}: {key} must be a table of positions and velocities; got {value!r}")
         for state, number in value.items() if key in STATES else ((None, value),):
             _check(name, key if state is None else f"{key}.{state}", number)
     for key in NEEDED:
         if key not in content:
-            raise ValueError(f"{name}: {key} is missing: {KEYS[key][1]}")
+            raise InputError(f"{name}: {key} is missing: {KEYS[key][1]}")
     if (folder / str(content["model"])).exists():
         content["model"] = str((folder / content["model"]).absolute())
     if isinstance(content.get("feedback"), str):
@@ -220,12 +221,12 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
     for key, given in content["axes"].items():
         values = _values(name, key, given)
         if key in TAKEN or (isinstance(values[0], dict) and (of_run(key) or key == "draw")):
-            raise ValueError(f"{name}: axes.{key} cannot be a name for tables: it is taken")
+            raise InputError(f"{name}: axes.{key} cannot be a name for tables: it is taken")
         if key == "error" and not (all(_number(v, 0.0) for v in values) and np.all(np.diff(values) > 0)):
-            raise ValueError(f"{name}: axes.error must be multiples that grow, none negative; got {values}")
+            raise InputError(f"{name}: axes.error must be multiples that grow, none negative; got {values}")
         for value in values:
             if isinstance(value, dict) and "error" in value:
-                raise ValueError(f"{name}: error multiplies the first error as an axis alone, not in a table of {key}")
+                raise InputError(f"{name}: error multiplies the first error as an axis alone, not in a table of {key}")
             pairs = value.items() if isinstance(value, dict) else ((key, value),)
             for each, number in pairs:
                 if each not in ("name", "draw", "error") or (isinstance(value, dict) and each != "name"):
@@ -236,23 +237,23 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
     varied = [key for axis in axes for key in {k: None for value in axis.values for k in axis.keys_of(value)}]
     for key in varied:
         if varied.count(key) > 1:
-            raise ValueError(f"{name}: {key} is in two axes; keep one")
+            raise InputError(f"{name}: {key} is in two axes; keep one")
     if "error" in varied and "error" not in content and not any(key.startswith("error.") for key in varied):
-        raise ValueError(f"{name}: axes.error multiplies the first error, which is missing: a table [error]")
+        raise InputError(f"{name}: axes.error multiplies the first error, which is missing: a table [error]")
     designing = [axis for axis in study.axes if axis.designs]
     for what, axes, most in (("cases", study.axes, MOST_CASES), ("designs of an observer", designing, MOST_DESIGNS)):
         sizes = {axis.key: len(axis.values) for axis in axes}
         if math.prod(sizes.values()) > most:
             counts = ", ".join(f"{key} {count}" for key, count in sizes.items())
-            raise ValueError(f"{name}: {math.prod(sizes.values())} {what} are more than {most}; axes have {counts}")
+            raise InputError(f"{name}: {math.prod(sizes.values())} {what} are more than {most}; axes have {counts}")
     for each in study.designs:
         run = {**content, **each}
         for key in ("rate", "duration"):
             if key not in run:
-                raise ValueError(f"{name}: {key} is missing: {KEYS[key][1]}, or an axis of it")
+                raise InputError(f"{name}: {key} is missing: {KEYS[key][1]}, or an axis of it")
         samples = run["duration"] * run["rate"]
         if not FEWEST_SAMPLES <= round(min(samples, 2.0 * MOST_SAMPLES)) <= MOST_SAMPLES:
-            raise ValueError(
+            raise InputError(
                 f"{name}: a run of {run['duration']:g} s at {run['rate']:g} Hz has {samples:.7g} samples; "
                 f"it needs {FEWEST_SAMPLES} to {MOST_SAMPLES}"
             )
@@ -264,25 +265,25 @@ def _values(name: str, key: str, given: Any) -> list[Any]:
     values = given
     if key == "draw":
         if not isinstance(given, int) or isinstance(given, bool) or given < 2:
-            raise ValueError(f"{name}: axes.draw must be a number of draws, 2 or more; got {given!r}")
+            raise InputError(f"{name}: axes.draw must be a number of draws, 2 or more; got {given!r}")
         values = range(given)
     elif isinstance(given, Mapping) and given and all(isinstance(each, list) for each in given.values()):
         lengths = {each: len(list_) for each, list_ in given.items()}
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{each} {count}" for each, count in lengths.items())
-            raise ValueError(f"{name}: lists of axes.{key} vary together, and need one length; got {counts}")
+            raise InputError(f"{name}: lists of axes.{key} vary together, and need one length; got {counts}")
         values = [dict(zip(given, together, strict=True)) for together in zip(*given.values(), strict=True)]
     elif isinstance(given, Mapping):
         values = _equal_steps(name, key, given)
     if not isinstance(values, list | range) or len(values) < 2:
-        raise ValueError(
+        raise InputError(
             f"{name}: axes.{key} needs a list of two values or more; put a single value into [set] or [start]"
         )
     if len(values) > MOST_VALUES:
-        raise ValueError(f"{name}: axes.{key} has {len(values)} values; {MOST_VALUES} are the most of an axis")
+        raise InputError(f"{name}: axes.{key} has {len(values)} values; {MOST_VALUES} are the most of an axis")
     tables = [value for value in values if isinstance(value, dict)]
     if tables and len(tables) < len(values):
-        raise ValueError(f"{name}: axes.{key} has tables and other values; give all as tables")
+        raise InputError(f"{name}: axes.{key} has tables and other values; give all as tables")
     bare = [{k: v for k, v in table.items() if k != "name"} for table in tables]
     for each in (bare or values, [table["name"] for table in tables if "name" in table]):
         _refuse_twice(f"{name}: axes.{key}", each)
@@ -300,24 +301,24 @@ def _refuse_twice(place: str, values: Sequence[Any]) -> None:
     seen = set()
     for value in values:
         if (known := plain(value)) in seen:
-            raise ValueError(f"{place} has {value!r} twice; keep one")
+            raise InputError(f"{place} has {value!r} twice; keep one")
         seen.add(known)
 
 
 def _equal_steps(name: str, key: str, ends: Mapping[str, Any]) -> list[float]:
     """Values of an axis {low, high, count}."""
     if not all(end in ends for end in ENDS):
-        raise ValueError(f"{name}: axes.{key} needs a list, {{low, high, count}}, or lists by key")
+        raise InputError(f"{name}: axes.{key} needs a list, {{low, high, count}}, or lists by key")
     for end, value in ends.items():
         if end not in ENDS:
-            raise ValueError(f"{name}: axes.{key}: {unknown('key', end, ENDS)}")
+            raise InputError(f"{name}: axes.{key}: {unknown('key', end, ENDS)}")
         if not _number(value):
-            raise ValueError(f"{name}: {end} of axes.{key} must be a finite number; got {value!r}")
+            raise InputError(f"{name}: {end} of axes.{key} must be a finite number; got {value!r}")
     low, high, count = (ends[end] for end in ENDS)
     if count != int(count) or not 2 <= count <= MOST_VALUES:
-        raise ValueError(f"{name}: count of axes.{key} must be a whole number from 2 to {MOST_VALUES}; got {count!r}")
+        raise InputError(f"{name}: count of axes.{key} must be a whole number from 2 to {MOST_VALUES}; got {count!r}")
     if low == high:
-        raise ValueError(
+        raise InputError(
             f"{name}: low and high of axes.{key} are both {low!r}; put a single value into [set] or [start]"
         )
     return np.linspace(low, high, int(count)).tolist()
@@ -333,4 +334,4 @@ def _check(name: str, key: str, value: Any) -> None:
     else:
         holds, what = KEYS.get(key, (lambda value: True, ""))
     if not holds(value):
-        raise ValueError(f"{name}: {key} must be {what}; got {value!r}")
+        raise InputError(f"{name}: {key} must be {what}; got {value!r}")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.metrics import map_grid, open_grid
 from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import code_hash, model_hash
@@ -86,7 +87,7 @@ def sweep(
     try:
         result = runs.variables()
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
     began: list[tuple[float, int]] = []  # when, and how many cases were there
 
     def report(done: int, total: int) -> None:

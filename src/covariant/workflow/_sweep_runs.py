@@ -13,6 +13,7 @@ import numpy as np
 
 from covariant import engine, models
 from covariant._compile import compiler
+from covariant._errors import InputError
 from covariant._names import did_you_mean, unknown
 from covariant.metrics import Variable
 from covariant.observers import with_velocity
@@ -153,14 +154,14 @@ def _compiled(runs: Runs) -> _Machine:
     file = _load(plan.model, {}, overrides, "[set] ")
     model: Any = file.need_mechanical(plan.model, "a sweep simulates")
     if model.feet is not None:
-        raise ValueError(f"{plan.model}: a sweep simulates no contacts; take a model without feet")
+        raise InputError(f"{plan.model}: a sweep simulates no contacts; take a model without feet")
     n = file.dimension
     names = (*(f"q{k + 1}" for k in range(n)), *(f"v{k + 1}" for k in range(n)))
     varied = {axis.key: axis for axis in plan.axes if of_run(axis.key) and not axis.designs}
     keys = dict.fromkeys((*plan.numbers, *varied, *(k for each in designs for k in each if of_run(k))))
     for key in keys:
         if "." in key and key.partition(".")[2] not in names:
-            raise ValueError(f"{key}: {unknown('state', key.partition('.')[2], names)}")
+            raise InputError(f"{key}: {unknown('state', key.partition('.')[2], names)}")
     own = {
         key: varied.get(key, jnp.asarray([float({**plan.numbers, **each}.get(key, 0.0)) for each in designs]))
         for key in keys
@@ -171,7 +172,7 @@ def _compiled(runs: Runs) -> _Machine:
     files = [_load(plan.model, overrides, designed_with(each), "axes.") for each in designs]
     for each in files:
         if any(np.any(late) for late in (each.delay, each.input_delay, each.input_lag, each.input_lead)):
-            raise ValueError(f"{plan.model}: a sweep has no delays; leave out those of [measurement] and [inputs]")
+            raise InputError(f"{plan.model}: a sweep has no delays; leave out those of [measurement] and [inputs]")
     families = {}
     for name in plan.observers:
         made = [design(each, name, rate=rate) for each, rate in zip(files, rates, strict=True)]
@@ -206,7 +207,7 @@ def _load(model: str, fixed: Mapping[str, Any], changes: Mapping[str, Any], plac
                 hint = (
                     f" {table} is a key of the study, not of a model." if table in known else did_you_mean(table, known)
                 )
-                raise ValueError(f"{place}{key}:{hint} {error}") from error
+                raise InputError(f"{place}{key}:{hint} {error}") from error
         raise
 
 
@@ -216,13 +217,13 @@ def _inputs(content: Mapping[str, Any], model: Any, count: int, n: int) -> Calla
         spec = content["feedback"]["function"]
         feedback = models.attribute(spec, Path(content["feedback"]["folder"]))
         if not model.manifold.commuting:
-            raise ValueError(f"feedback {spec}: it is for models in coordinates, and {content['model']} is on a group")
+            raise InputError(f"feedback {spec}: it is for models in coordinates, and {content['model']} is on a group")
         try:
             shape = np.shape(feedback(0.0, jnp.zeros(2 * n)))
         except Exception as error:  # a function of somebody may fail in any way
-            raise ValueError(f"feedback {spec}: with a time and a state ({2 * n},) it raises {error!r}") from error
+            raise InputError(f"feedback {spec}: with a time and a state ({2 * n},) it raises {error!r}") from error
         if shape != (count,):
-            raise ValueError(f"feedback {spec}: it must return the inputs ({count},) of the model; it returned {shape}")
+            raise InputError(f"feedback {spec}: it must return the inputs ({count},) of the model; it returned {shape}")
         return lambda t, q, v: jnp.asarray(feedback(t, jnp.concatenate([q, v])), float)
     amplitude = numbers("amplitude", content.get("amplitude", 0.0), [f"u{k + 1}" for k in range(count)], one=True)
     omega = 2 * np.pi * content.get("frequency", 0.5) * (1 + DETUNED * np.arange(count))
@@ -242,7 +243,7 @@ def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noi
         if not all(map(_same, column, leaves[0][k : k + 1] * len(leaves)))
     ]
     if any(tree != trees[0] for tree in trees):
-        raise ValueError("designs of one observer differ in more than numbers; sweep them one by one")
+        raise InputError("designs of one observer differ in more than numbers; sweep them one by one")
     numbers = [jnp.stack([jnp.asarray(each[k], float) for each in leaves]) for k in differ]
 
     def observer(values: Sequence[Any]) -> Any:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.calibration import DataSheet, HeldOut, Tuning, tune, tuned_estimators, usual_speeds
 from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver
@@ -84,7 +85,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
         }
         tuning = tune(loaded[0].model, records, velocities, **options)
     except ValueError as error:
-        raise ValueError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+        raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     progress("done", 1.0)
     tables = _tables(file, tuning, loaded[0].rate)
     details = _details(jobs, loaded, delay, tuning, tables) | {"engine": runs.description}

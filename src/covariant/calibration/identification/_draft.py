@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.calibration.diagnosis import periods, without_full_turns
 from covariant.calibration.identification._commands import is_slope
 from covariant.calibration.identification._roles import REGISTERS, role
@@ -167,7 +168,7 @@ def draft(
     given = {key: tuple(names) for key, names in (given or {}).items() if names is not None}
     for name in [name for names in given.values() for name in names]:
         if name not in columns:
-            raise ValueError(f"there is no column {name!r} of numbers{_columns_there(columns)}")
+            raise InputError(f"there is no column {name!r} of numbers{_columns_there(columns)}")
     fixed = {name for names in given.values() for name in names}
     # Units that the log states are written as in a name, so that one parser reads both.
     labels = {name: f"{name} [{stated[name]}]" if stated and name in stated else name for name in columns}
@@ -192,7 +193,7 @@ def draft(
         return _draft_of_attitude(columns, labels, kinds, given, t, quaternion)
     q = given.get("q") or tuple(name for name, kind in kinds.items() if kind == "q" and name != t)
     if not q:
-        raise ValueError(
+        raise InputError(
             f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{_columns_there(columns)}'
         )
     episodes = episodes_fault(columns[t], columns, columns.__getitem__, rising=True)
@@ -207,13 +208,13 @@ def draft(
     commands = tuple(name for name in inputs.commands if name is not None)
     _one_family("u", inputs.u, given, columns)
     if len(inputs.u) > len(q):
-        raise ValueError(
+        raise InputError(
             f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
             f"{_columns_there(columns)}"
         )
     for name in (*q, *commands):
         if has_sign_bit(columns[name]):
-            raise ValueError(sign_bit_fault(name))
+            raise InputError(sign_bit_fault(name))
     labels |= stated_by_user("u", commands or inputs.u, known)
     ticks = unit_labels(columns, q, labels, bool(commands))
     labels |= ticks
@@ -233,7 +234,7 @@ def draft(
         u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
     logged = np.column_stack([columns[name] for name in q])
     if np.isnan(logged[0]).any():
-        raise ValueError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
+        raise InputError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
     span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)
     fields = {"t": (t,), "q": q, "u": u, "v": v}
     units, guessed = _units(
@@ -301,7 +302,7 @@ def _refuse_unknown_units(fields: Mapping[str, Sequence[str]], labels: Mapping[s
         for name in names:
             text = unknown_unit(labels[name], MEANT[field], [labels[each] for each in names])
             if text is not None:
-                raise ValueError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
+                raise InputError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
 
 
 def _units(
@@ -314,7 +315,7 @@ def _units(
     stated = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
     odd = odd_clock(t, stated["t"][0])
     if odd is not None:
-        raise ValueError(f"column {fields['t'][0]!r} {odd}")
+        raise InputError(f"column {fields['t'][0]!r} {odd}")
     step = np.median(np.diff(t))
     content = {"t": next(unit for limit, unit in CLOCKS if step < limit)}
     unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]
@@ -346,20 +347,20 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
         if candidates
         else "no column of stamps rises from row to row"
     )
-    raise ValueError(f'{what}; name the one of the stamps by `columns["t"]`{_columns_there(columns)}')
+    raise InputError(f'{what}; name the one of the stamps by `columns["t"]`{_columns_there(columns)}')
 
 
 def _refuse_episodes(name: str, columns: Mapping[str, np.ndarray]) -> None:
     """Raise `ValueError` for stamps that start again with each episode."""
     fault = episodes_fault(columns[name], columns, columns.__getitem__)
     if fault is not None:
-        raise ValueError(f"column {name!r} {fault}")
+        raise InputError(f"column {name!r} {fault}")
 
 
 def _step(name: str, t: np.ndarray) -> float:
     """Median step of the stamps; raises `ValueError` where they do not rise."""
     if len(t) < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise ValueError(
+        raise InputError(
             f'the stamps {name} do not rise from row to row; sort the log, or name others by `columns["t"]`'
         )
     return float(np.median(np.diff(t)))
@@ -369,7 +370,7 @@ def _one_family(key: str, names: Sequence[str], fixed: Mapping[str, Sequence[str
     """Raise `ValueError` where names such as q1, q2 and th1, th2 say that there are several kinds of them."""
     stems = {re.sub(r"[0-9]+", "#", name) for name in names}
     if key not in fixed and 1 < len(stems) < len(names):
-        raise ValueError(
+        raise InputError(
             f'{", ".join(names)} may all be {key}; name those that are by `columns["{key}"]`{_columns_there(columns)}'
         )
 
@@ -452,7 +453,7 @@ def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
                 return names
             # Whole numbers of a sensor, as 16384 for 1
             if motion > SCALED_MOTION * lengths.max() and np.ptp(lengths) < SCALED_MOTION**2 * lengths.max():
-                raise ValueError(
+                raise InputError(
                     f"{', '.join(names)} are a quaternion of length {np.median(lengths):.5g}; divide them by it in the "
                     'log, or name the positions by `columns["q"]`'
                 )
@@ -470,11 +471,11 @@ def _draft_of_attitude(
     """Roles of the columns of a log of a body that turns."""
     q = np.column_stack([columns[name] for name in names])
     if np.isnan(q[0]).any():
-        raise ValueError(f"row 1 lacks an attitude ({', '.join(names)}); cut the log to begin later")
+        raise InputError(f"row 1 lacks an attitude ({', '.join(names)}); cut the log to begin later")
     # A torque about each axis of the body, or none that is known.
     u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
     if "u" in given and len(u) not in (0, 3):
-        raise ValueError(f"{len(u)} inputs ({', '.join(u)}) for a body that turns, needs 3 torques or none")
+        raise InputError(f"{len(u)} inputs ({', '.join(u)}) for a body that turns, needs 3 torques or none")
     u = tuple(u) if len(u) == 3 else ()
     _refuse_unknown_units({"t": (t,), "u": u}, labels)
     fields = {"t": (labels[t],), "q": (), "u": tuple(labels[name] for name in u), "v": ()}

@@ -20,6 +20,7 @@ import numpy as np
 from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.identification._expected import ExpectedErrors, Sensing, expected_errors
 from covariant.calibration.identification._fourier import FourierMotion, fourier_basis, one_sine_a_joint, resting_basis
@@ -214,7 +215,7 @@ def design_excitation(
     still = problem.used(motion, limits)[1] < STILL
     if still.any():
         joint = int(np.argmax(still))
-        raise ValueError(
+        raise InputError(
             f"effort: weight and friction leave no torque to move joint {limits.names[joint]!r}; give a larger effort"
         )
     return Excitation(
@@ -289,7 +290,7 @@ class _Problem(NamedTuple):
         inner = limits.within(plan.margin)
         idle = np.linalg.norm(inverse_inputs(model).force, axis=0) == 0
         if idle.any():
-            raise ValueError(
+            raise InputError(
                 f"no motor moves joint {limits.names[int(np.argmax(idle))]!r}: lock it, or give it a motor"
             )
         # The speed that a middle harmonic has at the largest amplitude.
@@ -364,7 +365,7 @@ class _Problem(NamedTuple):
         best = int(np.argmin(load))
         if load[best] >= 1:
             joint = int(np.argmax(held[best]))
-            raise ValueError(
+            raise InputError(
                 f"effort: the motors cannot hold the joints still anywhere within their limits; at best, joint "
                 f"{inner.names[joint]!r} takes {held[best, joint] * inner.effort[joint]:.3g}, and "
                 f"{inner.effort[joint]:.3g} may be used; give a larger effort, or another region"

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel, second_derivative_weights
 from covariant.calibration.identification._fourier import FourierMotion
@@ -124,7 +125,7 @@ def expected_errors(
     # A fit loses half a window at both ends.
     shortest = (FEWEST_BLOCKS * BLOCK + 2) * half
     if shortest > duration:
-        raise ValueError(
+        raise InputError(
             f"duration: a fit needs a log of {shortest:.3g} s, and this one has {duration:.3g} s; "
             "give a longer duration, or a shorter [reference] half"
         )

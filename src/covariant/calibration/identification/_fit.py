@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant.calibration._least_squares import (
     MOST_STEPS,
     PRIOR,
@@ -195,7 +196,7 @@ def _first_round(
     begun = [(name, *_begin(family, windows, candidates[:1], z)) for name, z in places.items()]
     begun = [each for each in begun if np.isfinite(each[2].blocks.loss).all()]
     if not begun:
-        raise ValueError("the model predicts no finite motion with its first values; mend these")
+        raise InputError("the model predicts no finite motion with its first values; mend these")
     begun = sorted(begun, key=lambda each: each[1].cost)[:POLISHED]
     ends = []
     for i, (name, problem, point) in enumerate(begun):

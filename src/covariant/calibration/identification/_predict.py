@@ -15,6 +15,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.calibration.identification._windows import LONGEST_GAP, Windows
 from covariant.lowering import evaluate_batch
@@ -299,7 +300,7 @@ def errors_ahead(
     starts = np.flatnonzero(rows[horizon:])  # those whose last target is in the selection
     starts = starts[rows[starts + 1]]
     if not len(starts):
-        raise ValueError(f"errors_ahead: no row is followed by {horizon} others among the {rows.sum()} selected")
+        raise InputError(f"errors_ahead: no row is followed by {horizon} others among the {rows.sum()} selected")
     starts = starts[:: -(-len(starts) // MOST_STARTS)]
     usual = float(np.median(np.diff(t)))
     steps = substeps or int(np.clip(np.ceil(usual / LONGEST_STEP - 1e-9), 1, MOST_SUBSTEPS))

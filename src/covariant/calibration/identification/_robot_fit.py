@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from covariant import scoring
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
 from covariant.calibration.diagnosis import held_inputs
@@ -264,7 +265,7 @@ class _Search(NamedTuple):
         q, v, a = (np.concatenate([getattr(p, name)[p.used] for p in paths]) for name in ("q", "v", "residual"))
         u = np.concatenate([track.u[path.used] for track, path in zip(tracks, paths, strict=True)])
         if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
-            raise ValueError(
+            raise InputError(
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
                 f"{FEWEST_BLOCKS * BLOCK * tracks[0].half:.3g} s; give longer logs"
             )
@@ -285,7 +286,7 @@ class _Search(NamedTuple):
             modelled = self.accelerations(x[self.parts[i]], path.q, path.v, track.u, moving)
             motions.append(_smooth_positions(track, half, np.where(np.isfinite(modelled), modelled, 0.0)))
         if not any(motion.used.any() for motion in motions):
-            raise ValueError("no window of the logs is complete; give logs with fewer gaps")
+            raise InputError("no window of the logs is complete; give logs with fewer gaps")
         return _Point(x, half, tuple(motions))
 
     def _still(self, track: _Track, v: np.ndarray) -> np.ndarray:

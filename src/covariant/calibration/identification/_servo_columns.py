@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.calibration.identification._commands import (
     FOLLOWS,
     FOLLOWS_CLOSELY,
@@ -202,7 +203,7 @@ def refuse_commands_among(columns: Mapping[str, np.ndarray], clock: np.ndarray, 
             and follow_fit.lag <= MAX_LAG_AMONG_POSITIONS
             and follow_fit.slope > 0
         ):
-            raise ValueError(
+            raise InputError(
                 f'{name} follows {other}, late, as a servo its command; name them by `columns["q"]` and '
                 '`columns["u"]`, or name both as positions by `columns["q"]`'
             )
@@ -246,7 +247,7 @@ def refuse_rows_of_several(columns: Mapping[str, np.ndarray]) -> None:
             continue
         kinds = np.unique(values[np.isfinite(values)])
         if 1 < len(kinds) <= MAX_MOTORS and np.mean(np.diff(values) != 0) > 0.5:
-            raise ValueError(
+            raise InputError(
                 f"column {name!r} takes turns from row to row, from {kinds[0]:g} to {kinds[-1]:g}: each row is "
                 f'of another motor; give each a column, in pandas as table.pivot_table(index="t", columns={name!r})'
             )
@@ -256,4 +257,4 @@ def refuse_poses(q: Sequence[str], entries: Mapping[str, str]) -> None:
     """Raise `ValueError` for a state whose entries are a point in space and not joints."""
     if {"x", "y", "z"} <= {entries.get(name, name).lower().rpartition("_")[2] for name in q}:
         named = ", ".join(f"{name} {entries[name]}" for name in q if name in entries)
-        raise ValueError(f'the state is a pose, and no joints: {named or ", ".join(q)}; name joints by `columns["q"]`')
+        raise InputError(f'the state is a pose, and no joints: {named or ", ".join(q)}; name joints by `columns["q"]`')

@@ -16,6 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.identification._excitation import Excitation, ExcitationPlan, JointLimits
 from covariant.calibration.identification._expected import Sensing
@@ -148,13 +149,13 @@ def _commanded(
         q, v, torque = simulation.run(inputs)
         used = limits.used(q, v, torque)
         if not np.isfinite(used).all():
-            raise ValueError("the simulation of the commands is not stable: give a higher rate, or a larger armature")
+            raise InputError("the simulation of the commands is not stable: give a higher rate, or a larger armature")
         # A torque limit that is to be fitted has to be reached.
         largest_use = np.max([used[0], used[1], np.where(limited, 0.0, used[2] * (1 + TORQUE_MARGIN)), reached], axis=0)
         if largest_use.max() <= 1:
             return Commanded(inputs, q, v, torque, used)
     joint = limits.names[int(np.argmax(largest_use))]
-    raise ValueError(
+    raise InputError(
         f"joint {joint!r}: no commands were found that keep its limits of position, speed and torque; give a larger "
         "region, velocity or effort"
     )
@@ -184,7 +185,7 @@ class _Simulation(NamedTuple):
         servos = servos_in(model)
         assert servos is not None
         if servos.rows.shape[0] != servos.rows.shape[1]:
-            raise ValueError("commands are designed for robots of which each joint has a servo; lock the others")
+            raise InputError("commands are designed for robots of which each joint has a servo; lock the others")
         substeps = int(np.clip(np.ceil(_fastest(model) / rate / MAX_STEP_RATE), 1, MAX_SUBSTEPS))
         step = 1 / rate / substeps
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
 from covariant.calibration.identification._robot_fit import RobotFit, minimise_above_bounds
 from covariant.calibration.identification._robot_torques import Determined
@@ -82,7 +83,7 @@ def fit_servos(
         ValueError: give a family and a log for each of the logs
     """
     if not records or len(families) != len(records):
-        raise ValueError("give a family and a log for each of the logs")
+        raise InputError("give a family and a log for each of the logs")
     search = _Search.of(families, records, between, length, late)
     point, rounds = search.descend(search.started(), progress, 0)
     # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
@@ -170,7 +171,7 @@ class _Search(NamedTuple):
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
         if sum(counts) < min_windows:
-            raise ValueError(
+            raise InputError(
                 f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
                 f"{min_windows}; give longer logs"
             )
@@ -229,7 +230,7 @@ class _Search(NamedTuple):
         scale = np.array([_scale(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
         best = min(points, key=lambda point: self.loss(point, scale))
         if not np.isfinite(self.loss(best, scale)):
-            raise ValueError("the model predicts no finite motion from these commands; check units and first values")
+            raise InputError("the model predicts no finite motion from these commands; check units and first values")
         return self.point(best.x)
 
     def descend(self, point: _Point, progress: Callable[[int], object], rounds: int) -> tuple[_Point, int]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.calibration.identification._commands import (
     FEWEST_CHANGES,
     FOLLOWS,
@@ -73,23 +74,23 @@ def position_units(
     if whole and largest > CERTAIN_TICKS:
         if values.min() >= 0 and largest < TICKS:
             return [f"turn/{TICKS}" if text is None else text for text in stated]
-        raise ValueError(
+        raise InputError(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
         )
     if not servos or largest <= MAX_RADIANS:
         return None
     if largest > MAX_DEGREES:
-        raise ValueError(
+        raise InputError(
             f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
             f"degrees; {answer}"
         )
     if whole:
-        raise ValueError(
+        raise InputError(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
             f"{answer}"
         )
     if largest <= MAX_PER_CENT:
-        raise ValueError(
+        raise InputError(
             f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
             "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
             "unit by `overrides=['units.q=\"deg\"']`; for -100 to 100 it is a 200th of the range of each joint, as "
@@ -105,12 +106,12 @@ def stated_by_user(field: str, names: Sequence[str], known: Mapping[str, Sequenc
     if not texts or not names:
         return {}
     if len(texts) not in (1, len(names)):
-        raise ValueError(
+        raise InputError(
             f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
         )
     for text in texts:
         if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(text, MEANT[field]):
-            raise ValueError(f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}")
+            raise InputError(f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}")
     return {name: f"{name} [{texts[i if len(texts) > 1 else 0]}]" for i, name in enumerate(names)}
 
 
@@ -141,14 +142,14 @@ def servos_of(
         rows = copied(columns[position], columns[command])
         if rows is not None:
             where = "of the same row" if rows == 0 else "of the next row"
-            raise ValueError(
+            raise InputError(
                 f"column {command!r} is a copy of {position!r} {where}: a log of what was measured, and no command; "
                 'name the inputs by `columns["u"]`, or none with []'
             )
         factor, named = unit_factor(text), unit_in_name(labels[command], MEANT["q"])
         unknown = unknown_unit(labels[command], MEANT["q"])
         if unknown is not None and unknown.lower() not in ("tick", "ticks", "count", "counts"):
-            raise ValueError(
+            raise InputError(
                 f"column {command!r} has {unknown!r} in its name, which is no unit of a command; name what one of it "
                 "is by `overrides=['units.u=\"deg\"']`"
             )
@@ -163,7 +164,7 @@ def servos_of(
         size = 0.0 if follow_fit is None else abs(follow_fit.slope) * factor
         # A position never moves farther than its command, however well it follows.
         if unit is None or size > 1.5 * abs(unit) or (named and close and size < 0.15 * abs(unit)):
-            raise ValueError(
+            raise InputError(
                 f"column {command!r}: {position} [{text}] moves by {size:.3g} rad for one of it, which is no unit of a "
                 f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
                 f"`overrides=['units.u=\"{size:.3g} rad\"']` if so much is meant"

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from covariant._errors import InputError
 from covariant.signals import AnyArray, Record
 
 MOST_ROWS = 20_000
@@ -156,7 +157,7 @@ def cut_windows(
     if len(selected) > limit:
         selected = [selected[i] for i in np.linspace(0, len(selected) - 1, limit).round().astype(int)]
     if len(selected) < FEWEST_WINDOWS:
-        raise ValueError(
+        raise InputError(
             f"the log holds {len(selected)} windows of {length:.3g} s with at least {FEWEST_ROWS} rows and no gap, and "
             f"{FEWEST_WINDOWS} are needed; give a longer log, or a shorter horizon"
         )

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant._errors import InputError
 from covariant.calibration.identification import ErrorModel, Filtered, NoiseLevels, mean_square
 from covariant.calibration.tuning._gains import gains, predict_sampled_errors
 from covariant.calibration.tuning._noise_search import RunErrors, later_errors, smoothed_errors
@@ -110,7 +111,7 @@ def best_innovations(
     start = starts[int(np.argmin([total(usable(results)) for results in zip(*tried, strict=True)]))]
     best, least = _descend(lambda z: total(innovations(z)), start, 60)
     if least >= FAILED:
-        raise ValueError("no gains give a finite estimate; check units and signs by `covariant check`")
+        raise InputError("no gains give a finite estimate; check units and signs by `covariant check`")
     sizes = [np.sqrt(mean_square(column[mask])) for column, mask in zip(innovations(best).T, measured.T, strict=True)]
     return float(np.exp(best[0])) * rate, float(np.exp(best[1])), np.array(sizes)
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates import MetricDesign, observer_gain
 from covariant.certificates.base import show_no_jumps
@@ -55,10 +56,10 @@ def contracting_gain(
     x = np.atleast_2d(np.asarray(states, float))
     n = len(model.coordinates) or x.shape[1]
     if x.ndim != 2 or x.shape[1] != n:
-        raise ValueError(f"states must have the shape (k, {n}); got {np.shape(states)}")
+        raise InputError(f"states must have the shape (k, {n}); got {np.shape(states)}")
     u = np.zeros((len(x), model.inputs)) if inputs is None else np.asarray(inputs, float)
     if u.shape != (len(x), model.inputs):
-        raise ValueError(f"inputs must have the shape ({len(x)}, {model.inputs}), one row a state; got {u.shape}")
+        raise InputError(f"inputs must have the shape ({len(x)}, {model.inputs}), one row a state; got {u.shape}")
     time = jnp.asarray(t)
 
     def jacobians(x, u):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Matrix, Vector
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
@@ -172,7 +173,7 @@ def tuned_estimators(
     """
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
-            raise ValueError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
+            raise InputError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
     known = _Known(n, sheet, rate, trial, model.space)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     tuned = {entry: entry.construct(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}

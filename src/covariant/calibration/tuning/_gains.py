@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._typing import Number
 
 
@@ -109,10 +110,10 @@ def gains(
     numbers |= {name: value for name, value in optional.items() if value is not None}
     for name, value in numbers.items():
         if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"gains: {name} must be a positive number; got {value}")
+            raise InputError(f"gains: {name} must be a positive number; got {value}")
     for name, value in {"force_std": force_std, "force_rate": force_rate or 0.0}.items():
         if not (math.isfinite(value) and value >= 0):
-            raise ValueError(f"gains: {name} must be a number ≥ 0; got {value}")
+            raise InputError(f"gains: {name} must be a number ≥ 0; got {value}")
     measurement_density = measurement_std**2 / rate
     acceleration_density = 2 * acceleration_std**2 * time
     forgetting = 0.0 if force_time is None else 1 / force_time
@@ -230,7 +231,7 @@ def predict_sampled_errors(
     alpha, beta = float(alpha), float(beta)
     for name, value in {"alpha": alpha, "beta": beta, "rate": rate}.items():
         if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"predict_sampled_errors: {name} must be a positive number; got {value}")
+            raise InputError(f"predict_sampled_errors: {name} must be a positive number; got {value}")
     dt = 1 / rate
     # The poles of λ² + αλ + β, sampled: both errors decay as in continuous time.
     pole1, pole2 = np.exp(np.roots([1.0, alpha, beta]) * dt)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant.metrics import load_metric, open_metric
 from covariant.models import StateSpace
 from covariant.observers import Riccati
@@ -32,16 +33,16 @@ def stored_observer(model: StateSpace, path: str | os.PathLike[str], start: Floa
     store, field = open_metric(path), load_metric(path)
     provenance = store.attrs["provenance"]
     if field.low.shape != start.shape:
-        raise ValueError(f"{path}: a metric of {field.low.shape[0]} states; the model has {start.shape[0]}")
+        raise InputError(f"{path}: a metric of {field.low.shape[0]} states; the model has {start.shape[0]}")
     names = store["metric"].dims[:-2]
     if model.coordinates and names != model.coordinates:
-        raise ValueError(f"{path}: a metric of {', '.join(names)}; the states are {', '.join(model.coordinates)}")
+        raise InputError(f"{path}: a metric of {', '.join(names)}; the states are {', '.join(model.coordinates)}")
     parameters = {key: np.asarray(parameter.value) for key, parameter in model.parameters.items()}
     for key in sorted({*provenance["parameters"], *parameters}):
         stored, actual = provenance["parameters"].get(key), parameters.get(key)
         # Equal to the last digit: numbers were stored with all of theirs, and another one is another equation.
         if stored is None or actual is None or not np.array_equal(np.asarray(stored), actual):
-            raise ValueError(f"{path}: the metric is for {key} = {stored}; the model has {actual}; compute it anew")
+            raise InputError(f"{path}: the metric is for {key} = {stored}; the model has {actual}; compute it anew")
     equation = provenance["equation"]
     noise = None if equation["measurement_cov"] is None else jnp.asarray(equation["measurement_cov"])
     return Riccati(model, field, start, 0.25 if equation["rate"] > 0 else 0.5, noise)

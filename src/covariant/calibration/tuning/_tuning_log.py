@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant._errors import InputError
 from covariant.calibration.diagnosis import outliers
 from covariant.calibration.identification import FITTED
 from covariant.models import MechanicalSystem
@@ -56,7 +57,7 @@ def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> T
             break
     tuned[np.flatnonzero(tuned)[MOST_ROWS:]] = False
     if min(tuned.sum(), held_out.sum()) < FEWEST_ROWS:
-        raise ValueError(
+        raise InputError(
             f"a log of {len(t)} rows over {t[-1] - t[0]:.3g} s is too short to tune on: of its first two thirds "
             f"{tuned.sum()} rows count, of the rest {held_out.sum()}, and {FEWEST_ROWS} of each are needed"
         )

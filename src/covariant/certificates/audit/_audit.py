@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.certificates import Hypothesis, Statement, lyapunov, rate_of
 from covariant.certificates.audit._laws import (
@@ -282,16 +283,16 @@ def audit(
     alpha, beta = _gains(observer, gains)
     for name in laws:
         if name not in LAWS:
-            raise ValueError(f"audit: {unknown('law', name, LAWS)}")
+            raise InputError(f"audit: {unknown('law', name, LAWS)}")
     if points < 1 or not (0 < speed < math.inf and 0 < error < math.inf):
-        raise ValueError(f"audit: points, speed and error must be positive; got {points}, {speed:g}, {error:g}")
+        raise InputError(f"audit: points, speed and error must be positive; got {points}, {speed:g}, {error:g}")
     box = _box(model, domain)
     states, coordinates = _draw(model, box, speed, points, np.random.default_rng(seed))
     # Three errors, each ten times the one before, from whose differences an order is fitted.
     gain_pair, errors = (jnp.asarray(alpha), jnp.asarray(beta)), error * np.array([1e-2, 1e-1, 1.0])
     if not (np.spacing(np.abs(coordinates)) < RESOLVED * errors[0]).all():
         # If the estimate rounds to the measurement, the error is zero, and any two observers agree.
-        raise ValueError(
+        raise InputError(
             f"audit: an error of {error:g} is lost in the rounding of coordinates up to {np.abs(coordinates).max():g}; "
             "give a larger error, or a domain closer to 0"
         )
@@ -319,7 +320,7 @@ def _error_system(
     """The observer and its model; raises `ValueError` that says why the laws do not apply to it."""
     kind = type(observer).__name__
     if not isinstance(observer, AbstractFlowObserver):
-        raise ValueError(f"audit: {kind} is no differential equation; give an Intrinsic or a Geodesic")
+        raise InputError(f"audit: {kind} is no differential equation; give an Intrinsic or a Geodesic")
     candidate = own(observer, "model") if model is None else model
     if mechanical(candidate):
         need_no_loops("audit", candidate.space)
@@ -327,7 +328,7 @@ def _error_system(
     lacks = (
         "no model of its own; give model=" if candidate is None else f"a {type(candidate).__name__}; give an Intrinsic"
     )
-    raise ValueError(f"audit: the laws are those of an observer of a mechanical system, and {kind} has {lacks}")
+    raise InputError(f"audit: the laws are those of an observer of a mechanical system, and {kind} has {lacks}")
 
 
 def _gains(observer: AbstractObserver, explicit: tuple[float, float] | None) -> tuple[float, float]:
@@ -337,13 +338,13 @@ def _gains(observer: AbstractObserver, explicit: tuple[float, float] | None) -> 
         # With the force held, the feedback of position and velocity is that of three poles.
         pair = pair[0] + rate, pair[1] + pair[0] * rate
     if any(gain is None for gain in pair):
-        raise ValueError(
+        raise InputError(
             f"audit: {type(observer).__name__} has no gains alpha and beta, nor the laws that go with them; give an "
             "Intrinsic or a Geodesic"
         )
     alpha, beta = float(pair[0]), float(pair[1])
     if not (0 < alpha < math.inf and 0 < beta < math.inf):
-        raise ValueError(f"audit: the gains must be positive numbers; got {alpha:g} and {beta:g}")
+        raise InputError(f"audit: the gains must be positive numbers; got {alpha:g} and {beta:g}")
     return alpha, beta
 
 
@@ -351,14 +352,14 @@ def _box(model: MechanicalSystem, domain: Box | None) -> Box:
     """All coordinates in order, each with its bounds from the domain, or with default bounds that suit most models."""
     names, units, circles = _coordinates(model)
     if not names and domain is None:
-        raise ValueError("audit: the model does not name its coordinates; give domain=box(q1=(low, high), …)")
+        raise InputError("audit: the model does not name its coordinates; give domain=box(q1=(low, high), …)")
     if domain is not None:
         check_box(domain)
         if not names:
             return domain
         for name in domain.names:
             if name not in names:
-                raise ValueError(f"audit: {unknown('coordinate', name, names)}")
+                raise InputError(f"audit: {unknown('coordinate', name, names)}")
     low, high = (np.full(len(names), end) for end in ((0.2, 1.2) if model.manifold.commuting else (-1.0, 1.0)))
     low[list(circles)], high[list(circles)] = -np.pi, np.pi
     for name, least, most in zip(domain.names, domain.low, domain.high, strict=True) if domain is not None else ():
@@ -394,7 +395,7 @@ def _draw(
     candidates = rng.uniform(box.low, box.high, (CANDIDATES * points, n))
     usable, positions = (np.asarray(a) for a in _configurations(model, jnp.asarray(candidates)))
     if usable.sum() < points:
-        raise ValueError(
+        raise InputError(
             f"audit: the model is finite and its metric positive definite at only {usable.sum()} of {len(usable)} "
             f"configurations drawn from {box}; give another domain"
         )

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.lowering import along, jacobian
@@ -216,7 +217,7 @@ def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
     if order == 2:
         return jnp.linalg.eigvalsh((matrix + matrix.T) / 2)[-1]
     if order not in (1, jnp.inf):
-        raise ValueError(f"log_norm: order must be 1, 2 or inf; got {order!r}")
+        raise InputError(f"log_norm: order must be 1, 2 or inf; got {order!r}")
     # ℓ1 sums over columns, ℓ∞ over rows; the diagonal enters with its sign.
     sizes = jnp.abs(matrix) if order == 1 else jnp.abs(matrix).T
     diagonal = jnp.diagonal(matrix)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant._files import write_atomically
 from covariant.certificates.base._box import Given, first_velocity
 from covariant.certificates.base._claims import CLAIMS, AbstractClaim, Setting, reach_squares
@@ -260,7 +261,7 @@ def write(path: str | Path, document: dict[str, Any], check: Callable[[Document]
         content = json.dumps(document, indent=1, ensure_ascii=False).encode("utf-8")
         parsed = parse(path, content)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"nothing is written, since it could not be read again: {error}") from error
+        raise InputError(f"nothing is written, since it could not be read again: {error}") from error
     check(parsed)
     return write_atomically(path, lambda file: file.write(content))
 
@@ -365,7 +366,7 @@ def _claims(field: Field, setting: Setting) -> tuple[AbstractClaim, ...]:
         for k, (row, name) in enumerate(zip(rows, order, strict=False))
     ]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
-        raise ValueError(
+        raise InputError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "
             "was saved, or certify again"
         )

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.certificates.base._contraction import StateMetric
 from covariant.lowering import Lowered, lower
@@ -117,7 +118,7 @@ def need_steady(what: str, error_system: ErrorSystem, domain: Box) -> None:
         return jnp.concatenate([jnp.ravel(part) for part in pieces])
 
     if entries_read(parts, jnp.zeros(())):
-        raise ValueError(
+        raise InputError(
             f"{what}: the flow or the metric depends on time, and the statement would be about one instant; make time "
             "a variable of the box, or leave it out"
         )

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.certificates.base._intrinsic import configuration_shape, entries_read
 from covariant.lowering import Conditions, enclose, expand, lower
 from covariant.models import MechanicalSystem, applied_force, input_count
@@ -52,7 +53,7 @@ def force_bounds(
     enclosure = enclose(lowered, region.low[None], region.high[None])
     bounds = np.concatenate([enclosure.low, enclosure.high])
     if not np.isfinite(bounds).all():
-        raise ValueError(f"the force of the model has no bound over {places}; make the box smaller")
+        raise InputError(f"the force of the model has no bound over {places}; make the box smaller")
     return bounds
 
 
@@ -78,7 +79,7 @@ def force_slopes(
     # The derivatives are listed step by step; transposed, the rows are those of the force.
     bounds = np.maximum(np.abs(enclosure.low), np.abs(enclosure.high))[0, n:].reshape(n, n).T
     if not np.isfinite(bounds).all():
-        raise ValueError(f"the slope of the model's force has no bound over {places}; make the box smaller")
+        raise InputError(f"the slope of the model's force has no bound over {places}; make the box smaller")
     return bounds
 
 
@@ -101,4 +102,4 @@ def _force_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float
 def _need_conditions(what: str, conditions: Conditions, domain: Box) -> None:
     reason = show_conditions(conditions, domain)
     if reason:
-        raise ValueError(f"{what} everywhere in the region: {reason}")
+        raise InputError(f"{what} everywhere in the region: {reason}")

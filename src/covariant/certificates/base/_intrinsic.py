@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Vector
 from covariant.certificates.base._contraction import StateMetric
 from covariant.certificates.base._error_system import ErrorSystem, Point, entries_read
@@ -75,10 +76,10 @@ def error_system(observer: Intrinsics, q: TwoByTwo, joint_friction: bool = False
     if space.manifold.commuting:
         return _in_coordinates(observer, q, joint_friction)
     if joint_friction:
-        raise ValueError("friction as variables of its own needs coordinates")
+        raise InputError("friction as variables of its own needs coordinates")
     if isinstance(space.manifold, AbstractGroup) and isinstance(observer, Intrinsic):
         return _in_the_body(observer, q)
-    raise ValueError(
+    raise InputError(
         "a region is a box of coordinates, or for Intrinsic of velocities alone on a group; "
         f"{type(observer).__name__} on {space.manifold} is not covered"
     )
@@ -207,7 +208,7 @@ def with_model(observer: Any, model: MechanicalSystem) -> Any:
 def dimension(model: MechanicalSystem) -> int:
     """Return the number of coordinates of a model, which must have names."""
     if not model.coordinates:
-        raise ValueError("the model must name its coordinates, so that a region can; give Lagrangian(coordinates=...)")
+        raise InputError("the model must name its coordinates, so that a region can; give Lagrangian(coordinates=...)")
     return len(model.coordinates)
 
 
@@ -236,7 +237,7 @@ def need_steady_friction(model: MechanicalSystem) -> None:
             else "; a servo with a `limit`, a `switch` or friction by `load` has another: leave these out of [servo], "
             "and the proof is about the machine while it stays within its limits and switched on"
         )
-        raise ValueError(
+        raise InputError(
             f"the dissipation of this model depends on {', '.join(dependences)}; only friction of position and "
             f"velocity is covered by a proof{remedy}"
         )
@@ -253,13 +254,13 @@ def need_joint_friction(model: MechanicalSystem) -> None:
     q = any_configuration(model)
     friction = functools.partial(friction_of, model)
     if any(i < q.size for i in entries_read(friction, q, jnp.zeros(n))):
-        raise ValueError(
+        raise InputError(
             "the friction of this model depends on the position; covered here is friction of the velocity alone"
         )
     expansion = expand(lower(functools.partial(friction, q), jnp.zeros(n)), range(n), 1)
     slopes = expansion.nodes()[1].reshape(n, n)
     if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
-        raise ValueError(
+        raise InputError(
             "the friction of this model couples joints; covered here is friction that acts in each joint by its own "
             "velocity"
         )
@@ -271,13 +272,13 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
     Errors must be below half a turn, in each circle, and in each rotation at the farthest corner of the box.
     """
     if isinstance(observer, Geodesic):
-        raise ValueError(
+        raise InputError(
             "the exact observer searches its geodesic, and that it finds the shortest one is not proved; certify the "
             "approximate one, Intrinsic"
         )
     model = observer.model
     if model.manifold.rotations is None:
-        raise ValueError(
+        raise InputError(
             f"how far the logarithm of {type(model.manifold).__name__} is unique is not known; no proof there"
         )
     for turn in model.manifold.rotations:
@@ -285,7 +286,7 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
         farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
         if not farthest < math.pi * (1 - 1e-12):
             names = model.coordinates or model.velocities
-            raise ValueError(
+            raise InputError(
                 f"the error of {', '.join(names[i] for i in turn)} must be below π, at the farthest corner of its box; "
                 f"it is up to {farthest:g} there"
             )
@@ -306,7 +307,7 @@ def observer_document(observer: Intrinsics) -> dict[str, Any]:
         if field.name in OBSERVERS[kind]:
             content[field.name] = value
         elif field.name not in ("model", "alpha", "beta", "substeps") and value != field.default:
-            raise ValueError(f"an observer with {field.name} = {value!r} cannot be written into a certificate")
+            raise InputError(f"an observer with {field.name} = {value!r} cannot be written into a certificate")
     return content
 
 

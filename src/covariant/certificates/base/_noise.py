@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.certificates.base._tangent_metric import TwoByTwo, check_q, rate_of
 
@@ -30,7 +31,7 @@ def steady_distance(rate: float, disturbance: float) -> float:
         0.05
     """
     if not rate > 0:
-        raise ValueError(f"a bound needs a positive rate; got {rate:g}")
+        raise InputError(f"a bound needs a positive rate; got {rate:g}")
     # d' ≤ −(λ/2) d + D comes to rest at d = 2D/λ.
     return 2 * disturbance / rate
 
@@ -98,11 +99,11 @@ def error_bounds(
     """
     for name, value in (("slope", slope), ("noise", noise)):
         if not (math.isfinite(value) and value >= 0):
-            raise ValueError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
+            raise InputError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
     fastest = rate_of(alpha, beta, q)
     # The tolerance accepts a rate that `rate_of` returned, in spite of rounding.
     if rate > fastest * (1 + 1e-9):
-        raise ValueError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
+        raise InputError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
     distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))
     inverse = np.linalg.inv(check_q("error_bounds", q))
     # ½ vᵀQv ≤ d² bounds an entry of v by d√(2 (Q⁻¹)ᵢᵢ), the half width of this ellipse.

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.certificates.base._error_system import inputs_of
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, ProductManifold
 from covariant.geometry.lie import SE2, SE3, SO2, SO3, SU, MatrixGroup, Product
@@ -35,7 +36,7 @@ def need_no_loops(what: str, space: AbstractSpace) -> None:
     """Refuse the leaf of a machine with closed loops: in a box of its coordinates nearly every loop is open."""
     parts = jax.tree.leaves(space, is_leaf=lambda part: isinstance(part, Leaf))
     if any(isinstance(part, Leaf) for part in parts):
-        raise ValueError(
+        raise InputError(
             f"{what} does not cover closed loops: their coordinates depend on each other, and a statement on a box of "
             "them would be about configurations in which the loops are open; nothing is decided about this machine"
         )
@@ -44,19 +45,19 @@ def need_no_loops(what: str, space: AbstractSpace) -> None:
 def need_known(model: MechanicalSystem) -> None:
     """Refuse systems and manifolds of other classes than those of this library, and circles that are not periodic."""
     if type(model) not in MODELS:
-        raise ValueError(
+        raise InputError(
             "certificates are about a MechanicalSystem, a Lagrangian or a GroupSystem itself; got "
             f"{type(model).__name__}, which may replace what these derive: build one of them from its functions"
         )
     need_no_loops("a certificate", model.space)
     changed = [name for name in IDENTITIES if getattr(type(model.space), name) is not getattr(AbstractSpace, name)]
     if changed:
-        raise ValueError(
+        raise InputError(
             f"the space of this model changes estimates after a step by `{changed[0]}`, which no certificate covers"
         )
     unknown = next((each for each in _all_factors(model.manifold) if type(each) not in MANIFOLDS), None)
     if unknown is not None:
-        raise ValueError(
+        raise InputError(
             "certificates are about the manifolds of this library; that retraction, logarithm and frame of "
             f"{type(unknown).__name__} belong together is not proved"
         )
@@ -103,7 +104,7 @@ def _need_periodic(model: MechanicalSystem) -> None:
             # The inputs of the graphs are the time, and then the coordinates.
             turns, turns_of_conditions = _count_turns(lowered.graph, 1 + circle), _count_turns(graph, 1 + circle)
             if any(turns[i] != 0 for i in lowered.outputs) or any(turns_of_conditions[i] != 0 for i in defined):
-                raise ValueError(
+                raise InputError(
                     f"{model.coordinates[circle]} is called a circle, but the {name} of this model is not shown to be "
                     "the same after a turn: on a circle it may read sines and cosines of whole multiples alone; leave "
                     "a length, or an angle with a spring or a stop, out of the circles"
@@ -146,7 +147,7 @@ def need_symmetry(model: MechanicalSystem) -> None:
         indices = [np.unravel_index(k, origin.shape) for k in range(origin.size) if 1 + k in read]
         labels = ["g" + "".join(str(i + 1) for i in index) for index in indices]
         if labels:
-            raise ValueError(
+            raise InputError(
                 f"the {name} of this model depends on where the body is, on {', '.join(labels)} of its matrix; on a "
                 "group that is not covered: write the system as a Lagrangian in coordinates"
             )
@@ -154,4 +155,4 @@ def need_symmetry(model: MechanicalSystem) -> None:
     expansion = expand(momentum, range(rest.size), 2)
     second = np.ravel(expansion.nodes()[2]).tolist()
     if numbers(momentum, np.zeros(rest.size)).any() or not all(expansion.graph.is_zero(node) for node in second):
-        raise ValueError("the inertia of this model is not a linear map; on a group that is not covered")
+        raise InputError("the inertia of this model is not a linear map; on a group that is not covered")

@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.certificates.base._document import Document
 from covariant.certificates.base._intrinsic import Intrinsics, observer_document
 from covariant.certificates.base._properties import lower_model
@@ -26,14 +27,14 @@ def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | 
     rebuilt = rebuild(recipe)
     if rebuilt is None:
         if parameters := recipe.get("parameters"):
-            raise ValueError(
+            raise InputError(
                 f"recipe: whether {next(iter(parameters))} of {recipe['attribute']} is that of the observer's model is "
                 "not known, since code that a recipe names is not run; give the result of `models.recipe` itself"
             )
         return
     difference = _describe_difference(model, rebuilt)
     if difference:
-        raise ValueError(
+        raise InputError(
             f"recipe: it builds another model than that of the observer: {difference}; give the recipe of this model, "
             "or none"
         )
@@ -47,7 +48,7 @@ def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, An
     for name, value in recipe["parameters"].items() if finished and "attribute" in recipe else ():
         if name not in stated or not np.array_equal(np.asarray(stated[name].value), np.asarray(value)):
             number = f"{np.asarray(stated[name].value).tolist()} of" if name in stated else "not stated by"
-            raise ValueError(
+            raise InputError(
                 f"recipe: {name} is {value} in the recipe, and {number} the model that was given; give the function "
                 "that builds it from these parameters"
             )
@@ -81,20 +82,20 @@ def check_observer(document: Document, observer: Intrinsics) -> None:
     made, saved = observer_document(observer), document.observer
     (alpha, beta), (its_alpha, its_beta) = ([exact(each[key]) for key in ("alpha", "beta")] for each in (saved, made))
     if (alpha, beta) != (its_alpha, its_beta):
-        raise ValueError(
+        raise InputError(
             f"{document.file}: the certificate is for alpha = {alpha}, beta = {beta}; the observer has {its_alpha}, "
             f"{its_beta}; give these as `alpha` and `beta`"
         )
     if different := [key for key in made if made[key] != saved.get(key)]:
         key = different[0]
-        raise ValueError(
+        raise InputError(
             f"{document.file}: the certificate is for {key} = {saved.get(key)!r}, and the observer has {made[key]!r}; "
             "certify this observer"
         )
     try:
         check_recipe(observer.model, document.recipe)
     except ValueError as error:
-        raise ValueError(f"{document.file}: {error}") from error
+        raise InputError(f"{document.file}: {error}") from error
 
 
 def is_same_observer(observer: Any, certified: Any) -> bool:

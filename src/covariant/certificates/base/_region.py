@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from covariant._errors import InputError
 from covariant.certificates.base._force_bounds import force_reads_time
 from covariant.geometry.lie import SO2, SO3
 from covariant.models import MechanicalSystem, input_count
@@ -19,7 +20,7 @@ def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     """Check bounds that must be positive."""
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds > 0).all()):
-        raise ValueError(
+        raise InputError(
             f"certify: {name} must be a positive, finite bound; got {bounds.tolist()}. No contraction holds at all "
             "speeds and errors, so there is no certificate without such a bound"
         )
@@ -30,14 +31,14 @@ def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     """Check bounds that may be zero; arguments and result are those of `positive`."""
     bounds = _amounts(name, value, n)
     if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
-        raise ValueError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
+        raise InputError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
     return bounds
 
 
 def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     amounts = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
     if amounts.shape != (n,):
-        raise ValueError(f"certify: {name} needs one number, or {n} of them; got {amounts.size}")
+        raise InputError(f"certify: {name} needs one number, or {n} of them; got {amounts.size}")
     return amounts.copy()
 
 
@@ -60,7 +61,7 @@ def region_of(
 
 def _coordinates(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
     if position is None:
-        raise ValueError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
+        raise InputError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
     low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
     return Box(model.coordinates, model.units, low, high)
 
@@ -70,7 +71,7 @@ def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
     names = tuple(f"g{i + 1}{j + 1}" for i, j in itertools.product(range(order), repeat=2))
     if position is None:
         if model.manifold not in (SO2, SO3):
-            raise ValueError("certify: on this group position needs bounds of the entries of its matrices (N, N)")
+            raise InputError("certify: on this group position needs bounds of the entries of its matrices (N, N)")
         position = (-np.ones((order, order)), np.ones((order, order)))
     low, high = (np.broadcast_to(np.asarray(side, float), (order, order)).ravel().copy() for side in position)
     return Box(names, ("",) * len(names), low, high)
@@ -80,16 +81,16 @@ def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
     m = input_count(model, n)
     sides = bounds if isinstance(bounds, tuple) else (-np.asarray(bounds, float), np.asarray(bounds, float))
     if len(sides) != 2:
-        raise ValueError(
+        raise InputError(
             f"certify: input as a tuple is a pair of bounds, lower and upper; got {len(sides)} entries; "
             "write a list for one bound of each input"
         )
     try:
         stacked = np.stack([np.broadcast_to(np.asarray(side, float), (m,)) for side in sides])
     except ValueError:
-        raise ValueError(f"certify: input needs one bound, or {m} of them; got {np.size(sides[0])}") from None
+        raise InputError(f"certify: input needs one bound, or {m} of them; got {np.size(sides[0])}") from None
     if not (np.isfinite(stacked).all() and (stacked[0] <= stacked[1]).all()):
-        raise ValueError(f"certify: input must have finite bounds; got {stacked.tolist()}")
+        raise InputError(f"certify: input must have finite bounds; got {stacked.tolist()}")
     return stacked
 
 
@@ -97,7 +98,7 @@ def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -
     """First and last time; if the force does not depend on time, one instant represents all."""
     if times is None:
         if force_reads_time(model, n):
-            raise ValueError(
+            raise InputError(
                 "certify: the force of this model depends on time; give times=(first, last) [s], between which the "
                 "statement is to hold"
             )
@@ -105,7 +106,7 @@ def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -
     try:
         first, last = (float(t) for t in times)
     except (TypeError, ValueError):
-        raise ValueError(f"certify: times needs two instants; got {times!r}") from None
+        raise InputError(f"certify: times needs two instants; got {times!r}") from None
     if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-        raise ValueError(f"certify: times must be finite, the earlier one first; got {first:g} and {last:g}")
+        raise InputError(f"certify: times must be finite, the earlier one first; got {first:g} and {last:g}")
     return first, last

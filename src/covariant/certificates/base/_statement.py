@@ -8,6 +8,8 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 
+from covariant._errors import InputError
+
 Verdict = Literal["holds", "fails", "undecided"]
 Evidence = Literal["proved", "sampled", "claimed", "assumed"]
 
@@ -54,11 +56,11 @@ class Hypothesis:
         for field, kind in (("evidence", Evidence), ("verdict", Verdict)):
             # A verdict is computed from these words, and would ignore an unknown one.
             if (word := getattr(self, field)) not in (known := typing.get_args(kind)):
-                raise ValueError(f"Hypothesis: {field} must be one of {', '.join(known)}; got {word!r}")
+                raise InputError(f"Hypothesis: {field} must be one of {', '.join(known)}; got {word!r}")
         if self.evidence == "proved":
             need_doubles("a proof")
         if self.verdict == "holds" and self.margin is not None and math.isnan(self.margin):
-            raise ValueError(f"Hypothesis: {self.text!r} cannot hold by a margin that is not a number")
+            raise InputError(f"Hypothesis: {self.text!r} cannot hold by a margin that is not a number")
 
     def __str__(self) -> str:
         label = self.evidence if self.verdict == "holds" else self.verdict
@@ -69,7 +71,7 @@ class Hypothesis:
 def need_doubles(what: str) -> None:
     """Refuse to prove in single precision, in which a function is traced with other constants than were written."""
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        raise ValueError(f"{what} needs doubles, and jax_enable_x64 is off; turn it on before the model is made")
+        raise InputError(f"{what} needs doubles, and jax_enable_x64 is off; turn it on before the model is made")
 
 
 class Statement(NamedTuple):

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import MatrixField, Number, Numbers
 from covariant.certificates.base._contraction import StateMetric
 from covariant.certificates.base._properties import need_no_loops
@@ -70,7 +71,7 @@ def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0
     """
     _check_finite("lyapunov", alpha=alpha, beta=beta, rate=rate, weight=weight)
     if weight <= 0:
-        raise ValueError(f"lyapunov: weight must be a positive number; got {weight:g}")
+        raise InputError(f"lyapunov: weight must be a positive number; got {weight:g}")
     return _solutions(alpha, beta, rate, np.array([weight]))[0]
 
 
@@ -80,7 +81,7 @@ def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -
     shifted = error_matrix(alpha, beta) + rate / 2 * np.eye(2)
     if not (np.linalg.eigvals(shifted).real < 0).all():
         slowest = -2 * np.linalg.eigvals(error_matrix(alpha, beta)).real.max()
-        raise ValueError(
+        raise InputError(
             f"gains alpha {alpha:g}, beta {beta:g} shrink squared lengths at {slowest:.4g} 1/s at best; "
             f"ask for a rate below that; got {rate:g}"
         )
@@ -94,7 +95,7 @@ def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -
         np.linalg.cholesky(q)
         if np.isfinite(q).all():
             return q
-    raise ValueError(
+    raise InputError(
         f"gains alpha {alpha:g}, beta {beta:g} at rate {rate:g} 1/s: rounding leaves no positive definite matrix; "
         "ask for a lower rate, or for gains of less different size"
     )
@@ -148,7 +149,7 @@ def conditioning(beta: Number, q: Numbers) -> float:
         1.0
     """
     if not 0 < beta < math.inf:
-        raise ValueError(f"conditioning: beta must be a positive number; got {beta:g}")
+        raise InputError(f"conditioning: beta must be a positive number; got {beta:g}")
     return float(_conditions(beta, check_q("conditioning", q)[None])[0])
 
 
@@ -171,13 +172,13 @@ def check_q(whose: str, q: Any) -> TwoByTwo:
                 np.linalg.cholesky(matrix)
                 return (matrix + matrix.T) / 2
     shown = " ".join(str(q).split())
-    raise ValueError(f"{whose}: q must be a symmetric positive definite matrix (2, 2) of finite numbers; got {shown}")
+    raise InputError(f"{whose}: q must be a symmetric positive definite matrix (2, 2) of finite numbers; got {shown}")
 
 
 def _check_finite(whose: str, **arguments: Number) -> None:
     for name, value in arguments.items():
         if not math.isfinite(value):
-            raise ValueError(f"{whose}: {name} must be a finite number; got {value:g}")
+            raise InputError(f"{whose}: {name} must be a finite number; got {value:g}")
 
 
 def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.certificates.base import (
     AbstractClaim,
     DisturbanceClaim,
@@ -118,7 +119,7 @@ def _leaves(jobs: list[Job]) -> int:
 
 def _need(holds: Any, otherwise: str) -> None:
     if not holds:
-        raise ValueError(otherwise)
+        raise InputError(otherwise)
 
 
 def follows(document: Document, model: Any = None) -> Resolved:
@@ -134,7 +135,7 @@ def follows(document: Document, model: Any = None) -> Resolved:
             return resolved
     except Exception as error:  # the model of a user may fail in any way while it is traced
         kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
-        raise ValueError(f"{document.file}: {kind}{_first_line(error)}") from error
+        raise InputError(f"{document.file}: {kind}{_first_line(error)}") from error
 
 
 def _first_line(error: Exception) -> str:
@@ -300,7 +301,7 @@ class Judge:
             else:
                 show_definite(self.matrix(index), low, high, depth, what, self.until)
         except (ValueError, TypeError, LookupError, ArithmeticError, AttributeError) as error:
-            raise ValueError(f"{self.file}: {_first_line(error)}") from error
+            raise InputError(f"{self.file}: {_first_line(error)}") from error
         return count
 
 
@@ -324,7 +325,7 @@ def _results(resolved: Resolved, jobs: list[Job], processes: int, model: Any) ->
     try:
         pickle.dumps(model)
     except Exception as error:
-        raise ValueError("a model that is shared with processes is given as 'module:attribute'") from error
+        raise InputError("a model that is shared with processes is given as 'module:attribute'") from error
     arguments, context = (resolved.document, model), multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=arguments) as pool:
         yield from pool.map(_work, jobs)

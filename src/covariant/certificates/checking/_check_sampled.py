@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.certificates.base import (
     CorrectionClaim,
     Document,
@@ -133,10 +134,10 @@ def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
         return slice(0, stop)
     oldest = document.sampling.oldest
     if not (low[-1] <= 0 and oldest <= high[-1]):
-        raise ValueError(f"box: it must hold the ages from 0 to {oldest:.6g} s of measurements")
+        raise InputError(f"box: it must hold the ages from 0 to {oldest:.6g} s of measurements")
     entries = 0 if in_coordinates else first_velocity(len(low), len(document.velocity), sampled=True)
     if not ((low[:entries] <= -1).all() and (high[:entries] >= 1).all()):
-        raise ValueError("box: it must hold all entries of rotations, from -1 to 1")
+        raise InputError("box: it must hold all entries of rotations, from -1 to 1")
     return slice(entries, stop)
 
 
@@ -146,13 +147,13 @@ def need_sampled_rate_and_radius(document: Document) -> None:
     rate, radius, loss = document.rate, document.radius, document.loss
     if not loss.allowed(rate):
         slower = f"{loss.rate:.6g} 1/s by the factor of the correction, up to {loss.restart:.6g} of a restart"
-        raise ValueError(f"rate: nothing is left of {rate / 2:.6g} 1/s, less {slower}")
+        raise InputError(f"rate: nothing is left of {rate / 2:.6g} 1/s, less {slower}")
     steps = document.drift
     if not steps < radius:
         count = document.sampling.substeps
         away = f"errors of {count} steps lead {steps:.6g} away, and the radius is {radius:.6g}"
-        raise ValueError(f"sampling.substeps: {away}")
+        raise InputError(f"sampling.substeps: {away}")
     recursion = Recursion.of(document.sampling, document.q, rate, document.given, document.claims)
     if recursion.disturbed and not recursion.keeps(radius):
         farthest = recursion.largest(radius)
-        raise ValueError(f"radius: noise and disturbance lead out of {radius:.6g}, to {farthest:.6g}")
+        raise InputError(f"radius: noise and disturbance lead out of {radius:.6g}, to {farthest:.6g}")

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from covariant._errors import InputError
 from covariant.certificates.base import Document, Hypothesis, Resolved, Statement, contraction_statement
 from covariant.certificates.checking._check import Shown, show, show_found
 
@@ -76,7 +77,7 @@ def check(
     document = shown.resolved.document
     statement = contraction_statement(shown.resolved.stated(), "proved", _checker_hypothesis(shown))
     if statement.verdict != "holds":
-        raise ValueError(f"{document.file}: its claims hold, and the statement does not follow: {statement.claim}")
+        raise InputError(f"{document.file}: its claims hold, and the statement does not follow: {statement.claim}")
     return Checked(statement, document.rate, document.radius, shown.leaves, shown.seconds, model is not None)
 
 

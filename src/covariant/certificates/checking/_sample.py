@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.certificates.base import (
     FORMS,
@@ -71,7 +72,7 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
     """
     start = time.monotonic()
     if count < 1:
-        raise ValueError(f"check_sample: count must be 1 or more, since nothing is confirmed otherwise; got {count}")
+        raise InputError(f"check_sample: count must be 1 or more, since nothing is confirmed otherwise; got {count}")
     flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
     resolved, claims = follows(document, model), document.claims

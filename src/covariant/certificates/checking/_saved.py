@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.certificates.base import (
     OBSERVER_KINDS,
     Document,
@@ -26,14 +27,14 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
     try:
         system = models.from_recipe(document.recipe or {}, model)
     except ValueError as error:
-        raise ValueError(f"recipe: {error}") from error
+        raise InputError(f"recipe: {error}") from error
     fields = dict(document.observer)
     kind, frame = fields.pop("kind"), fields.pop("frame")
     # A file may name any model, so its kind has to be checked here.
     actual = frame_of(system) if isinstance(system, MechanicalSystem) else ""
     if actual != frame:
         described = f"a model in {actual}" if actual else f"a {type(system).__name__}"
-        raise ValueError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
+        raise InputError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
     if model is not None and document.recipe is not None:
         # The statement prints the numbers of the recipe. A model that was given as an object was not built from them.
         finished = models.from_recipe(document.recipe, model) is system

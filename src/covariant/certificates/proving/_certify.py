@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import (
     UNPROVED,
@@ -169,7 +170,7 @@ def certify(
     """
     need_doubles("certify")
     if checker not in CHECKERS:
-        raise ValueError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
+        raise InputError(f"certify: checker must be one of {', '.join(CHECKERS)}; got {checker!r}")
     start = time.monotonic()
     assumed = _check_assumptions(observer, velocity, error, noise, disturbance)
     matrix, target, *slower = metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
@@ -181,11 +182,11 @@ def certify(
         and (assumed.noise.any() or assumed.disturbance.any())
         and not observer.model.manifold.commuting
     ):
-        raise ValueError(
+        raise InputError(
             "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
         )
     if interval is None and (lost or lost_rows != "empty"):
-        raise ValueError("certify: lost samples need interval, the shortest and longest time between two samples")
+        raise InputError("certify: lost samples need interval, the shortest and longest time between two samples")
     region = region_of(observer.model, position, input, times)
     check_recipe(observer.model, recipe)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
@@ -260,7 +261,7 @@ def _check_assumptions(
     speeds, errors = positive("velocity", velocity, n), positive("error", error, n)
     assumed = _Assumed(speeds, errors, amount("noise", noise, n), amount("disturbance", disturbance, n))
     if not (assumed.noise < errors).all():
-        raise ValueError(
+        raise InputError(
             f"certify: noise must be below the error {errors.tolist()}, which includes it; got {assumed.noise.tolist()}"
         )
     check_unique(observer, errors)

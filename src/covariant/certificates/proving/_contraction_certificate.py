@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from covariant._errors import InputError
 from covariant.certificates.base import (
     FORMAT,
     AbstractClaim,
@@ -167,7 +168,7 @@ class ContractionCertificate(NamedTuple):
             ValueError: no tube is proved.
         """
         if self.statement.verdict != "holds":
-            raise ValueError("no tube, since nothing is proved on the region")
+            raise InputError("no tube, since nothing is proved on the region")
         return self.radius * np.sqrt(reach_squares(self.claims))
 
     @property
@@ -209,13 +210,13 @@ class ContractionCertificate(NamedTuple):
                 bound is negative or not a number.
         """
         if self.sampling is None:
-            raise ValueError(
+            raise InputError(
                 "bounds beside every sample need certify(..., interval=...); this one is in continuous time"
             )
         if self.statement.verdict != "holds":
-            raise ValueError("no bound beside every sample, since nothing is proved on the region")
+            raise InputError("no bound beside every sample, since nothing is proved on the region")
         if not self.verified:
-            raise ValueError(
+            raise InputError(
                 "bounded: this certificate was read from a file and is not verified; give load(..., verify=True)"
             )
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
@@ -240,7 +241,7 @@ class ContractionCertificate(NamedTuple):
         elif position is None and velocity is None and np.ndim(radius) == 0 and np.isreal(radius) and radius >= 0:
             first = bound.known(float(radius))
         else:
-            raise ValueError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
+            raise InputError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
         return Bounded(self.observer if observer is None else observer, bound, first, self.observer)
 
     @property
@@ -274,11 +275,11 @@ class ContractionCertificate(NamedTuple):
             ValueError: the model has no recipe, nothing is proved, or the statement was proved wrong.
         """
         if self.recipe is None:
-            raise ValueError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
+            raise InputError("a certificate is saved with its model; give certify(..., recipe=models.recipe(spec))")
         if self.statement.verdict == "undecided" and not len(self.open):
-            raise ValueError(f"nothing is proved that could be saved: {self.statement.claim}")
+            raise InputError(f"nothing is proved that could be saved: {self.statement.claim}")
         if self.counterexample is not None:
-            raise ValueError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
+            raise InputError("the statement is wrong, and a counter-example is printed, not saved; certify another one")
         content = {
             "format": FORMAT,
             "recipe": {"parameters": {}} | self.recipe,

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.certificates.base import any_configuration, friction_of, need_joint_friction
 from covariant.lowering import enclose, expand, lower
 from covariant.models import MechanicalSystem
@@ -52,7 +53,7 @@ def joint_bounds(
     total = np.where(unknown > 0, np.nextafter(total + [[-1.0], [1.0]] * unknown, outward), total)
     bounds = JointBounds(force_bounds, total, slopes)
     if not all(np.isfinite(each).all() for each in bounds):
-        raise ValueError("the force, the friction or its slope has no bound over the velocities; make them smaller")
+        raise InputError("the force, the friction or its slope has no bound over the velocities; make them smaller")
     return bounds
 
 
@@ -97,4 +98,4 @@ def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> 
 
 def _need(what: str, reason: str) -> None:
     if reason:
-        raise ValueError(f"{what} everywhere in the region: {reason}")
+        raise InputError(f"{what} everywhere in the region: {reason}")

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from covariant._errors import InputError
 from covariant.certificates.base import Verdict
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 
@@ -110,11 +111,11 @@ def largest(
         True
     """
     if not (math.isfinite(first) and first > 0 and first >= least):
-        raise ValueError(f"largest: the first value must be a positive number, {least:g} or more; got {first!r}")
+        raise InputError(f"largest: the first value must be a positive number, {least:g} or more; got {first!r}")
     if runs < 1:
-        raise ValueError(f"largest: runs must be 1 or more; got {runs!r}")
+        raise InputError(f"largest: runs must be 1 or more; got {runs!r}")
     if not step > 1:
-        raise ValueError(f"largest: step must be above 1; got {step!r}")
+        raise InputError(f"largest: step must be above 1; got {step!r}")
     best, attempts, value = prove(first), [], first
     attempts.append(_attempt(value, best))
     while len(attempts) < runs:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant.certificates.base import error_matrix
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 from covariant.certificates.theory import Decay, lower_distance, upper_distance
@@ -320,7 +321,7 @@ def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Arr
         if len(ends) >= count:
             start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *batches)
             return start, inputs, ends[:count]
-    raise ValueError("too few motions stay inside the region for a time constant of the gains; take a larger region")
+    raise InputError("too few motions stay inside the region for a time constant of the gains; take a larger region")
 
 
 def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any, float, np.ndarray]:
@@ -339,7 +340,7 @@ def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any,
     travel = np.where(best, np.nan_to_num(np.ptp(v / plant.certificate.velocity, axis=1)).sum(-1), -1.0)
     chosen = int(travel.argmax())
     if lasts[chosen] < 2:
-        raise ValueError("no motion was found that stays inside the region; take a larger one to see its tube")
+        raise InputError("no motion was found that stays inside the region; take a larger one to see its tube")
     until = lasts[chosen]
     ranges = np.concatenate([np.ptp(a[chosen, :until], axis=0) for a in (places, v)])
     return jax.tree.map(lambda a: a[chosen], draws), float(t[until - 1] - t[0]), ranges

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant._typing import Scalar, Vector
 from covariant.certificates.base import Point, Sampling, StateMetric, TwoByTwo, entries_read
 from covariant.geometry import differential
@@ -50,7 +51,7 @@ def body_variables(model: MechanicalSystem) -> BodyVariables:
     """Determine the variables of a region for a system on rotations."""
     manifold = model.manifold
     if manifold not in (SO2, SO3):
-        raise ValueError(
+        raise InputError(
             "a certificate of the sampled step needs coordinates or rotations, SO2 or SO3; systems on "
             f"{type(manifold).__name__} are not covered"
         )

@@ -17,6 +17,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.certificates.base import Recursion, is_same_observer
 from covariant.models import MechanicalSystem
@@ -186,7 +187,7 @@ class SampledBound(eqx.Module):
             errors, valid = np.zeros(0), False
         if not valid:
             n = len(self.velocity)
-            raise ValueError(
+            raise InputError(
                 f"bounded: bounds of initial errors must be numbers ≥ 0, one or {n} of positions and of velocities; "
                 f"got {position} and {velocity}"
             )
@@ -354,11 +355,11 @@ class Bounded(AbstractWrapper):
 
     def __check_init__(self):
         if not runs(self.observer, self.certified):
-            raise ValueError(
+            raise InputError(
                 "bounded: the observer is not the one of the certificate, nor that one behind a gate; certify it"
             )
         if not isinstance(self.first_radius, Tracer) and not np.all(np.asarray(self.first_radius) >= 0):
-            raise ValueError(f"bounded: the first radius must be a number ≥ 0; got {self.first_radius}")
+            raise InputError(f"bounded: the first radius must be a number ≥ 0; got {self.first_radius}")
 
     @property
     def fixed_numbers(self) -> bool:
@@ -418,7 +419,7 @@ def _need_doubles(state: BoundedState) -> None:
 
 def _need_double(number: Array) -> None:
     if number.dtype != np.float64:
-        raise ValueError(
+        raise InputError(
             f"Bounded: the proof is about doubles, and here is a {number.dtype}; give the measurement as float64, "
             "with jax_enable_x64 on"
         )

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import (
     MOST_LOST,
@@ -83,11 +84,11 @@ def check_sampling(
         raise TypeError(f"certify: interval is for Intrinsic alone; got {type(observer).__name__}")
     shortest, longest = check_interval(interval, lost, lost_rows)
     if q is not None:
-        raise ValueError("certify: with interval the metric is searched; leave q out")
+        raise InputError("certify: with interval the metric is searched; leave q out")
     # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
     most = (len(LETTERS) - 1) // 6
     if n > most:
-        raise ValueError(f"certify: with interval at most {most} coordinates are covered; got {n}")
+        raise InputError(f"certify: with interval at most {most} coordinates are covered; got {n}")
     ends = np.array([shortest * (1 - STAMP_MARGIN), longest * (1 + STAMP_MARGIN)])
     return Sampling(ends, lost, np.zeros((0, 2, 2)), False, observer.substeps, lost_rows == "missing")
 
@@ -97,15 +98,15 @@ def check_interval(interval: tuple[float, float], lost: int, lost_rows: LostRows
     try:
         shortest, longest = (float(h) for h in interval)
     except (TypeError, ValueError):
-        raise ValueError(f"certify: interval needs two times [s]; got {interval!r}") from None
+        raise InputError(f"certify: interval needs two times [s]; got {interval!r}") from None
     if not 0 < shortest <= longest < math.inf:
-        raise ValueError(
+        raise InputError(
             f"certify: interval must be positive times [s], the shorter one first; got {shortest:g} and {longest:g}"
         )
     if not isinstance(lost, int | np.integer) or not 0 <= lost <= MOST_LOST:
-        raise ValueError(f"certify: lost must be a whole number from 0 to {MOST_LOST}; got {lost}")
+        raise InputError(f"certify: lost must be a whole number from 0 to {MOST_LOST}; got {lost}")
     if lost_rows not in LOST_ROWS:
-        raise ValueError(f"certify: lost_rows must be one of {', '.join(LOST_ROWS)}; got {lost_rows!r}")
+        raise InputError(f"certify: lost_rows must be one of {', '.join(LOST_ROWS)}; got {lost_rows!r}")
     return shortest, longest
 
 

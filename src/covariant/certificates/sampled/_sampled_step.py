@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant.certificates.base import (
     ErrorSystem,
     Intrinsics,
@@ -197,7 +198,7 @@ def _check_forces(model: MechanicalSystem, n: int) -> None:
     names = model.coordinates or [f"entry {i + 1} of the configuration" for i in range(q.size)]
     reads = ["time"] * (0 in read) + [name for i, name in enumerate(names) if 1 + i in read]
     if reads:
-        raise ValueError(
+        raise InputError(
             f"the force of this model depends on {', '.join(reads)}; a certificate of the sampled step covers forces "
             "of the input alone"
         )

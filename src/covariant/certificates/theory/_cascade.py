@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant.certificates.base import (
     ErrorSystem,
     Evidence,
@@ -306,7 +307,7 @@ def _check_same_bounds(*boxes: Box) -> None:
         for name, low, high in zip(box.names, box.low.tolist(), box.high.tolist(), strict=True):
             if known.setdefault(name, (low, high)) != (low, high):
                 first = known[name]
-                raise ValueError(
+                raise InputError(
                     f"cascade: {name} is in [{first[0]:g}, {first[1]:g}] in one box and in [{low:g}, {high:g}] in "
                     "another; give it the same bounds in all of them"
                 )

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._adaptive import solve
+from covariant._errors import InputError
 from covariant._linalg import solve as solve_linear
 from covariant._typing import Scalar, Vector
 from covariant.certificates.base import Flow, Hypothesis, Statement, StateMetric
@@ -215,23 +216,23 @@ def decay(
     """
     stamps = np.asarray(t, float)
     if np.ndim(x0) != 2 or np.shape(x0) != np.shape(x1) or not len(x0):
-        raise ValueError(f"decay needs pairs x0 and x1 (k, n), at least one; got {np.shape(x0)} and {np.shape(x1)}")
+        raise InputError(f"decay needs pairs x0 and x1 (k, n), at least one; got {np.shape(x0)} and {np.shape(x1)}")
     if stamps.ndim != 1 or len(stamps) < 2 or not (np.diff(stamps) > 0).all():
-        raise ValueError("decay needs at least two stamps t [s], each later than the one before")
+        raise InputError("decay needs at least two stamps t [s], each later than the one before")
     check_rounding(stamps, jnp.asarray(t).dtype)
     if not np.isfinite(rate):
-        raise ValueError(f"decay: the rate must be a finite number; got {rate}")
+        raise InputError(f"decay: the rate must be a finite number; got {rate}")
     low, high, least = (np.asarray(a) for a in _bound_distances(flow, metric, x0, x1, t))
     if np.isfinite(high).all() and not (least > 0).all():
         k = int((~(least > 0).all(axis=1)).argmax())
-        raise ValueError(
+        raise InputError(
             f"decay: the metric is not positive definite along pair {k + 1}, so that it measures no distance"
         )
     if not np.isfinite(high).all():
-        raise ValueError("a solution leaves every bound before the last stamp; there is no distance to measure")
+        raise InputError("a solution leaves every bound before the last stamp; there is no distance to measure")
     if not (high[:, 0] > 0).all():
         k = int((~(high[:, 0] > 0)).argmax())
-        raise ValueError(f"decay: pair {k + 1} has no positive distance at first; its states must differ")
+        raise InputError(f"decay: pair {k + 1} has no positive distance at first; its states must differ")
     # Half the rate: λ is that of squared lengths.
     shrink = np.exp(-rate / 2 * (np.asarray(t) - float(t[0])))
     return Decay(np.asarray(t), low, high, high[:, :1] * shrink)

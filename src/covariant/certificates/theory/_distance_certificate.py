@@ -22,6 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from covariant._errors import InputError
 from covariant.certificates.base import (
     ANALYTIC,
     PERIODIC,
@@ -144,7 +145,7 @@ def certify_distance(
     model = observer.model
     need_known(model)
     if not model.manifold.commuting or dimension(model) != 2:
-        raise ValueError(
+        raise InputError(
             "certify_distance needs a model of two coordinates; one alone has part_limits, at any distance"
         )
     need_doubles("certify_distance")
@@ -153,7 +154,7 @@ def certify_distance(
     region = region_of(model, position, input, None)
     speeds, errors = positive("velocity", velocity, 2), amount("error", error, 2)
     if velocity_error == 0 and not errors.any():
-        raise ValueError(
+        raise InputError(
             "certify_distance: error and velocity_error are both 0, so that no error is there to fall; give one of them"
         )
     known = _Model.of(model, region.true._replace(units=model.units or ("", "")), region.inputs)
@@ -223,7 +224,7 @@ def _need_no_friction(model: MechanicalSystem) -> None:
         lambda t, q, v, u: resistance(model, t, q, v, u), jnp.zeros(()), q, q, jnp.zeros(model.inputs or 2), real=True
     )
     if not all(lowered.graph.is_zero(i) for i in lowered.outputs):
-        raise ValueError("certify_distance: the model has friction, which is not covered; leave it out of the model")
+        raise InputError("certify_distance: the model has friction, which is not covered; leave it out of the model")
 
 
 class _Model(NamedTuple):

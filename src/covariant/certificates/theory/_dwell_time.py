@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Number, Vector
 from covariant.certificates.base import Hypothesis, Statement
 from covariant.geometry import Leaf
@@ -123,7 +124,7 @@ def dwell_time(growth: JumpGrowth, alpha: float, beta: float, flight: float, sta
         ('holds (sampled)', 2.97)
     """
     if not 0 < alpha**2 / 4 < beta:
-        raise ValueError(f"dwell_time: beta must be more than alpha²/4 = {alpha**2 / 4:g} 1/s²; got {beta:g}")
+        raise InputError(f"dwell_time: beta must be more than alpha²/4 = {alpha**2 / 4:g} 1/s²; got {beta:g}")
     worst = np.max(growth.touch_down), np.max(growth.lift_off)
     gained = alpha / 2 * (flight + stance)
     margin = float(gained - np.log(worst).sum())

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.certificates.base import ErrorSystem, Hypothesis, Statement, length_change, need_steady
 from covariant.lowering import Lowered, expand, numbers
 from covariant.proofs import Box, check_box
@@ -60,12 +61,12 @@ def falsify(
     check_box(domain)
     # Without a single point the verdict would be "holds".
     if attempts < 1 or starts < 0 or math.isnan(rate):
-        raise ValueError(
+        raise InputError(
             "falsify: attempts must be 1 or more, starts 0 or more, and the rate a number; got "
             f"{attempts}, {starts}, {rate}"
         )
     if not (domain.low < domain.high).any():
-        raise ValueError("falsify: the domain is a single point; give bounds that differ")
+        raise InputError("falsify: the domain is a single point; give bounds that differ")
     need_steady("falsify", error_system, domain)
     matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel())
     value = matrices.graph(jnp.asarray(domain.low)).entries
@@ -101,7 +102,7 @@ def _rates(entries: Float[np.ndarray, "B e"]) -> _Rates:
     # `eigh` sorts in ascending order: the last eigenvalue belongs to the vector that decreases most slowly.
     vector = (np.swapaxes(half, 1, 2) @ vectors[:, :, -1:])[:, :, 0]
     if np.isnan(values).any():
-        raise ValueError("falsify: the rate is not a number somewhere in the region; make it smaller")
+        raise InputError("falsify: the rate is not a number somewhere in the region; make it smaller")
     return _Rates(-values[:, -1], vector)
 
 

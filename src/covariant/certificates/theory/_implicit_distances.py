@@ -35,6 +35,7 @@ Source: an addition. Sanfelice & Praly 2015, section I, for distances in place o
 import math
 from typing import NamedTuple
 
+from covariant._errors import InputError
 from covariant.certificates.theory._implicit_limits import check_limits, weight_of
 
 
@@ -207,7 +208,7 @@ def _check(h: float, part: float, sigma: float, bounds: DistanceBounds) -> None:
     sizes = bounds.speed, bounds.error, bounds.velocity_error, bounds.riemann or 0.0
     numbers = all(math.isfinite(size) and size >= 0 for size in sizes) and all(map(math.isfinite, bounds.curvature))
     if not (numbers and bounds.curvature[0] <= bounds.curvature[1] and bounds.injectivity > 0 and 0 < part <= 1):
-        raise ValueError(
+        raise InputError(
             "distance_decay: needs finite speeds, errors and riemann, zero or more, finite curvatures in order, a "
             f"positive injectivity, and a part in (0, 1]; got {bounds} and part = {part}"
         )

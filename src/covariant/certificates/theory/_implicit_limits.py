@@ -29,6 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
+
 
 class CurvedErrors(NamedTuple):
     """Bounds of the errors, and of the curvature where they are.
@@ -267,7 +269,7 @@ def part_limits(
     check_limits("part_limits", sigma, k_minus, k_plus, rate, friction, h)
     weight = weight_of(sigma, rate, (k_minus, k_plus), friction)
     if h >= weight.longest():
-        raise ValueError(
+        raise InputError(
             f"part_limits: h must be below {weight.longest():.4g} s at this σ and rate; got {h} s. Sample faster, or "
             "choose another sigma or a smaller rate"
         )
@@ -428,7 +430,7 @@ def _correction(part: float, sigma: float, errors: CurvedErrors) -> tuple[float,
     d, curvature, riemann, speed = errors
     x = math.sqrt(max(curvature, 0.0)) * d
     if not (0 <= part <= 1 and x < math.pi):
-        raise ValueError(
+        raise InputError(
             f"proved_decay: on a curved space the part must be in [0, 1] and the distance below π/√κ; got {part}, {d}"
         )
     if x < 1e-4:  # the series of what follows
@@ -446,7 +448,7 @@ def check_limits(
     numbers = (sigma, k_minus, k_plus, rate, *friction, h)
     fine = np.isfinite(numbers).all() and h > 0 and 0 <= rate < sigma
     if not (fine and k_minus <= k_plus and friction[0] <= friction[1] <= 0):
-        raise ValueError(
+        raise InputError(
             f"{whose}: needs finite numbers, h > 0, 0 ≤ rate < sigma, k_minus ≤ k_plus and friction (low, high) ≤ 0; "
             f"got h = {h}, sigma = {sigma}, rate = {rate}, k = ({k_minus}, {k_plus}), friction = {friction}"
         )

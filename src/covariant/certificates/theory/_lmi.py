@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant._typing import Numbers
 from covariant.certificates.base import Hypothesis, Statement
@@ -111,20 +112,20 @@ def _stack(name: str, matrices: Numbers, beside: np.ndarray | None) -> np.ndarra
     )
     if wrong:
         needed = "(k, n, n)" if beside is None else f"({beside.shape[0]}, p, {beside.shape[2]})"
-        raise ValueError(f"{name} must have the shape {needed}; it has {np.shape(matrices)}")
+        raise InputError(f"{name} must have the shape {needed}; it has {np.shape(matrices)}")
     if not np.isfinite(stack).all():
-        raise ValueError(f"{name} must be finite")
+        raise InputError(f"{name} must be finite")
     return stack
 
 
 def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricDesign:
     if not math.isfinite(rate):
-        raise ValueError(f"the rate must be a finite number; got {rate}")
+        raise InputError(f"the rate must be a finite number; got {rate}")
     slack = SLACK * max(abs(rate), *(float(np.linalg.norm(each, 2)) for each in f))
     # First at a slightly higher rate, so that the statement at `rate` survives the solver's rounding.
     solution = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
     if solution is None:
-        raise ValueError(
+        raise InputError(
             f"no constant metric makes all {len(f)} Jacobians contract at {rate:g} 1/s; lower the rate or the set"
         )
     m, k, conditioning = solution

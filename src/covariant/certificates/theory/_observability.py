@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
 from covariant.certificates.base import Hypothesis, Statement, lowered_christoffel, show_no_jumps
@@ -220,9 +221,9 @@ def observability(
     """
     points = np.asarray(points, float)
     if points.ndim != 2 or not len(points):
-        raise ValueError(f"observability needs states `points` (k, n), at least one; got {points.shape}")
+        raise InputError(f"observability needs states `points` (k, n), at least one; got {points.shape}")
     if not np.isfinite(points).all():
-        raise ValueError("observability: the points must be finite numbers")
+        raise InputError("observability: the points must be finite numbers")
     _check_premises(model, metric, points, u)
     sampled = _sample_conditions(model, metric, points, u)
     premises = (
@@ -287,7 +288,7 @@ def _sample_conditions(model: StateSpace, metric: MatrixField, points: np.ndarra
     sampled = _Sampled(points, *(np.asarray(a) for a in values))
     for name, numbers in (("contraction rate", sampled.rates), ("bending", sampled.bends)):
         if np.isnan(numbers).any():
-            raise ValueError(f"the {name} is not a number at {_text(points[int(np.isnan(numbers).argmax())])}")
+            raise InputError(f"the {name} is not a number at {_text(points[int(np.isnan(numbers).argmax())])}")
     return sampled
 
 
@@ -348,12 +349,12 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
     if dependent.any() and np.isfinite(sizes).all():
         k = int(dependent.argmax())
         rank = int((sizes[k] > DEPENDENT * sizes[k, 0]).sum())
-        raise ValueError(
+        raise InputError(
             f"observability: the {outputs} outputs see only {rank} directions at {_text(points[k])}; leave out "
             "outputs that follow from others"
         )
     if not (least > 0).all():  # NaN is no metric either
-        raise ValueError(f"the metric is not positive definite at {_text(points[int((~(least > 0)).argmax())])}")
+        raise InputError(f"the metric is not positive definite at {_text(points[int((~(least > 0)).argmax())])}")
 
 
 def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hypothesis:

@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant.certificates.base import Hypothesis, Statement
 from covariant.certificates.theory._lmi import observer_gain
 from covariant.lowering import Lowered, enclose, lower
@@ -86,7 +87,7 @@ class ReducedOrderDesign(NamedTuple):
     def direction(self) -> Float[np.ndarray, "n p"]:
         """[I; L] (n, p) in the order of the states: how a difference of the outputs corrects them."""
         if self.injection is None:
-            raise ValueError(f"there is no reduced-order observer: {self.statement.claim} {self.statement.short}")
+            raise InputError(f"there is no reduced-order observer: {self.statement.claim} {self.statement.short}")
         both = np.zeros((len(self.measured) + len(self.unmeasured), len(self.measured)))
         both[list(self.measured)], both[list(self.unmeasured)] = np.eye(len(self.measured)), self.injection
         return both
@@ -134,7 +135,7 @@ def reduced_order(
         'holds (proved)'
     """
     if not (math.isfinite(rate) and rate > 0):
-        raise ValueError(f"reduced_order: rate must be a positive number; got {rate}")
+        raise InputError(f"reduced_order: rate must be a positive number; got {rate}")
     split = _Split.of(model, box, inputs)
     # What the inequality depends on, and whether f is defined and without jumps, has the values as its source.
     used = split.used()
@@ -151,7 +152,7 @@ def reduced_order(
             break
         points = [*points, proof.counterexample.mean(axis=0)]
     else:
-        raise ValueError(f"reduced_order: after {ROUNDS} counterexamples there is still one; make the box smaller")
+        raise InputError(f"reduced_order: after {ROUNDS} counterexamples there is still one; make the box smaller")
     statement = _statement(split, injection, metric, rate, proof, everywhere)
     design = ReducedOrderDesign(model, split.measured, split.unmeasured, injection, metric, everywhere, statement)
     return _with_gain(design, split, points, rate / 2, boxes) if full and statement.verdict == "holds" else design
@@ -173,16 +174,16 @@ class _Split(NamedTuple):
     def of(cls, model: StateSpace, box: Sequence | None, inputs: Sequence | None) -> "_Split":
         n = len(model.coordinates)
         if not n:
-            raise ValueError("reduced_order: the model has no names of its states; give its coordinates")
+            raise InputError("reduced_order: the model has no names of its states; give its coordinates")
         sides = np.asarray(model.box if box is None else box, float)
         if sides.shape != (n, 2):
-            raise ValueError(f"reduced_order: box must have bounds for each of {n} states; its shape is {sides.shape}")
+            raise InputError(f"reduced_order: box must have bounds for each of {n} states; its shape is {sides.shape}")
         given = np.zeros((model.inputs, 2)) if inputs is None else np.asarray(inputs, float).reshape(-1, 2)
         if given.shape != (model.inputs, 2):
-            raise ValueError(f"reduced_order: inputs must have bounds for each of {model.inputs}; got {given.shape[0]}")
+            raise InputError(f"reduced_order: inputs must have bounds for each of {model.inputs}; got {given.shape[0]}")
         bounds = np.concatenate([sides, given])
         if not np.isfinite(bounds).all() or (bounds[:, 0] > bounds[:, 1]).any():
-            raise ValueError("reduced_order: bounds must be finite, the lower one first")
+            raise InputError("reduced_order: bounds must be finite, the lower one first")
         f = jax.jit(model.f)  # traced once, so that all graphs are of one function, even where f changes with each call
         x, u = jnp.asarray(sides.mean(axis=1)), jnp.asarray(given.mean(axis=1))
         outputs = lower(model.h, jnp.zeros(()), x, u)
@@ -190,12 +191,12 @@ class _Split(NamedTuple):
         # Inputs of the graph are the time, the states, and the inputs of the model.
         at = [int(node.value) - 1 if node.op == "input" and node.value is not None else -1 for node in read]
         if not all(0 <= i < n for i in at) or len(set(at)) < len(at):
-            raise ValueError("reduced_order: each output must be a state of its own; change the coordinates")
+            raise InputError("reduced_order: each output must be a state of its own; change the coordinates")
         if 0 in _inputs_of(lower(f, jnp.zeros(()), x, u)):
-            raise ValueError("reduced_order: the model depends on time; give a system that does not")
+            raise InputError("reduced_order: the model depends on time; give a system that does not")
         rest = tuple(i for i in range(n) if i not in at)
         if not rest:
-            raise ValueError("reduced_order: all states are measured; there is nothing to estimate")
+            raise InputError("reduced_order: all states are measured; there is nothing to estimate")
         names = (*model.coordinates, *(f"u{i + 1}" for i in range(model.inputs)))
         units = (*("" if unit == "1" else unit for unit in model.units or ("",) * n), *("",) * model.inputs)
         return cls(model, f, tuple(at), rest, names, units, bounds[:, 0], bounds[:, 1])
@@ -340,7 +341,7 @@ def _impossible(split: _Split, points: Sequence[np.ndarray], slopes: np.ndarray,
             if best is None or value.real > best[0]:
                 best = float(value.real), point, vector.real
     if best is None:
-        raise ValueError(
+        raise InputError(
             f"no constant injection and metric make a reduced-order observer contract at {rate:g} 1/s at the "
             f"{len(points)} states that were tried, and none of them shows why; lower the rate or make the box smaller"
         )

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import ErrorSystem, Point, StateMetric, in_coordinates
 from covariant.observers import Contracting
@@ -49,7 +50,7 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> ErrorSyste
     """
     model = observer.model
     if not model.coordinates:
-        raise ValueError("the model's states need names: StateSpace(..., coordinates=...)")
+        raise InputError("the model's states need names: StateSpace(..., coordinates=...)")
     n, m, p = len(model.coordinates), model.inputs, len(model.outputs)
     field = metric if callable(metric) else lambda z, x: jnp.asarray(np.asarray(metric), x.dtype)
     ends = (n, n + m, n + m + p)

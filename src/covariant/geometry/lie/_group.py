@@ -17,6 +17,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Inexact
 
+from covariant._errors import InputError
 from covariant._linalg import traced_once
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry._manifold import AbstractManifold
@@ -325,5 +326,5 @@ class AbstractGroup(AbstractManifold):
         valid = self.admitted(super().checked(y))
         # Numbers of a traced array are unknown: there NaN reports the error, as `AbstractManifold.checked` says.
         if not isinstance(valid, Tracer) and np.isnan(valid).any():
-            raise ValueError("the configuration is not an element of the group; pass rotations as matrices")
+            raise InputError("the configuration is not an element of the group; pass rotations as matrices")
         return valid

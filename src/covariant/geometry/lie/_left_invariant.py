@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Element, Matrix, Vector
 from covariant.geometry._space import AbstractSpace
@@ -77,15 +78,15 @@ class Inertia(AbstractInertia):
         matrix = jnp.asarray(matrix)
         self.matrix = matrix if jnp.issubdtype(matrix.dtype, jnp.floating) else matrix.astype(float)
         if self.matrix.ndim != 2 or self.matrix.shape[0] != self.matrix.shape[1]:
-            raise ValueError(f"inertia: the matrix must have shape (n, n); got {self.matrix.shape}")
+            raise InputError(f"inertia: the matrix must have shape (n, n); got {self.matrix.shape}")
         if not isinstance(self.matrix, Tracer):
             values = np.asarray(self.matrix)
             # `not … <=`, so that a NaN is refused too.
             if not np.abs(values - values.T).max() <= 1e-6 * np.abs(values).max():
-                raise ValueError("inertia: the matrix is not symmetric")
+                raise InputError("inertia: the matrix is not symmetric")
             least = float(np.linalg.eigvalsh(values)[0])
             if not least > 0:
-                raise ValueError(f"inertia: the matrix must be positive definite; its least eigenvalue is {least:.3g}")
+                raise InputError(f"inertia: the matrix must be positive definite; its least eigenvalue is {least:.3g}")
         # In NumPy where the numbers are known: compiling a JAX program for each of the many small steps takes a second.
         inverse = _inverse(self.matrix) if isinstance(self.matrix, Tracer) else np.linalg.inv(np.asarray(self.matrix))
         # The inverse is symmetric and its rounding is not; then `raise_` is self-adjoint as `lower` is.
@@ -137,7 +138,7 @@ class LeftInvariant(AbstractSpace):
         self.inertia = inertia if isinstance(inertia, AbstractInertia) else Inertia(inertia)
         n = group.dimension
         if isinstance(self.inertia, Inertia) and self.inertia.matrix.shape != (n, n):
-            raise ValueError(f"inertia: the group needs a matrix ({n}, {n}); got {self.inertia.matrix.shape}")
+            raise InputError(f"inertia: the group needs a matrix ({n}, {n}); got {self.inertia.matrix.shape}")
 
     @property
     def manifold(self) -> AbstractGroup:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._linalg import at_places
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry.lie._group import AbstractGroup
@@ -53,7 +54,7 @@ class SU(AbstractGroup):
 
     def __check_init__(self):
         if not isinstance(self.n, int) or self.n < 2:
-            raise ValueError(f"SU(n) needs an integer n of 2 or more; got {self.n!r}")
+            raise InputError(f"SU(n) needs an integer n of 2 or more; got {self.n!r}")
 
     @property
     def dimension(self) -> int:
@@ -136,11 +137,11 @@ class MatrixGroup(AbstractGroup):
         array = np.asarray(basis)
         basis = array.astype(complex if np.iscomplexobj(array) else float)
         if basis.ndim != 3 or basis.shape[1] != basis.shape[2] or not len(basis):
-            raise ValueError(f"MatrixGroup: the basis must have shape (n, N, N); got {basis.shape}")
+            raise InputError(f"MatrixGroup: the basis must have shape (n, N, N); got {basis.shape}")
         # Real and imaginary parts side by side: the algebra is a real vector space also where matrices are complex.
         flat = np.concatenate([part.reshape(len(basis), -1) for part in (np.real(basis), np.imag(basis))], axis=1)
         if np.linalg.matrix_rank(flat) < len(basis):
-            raise ValueError(f"MatrixGroup: the {len(basis)} matrices of the basis are linearly dependent")
+            raise InputError(f"MatrixGroup: the {len(basis)} matrices of the basis are linearly dependent")
         dual = np.linalg.pinv(flat).T
         real, imaginary = np.split(dual, 2, axis=1)
         products = np.einsum("iab,jbc->ijac", basis, basis)
@@ -152,11 +153,11 @@ class MatrixGroup(AbstractGroup):
         accuracy = np.finfo(array.dtype if np.issubdtype(array.dtype, np.inexact) else float).eps ** 0.5
         scale = accuracy * max(1.0, float(np.abs(brackets).max()))
         if np.abs(constants @ flat - flat_brackets).max() > scale:
-            raise ValueError("MatrixGroup: the basis is not closed under the commutator, so it spans no algebra")
+            raise InputError("MatrixGroup: the basis is not closed under the commutator, so it spans no algebra")
         if structure is not None and (
             np.shape(structure) != constants.shape or np.abs(structure - constants).max() > scale
         ):
-            raise ValueError("MatrixGroup: the structure constants C[i, j, k] are not those of the basis")
+            raise InputError("MatrixGroup: the structure constants C[i, j, k] are not those of the basis")
         self.basis = jnp.asarray(basis)
         self.dual = jnp.asarray((real + 1j * imaginary if np.iscomplexobj(basis) else real).reshape(basis.shape))
         self.structure = None if structure is None else jnp.asarray(structure, float)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry._manifold import split
 from covariant.geometry.lie._group import AbstractGroup
@@ -32,7 +33,7 @@ class Product(AbstractGroup):
 
     def __check_init__(self):
         if not self.groups:
-            raise ValueError("Product: give at least one group")
+            raise InputError("Product: give at least one group")
 
     @property
     def factors(self) -> tuple[AbstractGroup, ...]:

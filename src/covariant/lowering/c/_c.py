@@ -7,6 +7,7 @@ digits to identify them.
 from collections.abc import Sequence
 from typing import Literal
 
+from covariant._errors import InputError
 from covariant.lowering.c._c_operations import Words, helpers, literal
 from covariant.lowering.c._c_tables import TablesOnce, TablesThroughout
 from covariant.lowering.c._c_writer import CText, Signature, Writer
@@ -79,10 +80,10 @@ def c_function(
         ("results", chosen.outputs, len(lowered.outputs)),
     ):
         if len(names) != count:
-            raise ValueError(f"{name}: the function has {count} {role}; the signature names {len(names)}")
+            raise InputError(f"{name}: the function has {count} {role}; the signature names {len(names)}")
     most = most_statements or (MOST_STATEMENTS if lanes == 1 else MOST_IN_LANES)
     if tables != "none" and lanes > 1:
-        raise ValueError(f"{name}: tables save memory and lanes time; choose one of them")
+        raise InputError(f"{name}: tables save memory and lanes time; choose one of them")
     return WRITERS[tables](lowered, name, chosen, Words(real, prefix, lanes), static, most).written()
 
 

@@ -2,6 +2,8 @@
 
 import re
 
+from covariant._errors import InputError
+
 _C = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while alignas "
@@ -72,8 +74,8 @@ LIBRARY = C_MACROS | frozenset(
 def check_name(name: str) -> None:
     """Check that a function of C may have a name."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
+        raise InputError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
     if name in C_KEYWORDS:
-        raise ValueError(f"{name!r} is a keyword of C or C++; take another name, such as 'my_{name}'")
+        raise InputError(f"{name!r} is a keyword of C or C++; take another name, such as 'my_{name}'")
     if name in LIBRARY or _PATTERNS.fullmatch(name):
-        raise ValueError(f"{name!r} is a name of the C library; take another name, such as 'my_{name}'")
+        raise InputError(f"{name!r} is a name of the C library; take another name, such as 'my_{name}'")

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering.c._c import Real, c_function, c_helpers
 from covariant.lowering.c._c_names import check_name
 from covariant.lowering.c._c_writer import Signature
@@ -72,12 +73,12 @@ def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "doub
     """
     check_name(name)
     if real not in get_args(Real):
-        raise ValueError(f'real is {real!r}; it is "double" or "float"')
+        raise InputError(f'real is {real!r}; it is "double" or "float"')
     labels = _parameters(function, len(examples))
     shapes = [_shapes(example, label, real) for label, example in zip(labels, examples, strict=True)]
     lowered = lower(function, *shapes, loops="any")
     if not lowered.results:
-        raise ValueError(f"{name}: the function returns no array, so there is nothing to compute")
+        raise InputError(f"{name}: the function returns no array, so there is nothing to compute")
     ins = _name_arguments(
         "in", [pair for label, tree in zip(labels, shapes, strict=True) for pair in _label_arrays(label, tree)]
     )

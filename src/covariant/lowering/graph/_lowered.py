@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering.graph._graph import Condition, Graph
 
 
-class LoweringError(NotImplementedError):
+class LoweringError(InputError, NotImplementedError):
     """A function cannot be written as a graph of scalars; the message names the operation and the reason.
 
     It means that the number of operations depends on the values of the arguments, or that an operation has no scalar

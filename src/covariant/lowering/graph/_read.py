@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering.graph._graph import FOLD, Graph
 from covariant.lowering.graph._jaxpr import lower
 from covariant.lowering.graph._loops import Repetition
@@ -47,7 +48,7 @@ def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[An
         ['(a + b)']
     """
     if len(inputs) != lowered.inputs:
-        raise ValueError(f"the graph has {lowered.inputs} inputs; got {len(inputs)}")
+        raise InputError(f"the graph has {lowered.inputs} inputs; got {len(inputs)}")
     return evaluate_nodes(lowered.graph, lowered.outputs, domain, inputs)
 
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering.graph import LARGEST, Conditions, Domain, Lowered, evaluate_nodes
 from covariant.lowering.intervals._intervals import INTERVALS, as_number, both, constant, eq, le, lt
 from covariant.lowering.intervals._tape import Interval, Truth, kernel
@@ -105,7 +106,7 @@ def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval]
     """Bound the values of a function, in NumPy or as steps of a tape."""
     # A loop in intervals may never end, since its condition stays undecided; a table would be read at one place only.
     if odd := {node.op for node in lowered.graph.nodes} & {"loop", "table"}:
-        raise ValueError(f"a function with a {min(odd)} has no bounds; lower it with loops='unrolled'")
+        raise InputError(f"a function with a {min(odd)} has no bounds; lower it with loops='unrolled'")
     smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
 
     def watched(op: str) -> Callable:
@@ -129,12 +130,12 @@ def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray,
     """Check corners of boxes and convert them to arrays of doubles (B, inputs)."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
-        raise ValueError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
+        raise InputError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
     # Negated, so that NaN, which fails every comparison, is invalid too.
     invalid = np.argwhere(~(low <= high))
     if invalid.size:
         box, entry = invalid[0]
-        raise ValueError(
+        raise InputError(
             f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
         )
     return low, high

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
 
@@ -27,7 +28,7 @@ def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> N
     """
     usable = [_is_usable(g, q) for g, q in zip(evaluate_batch(model.space, points), points, strict=True)]
     if not any(usable):
-        raise ValueError(
+        raise InputError(
             f"metric is singular or not finite at all {len(points)} points tried, such as q = {_text(points[0])}"
         )
 
@@ -41,7 +42,7 @@ def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
     asymmetry, smallest = np.abs(g - g.T).max(), np.linalg.eigvalsh((g + g.T) / 2)[0]
     # Entries (i, j) and (j, i) may be computed by different sums, hence the factor.
     if asymmetry > 100 * roundoff or smallest < -roundoff:
-        raise ValueError(
+        raise InputError(
             f"metric is not symmetric positive definite at q = {_text(q)}: smallest eigenvalue {smallest:.3g}, "
             f"largest asymmetry {asymmetry:.3g}; look at the signs and units of its parameters"
         )

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+from covariant._errors import InputError
 from covariant.geometry import AbstractManifold, Coordinates
 from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup
 from covariant.logs import ATTITUDES, Columns, check_unit
@@ -52,7 +53,7 @@ def _name_columns(model: Any, names: dict[str, Any]) -> Columns:
     kind, columns = ("outputs", _of_outputs) if by_outputs else ("coordinates", _in_coordinates)
     for key in ("position", *ATTITUDES, "angle"):
         if names.get(key):
-            raise ValueError(f"columns.{key} is for a model on a group; this one has {kind}: name them in columns.q")
+            raise InputError(f"columns.{key} is for a model on a group; this one has {kind}: name them in columns.q")
     return columns(model, names)
 
 
@@ -64,7 +65,7 @@ def unnamed_attitudes(model: Model, columns: Columns) -> int:
 def _in_coordinates(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
     n = len(model.coordinates) or len(names.get("q", ()))
     if not n:
-        raise ValueError("the model names no coordinates; give it some, or columns.q")
+        raise InputError("the model names no coordinates; give it some, or columns.q")
     check_model(model, n)
     m = input_count(model, n)
     servos = servos_in(model)
@@ -79,9 +80,9 @@ def _in_coordinates(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
 
 def _of_outputs(model: StateSpace, names: dict[str, Any]) -> Columns:
     if not model.coordinates:
-        raise ValueError("the model names no coordinates; give it some: they say how many states it has")
+        raise InputError("the model names no coordinates; give it some: they say how many states it has")
     if names.get("v"):
-        raise ValueError("columns.v: a state-space model has no velocities; name its outputs in columns.q")
+        raise InputError("columns.v: a state-space model has no velocities; name its outputs in columns.q")
     columns = Columns(q=model.outputs, u=_numbered_names("u", model.inputs))._replace(**names)
     _check_count("q", columns.q, len(model.outputs), "outputs")
     _check_count("u", columns.u, model.inputs, "inputs")
@@ -94,11 +95,11 @@ def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
     inputs = input_count(model, n)
     attitudes = [kind for kind in ATTITUDES if names.get(kind)]
     if names.get("q") and not needs.q:
-        raise ValueError(f"columns.q: the model is on a group and has no coordinates; {needs.remedy}")
+        raise InputError(f"columns.q: the model is on a group and has no coordinates; {needs.remedy}")
     if len(attitudes) > 1:
-        raise ValueError(f"columns.{attitudes[0]} and columns.{attitudes[1]} both give the attitude; keep one")
+        raise InputError(f"columns.{attitudes[0]} and columns.{attitudes[1]} both give the attitude; keep one")
     if attitudes and not needs.attitudes:
-        raise ValueError(f"columns.{attitudes[0]}: the model has no attitude in space; {needs.remedy}")
+        raise InputError(f"columns.{attitudes[0]}: the model has no attitude in space; {needs.remedy}")
     columns = Columns(
         q=model.coordinates if needs.q else (),
         u=_numbered_names("u", inputs),
@@ -131,7 +132,7 @@ def _needs(manifold: AbstractManifold) -> _Needs:
     if isinstance(manifold, AbstractGroup):
         balls = []
     if needs is None or len(joints) > 1 or len(joints) + len(wheels) + len(balls) < len(rest):
-        raise ValueError(
+        raise InputError(
             f"logs hold one attitude or pose, and ball joints, angles or coordinates after it: SO3, SE3, SE2, SO2, or "
             f"one of them times SO3s, SO2s or Coordinates; the model is on {manifold}, so use it from Python"
         )
@@ -150,12 +151,12 @@ def _check_units(model: Model, columns: Columns) -> None:
     for key, texts in columns.units.items():
         names = (columns.t,) if key == "t" else getattr(columns, key)
         if len(texts) not in (1, len(names)):
-            raise ValueError(f"units.{key} lists {len(texts)} units; give {len(names)}, or one without brackets")
+            raise InputError(f"units.{key} lists {len(texts)} units; give {len(names)}, or one without brackets")
         for i, unit in enumerate(expected.get(key, ())):
             try:
                 check_unit(columns.unit_of(key, i) or unit, unit)
             except ValueError as error:
-                raise ValueError(f"units.{key}: {error}") from error
+                raise InputError(f"units.{key}: {error}") from error
 
 
 def _numbered_names(letter: str, count: int) -> tuple[str, ...]:
@@ -165,4 +166,4 @@ def _numbered_names(letter: str, count: int) -> tuple[str, ...]:
 def _check_count(key: str, names: tuple[str, ...], needed: int, what: str, whole: str = "the model") -> None:
     if len(names) != needed:
         named = f" ({', '.join(names)})" if names else ""
-        raise ValueError(f"columns.{key} names {len(names)} columns{named}; {whole} has {needed} {what}")
+        raise InputError(f"columns.{key} names {len(names)} columns{named}; {whole} has {needed} {what}")

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models._mechanical import input_count, resistance
 from covariant.models.files import _source
@@ -146,9 +147,9 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
     chosen = [name for pattern in names for name in _match_names(pattern, numbers)]
     twice = next((name for name in chosen if chosen.count(name) > 1), None)
     if twice is not None:
-        raise ValueError(f"{twice} is named twice; name it once")
+        raise InputError(f"{twice} is named twice; name it once")
     if not chosen:
-        raise ValueError(f"no number is named; there are: {', '.join(numbers) or 'none'}")
+        raise InputError(f"no number is named; there are: {', '.join(numbers) or 'none'}")
     places = tuple(numbers[name] for name in chosen)
     first = np.array([float(_value_at(content, place)) for place in places])
 
@@ -164,14 +165,14 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
     for name, value, refused in zip(chosen, first, positive, strict=True):
         if refused and not 0 < value < math.inf:
             remedy = f"parameters.{name.partition('[')[0]}=NUMBER" if name != ".".join(LAG) else f"{name}=0.01"
-            raise ValueError(
+            raise InputError(
                 f"{name} must be positive and starts from {value:g}; give it a first value by `overrides={[remedy]}`"
             )
     try:
         # Traced, not evaluated: a function that uses NumPy or branches on a number fails here, and not within a fit.
         eqx.filter_eval_shape(make, first)
     except (TypeError, ValueError) as error:  # building it from plain numbers succeeded above
-        raise ValueError(
+        raise InputError(
             f"the function that makes the model cannot be traced by JAX ({_source.first_line(error)[:80]}); compute "
             f"with jax.numpy in it, or leave {', '.join(names)} as they are"
         ) from error

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.models.files import _source, _toml
 from covariant.models.files._check import check_metric
 from covariant.models.files._columns import model_columns
@@ -28,7 +29,7 @@ def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
     """Build the model file of a model object, with the tables of a document applied to it."""
     for table in ("system", "parameters", _toml.SERVO, _toml.LOOP):
         if table in content:
-            raise ValueError(f"{table} is for models that are made from a file or by name; this one is made already")
+            raise InputError(f"{table} is for models that are made from a file or by name; this one is made already")
     loaded = _build(type(given).__name__, given, {})
     stated = {f"{table}.{key}" for table, keys in content.items() if isinstance(keys, dict) for key in keys}
     rivals = {
@@ -59,13 +60,13 @@ def _with_servos(file: ModelFile, content: dict[str, Any]) -> ModelFile:
     servos = servos_in(file.model)
     if servos is None:
         if file.input_kind == "command":
-            raise ValueError('inputs.kind = "command" needs [servo.JOINT] tables: how each joint follows its command')
+            raise InputError('inputs.kind = "command" needs [servo.JOINT] tables: how each joint follows its command')
         return file
     if file.input_kind == "torque" and "kind" in content.get("inputs", {}):
-        raise ValueError('inputs.kind = "torque" contradicts the servos of the robot, whose inputs are commands')
+        raise InputError('inputs.kind = "torque" contradicts the servos of the robot, whose inputs are commands')
     for key, several in (("delay", servos.delay), ("lead", servos.lead)):
         if key in content.get("inputs", {}) and np.any(several):
-            raise ValueError(f"inputs.{key} states again what [servo.JOINT] says; keep one of them")
+            raise InputError(f"inputs.{key} states again what [servo.JOINT] says; keep one of them")
         if np.any(several):
             file = file._replace(**{f"input_{key}": tuple(np.asarray(several, float).tolist())})
     backlash = [
@@ -90,7 +91,7 @@ def parameters_of(content: dict[str, Any]) -> dict[str, Any]:
     own = {table: content[table] for table in (_toml.SERVO, _toml.LOOP) if table in content}
     for table in own:
         if content.get("system") != "robot":
-            raise ValueError(f'[{table}] is for robots, system = "robot"; this model is {content.get("system")!r}')
+            raise InputError(f'[{table}] is for robots, system = "robot"; this model is {content.get("system")!r}')
     servos = {"servos": servo_tables(content)} if _toml.SERVO in own else {}
     return parameters | servos | ({"loops": own[_toml.LOOP]} if _toml.LOOP in own else {})
 
@@ -126,7 +127,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
         if model is not None:
             return _replacement(model, parameters)
         if "attribute" in made:
-            raise ValueError(
+            raise InputError(
                 f"the model is {made['attribute']!r}, code that a recipe does not run; whoever trusts it gives the "
                 "model, as `model=module:attribute`"
             )
@@ -172,7 +173,7 @@ def _replacement(model: Any, parameters: dict[str, Any]) -> Model:
     """Build the model that a caller passes in place of the one that a recipe names."""
     name = model if isinstance(model, str) else type(model).__name__
     if isinstance(model, str) and not all(model.partition(":")):
-        raise ValueError(f"a model is given as module:attribute; got {model!r}")
+        raise InputError(f"a model is given as module:attribute; got {model!r}")
     candidate = _source.attribute(model) if isinstance(model, str) else model
     return _build(name, candidate, {} if isinstance(candidate, Model | ModelFile) else parameters).model
 
@@ -213,7 +214,7 @@ def _document(spec: str) -> dict[str, Any]:
     if ":" in spec:
         return {}
     if spec not in SYSTEMS:
-        raise ValueError(unknown_model(spec))
+        raise InputError(unknown_model(spec))
     return {"system": spec}
 
 
@@ -236,7 +237,7 @@ def text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise ValueError(f"{error.strerror or error}; give the path of a model file") from error
+        raise InputError(f"{error.strerror or error}; give the path of a model file") from error
 
 
 def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
@@ -247,7 +248,7 @@ def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
     if is_file(spec) or ":" not in spec:
         return _source.system(named)
     if "system" in content:
-        raise ValueError(f"system = {content['system']!r} contradicts module:attribute; drop one of them")
+        raise InputError(f"system = {content['system']!r} contradicts module:attribute; drop one of them")
     return _source.attribute(spec)
 
 
@@ -255,7 +256,7 @@ def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
     """Return a finished model, or call its factory with the parameters, with types converted for library systems."""
     finished = isinstance(candidate, Model | ModelFile)
     if finished and parameters:
-        raise ValueError(f"{name} is a finished model; only a function that makes one takes parameters")
+        raise InputError(f"{name} is a finished model; only a function that makes one takes parameters")
     system = ""
     if name in SYSTEMS and candidate is _source.system(name):
         system, parameters = name, _source.typed(name, _source.system(name), parameters)
@@ -265,7 +266,7 @@ def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
     if isinstance(built, ModelFile):
         return built._replace(system=system or built.system)
     how = f"it {'is' if built is candidate else 'returned'} a {type(built).__name__}"
-    raise ValueError(
+    raise InputError(
         f"{name} must be a Lagrangian, a GroupSystem, a StateSpace, a ModelFile, or a function returning one; {how}"
     )
 

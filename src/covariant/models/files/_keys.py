@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from covariant._errors import InputError
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE
 
 _EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
@@ -43,19 +44,19 @@ class Number:
     def read(self, value: Any, counts: Counts) -> float | tuple[float, ...]:
         """The number or the numbers of a document; raises `ValueError` for others."""
         if self.each == "state" and not counts["state"]:
-            raise ValueError(f"{self.path} is for a state-space model, and this one is mechanical")
+            raise InputError(f"{self.path} is for a state-space model, and this one is mechanical")
         if not self.each or not isinstance(value, list):
             return self.checked(value)
         if len(value) != counts[self.each]:
             count = counts[self.each]
-            raise ValueError(f"{self.path} lists {len(value)} numbers; give {count}, or one number without brackets")
+            raise InputError(f"{self.path} lists {len(value)} numbers; give {count}, or one number without brackets")
         return tuple(map(self.checked, value))
 
     def checked(self, value: Any) -> float:
         """One number; raises `ValueError` where it is none, or out of its range."""
         numeric = isinstance(value, int | float) and not isinstance(value, bool)  # in Python True is an int
         if not numeric or not self.least <= value <= sys.float_info.max or (self.whole and value % 1):
-            raise ValueError(f"{self.path} must be a {self._one}; got {value!r}")
+            raise InputError(f"{self.path} must be a {self._one}; got {value!r}")
         return float(value)
 
 
@@ -75,7 +76,7 @@ class Choice:
     def read(self, value: Any, counts: Counts) -> str:
         """The word of a document; raises `ValueError` for another."""
         if value not in self.words:
-            raise ValueError(f"{self.path} must be {self.values}; got {value!r}")
+            raise InputError(f"{self.path} must be {self.values}; got {value!r}")
         return value
 
 
@@ -90,12 +91,12 @@ class Deviations:
     def read(self, value: Any, counts: Counts) -> dict[str, float]:
         """The deviations of a document; raises `ValueError` where they are none."""
         if not isinstance(value, dict):
-            raise ValueError(
+            raise InputError(
                 f"{self.path} must name numbers of [parameters], each with the standard deviation of its relative "
                 f'error, as in {{"mass[0]" = 0.3}}; got {value!r}'
             )
         if value and counts["state"]:
-            raise ValueError(f"{self.path} is for a mechanical model, and this one is a state-space model")
+            raise InputError(f"{self.path} is for a mechanical model, and this one is a state-space model")
         return {name: Number(f"{self.path}.{name}").checked(entry) for name, entry in value.items()}
 
 

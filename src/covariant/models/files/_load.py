@@ -6,6 +6,7 @@ from contextvars import ContextVar
 from os import PathLike, fspath
 from typing import Any
 
+from covariant._errors import InputError
 from covariant.models.files import _toml
 from covariant.models.files._family import family
 from covariant.models.files._file import document, finish, finish_object, from_recipe, parameters_of
@@ -75,7 +76,7 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
             _toml.check_layout(content)
             return finish_object(spec, content)
         if not isinstance(spec, str | PathLike):
-            raise ValueError("a model is a file, a name, module:attribute, a system or a ModelFile")
+            raise InputError("a model is a file, a name, module:attribute, a system or a ModelFile")
         kept = _KEPT.get()
         key = name, repr(overrides)
         if kept is not None and key in kept:

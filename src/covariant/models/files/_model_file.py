@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 
+from covariant._errors import InputError
 from covariant.logs import Columns
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import ANY_SIGN, ZERO_OR_MORE
@@ -18,7 +19,7 @@ Unknown = Several | None
 """A number, or one for each coordinate or state; None where it is not known."""
 
 
-class ModelError(ValueError):
+class ModelError(InputError):
     """A model cannot be loaded.
 
     The message is one line: the file or module, what is wrong there, and what to do.
@@ -183,7 +184,7 @@ class ModelFile(NamedTuple):
             ValueError: The model is a `StateSpace`.
         """
         if not isinstance(self.model, MechanicalSystem):
-            raise ValueError(
+            raise InputError(
                 f"{spec} is a state-space model, and {why} mechanical ones, a Lagrangian or a GroupSystem; design an "
                 "observer for its states by `covariant design metric`"
             )

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models.files._model_file import ModelFile
 from covariant.models.robots import (
@@ -123,7 +124,7 @@ class Scene(NamedTuple):
 
 def _refuse_rest(rest: list[str], where: str, known: Sequence[str] = ()) -> None:
     if rest:
-        raise ValueError(
+        raise InputError(
             f"{where} has no {'.'.join(rest)!r}; " + (f"there are {', '.join(known)}" if known else "drop it")
         )
 
@@ -203,12 +204,12 @@ def first_load(robot: Description, link: str) -> list[float]:
 def _inertia(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     links, rest = scene.of_links(rest, scene.moving_links)
     if rest:
-        raise ValueError(f"inertia.{links[0]}: its ten numbers are fitted together; drop {'.'.join(rest)!r}")
+        raise InputError(f"inertia.{links[0]}: its ten numbers are fitted together; drop {'.'.join(rest)!r}")
     units = ("kg", *("m",) * 3, *("kg m^2",) * 6)
     opened = []
     for link in links:
         if link not in scene.moving_links:
-            raise ValueError(
+            raise InputError(
                 f"inertia.{link}: it has no mass, or does not move; there are {', '.join(scene.moving_links)}"
             )
         first = numbers_of(_thick(scene.robot.links[link]))
@@ -223,7 +224,7 @@ def _gravity(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     _refuse_rest(rest, "gravity")
     size = float(np.linalg.norm(scene.robot.gravity))
     if not size:
-        raise ValueError("gravity: its direction is not known where it is zero; give [parameters] gravity = [x, y, z]")
+        raise InputError("gravity: its direction is not known where it is zero; give [parameters] gravity = [x, y, z]")
     return [OpenNumber("gravity", "", "", size, 0.0, "m/s^2", size)]
 
 
@@ -231,7 +232,7 @@ def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     """Numbers of servos: those that their tables state, or one of them by its name."""
     tables = scene.servos
     if not tables:
-        raise ValueError("servo: the model has no [servo.JOINT] table, which states what each servo is")
+        raise InputError("servo: the model has no [servo.JOINT] table, which states what each servo is")
     kinds = tuple(key for key in (*OF_SERVO, *OF_GEAR) if key not in NEVER_OPEN)
     joints, rest = scene.of_joints(rest, kinds)
     if rest and rest[0] not in kinds:
@@ -248,7 +249,7 @@ def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
         for kind in rest or [kind for kind in kinds if kind in tables[name]]:
             first = _number_of_servo(joint, kind)
             if not np.isfinite(first):
-                raise ValueError(f"servo.{name}.{kind} has no first value; state one in [servo.{name}]")
+                raise InputError(f"servo.{name}.{kind} has no first value; state one in [servo.{name}]")
             opened.append(
                 OpenNumber(
                     *("servo", name, kind, first, -np.inf if kind in ("offset", "feedforward", "asymmetry") else 0.0),
@@ -256,7 +257,7 @@ def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
                 )
             )
     if not opened:
-        raise ValueError(f"servo: the model has no [servo.JOINT] of {', '.join(joints)}")
+        raise InputError(f"servo: the model has no [servo.JOINT] of {', '.join(joints)}")
     return opened
 
 

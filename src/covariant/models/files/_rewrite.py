@@ -4,6 +4,7 @@ import json
 import re
 from typing import Any
 
+from covariant._errors import InputError
 from covariant.models.files import _toml
 
 _TOKEN = re.compile(
@@ -50,7 +51,7 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
         after = before
     wrong = next((table for table in content if after.get(table) != content[table]), None)
     if wrong is not None:
-        raise ValueError(f"[{wrong}] is written in a way that cannot be changed; write it as lines key = value")
+        raise InputError(f"[{wrong}] is written in a way that cannot be changed; write it as lines key = value")
     return text
 
 

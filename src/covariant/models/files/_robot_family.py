@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models._parameters import AnyArray
 from covariant.models.files._file import document, finish, made, parameters_of
@@ -239,14 +240,14 @@ def robot_family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> 
 
 def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFamily:
     if content.get("system") != "robot":
-        raise ValueError(
+        raise InputError(
             f"{', '.join(names)} are numbers of a robot, and this model is {content.get('system', spec)!r}"
         )
     file = finish(spec, content)
     if not file.model.manifold.commuting:
-        raise ValueError("a robot is fitted in joint coordinates: its base must stand still; lock its ball joints")
+        raise InputError("a robot is fitted in joint coordinates: its base must stand still; lock its ball joints")
     if file.model.manifold.redundant:
-        raise ValueError(
+        raise InputError(
             "numbers of a robot with closed loops are not fitted: each joint feels the forces in the loops; "
             "fit its parts with the loops open"
         )
@@ -255,7 +256,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
     tables = {key: parameters[key] for key in (*GROUPS, "servos") if key in parameters and key != "payload"}
     robot = changed(robot, **tables)
     if not names:
-        raise ValueError(f"no number is named; name some of {', '.join(GROUPS)}")
+        raise InputError(f"no number is named; name some of {', '.join(GROUPS)}")
     numbers: list[OpenNumber] = []
     for name in names:
         group, *rest = name.strip().removeprefix("parameters.").split(".")
@@ -263,7 +264,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
         numbers += OPENED[group](Scene(file, robot, parameters, group, content.get("servo", {})), rest)
     for number in numbers:
         if [other.name for other in numbers].count(number.name) > 1:
-            raise ValueError(f"{number.name} is named twice; name it once")
+            raise InputError(f"{number.name} is named twice; name it once")
     resting = _resting(robot, numbers)
     at = tuple(resting.get(name, 0.0) for name in file.model.coordinates)
     content, parts = _fill_laws(content, robot, numbers), np.arange(len(numbers))[None]

@@ -16,6 +16,7 @@ from typing import Any, Union, get_args, get_origin
 import jax
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
@@ -43,7 +44,7 @@ def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
 def system(name: Any) -> Callable[..., Model]:
     """Function that builds a system of this library, the same object each time."""
     if not isinstance(name, str):
-        raise ValueError(f'system must be a name, as in system = "oscillator"; got {name!r}')
+        raise InputError(f'system must be a name, as in system = "oscillator"; got {name!r}')
     refuse_unknown("system", name, SYSTEMS)
     return _function(name)
 
@@ -67,7 +68,7 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
         module = importlib.import_module(where)
     except Exception as error:  # a module may fail in any way while it is imported
         reason = f"{type(error).__name__}: {first_line(error)}"
-        raise ValueError(f"module {where!r} cannot be imported: {reason}") from error
+        raise InputError(f"module {where!r} cannot be imported: {reason}") from error
     if name not in vars(module):
         refuse_unknown(f"attribute of module {where!r}", name, [key for key in vars(module) if key[0] != "_"])
     return vars(module)[name]
@@ -106,7 +107,7 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
             open_too = inspect.formatannotation(Number)  # a number may be open, but not one from a file
             expected = inspect.formatannotation(kind).replace(open_too, "float").replace("collections.abc.", "")
             shown = reprlib.repr(converted[key])
-            raise ValueError(f"parameter {key} of {name} must be {expected}; got {shown}") from error
+            raise InputError(f"parameter {key} of {name} must be {expected}; got {shown}") from error
     return converted
 
 
@@ -138,11 +139,11 @@ def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> 
     for key, argument in accepted.items():
         optional = argument.kind in (Argument.VAR_POSITIONAL, Argument.VAR_KEYWORD)
         if key not in parameters and argument.default is argument.empty and not optional:
-            raise ValueError(f"{name} needs the parameter {key!r}; add it to [parameters]")
+            raise InputError(f"{name} needs the parameter {key!r}; add it to [parameters]")
     try:
         return factory(**parameters)
     except TypeError as error:
-        raise ValueError(f"a parameter of {name} is of the wrong kind: {first_line(error)}") from error
+        raise InputError(f"a parameter of {name} is of the wrong kind: {first_line(error)}") from error
 
 
 def first_line(error: BaseException) -> str:

@@ -5,6 +5,7 @@ import os
 from os import PathLike
 from pathlib import Path
 
+from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.models.robots import ROBOTS
 
@@ -61,9 +62,9 @@ def check_spec(spec: str | PathLike[str]) -> None:
             what = "a model file"
             if name.endswith(ROBOT_FILES):
                 what = f"a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
-            raise ValueError(f"{name}: {os.strerror(errno.ENOENT)}; give the path of {what}")
+            raise InputError(f"{name}: {os.strerror(errno.ENOENT)}; give the path of {what}")
     elif ":" not in name:
-        raise ValueError(f"{name}: {unknown_model(name)}")
+        raise InputError(f"{name}: {unknown_model(name)}")
 
 
 def unknown_model(name: str) -> str:

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.logs import ATTITUDES, Columns, unit_factor
 from covariant.models._parameters import ZERO_OR_MORE
@@ -53,7 +54,7 @@ def parse(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"not a TOML document: {error}") from error
+        raise InputError(f"not a TOML document: {error}") from error
 
 
 def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
@@ -61,12 +62,12 @@ def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
     for text, key, value in _pairs(overrides):
         *tables, last = key.split(".")
         if not last or not all(tables):
-            raise ValueError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
+            raise InputError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
         table = document
         for name in tables:
             table = table.setdefault(name, {})
             if not isinstance(table, dict):
-                raise ValueError(f"override {text!r}: {name!r} is not a table")
+                raise InputError(f"override {text!r}: {name!r} is not a table")
         for rival in _REPLACES.get(key, ()):  # the new key for a number replaces any other key for it
             table.pop(rival, None)
         table[last] = value
@@ -81,7 +82,7 @@ def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
     for text in overrides:
         key, equals, value = (part.strip() for part in text.partition("="))
         if not equals:
-            raise ValueError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
+            raise InputError(f"override {text!r} must be written table.key=value, as in design.damping=0.5")
         yield text, key, _value(text, value)
 
 
@@ -94,13 +95,13 @@ def plain(value: Any) -> Any:
 def _value(text: str, value: str) -> Any:
     # Quoted texts are emptied first: they may contain anything.
     if _ODD_NUMBER.search(_QUOTED.sub('""', value)):
-        raise ValueError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
+        raise InputError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
     try:
         # The parser of the file, so that a value means the same in both places.
         return tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError as error:
         reason = str(error).split(" (at ")[0]
-        raise ValueError(f"override {text!r}: the value is not TOML ({reason}); text needs quotes") from error
+        raise InputError(f"override {text!r}: the value is not TOML ({reason}); text needs quotes") from error
 
 
 def check_layout(document: dict[str, Any]) -> None:
@@ -108,7 +109,7 @@ def check_layout(document: dict[str, Any]) -> None:
     for table, content in document.items():
         refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS, SERVO, LOOP))
         if table != "system" and not isinstance(content, dict):
-            raise ValueError(f"{table} must be a table, [{table}]; got {content!r}")
+            raise InputError(f"{table} must be a table, [{table}]; got {content!r}")
         if table in _OF_TABLE:
             for key in content:
                 refuse_unknown(f"key of [{table}]", key, _OF_TABLE[table])
@@ -121,11 +122,11 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
         names = [value] if key == "t" else value
         if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
             expected = "the name of a column" if key == "t" else 'a list of column names, as in ["q1", "q2"]'
-            raise ValueError(f"columns.{key} must be {expected}; got {value!r}")
+            raise InputError(f"columns.{key} must be {expected}; got {value!r}")
         # One switch, or one supply, may be that of several servos; the commands come before these.
         distinct = names[: len(document.get(SERVO, {})) or None] if key == "u" else names
         if len(set(distinct)) < len(distinct):
-            raise ValueError(f"columns.{key} names a column twice: {', '.join(names)}")
+            raise InputError(f"columns.{key} names a column twice: {', '.join(names)}")
     fields = {key: value if key == "t" else tuple(value) for key, value in table.items()}
     return fields | ({"units": _units(document["units"])} if "units" in document else {})
 
@@ -135,22 +136,22 @@ def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
     units = {key: [value] if isinstance(value, str) else value for key, value in table.items()}
     for key, texts in units.items():
         if not isinstance(texts, list) or not texts or not all(isinstance(text, str) for text in texts):
-            raise ValueError(f'units.{key} must be a unit, as in "deg", or a list of units; got {table[key]!r}')
+            raise InputError(f'units.{key} must be a unit, as in "deg", or a list of units; got {table[key]!r}')
         for text in texts:
             try:
                 unit_factor(text)
             except ValueError as error:
-                raise ValueError(f"units.{key}: {error}") from error
+                raise InputError(f"units.{key}: {error}") from error
     return {key: tuple(texts) for key, texts in units.items()}
 
 
 def numbers(document: dict[str, Any], counts: Counts) -> dict[str, Any]:
     """Read numbers and texts by field of `ModelFile`, with lists of the lengths `counts`."""
     if {"std", "quantum"} <= document.get("measurement", {}).keys():
-        raise ValueError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
+        raise InputError("[measurement] has both std and quantum; keep one (std = quantum / sqrt(12))")
     forces = {"external_force", *_PASSING_FORCE} & document.get("uncertainty", {}).keys()
     if forces not in (set(), {"external_force"}, _PASSING_FORCE):
-        raise ValueError(
+        raise InputError(
             "[uncertainty] needs external_force_std and external_force_time together, for a force that is forgotten, "
             f"or external_force alone, for one that stays; got {', '.join(sorted(forces))}"
         )
@@ -174,12 +175,12 @@ def _wrenches(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
     given = document.get(WRENCH, {})
     for name, content in given.items():
         if not isinstance(content, dict):
-            raise ValueError(f"{WRENCH}.{name} must be a table, [{WRENCH}.{name}]; got {content!r}")
+            raise InputError(f"{WRENCH}.{name} must be a table, [{WRENCH}.{name}]; got {content!r}")
         for key in content:
             refuse_unknown(f"key of [{WRENCH}.{name}]", key, _OF_WRENCH)
         missing = [key for key, needed in _OF_WRENCH.items() if needed and key not in content]
         if missing:
-            raise ValueError(
+            raise InputError(
                 f"[{WRENCH}.{name}] needs {' and '.join(missing)}: the link, the usual size of the force [N], and the "
                 "time [s] after which it is forgotten"
             )
@@ -192,24 +193,24 @@ def _sensors(document: dict[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
     for name, content in given.items():
         where = f"[{SENSORS}.{name}]"
         if not isinstance(content, dict):
-            raise ValueError(f"{SENSORS}.{name} must be a table, {where}; got {content!r}")
+            raise InputError(f"{SENSORS}.{name} must be a table, {where}; got {content!r}")
         kind = content.get("kind")
         if kind not in SENSOR_KEYS:
-            raise ValueError(f"{where} needs a kind, one of {', '.join(SENSOR_KEYS)}; got {kind!r}")
+            raise InputError(f"{where} needs a kind, one of {', '.join(SENSOR_KEYS)}; got {kind!r}")
         required, optional = (shared + more for shared, more in zip(EVERY_SENSOR, SENSOR_KEYS[kind], strict=True))
         for key in content:
             refuse_unknown(f"key of {where}", key, required + optional)
         missing = [key for key in required if key not in content]
         if missing:
-            raise ValueError(f"{where} needs {', '.join(missing)}")
+            raise InputError(f"{where} needs {', '.join(missing)}")
         for key in ("columns", "of"):
             names = content.get(key, ["x"])
             if not isinstance(names, list) or not names or not all(isinstance(each, str) and each for each in names):
-                raise ValueError(f'{SENSORS}.{name}.{key} must be a list of names, as in ["x", "y"]; got {names!r}')
+                raise InputError(f'{SENSORS}.{name}.{key} must be a list of names, as in ["x", "y"]; got {names!r}')
         if "units" in content:
             _units({f"{SENSORS}.{name}": content["units"]})
         Number(f"{SENSORS}.{name}.delay", ZERO_OR_MORE).checked(content.get("delay", 0.0))
         attitude = content.get("attitude", next(iter(ATTITUDES)))
         if attitude not in ATTITUDES:
-            raise ValueError(f"{SENSORS}.{name}.attitude must be one of {', '.join(ATTITUDES)}; got {attitude!r}")
+            raise InputError(f"{SENSORS}.{name}.attitude must be one of {', '.join(ATTITUDES)}; got {attitude!r}")
     return {"sensors": dict(given)} if given else {}

@@ -13,6 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.geometry.lie import SE2, SE3
@@ -92,7 +93,7 @@ class Craft(eqx.Module):
         self.circles, self.parameters = circles, dict(parameters or {})
         n = len(coordinates)
         if not len(units) == len(velocities) == n:
-            raise ValueError(f"a craft of {n} coordinates needs {n} units and {n} velocities")
+            raise InputError(f"a craft of {n} coordinates needs {n} units and {n} velocities")
         vector = jax.ShapeDtypeStruct((n,), jnp.float64)
         matrices = (("transform", self.transform), ("damping", self.damping), ("coriolis", self.coriolis))
         functions = (
@@ -165,15 +166,15 @@ def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
         [[2.0]]
     """
     if np.shape(matrix) != (n, n):
-        raise ValueError(f"{name} must be a matrix of {n} rows and {n} columns; its shape is {np.shape(matrix)}")
+        raise InputError(f"{name} must be a matrix of {n} rows and {n} columns; its shape is {np.shape(matrix)}")
     if isinstance(matrix, Tracer):
         return matrix  # its numbers are not known before the program runs
     array = np.asarray(matrix, float)
     if not np.allclose(array, array.T, rtol=1e-9, atol=0.0):  # relative: inertias come in any unit
-        raise ValueError(f"{name} must be symmetric")
+        raise InputError(f"{name} must be symmetric")
     smallest = np.linalg.eigvalsh(array)[0]
     if not smallest > 0:
-        raise ValueError(f"{name} must be positive definite; its smallest eigenvalue is {smallest:.3g}")
+        raise InputError(f"{name} must be positive definite; its smallest eigenvalue is {smallest:.3g}")
     return jnp.asarray(array)
 
 

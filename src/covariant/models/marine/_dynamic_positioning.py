@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Scalar, Vector
 from covariant.models._parameters import Parameter
 from covariant.models._state_space import StateSpace
@@ -55,7 +56,7 @@ class Waves(eqx.Module):
         """
         for name, entries in (("frequency", frequency), ("damping", damping), ("std", std)):
             if len(entries) != 3 or not all(0 < entry < np.inf for entry in entries):
-                raise ValueError(f"waves: {name} needs three positive numbers, for north, east, heading; got {entries}")
+                raise InputError(f"waves: {name} needs three positive numbers, for north, east, heading; got {entries}")
         self.frequency, self.damping = tuple(frequency), tuple(damping)
         # The stationary variance of ξ₂ is intensity²/(4ζω).
         self.intensity = tuple(2 * s * (z * w) ** 0.5 for s, z, w in zip(std, damping, frequency, strict=True))
@@ -92,10 +93,10 @@ class Station(eqx.Module):
 
     def __check_init__(self):
         if self.ship.coordinates != ("north", "east", "heading"):
-            raise ValueError(f"a station needs a ship in the plane; this craft has {', '.join(self.ship.coordinates)}")
+            raise InputError(f"a station needs a ship in the plane; this craft has {', '.join(self.ship.coordinates)}")
         for name, time in (("bias_time", self.bias_time), ("thruster_time", self.thruster_time)):
             if time is not None and not time > 0:
-                raise ValueError(f"station: {name} must be positive [s]; got {time}")
+                raise InputError(f"station: {name} must be positive [s]; got {time}")
 
     @property
     def parts(self) -> dict[str, slice]:

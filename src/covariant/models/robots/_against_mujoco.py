@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.lowering import evaluate_batch
 from covariant.models.robots._assemble import geometry_of
@@ -68,7 +69,7 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
         relative = np.abs(missing) / np.maximum(file.size, np.finfo(float).tiny)
         worst = int(np.argmax(relative))
         if not relative[worst] <= TOLERANCE:  # NaN is refused
-            raise ValueError(_difference(worst, joints, plain, file))
+            raise InputError(_difference(worst, joints, plain, file))
 
 
 def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
@@ -95,7 +96,7 @@ def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
             theirs = _sizes(data.efc_pos[rows], float(engine.eq_data[i, 10]))
             ours = _sizes(open_by[k])
             if not np.allclose(ours, theirs, rtol=TOLERANCE, atol=TOLERANCE):
-                raise ValueError(
+                raise InputError(
                     f"equality {loop.name!r} is open by {ours[0]:.4g} at random positions, and by {theirs[0]:.4g} in "
                     "MuJoCo; an entry of it is not supported: make it inactive, or write it with sites"
                 )

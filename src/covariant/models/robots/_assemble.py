@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
@@ -101,7 +102,7 @@ def _assemble(
     axes, bodies, base, frames = bodies_of(robot, locked)
     base = _with_payload(bodies, base, frames, loads)
     if not axes and not floating:
-        raise ValueError("no joint moves; a robot needs one that is not fixed or locked")
+        raise InputError("no joint moves; a robot needs one that is not fixed or locked")
     _check_moments(robot, frames, bodies, base if floating else None)
     freedom = freedom_of(axes)
     moved = _moved(axes, freedom, bodies, base, free_joint.name if free_joint else "", 6 * floating)
@@ -153,7 +154,7 @@ def _check_names(robot: Description, names: Sequence[str]) -> None:
     for joint in robot.joints:
         follows = joint.follows
         if follows is not None and follows.joint not in (*present, ""):
-            raise ValueError(f"joint {joint.name!r} follows {follows.joint!r}, and there is no such joint")
+            raise InputError(f"joint {joint.name!r} follows {follows.joint!r}, and there is no such joint")
 
 
 def _with_payload(
@@ -269,10 +270,10 @@ def _check_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
     loads = {}
     for link, load in payload.items():
         if len(load) != 4:
-            raise ValueError(f"payload of {link!r}: give mass, x, y, z; got {len(load)} numbers")
+            raise InputError(f"payload of {link!r}: give mass, x, y, z; got {len(load)} numbers")
         numbers = namespace(list(load)).asarray(load)
         if known(numbers) and not (np.isfinite(numbers).all() and numbers[0] >= 0):
-            raise ValueError(f"payload of {link!r}: the mass must not be negative, and all be finite; got {list(load)}")
+            raise InputError(f"payload of {link!r}: the mass must not be negative, and all be finite; got {list(load)}")
         loads[link] = numbers[0], numbers[1:]
     return loads
 
@@ -289,7 +290,7 @@ def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Descript
     beside = [j for j in robot.joints if j.child not in carried and j.name not in locked]
     if len(loose) > 1 or beside:
         other = (loose[1:] + beside)[0]
-        raise ValueError(
+        raise InputError(
             f"joint {other.name!r}: one floating joint is supported, and it must carry all that moves; "
             f"{loose[0].name!r} is another; load one robot at a time, or lock the others"
         )
@@ -323,7 +324,7 @@ def _check_moments(
         links = [name for name, frame in frames.items() if frame[0] == body]
         negative = [sentence for name in links if (sentence := negative_inertia(name, robot.links[name]))]
         together = " with all that is fixed to it" if len(links) > 1 else ""
-        raise ValueError((negative or [negative_inertia(links[0], inertia)])[0] + together)
+        raise InputError((negative or [negative_inertia(links[0], inertia)])[0] + together)
 
 
 def _check_inertia(model: MechanicalSystem, moved: list[Moved]) -> None:
@@ -341,10 +342,10 @@ def _check_inertia(model: MechanicalSystem, moved: list[Moved]) -> None:
     why = f"the inertia matrix has the eigenvalue {eigenvalues[0]:.2g} beside {eigenvalues[-1]:.2g}"
     joint = f"joint {name!r}" if name else "the base"
     if not mass:
-        raise ValueError(f"{joint} moves no mass: {why}; give the links beyond it an <inertial>, or lock it")
+        raise InputError(f"{joint} moves no mass: {why}; give the links beyond it an <inertial>, or lock it")
     if matrix[worst, worst] > least and others:
         names = ", ".join(sorted(repr(other) if other else "the base" for other in others))
-        raise ValueError(
+        raise InputError(
             f"{joint} and {names} can move together so that no mass moves: {why}; give the links between them an "
             "<inertial>, or lock one of them"
         )
@@ -352,7 +353,7 @@ def _check_inertia(model: MechanicalSystem, moved: list[Moved]) -> None:
         spin = vectors[3:6, 0]
         axis = spin / spin[np.argmax(np.abs(spin))]
     direction = " ".join(f"{part:.3g}" for part in np.round(axis, 9) + 0.0)
-    raise ValueError(
+    raise InputError(
         f"{joint} moves {mass:.3g} kg, which have no moment of inertia about its axis {direction}: {why}; give the "
         "links that it moves an <inertia> about this axis, or the joint an armature, or lock it"
     )

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint, turn_about
 
 
@@ -152,12 +153,12 @@ def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
 def locked_pose(joint: Joint, value: float) -> tuple[np.ndarray, np.ndarray]:
     """Rotation and place of a locked joint."""
     if not np.isfinite(value):
-        raise ValueError(f"joint {joint.name!r}: it must be locked at a finite number; got {value}")
+        raise InputError(f"joint {joint.name!r}: it must be locked at a finite number; got {value}")
     if joint.kind == "prismatic":
         return np.eye(3), joint.axis * value
     if joint.kind in ("fixed", "planar", "floating", "ball"):
         if value:
-            raise ValueError(f"joint {joint.name!r}: a {joint.kind} joint is locked at 0; got {value}")
+            raise InputError(f"joint {joint.name!r}: a {joint.kind} joint is locked at 0; got {value}")
         return np.eye(3), np.zeros(3)
     return turn_about(joint.axis, value), np.zeros(3)
 
@@ -172,7 +173,7 @@ def _follow(axes: list[Axis], names: list[str], free: list[int]) -> tuple[np.nda
     while pending:
         ready = [i for i in pending if _leader(axes[i], names) in done]
         if not ready:
-            raise ValueError(f"joint {axes[pending[0]].name!r} follows itself")
+            raise InputError(f"joint {axes[pending[0]].name!r} follows itself")
         for i in ready:
             follows, leader = axes[i].joint.follows, _leader(axes[i], names)
             assert follows is not None
@@ -185,5 +186,5 @@ def _follow(axes: list[Axis], names: list[str], free: list[int]) -> tuple[np.nda
 def _leader(axis: Axis, names: list[str]) -> int:
     assert axis.joint.follows is not None
     if axis.joint.follows.joint not in names:
-        raise ValueError(f"joint {axis.name!r} follows {axis.joint.follows.joint!r}, which has more than one axis")
+        raise InputError(f"joint {axis.name!r} follows {axis.joint.follows.joint!r}, which has more than one axis")
     return names.index(axis.joint.follows.joint)

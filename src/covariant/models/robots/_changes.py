@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant._typing import Number
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known, namespace
@@ -57,7 +58,7 @@ def changed(
     """
     for name in (servos or {}).keys() & (armature or {}).keys():
         if "armature" in (servos or {})[name]:
-            raise ValueError(f"joint {name!r} has an armature in [servo.{name}] and in [parameters]; keep one of them")
+            raise InputError(f"joint {name!r} has an armature in [servo.{name}] and in [parameters]; keep one of them")
     laws = {name: checked_law(name, fields) for name, fields in (friction or {}).items()}
     for what, named in (("friction", laws), ("armature", armature), ("torque_constants", torque_constants)):
         _check_joints(what, named or {}, robot.joints)
@@ -106,7 +107,7 @@ def inertia_of(name: str, numbers: Any) -> BodyInertia:
         ValueError: There are not ten parameters, or no physical body has them.
     """
     if len(numbers) != len(OF_INERTIA):
-        raise ValueError(f"inertia of {name!r}: give {', '.join(OF_INERTIA)}; got {len(numbers)} numbers")
+        raise InputError(f"inertia of {name!r}: give {', '.join(OF_INERTIA)}; got {len(numbers)} numbers")
     xnp = namespace(list(numbers))
     values = xnp.asarray(numbers, float)
     mass, centre, (xx, yy, zz, xy, xz, yz) = values[0], values[1:4], values[4:]
@@ -115,7 +116,7 @@ def inertia_of(name: str, numbers: Any) -> BodyInertia:
     if known(values):
         doubts_on(name, inertia)
         if negative := negative_inertia(name, inertia):
-            raise ValueError(negative)
+            raise InputError(negative)
     return inertia
 
 
@@ -137,7 +138,7 @@ def _gravity(direction: Any, gravity: Any) -> Any:
     xnp = namespace(gravity)
     value = xnp.asarray(gravity, float)
     if value.shape not in ((), (3,)) or (known(value) and not np.isfinite(value).all()):
-        raise ValueError(f"gravity must be its magnitude or three numbers [m/s²], all finite; got {gravity!r}")
+        raise InputError(f"gravity must be its magnitude or three numbers [m/s²], all finite; got {gravity!r}")
     size = float(np.linalg.norm(direction))
     return value if value.ndim else value * (direction / size if size else np.array([0.0, 0.0, -1.0]))
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.models._parameters import namespace
 
 MOST_TURNS = 4
@@ -418,9 +419,9 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise ValueError(f"joint {joint.name!r}: there is no link {end!r}")
+                raise InputError(f"joint {joint.name!r}: there is no link {end!r}")
         if joint.child in carrier:
-            raise ValueError(
+            raise InputError(
                 f"link {joint.child!r} is carried by two joints, {carrier[joint.child].name!r} and {joint.name!r}: "
                 f"they close a loop; leave {joint.name!r} out, and write a table [loop.{joint.name}] into a model "
                 "file: two links and the point of each at which they meet"
@@ -428,9 +429,9 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
         carrier[joint.child] = joint
     roots = [name for name in links if name not in carrier]
     if not roots:
-        raise ValueError(f"no link is the root: the joints {', '.join(sorted(j.name for j in joints))} form a cycle")
+        raise InputError(f"no link is the root: the joints {', '.join(sorted(j.name for j in joints))} form a cycle")
     if len(roots) > 1:
-        raise ValueError(
+        raise InputError(
             f"the links {', '.join(roots)} are carried by no joint; a robot has one root: connect the others"
         )
     ordered: list[Joint] = []
@@ -444,7 +445,7 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
         stack += [joint.child for joint in reversed(below)]
     if len(ordered) < len(joints):
         remaining = sorted({joint.name for joint in joints} - {joint.name for joint in ordered})
-        raise ValueError(f"the joints {', '.join(remaining)} form a cycle")
+        raise InputError(f"the joints {', '.join(remaining)} form a cycle")
     return roots[0], tuple(ordered)
 
 
@@ -474,9 +475,9 @@ def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
     """
     numbers = np.concatenate([[inertia.mass], inertia.first, inertia.second.ravel()])
     if not np.isfinite(numbers).all():
-        raise ValueError(f"link {name!r}: mass, centre of mass and inertia must be finite numbers")
+        raise InputError(f"link {name!r}: mass, centre of mass and inertia must be finite numbers")
     if inertia.mass < 0:
-        raise ValueError(f"link {name!r}: the mass must not be negative; got {inertia.mass:g} kg")
+        raise InputError(f"link {name!r}: the mass must not be negative; got {inertia.mass:g} kg")
     if negative := negative_inertia(name, inertia):
         return [negative]
     moments, size = _principal_moments(inertia)

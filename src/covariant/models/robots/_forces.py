@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Scalar
 from covariant.geometry.lie import SO3
@@ -165,7 +166,7 @@ def with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
     # Springs in parallel: stiffnesses add, and so do the torques at θ = 0, each stiffness · rest.
     torque = joint.stiffness * joint.rest + sum(motor.constant for motor in drives)
     if torque and not stiffness:
-        raise ValueError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
+        raise InputError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
     return joint._replace(
         stiffness=stiffness,
         rest=torque / stiffness if stiffness else 0.0,
@@ -192,12 +193,12 @@ def inputs_of(
     without = [axes[i].joint.name for i in freedom.free if axes[i].joint.servo is not None]
     without = [name for name in without if name not in {axes[each.axis].joint.name for each, _ in chosen}]
     if without:
-        raise ValueError(f"servo {without[0]!r}: the joint has no input; name it in actuated, or remove its table")
+        raise InputError(f"servo {without[0]!r}: the joint has no input; name it in actuated, or remove its table")
     served = {axes[each.axis].joint.name for each, _ in chosen if each.servo is not None}
     for joint in (axes[i].joint for i in freedom.free):
         law = joint.law
         if law is not None and joint.name not in served and any(known(x) and x for x in (law.load, law.load_external)):
-            raise ValueError(
+            raise InputError(
                 f"friction of {joint.name!r}: load and load_external need a servo, whose torque is the load"
             )
     servos = servos_of(axes, freedom, [each for each, _ in chosen])
@@ -208,7 +209,7 @@ def inputs_of(
 
 def _drives(motor: Motor, axes: Sequence[Axis]) -> bool:
     if motor.unsupported:
-        raise ValueError(
+        raise InputError(
             f"actuator {motor.name!r} {motor.unsupported}, which is not supported; give actuated=[...], the joints "
             "whose torques are logged, or remove it"
         )
@@ -239,7 +240,7 @@ def _of_joint(robot: Description, joint: Joint, axis: int, freedom: Freedom) -> 
 def reduction_of(joint: Joint) -> float:
     if len(joint.reductions) != 1:
         stated = f"{len(joint.reductions)} transmissions with a reduction" if joint.reductions else "no reduction"
-        raise ValueError(
+        raise InputError(
             f"motor_torques: joint {joint.name!r} has {stated}; give it one <transmission> with a "
             "<mechanicalReduction>, 1 where the motor turns as the joint does, or leave the joint out by actuated=[...]"
         )

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._linalg import solve_square
 from covariant._typing import Number, Scalar, Vector
@@ -122,15 +123,15 @@ class Legs(Functional):
 def legs(space: Any, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:
     """Legs of a robot with a free base, with feet at `{link: (x, y, z)}`; raises `ValueError` for others."""
     if not (space.floating and len(space.tree.balls) == 0):
-        raise ValueError("legged_base: the base must be free, and no joint a ball joint")
+        raise InputError("legged_base: the base must be free, and no joint a ball joint")
     if not feet or any(len(place) != 3 for place in feet.values()):
-        raise ValueError("legged_base: feet needs the place of each foot in its link, {LINK: [x, y, z]} in m")
+        raise InputError("legged_base: feet needs the place of each foot in its link, {LINK: [x, y, z]} in m")
     tree, links = space.tree, tuple(feet)
     carried, rates = tree.carried(), np.asarray(tree.coordinates) != 0
     bodies = [space.links.of(link)[0] for link in links]
     joints = [(carried[:, body] @ rates).nonzero()[0].tolist() if body >= 0 else [] for body in bodies]
     for link, carrying in zip(links, joints, strict=True):
         if len(carrying) < 3:
-            raise ValueError(f"legged_base: {link} is carried by {len(carrying)} joints; a foot needs three or more")
+            raise InputError(f"legged_base: {link} is carried by {len(carrying)} joints; a foot needs three or more")
     places = jnp.asarray(list(map(list, feet.values())), float)
     return Legs(space, jnp.asarray(radius, float), places, links, tuple(map(tuple, joints)))

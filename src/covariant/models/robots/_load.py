@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models.robots._against_mujoco import refuse_difference
@@ -47,23 +48,23 @@ def _read(path: str | Path, motor_torques: bool) -> tuple[Description, Any]:
     try:
         return _read_file(located(path), motor_torques)
     except OSError as error:
-        raise ValueError(
+        raise InputError(
             f"{path}: {error.strerror or error}; give the path of a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
         ) from error
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
 
 
 def _read_file(path: Path, motor_torques: bool) -> tuple[Description, Any]:
     outermost = parse(path)
     if outermost.tag == "mujoco":
         if motor_torques:
-            raise ValueError(
+            raise InputError(
                 "motor_torques is for URDF; an MJCF file's motors have their gear: leave motor_torques out"
             )
         return read_mjcf(path)
     if outermost.tag != "robot":
-        raise ValueError(f"a robot's file begins with <robot> (URDF) or <mujoco> (MJCF); found <{outermost.tag}>")
+        raise InputError(f"a robot's file begins with <robot> (URDF) or <mujoco> (MJCF); found <{outermost.tag}>")
     return read_urdf(outermost, path.stem, motor_torques), None
 
 
@@ -158,7 +159,7 @@ def load(
     try:
         return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
 
 
 def described(
@@ -176,7 +177,7 @@ def described(
             refuse_difference(engine, robot, actuated)
         robot = changed(robot, **numbers)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
     return robot if dry_friction else robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))
 
 

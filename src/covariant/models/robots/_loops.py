@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._names import refuse_unknown
 from covariant._typing import Vector
@@ -57,20 +58,20 @@ def close_loops(model: MechanicalSystem, robot: Description, geometry: RobotSpac
     for loop in robot.loops:
         _check_names(geometry, robot, loop)
     if not known(geometry.tree.offset):
-        raise ValueError("encoder offsets of a robot with closed loops cannot be fitted; leave offsets out")
+        raise InputError("encoder offsets of a robot with closed loops cannot be fitted; leave offsets out")
     # Inertias may be traced; the loops close whatever they are.
     with jax.ensure_compile_time_eval():
         near = _assembled(model, geometry, robot)
         try:
             leaf = Leaf.closing(geometry, Closure(geometry, robot.loops), near)
         except ValueError as error:
-            raise ValueError(f"loop {', '.join(repr(loop.name) for loop in robot.loops)}: {error}") from error
+            raise InputError(f"loop {', '.join(repr(loop.name) for loop in robot.loops)}: {error}") from error
         for loop in robot.loops:
             # The rows of a weld are sines, which vanish at half a turn too.
             if isinstance(loop, Coincide) and loop.rotation is not None:
                 turned = np.asarray(loop.rotation).T @ np.asarray(geometry.relative(leaf.assembly, *loop.links)[0])
                 if np.trace(turned) < 1:
-                    raise ValueError(
+                    raise InputError(
                         f"loop {loop.name!r} closes only with its frames turned against each other; mend rpy"
                     )
         _refuse_far(model, geometry, near, leaf.assembly, robot.assembly is not None)
@@ -82,7 +83,7 @@ def _check_names(space: RobotSpace, robot: Description, loop: Coincide | Coupled
         for link in loop.links:
             refuse_unknown(f"link of loop {loop.name!r}", link, robot.links)
             if link not in space.links.names:
-                raise ValueError(
+                raise InputError(
                     f"loop {loop.name!r} holds link {link!r}, which does not float with the robot; a loop is between "
                     "links of the robot: let its base stand, or remove the loop"
                 )
@@ -90,7 +91,7 @@ def _check_names(space: RobotSpace, robot: Description, loop: Coincide | Coupled
     for joint in loop.joints:
         refuse_unknown(f"joint of loop {loop.name!r}", joint, [each.name for each in robot.joints])
         if [name for name, _, _ in space.limits].count(joint) != 1:
-            raise ValueError(f"loop {loop.name!r}: joint {joint!r} is locked, or has several axes; remove the loop")
+            raise InputError(f"loop {loop.name!r}: joint {joint!r} is locked, or has several axes; remove the loop")
 
 
 def _assembled(model: MechanicalSystem, space: RobotSpace, robot: Description) -> Array:
@@ -116,7 +117,7 @@ def _refuse_far(model: MechanicalSystem, space: RobotSpace, near: Array, closed:
     count = len(model.coordinates)
     positions = np.asarray(closed).reshape(-1)[len(np.ravel(closed)) - count :].round(3) + 0.0
     pairs = ", ".join(f"{name} = {value:g}" for name, value in zip(model.coordinates, positions, strict=True))
-    raise ValueError(
+    raise InputError(
         f"the loops do not close where {'assembly says' if stated else 'all joints are at 0'}, and may be assembled in "
         f"several ways; the closest is assembly = {{{pairs}}}: give this, or the one that is built, to a few digits"
     )
@@ -125,22 +126,22 @@ def _refuse_far(model: MechanicalSystem, space: RobotSpace, near: Array, closed:
 def _loop(name: str, table: Any) -> Coincide | Coupled:
     where = f"[loop.{name}]"
     if not isinstance(table, Mapping):
-        raise ValueError(f"loop.{name} must be a table, {where}; got {table!r}")
+        raise InputError(f"loop.{name} must be a table, {where}; got {table!r}")
     for key in table:
         refuse_unknown(f"key of {where}", key, KEYS)
     if set(table) not in KINDS:
-        raise ValueError(
+        raise InputError(
             f"{where} needs links and points, for a point of each link that coincide; also rpy, for frames that "
             f"coincide; or joints and polynomial; got {', '.join(table) or 'nothing'}"
         )
     for key, count in KEYS.items():
         if key in table and (not isinstance(table[key], Sequence) or count not in (None, len(table[key]))):
-            raise ValueError(f"{where}: {key} must be a list of {count or 'numbers'}; got {table[key]!r}")
+            raise InputError(f"{where}: {key} must be a list of {count or 'numbers'}; got {table[key]!r}")
     if "joints" in table:
         return Coupled(name, tuple(table["joints"]), tuple(map(float, table["polynomial"])))
     points = np.asarray(table["points"], float)
     if points.shape != (2, 3) or not np.isfinite(points).all():
-        raise ValueError(f"{where}: points must be two of three numbers [m]; got {table['points']!r}")
+        raise InputError(f"{where}: points must be two of three numbers [m]; got {table['points']!r}")
     roll, pitch, yaw = map(float, table.get("rpy", (0.0, 0.0, 0.0)))
     x, y, z = np.eye(3)
     turned = turn_about(z, yaw) @ turn_about(y, pitch) @ turn_about(x, roll)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.models.robots._description import (
     NO_INERTIA,
@@ -125,18 +126,18 @@ def _refuse(read: _Reader) -> None:
     """Raise `ValueError` for the first entry that changes the motion and is not supported."""
     model = read.model
     if model.opt.density or model.opt.viscosity:
-        raise ValueError("<option> has a fluid (density, viscosity), which is not supported; set both to 0")
+        raise InputError("<option> has a fluid (density, viscosity), which is not supported; set both to 0")
     if model.nflex:
-        raise ValueError("<flex>: soft bodies are not supported; remove them")
+        raise InputError("<flex>: soft bodies are not supported; remove them")
     if model.nplugin:
-        raise ValueError("<plugin>: plugins are not supported; remove them")
+        raise InputError("<plugin>: plugins are not supported; remove them")
     for i in np.flatnonzero(model.body_gravcomp):
-        raise ValueError(f"body {read.bodies[i]!r}: gravcomp is not supported; set it to 0 and log the torque it makes")
+        raise InputError(f"body {read.bodies[i]!r}: gravcomp is not supported; set it to 0 and log the torque it makes")
     for i in range(model.ntendon):
         properties = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
         not_linear = (read.entry(f"tendon_{field}poly", i).any() for field in ("stiffness", "damping"))
         if any(part[i] for part in properties) or any(not_linear):
-            raise ValueError(
+            raise InputError(
                 f"tendon {read.name('TENDON', i)!r}: springs, damping, friction and armature of tendons are not "
                 "supported; put them into the joints"
             )
@@ -145,7 +146,7 @@ def _refuse(read: _Reader) -> None:
         if not model.eq_active0[i] or read.off("EQUALITY"):
             read.ignored["equality (inactive)"] += 1
         elif (kind := kind_of(read, i)) not in ("connect", "weld", "joint"):
-            raise ValueError(
+            raise InputError(
                 f"equality {read.name('EQUALITY', i)!r}: coupled {kind}s are not supported; couple the joints by "
                 "equality/joint, the bodies by connect or weld, or make it inactive"
             )
@@ -189,7 +190,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
     d, axis = int(model.jnt_dofadr[k]), exact(np.array(model.jnt_axis[k]))
     not_linear = (("jnt_stiffnesspoly", k), ("dof_dampingpoly", d), ("jnt_springyield", k))
     if any(read.entry(*field).any() for field in not_linear):
-        raise ValueError(f"{where}: springs and dampers that are not linear are not supported; give one number each")
+        raise InputError(f"{where}: springs and dampers that are not linear are not supported; give one number each")
     forces = {
         "damping": 0.0 if read.off("DAMPER") else float(model.dof_damping[d]),
         "friction": 0.0 if read.off("FRICTIONLOSS") else float(model.dof_frictionloss[d]),
@@ -201,7 +202,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
             read.used[f"joint/{key}"] += 1
     if kind == "free":
         if forces["stiffness"]:
-            raise ValueError(f"{where}: the stiffness of a free joint is not supported; set it to 0")
+            raise InputError(f"{where}: the stiffness of a free joint is not supported; set it to 0")
         return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis)._replace(**forces)
     address, ball, slide = int(model.jnt_qposadr[k]), kind == "ball", kind == "slide"
     # The configuration of a ball joint is a quaternion, and its spring rests where the file poses it.
@@ -237,14 +238,14 @@ def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
     for i, name in enumerate(read.actuators):
         where = f"actuator {name!r}"
         if read.entry("actuator_dampingpoly", i).any():
-            raise ValueError(f"{where}: a damper that is not linear is not supported; give one number")
+            raise InputError(f"{where}: a damper that is not linear is not supported; give one number")
         losses = {"armature": float(read.entry("actuator_armature", i))}
         losses["damping"] = 0.0 if read.off("DAMPER") else float(read.entry("actuator_damping", i))
         if not any(losses.values()):
             continue
         driven = by_name[read.names[int(read.model.actuator_trnid[i, 0])]] if _drives_joint(read, i) else None
         if driven is None or driven.kind not in hinges:
-            raise ValueError(
+            raise InputError(
                 f"{where}: armature and damping are supported only where it drives a hinge or a slide; set them to 0, "
                 "and give the joints theirs"
             )

@@ -4,6 +4,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from covariant._errors import InputError
+
 PLACEHOLDER_SIZE = 0.01
 """Radius [m] of the spheres that take the place of shapes without a meaning here."""
 
@@ -17,14 +19,14 @@ def compiled_model(mujoco: Any, path: Path) -> tuple[Any, Counter[str]]:
         try:
             spec = mujoco.MjSpec.from_file(str(path))
         except ValueError:
-            raise ValueError(f"MuJoCo cannot read it: {reason}") from error
+            raise InputError(f"MuJoCo cannot read it: {reason}") from error
         ignored, shaped = _leave_out_shapes(mujoco, spec)
         try:
             return spec.compile(), ignored
         except ValueError:
             more = f" and {len(shaped) - 1} more" if len(shaped) > 1 else ""
             remedy = f"; the inertia of {shaped[0]}{more} follows from a mesh: give an <inertial>" if shaped else ""
-            raise ValueError(f"MuJoCo cannot read it: {reason}{remedy}") from error
+            raise InputError(f"MuJoCo cannot read it: {reason}{remedy}") from error
 
 
 def _leave_out_shapes(mujoco: Any, spec: Any) -> tuple[Counter[str], list[str]]:

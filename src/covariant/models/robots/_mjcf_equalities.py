@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from covariant._errors import InputError
 from covariant.models.robots._description import Coincide, Coupled, Follows, Joint, exact, rows
 
 CLOSES = 1e-3
@@ -44,7 +45,7 @@ def couple_joints(read: Any, joints: list[Joint]) -> tuple[list[Joint], list[Coi
             loops.append(Coupled(read.name("EQUALITY", i), (name, read.names[other]), numbers))
             continue
         if coupled[name].follows is not None:
-            raise ValueError(f"joint {name!r} is in two equalities; keep one")
+            raise InputError(f"joint {name!r} is in two equalities; keep one")
         offset, ratio = (*polynomial, 0.0)[:2]
         follows = Follows("" if other < 0 else read.names[other], float(ratio), float(offset))
         coupled[name] = coupled[name]._replace(follows=follows)

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._names import refuse_unknown
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known
@@ -317,10 +318,10 @@ def complete_tables(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Tables of servos, each with what it takes from the one that it is like."""
     for name, table in given.items():
         if not isinstance(table, Mapping):
-            raise ValueError(f"servo.{name} must be a table, [servo.{name}]; got {table!r}")
+            raise InputError(f"servo.{name} must be a table, [servo.{name}]; got {table!r}")
         other = table.get("like")
         if "like" in table and not (isinstance(other, str) and other in given and "like" not in given[other]):
-            raise ValueError(
+            raise InputError(
                 f"servo.{name}.like must be a joint with a [servo] table that is like no other; got {other!r}"
             )
     shared = {name: {**given.get(table.get("like", ""), {}), **table} for name, table in given.items()}
@@ -330,7 +331,7 @@ def complete_tables(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 def _sign(name: str, table: Mapping[str, Any]) -> int:
     sign = table.get("sign", 1)
     if sign not in (1, -1) or isinstance(sign, bool):
-        raise ValueError(f"servo {name!r}: sign must be 1 or -1; got {sign!r}")
+        raise InputError(f"servo {name!r}: sign must be 1 or -1; got {sign!r}")
     return int(sign)
 
 
@@ -346,28 +347,28 @@ def _flipped(joint: Joint, names: set[str]) -> Joint:
 def _with_servo(joint: Joint, table: Mapping[str, Any]) -> Joint:
     name = joint.name
     if joint.kind not in ("revolute", "continuous", "prismatic") or joint.follows is not None:
-        raise ValueError(f"servo {name!r}: it drives one axis that moves by itself; this joint is {joint.kind}")
+        raise InputError(f"servo {name!r}: it drives one axis that moves by itself; this joint is {joint.kind}")
     if joint.servo is None and "stiffness" not in table:
-        raise ValueError(f"[servo.{name}] needs a stiffness, the torque per unit of the command's error")
+        raise InputError(f"[servo.{name}] needs a stiffness, the torque per unit of the command's error")
     for key, value in table.items():
         if key in FLAGS and not isinstance(value, bool):
-            raise ValueError(f"servo {name!r}: {key} must be true or false; got {value!r}")
+            raise InputError(f"servo {name!r}: {key} must be true or false; got {value!r}")
         if key in (*OF_SERVO, *OF_GEAR):
             _check_number(name, key, value)
     servo = (joint.servo or Servo(0.0))._replace(**{k: v for k, v in table.items() if k in (*OF_SERVO, *FLAGS)})
     stated = [key for key in _DRIVE if key in table]
     if stated and ({"limit", "back_emf"} & table.keys() or len(stated) < len(_DRIVE)):
-        raise ValueError(
+        raise InputError(
             f"[servo.{name}] states its drive by {', '.join(_DRIVE)} together, or limit and back_emf instead; got "
             f"{', '.join(key for key in table if key in (*_DRIVE, 'limit', 'back_emf'))}"
         )
     if "pwm_limit" in table and not stated:
-        raise ValueError(f"[servo.{name}] pwm_limit is a part of a drive; state {', '.join(_DRIVE)} too, or a limit")
+        raise InputError(f"[servo.{name}] pwm_limit is a part of a drive; state {', '.join(_DRIVE)} too, or a limit")
     if servo.logged_supply and not stated:
-        raise ValueError(f"[servo.{name}] logged_supply needs {', '.join(_DRIVE)}: which voltage its stiffness is for")
+        raise InputError(f"[servo.{name}] logged_supply needs {', '.join(_DRIVE)}: which voltage its stiffness is for")
     friction = {key: value for key, value in table.items() if key in FrictionLaw._fields}
     if friction and joint.law is not None:
-        raise ValueError(f"joint {name!r} has friction in [servo.{name}] and in [parameters]; state it in one of them")
+        raise InputError(f"joint {name!r} has friction in [servo.{name}] and in [parameters]; state it in one of them")
     return joint._replace(
         servo=servo,
         law=checked_law(name, friction) if friction else joint.law,
@@ -378,9 +379,9 @@ def _with_servo(joint: Joint, table: Mapping[str, Any]) -> Joint:
 def _check_number(name: str, key: str, value: Any) -> None:
     where = f"servo {name!r}: {key}"
     if known(value) and not isinstance(value, int | float | np.number | jax.Array | np.ndarray):
-        raise ValueError(f"{where} must be one number; got {value!r}")
+        raise InputError(f"{where} must be one number; got {value!r}")
     if isinstance(value, bool) or np.ndim(value):
-        raise ValueError(f"{where} must be one number; got {value!r}")
+        raise InputError(f"{where} must be one number; got {value!r}")
     check_range(where, value, _RANGES.get(key, ZERO_OR_MORE))
 
 

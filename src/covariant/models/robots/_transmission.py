@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
+from covariant._errors import InputError
 from covariant.models.robots._description import Joint
 from covariant.models.robots._xml import attribute, finite, name_of, number
 
@@ -38,17 +39,17 @@ def with_rotors(
         if len(driven) != 1 or len(rotors) > 1:
             what = f"{len(rotors)} rotors on" if rotors else "a reduction of"
             remedy = f"remove <{ROTOR}>" if rotors else "log the torques of the joints"
-            raise ValueError(
+            raise InputError(
                 f"{where}: {what} {len(driven)} joints are not supported; one motor drives one joint, {remedy}"
             )
         joint = by_name.get(driven[0])
         if joint is None:
-            raise ValueError(f"{where}: there is no joint {driven[0]!r}")
+            raise InputError(f"{where}: there is no joint {driven[0]!r}")
         if joint.kind not in ONE_AXIS:
-            raise ValueError(f"{where}: joint {joint.name!r} is {joint.kind}, and a motor needs one axis")
+            raise InputError(f"{where}: joint {joint.name!r} is {joint.kind}, and a motor needs one axis")
         inertia, turns = sum(_value(rotor, where) for rotor in rotors), reduction(entry, where)
         if inertia < 0:
-            raise ValueError(f"{where}: {ROTOR} must not be negative; got {inertia:g} kg m²")
+            raise InputError(f"{where}: {ROTOR} must not be negative; got {inertia:g} kg m²")
         by_name[joint.name] = joint._replace(
             # The energy ½J(n q')² is that of n²J at the joint.
             armature=joint.armature + turns**2 * inertia,
@@ -63,10 +64,10 @@ def reduction(entry: Element, where: str) -> float:
     # Joint and actuator may both state the reduction, by either name, but not with different numbers.
     if len({value for _, value in stated}) > 1:
         both = " and ".join(f"{name} {value:g}" for name, value in stated)
-        raise ValueError(f"{where}: {both} differ; keep one")
+        raise InputError(f"{where}: {both} differ; keep one")
     name, turns = stated[0] if stated else ("", 1.0)
     if not turns:
-        raise ValueError(f"{where}: {name} must not be 0")
+        raise InputError(f"{where}: {name} must not be 0")
     return turns
 
 

@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
@@ -48,7 +49,7 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
             (used if known else ignored)[f"{tag}/{name_of(part)}"] += 1
         entry_name = attribute(entry, "name", tag)
         if entry_name in (links if tag == "link" else {joint.name for joint in joints}):
-            raise ValueError(f"two {tag}s are called {entry_name!r}")
+            raise InputError(f"two {tag}s are called {entry_name!r}")
         if tag == "link":
             links[entry_name] = _inertia(entry, entry_name)
             doubts += doubts_on(entry_name, links[entry_name])
@@ -56,7 +57,7 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
             joints.append(_joint(entry, entry_name))
             doubts += limits_in_doubt(joints[-1])
     if not links:
-        raise ValueError("has no <link>")
+        raise InputError("has no <link>")
     transmissions = [entry for entry in robot if name_of(entry) == "transmission"]
     joints = with_rotors(transmissions, joints, motor_torques, used, ignored)
     root, ordered = in_order(links, joints)
@@ -81,7 +82,7 @@ def _inertia(link: Element, name: str) -> BodyInertia:
     rotation, centre = _origin(inertial, where)
     mass, moments = inertial.find("mass"), inertial.find("inertia")
     if mass is None or moments is None:
-        raise ValueError(f"{where}: <inertial> needs <mass> and <inertia>")
+        raise InputError(f"{where}: <inertial> needs <mass> and <inertia>")
     xx, xy, xz, yy, yz, zz = (
         # The moments are required by the specification; files often leave out products that are zero.
         number(moments, key, where, 0.0 if key in ("ixy", "ixz", "iyz") else None)
@@ -94,20 +95,20 @@ def _inertia(link: Element, name: str) -> BodyInertia:
 def _joint(entry: Element, name: str) -> Joint:
     where, kind = f"joint {name!r}", entry.get("type", "")
     if kind not in KINDS:
-        raise ValueError(f"{where}: unknown type {kind!r}; there are {', '.join(KINDS)}")
+        raise InputError(f"{where}: unknown type {kind!r}; there are {', '.join(KINDS)}")
     kind = "ball" if kind == "spherical" else kind
     ends = {}
     for end in ("parent", "child"):
         tag = entry.find(end)
         if tag is None:
-            raise ValueError(f"{where}: <{end} link=…/> is missing")
+            raise InputError(f"{where}: <{end} link=…/> is missing")
         ends[end] = attribute(tag, "link", where)
     rotation, place = _origin(entry, where)
     # The specification's default axis is x.
     axis = vector(entry.find("axis"), "xyz", where, (1.0, 0.0, 0.0))
     length = np.linalg.norm(axis)
     if kind not in WITHOUT_AXIS and not length > 1e-9:
-        raise ValueError(f"{where}: the axis must have a direction; got {axis.tolist()}")
+        raise InputError(f"{where}: the axis must have a direction; got {axis.tolist()}")
     dynamics, limit, mimic = entry.find("dynamics"), entry.find("limit"), entry.find("mimic")
     # The specification has 0 for a limit that is not stated, and limits a continuous joint by none.
     lower, upper = (
@@ -116,14 +117,14 @@ def _joint(entry: Element, name: str) -> Joint:
         else (number(limit, key, where, 0.0) for key in ("lower", "upper"))
     )
     if lower > upper:
-        raise ValueError(f"{where}: the lower limit {lower:g} is above the upper one {upper:g}")
+        raise InputError(f"{where}: the lower limit {lower:g} is above the upper one {upper:g}")
     losses = {key: 0.0 if dynamics is None else number(dynamics, key, where, 0.0) for key in ("damping", "friction")}
     for key, value in losses.items():
         if value < 0:
-            raise ValueError(f"{where}: {key} must not be negative; got {value:g}")
+            raise InputError(f"{where}: {key} must not be negative; got {value:g}")
     follows = None
     if mimic is not None and kind == "ball":
-        raise ValueError(f"{where}: a ball joint cannot follow another one; remove <mimic>")
+        raise InputError(f"{where}: a ball joint cannot follow another one; remove <mimic>")
     if mimic is not None:
         numbers = (number(mimic, key, where, default) for key, default in (("multiplier", 1.0), ("offset", 0.0)))
         follows = Follows(attribute(mimic, "joint", where), *numbers)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.models.robots._assemble import still_joints
 from covariant.models.robots._axes import locked_pose
@@ -64,7 +65,7 @@ def robot_text(
             text = mjcf_text(_on_its_base(robot) if floating else robot, step, head)
             _check_mjcf(text)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
     return RobotText(text, left_out)
 
 
@@ -74,7 +75,7 @@ def _check_mjcf(text: str) -> None:
     try:
         mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
-        raise ValueError(f"MuJoCo cannot read it as MJCF: {' '.join(str(error).split())}") from error
+        raise InputError(f"MuJoCo cannot read it as MJCF: {' '.join(str(error).split())}") from error
 
 
 def _with_payload(robot: Description, payload: Mapping[str, Sequence[float]]) -> Description:

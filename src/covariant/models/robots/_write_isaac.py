@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from covariant._errors import InputError
 from covariant.models.robots._description import Description, FrictionLaw, Joint
 from covariant.models.robots._servos import drive_limit
 from covariant.models.robots._write_mjcf import ROUNDING, lasting_delay, plain_friction
@@ -19,7 +20,7 @@ def isaac_text(robot: Description, step: float, about: Sequence[str] = (), left_
     """Text of the table as JSON; `step` is the time step of the physics [s]."""
     driven = [joint for joint in robot.joints if joint.servo is not None]
     if not driven:
-        raise ValueError("no joint has a servo, of which the table would be; give the model file [servo.JOINT] tables")
+        raise InputError("no joint has a servo, of which the table would be; give the model file [servo.JOINT] tables")
     table = {
         "about": list(about),
         "step": step,

@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
@@ -119,7 +120,7 @@ def _add_body(parent: Element, robot: Description, link: str, chain: Sequence[Jo
 
 def _add_joint(body: Element, joint: Joint, axis: np.ndarray, anchor: np.ndarray, step: float) -> None:
     if joint.kind not in KINDS:
-        raise ValueError(f"joint {joint.name!r} is {joint.kind}, and MJCF has no such joint; lock it")
+        raise InputError(f"joint {joint.name!r} is {joint.kind}, and MJCF has no such joint; lock it")
     entry = SubElement(body, "joint", name=joint.name, type=KINDS[joint.kind])
     if joint.kind in ONE_AXIS:
         entry.set("axis", numbers_text(axis))
@@ -173,7 +174,7 @@ def _add_loops(whole: Element, robot: Description) -> None:
     for loop in robot.loops:
         if isinstance(loop, Coupled):
             if len(loop.polynomial) > MOST_COEFFICIENTS:
-                raise ValueError(f"loop {loop.name!r}: MJCF has polynomials of order {MOST_COEFFICIENTS - 1} at most")
+                raise InputError(f"loop {loop.name!r}: MJCF has polynomials of order {MOST_COEFFICIENTS - 1} at most")
             entry = SubElement(table, "joint", name=loop.name, joint1=loop.joints[0], joint2=loop.joints[1])
             entry.set("polycoef", numbers_text(np.pad(loop.polynomial, (0, MOST_COEFFICIENTS - len(loop.polynomial)))))
             continue
@@ -183,7 +184,7 @@ def _add_loops(whole: Element, robot: Description) -> None:
         for number, (link, point, turn) in enumerate(zip(loop.links, loop.points, turns, strict=True), 1):
             body = bodies.get(link)
             if body is None:
-                raise ValueError(f"loop {loop.name!r} holds link {link!r}, which has no mass; give it some")
+                raise InputError(f"loop {loop.name!r} holds link {link!r}, which has no mass; give it some")
             site = SubElement(body, "site", name=f"{loop.name} {number}", pos=numbers_text(point))
             if not np.array_equal(turn, np.eye(3)):
                 site.set("xyaxes", numbers_text(turn.T[:2].ravel()))

@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models.robots._changes import numbers_of
 from covariant.models.robots._description import Description, Joint, turn_about
@@ -58,7 +59,7 @@ def urdf_text(path: str | Path, robot: Description, about: Sequence[str] = ()) -
     Positions of joints are then those of the log: an encoder offset goes into the pose of the joint.
     """
     if robot.loops:
-        raise ValueError(f"URDF has no closed loops, such as {robot.loops[0].name!r}; write an .xml file, MJCF")
+        raise InputError(f"URDF has no closed loops, such as {robot.loops[0].name!r}; write an .xml file, MJCF")
     whole = _parse_urdf(path)
     before = read_urdf(whole, robot.name)
     links = {link.get("name", ""): link for link in whole.findall("link")}
@@ -77,7 +78,7 @@ def urdf_text(path: str | Path, robot: Description, about: Sequence[str] = ()) -
 def _parse_urdf(path: str | Path) -> Element:
     robot = parse(located(path))
     if name_of(robot) != "robot":
-        raise ValueError(f"{path}: a URDF file begins with <robot>; found <{name_of(robot)}>")
+        raise InputError(f"{path}: a URDF file begins with <robot>; found <{name_of(robot)}>")
     return robot
 
 
@@ -153,7 +154,7 @@ def _roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
 def _set_rotor(whole: Element, joint: Joint) -> None:
     """State the rotor of a joint as Drake does: URDF itself has no entry for it."""
     if joint.kind not in ONE_AXIS:
-        raise ValueError(f"joint {joint.name!r} is {joint.kind}, and URDF has rotors of joints of one axis only")
+        raise InputError(f"joint {joint.name!r} is {joint.kind}, and URDF has rotors of joints of one axis only")
     driving = [
         entry
         for entry in whole

@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.models.robots._description import FrictionLaw, Joint, Servo
 
 NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -23,7 +24,7 @@ def xml_text(whole: Element, head: Sequence[str]) -> str:
     for entry in whole.iter():
         for key, value in entry.attrib.items():
             if NOT_IN_XML.search(value):
-                raise ValueError(f"<{entry.tag}> has the {key} {value!r}, which XML cannot hold; rename it")
+                raise InputError(f"<{entry.tag}> has the {key} {value!r}, which XML cannot hold; rename it")
     ElementTree.indent(whole)
     # Two hyphens end a comment.
     lines = [re.sub("-(?=-)", "- ", NOT_IN_XML.sub("?", line)) for line in head]

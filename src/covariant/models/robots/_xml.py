@@ -7,20 +7,22 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from covariant._errors import InputError
+
 
 def parse(path: Path) -> Element:
     """Outermost tag of an XML file; raises `ValueError` where it declares document types or entities."""
     data = path.read_bytes()
     # UTF-16 has NUL bytes between letters, and would hide the words that are searched for below.
     if b"\0" in data:
-        raise ValueError("is not text in UTF-8; save it as such")
+        raise InputError("is not text in UTF-8; save it as such")
     # Entities can grow exponentially (billion laughs) or name files to read.
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise ValueError("declares a document type or entities, which a robot description has no need of; remove them")
+        raise InputError("declares a document type or entities, which a robot description has no need of; remove them")
     try:
         return ElementTree.fromstring(data)
     except ElementTree.ParseError as error:
-        raise ValueError(f"is not readable XML: {error}") from error
+        raise InputError(f"is not readable XML: {error}") from error
 
 
 def vector(entry: Element | None, key: str, where: str, default: tuple[float, float, float]) -> np.ndarray:
@@ -33,7 +35,7 @@ def vector(entry: Element | None, key: str, where: str, default: tuple[float, fl
     except ValueError:
         numbers = np.zeros(0)
     if numbers.shape != (3,) or not np.isfinite(numbers).all():
-        raise ValueError(f"{where}: {key} must be three finite numbers; got {text!r}")
+        raise InputError(f"{where}: {key} must be three finite numbers; got {text!r}")
     return numbers
 
 
@@ -42,7 +44,7 @@ def number(entry: Element, key: str, where: str, default: float | None = None) -
     text = entry.get(key)
     if text is None:
         if default is None:
-            raise ValueError(f"{where}: <{entry.tag}> lacks {key!r}")
+            raise InputError(f"{where}: <{entry.tag}> lacks {key!r}")
         return default
     return finite(text, f"{where}: {key} of <{entry.tag}>")
 
@@ -54,7 +56,7 @@ def finite(text: str, what: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{what} must be a finite number; got {text!r}")
+        raise InputError(f"{what} must be a finite number; got {text!r}")
     return value
 
 
@@ -62,7 +64,7 @@ def attribute(entry: Element, key: str, where: str) -> str:
     """Text of an attribute; raises `ValueError` where it is missing or empty."""
     text = entry.get(key)
     if not text:
-        raise ValueError(f"{where}: a <{entry.tag}> lacks {key!r}")
+        raise InputError(f"{where}: a <{entry.tag}> lacks {key!r}")
     return text
 
 

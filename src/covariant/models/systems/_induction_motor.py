@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
 
@@ -68,7 +69,7 @@ def induction_motor(
     leakage = stator_inductance - coupling * mutual_inductance
     # The magnetic energy is positive definite if and only if M² < Ls Lr; leakage is (Ls Lr − M²)/Lr.
     if leakage <= 0:
-        raise ValueError(
+        raise InputError(
             f"induction_motor: mutual_inductance {mutual_inductance:g} H must be below the geometric mean of the other "
             f"two, {(stator_inductance * rotor_inductance) ** 0.5:g} H"
         )

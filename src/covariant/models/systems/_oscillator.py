@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
 from covariant.models._parameters import Parameter, Parametric
@@ -48,7 +49,7 @@ def oscillator(chart: str = "q", stiffness: Number = 1.0) -> Lagrangian:
             units=("1",),
             parameters=parameters,
         )
-    raise ValueError(f"oscillator: chart must be 'q' or 'r'; got {chart!r}")
+    raise InputError(f"oscillator: chart must be 'q' or 'r'; got {chart!r}")
 
 
 def _unit_mass(q):

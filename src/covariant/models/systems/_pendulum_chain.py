@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
 from covariant.models._parameters import AnyArray, Parameter, Parametric, known, namespace
@@ -106,7 +107,7 @@ def pendulum_chain(
     _one_of("inertia_about", inertia_about, ("com", "joint"))
     for name in ("mass", "inertia", "rotor_inertia", "viscous", "coulomb"):
         if known(p[name]) and (p[name] < 0).any():
-            raise ValueError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
+            raise InputError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
     # Steiner's theorem: `coupling` already contains the energy of the centres of mass, and so m com².
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
@@ -126,7 +127,7 @@ def pendulum_chain(
     sign = 1.0 if zero == "upright" else -1.0
     driven = list(range(n)) if actuated is None else list(actuated)
     if any(not 0 <= i < n for i in driven):
-        raise ValueError(f"pendulum_chain: actuated {tuple(driven)} must be joints 0 to {n - 1}")
+        raise InputError(f"pendulum_chain: actuated {tuple(driven)} must be joints 0 to {n - 1}")
 
     return Lagrangian(
         Parametric(_metric, coupling=coupling, constant=constant, between=between, absolute=absolute),
@@ -165,12 +166,12 @@ def _dissipation(q, v, viscous, coulomb, joints):
 def _per_link(name: str, value: Sequence[Number] | AnyArray | None, n: int) -> AnyArray:
     array = np.zeros(n) if value is None else namespace(value).asarray(value, float)
     if array.shape != (n,):
-        raise ValueError(f"pendulum_chain: {name} needs one number a link, {n} as in mass; got {np.size(array)}")
+        raise InputError(f"pendulum_chain: {name} needs one number a link, {n} as in mass; got {np.size(array)}")
     if known(array) and not np.isfinite(array).all():
-        raise ValueError(f"pendulum_chain: {name} must be finite; got {tuple(array.tolist())}")
+        raise InputError(f"pendulum_chain: {name} must be finite; got {tuple(array.tolist())}")
     return array
 
 
 def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
     if value not in choices:
-        raise ValueError(f"pendulum_chain: {name} must be one of {', '.join(choices)}; got {value!r}")
+        raise InputError(f"pendulum_chain: {name} must be one of {', '.join(choices)}; got {value!r}")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.geometry.lie import SO2, SO3, Product
 from covariant.models._mechanical import GroupSystem
@@ -43,7 +44,7 @@ def satellite(
     """
     directions = np.asarray(axes, float)
     if directions.ndim != 2 or directions.shape[1] != 3:
-        raise ValueError(f"satellite: axes must have shape (k, 3); got {directions.shape}")
+        raise InputError(f"satellite: axes must have shape (k, 3); got {directions.shape}")
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     k = directions.shape[0]
     xp = namespace(inertia, wheel_inertia)

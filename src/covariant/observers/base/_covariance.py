@@ -9,6 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import AbstractSpace
@@ -26,17 +27,17 @@ def check_covariance(whose: str, name: str, covariance: Any, positive: bool = Fa
     check_finite(whose, **{name: covariance})
     entries = np.asarray(covariance, float)
     if entries.ndim not in (0, 2) or (entries.ndim == 2 and entries.shape[0] != entries.shape[1]):
-        raise ValueError(f"{whose}: {name} must be a number or a square matrix; its shape is {entries.shape}")
+        raise InputError(f"{whose}: {name} must be a number or a square matrix; its shape is {entries.shape}")
     matrix = np.atleast_2d(entries)
     largest = np.abs(matrix).max()
     # Tolerances relative to the largest entry, since units may be of any size.
     if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * largest):
-        raise ValueError(f"{whose}: {name} must be symmetric; got {entries.tolist()}")
+        raise InputError(f"{whose}: {name} must be symmetric; got {entries.tolist()}")
     smallest = np.linalg.eigvalsh(matrix)[0]
     # Eigenvalues are computed to some n·eps of the largest; 1e-12 leaves a singular covariance of any size room.
     if smallest < -1e-12 * largest or (positive and not smallest > 1e-12 * largest):
         condition = "positive" if positive else "zero or more"
-        raise ValueError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")
+        raise InputError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")
 
 
 def isotropic(std: Scalar | Vector, like: Vector) -> Matrix:

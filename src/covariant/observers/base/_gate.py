@@ -25,6 +25,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant._linalg import half_solve
 from covariant._typing import Flag, Matrix, Vector
 from covariant.geometry import AbstractManifold
@@ -82,11 +83,11 @@ class Gate(eqx.Module):
         for name in ("deviations", "memory"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"Gate: {name} must be a positive, finite number; got {value}")
+                raise InputError(f"Gate: {name} must be a positive, finite number; got {value}")
         if self.memory < 1:
-            raise ValueError(f"Gate: memory must be a number of samples, 1 or more; got {self.memory}")
+            raise InputError(f"Gate: memory must be a number of samples, 1 or more; got {self.memory}")
         if self.patience < 0:
-            raise ValueError(f"Gate: patience must be a number of samples, 0 or more; got {self.patience}")
+            raise InputError(f"Gate: patience must be a number of samples, 0 or more; got {self.patience}")
 
     def judge(
         self,

@@ -32,6 +32,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
@@ -495,13 +496,13 @@ def check_positive(whose: str, **gains: Any) -> None:
     """Check that gains are positive, finite numbers; a traced gain has no value to check."""
     for name, gain in gains.items():
         if not _satisfies(gain, lambda a: np.isfinite(a) & (a > 0)):
-            raise ValueError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
+            raise InputError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
 
 
 def check_free(whose: str, model: MechanicalSystem) -> None:
     """Check that a model has no closed loop, whose coordinates are more than an error in coordinates may have."""
     if model.manifold.redundant:
-        raise ValueError(
+        raise InputError(
             f"{whose}: its errors are differences of all coordinates, but a closed loop ties some together; take "
             "IntrinsicKalman, whose errors stay along the loop"
         )
@@ -511,14 +512,14 @@ def check_not_negative(whose: str, **gains: Any) -> None:
     """Check that gains are finite numbers ≥ 0; a traced gain has no value to check."""
     for name, gain in gains.items():
         if not _satisfies(gain, lambda a: np.isfinite(a) & (a >= 0)):
-            raise ValueError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
+            raise InputError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
 
 
 def check_whole(whose: str, observer: Any) -> None:
     """Check that an observer may be wrapped: what it reports of its own steps is unknown where they do not run."""
     reported = getattr(type(observer), "reported", AbstractObserver.reported)
     if reported is not AbstractObserver.reported:
-        raise ValueError(
+        raise InputError(
             f"{whose}: what {type(observer).__name__} reports is about its own steps, and not about those that {whose} "
             "makes of them; put it around the others"
         )
@@ -528,7 +529,7 @@ def check_finite(whose: str, **given: Any) -> None:
     """Check that arrays have finite entries; a traced array has no values to check."""
     for name, array in given.items():
         if not _satisfies(array, np.isfinite):
-            raise ValueError(f"{whose}: {name} must have finite entries; got {_on_one_line(array)}")
+            raise InputError(f"{whose}: {name} must have finite entries; got {_on_one_line(array)}")
 
 
 def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np.inf) -> np.ndarray:
@@ -540,7 +541,7 @@ def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np
     if not (np.isfinite(numbers).all() and (numbers >= least).all()):
         kind = "numbers ≥ 0" if least == 0 else "finite numbers"
         many = {1: "one number", 3: "one number or three"}.get(count, f"one number or {count}")
-        raise ValueError(f"{whose}: {what} must be {many}, {kind}; got {value}")
+        raise InputError(f"{whose}: {what} must be {many}, {kind}; got {value}")
     return numbers
 
 
@@ -576,7 +577,7 @@ def with_velocity(state: Any, v: Vector) -> Any:
     if "v" in state._fields:
         return state._replace(v=v)
     if "inner" not in state._fields:
-        raise ValueError(f"{type(state).__name__}: the state of this observer has no velocity to start with")
+        raise InputError(f"{type(state).__name__}: the state of this observer has no velocity to start with")
     return state._replace(inner=with_velocity(state.inner, v))
 
 
@@ -762,11 +763,11 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
         manifold.checked(jnp.asarray(observer.configuration(np.asarray(y)[0])))
     first = np.asarray(y)[0]  # a value even inside a compiled function, where indexing in JAX is traced
     if (np.abs(first) > observer.largest(first)).any():
-        raise ValueError("row 1: the measurement is too large for a start; cut the log to begin later")
+        raise InputError("row 1: the measurement is too large for a start; cut the log to begin later")
     admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))
     bad = (np.isnan(admitted) & ~np.isnan(y)).reshape(len(y), -1).any(1)
     if bad.any():
-        raise ValueError(
+        raise InputError(
             f"row {bad.argmax() + 1}: the measurement is no configuration of the model; pass rotations as matrices, "
             "and NaN in all entries of one that is missing"
         )

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, advance, friction
@@ -139,9 +140,9 @@ def with_fixed_substeps(
         4
     """
     if not chooses_substeps(observer):
-        raise ValueError(f"with_fixed_substeps: {type(observer).__name__} does not choose its substeps by friction")
+        raise InputError(f"with_fixed_substeps: {type(observer).__name__} does not choose its substeps by friction")
     if not 0 < rate < math.inf:
-        raise ValueError(f"with_fixed_substeps: rate must be a positive, finite number; got {rate}")
+        raise InputError(f"with_fixed_substeps: rate must be a positive, finite number; got {rate}")
     model, dt = observer.model, 1 / rate
     needed = jax.jit(jax.vmap(lambda q, v, u: needed_substeps(model, 0.0, q, v, u, dt)))(q, v, u)
     return dataclasses.replace(observer, substeps=int(needed.max()))

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant._typing import Number, Numbers, Scalar, Vector
@@ -95,9 +96,9 @@ class Contracting(AbstractFlowObserver):
     def __check_init__(self):
         n, p = self.start.shape[0], len(self.model.outputs)
         if self.model.coordinates and n != len(self.model.coordinates):
-            raise ValueError(f"start has {n} entries; the model has {len(self.model.coordinates)} states")
+            raise InputError(f"start has {n} entries; the model has {len(self.model.coordinates)} states")
         if not callable(self.gain) and p and self.gain.shape != (n, p):
-            raise ValueError(
+            raise InputError(
                 f"gain must have a row for each of {n} states, a column for each of {p} outputs; "
                 f"its shape is {self.gain.shape}"
             )
@@ -214,7 +215,7 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
     gains = [np.asarray(k, float) for k in (k1, k2)]
     for name, k in zip(("k1", "k2"), gains, strict=True):
         if k.shape != (n, n):
-            raise ValueError(f"{name} must be square, ({n}, {n}); its shape is {k.shape}")
+            raise InputError(f"{name} must be square, ({n}, {n}); its shape is {k.shape}")
 
     def gain(t, z):
         first, second = (jnp.asarray(k, z.dtype) for k in gains)

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, friction, source
@@ -89,9 +90,9 @@ class Intrinsic(AbstractMechanicalObserver):
     def __check_init__(self):
         check_positive("Intrinsic", alpha=self.alpha, beta=self.beta)
         if self.order not in (1, 2):
-            raise ValueError(f"Intrinsic: order must be 1 or 2; got {self.order!r}")
+            raise InputError(f"Intrinsic: order must be 1 or 2; got {self.order!r}")
         if self.coefficients not in ("measured", "estimated"):
-            raise ValueError(f"Intrinsic: coefficients must be 'measured' or 'estimated'; got {self.coefficients!r}")
+            raise InputError(f"Intrinsic: coefficients must be 'measured' or 'estimated'; got {self.coefficients!r}")
 
     def init(self, y: Array, t: Number = 0.0) -> SampledState:
         return at_rest(self.model, y, t)

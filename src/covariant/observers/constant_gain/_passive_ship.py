@@ -14,6 +14,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
 from covariant.models.marine import Station, positive_definite, yaw_rotation
@@ -93,9 +94,9 @@ class PassiveShip(AbstractFlowObserver):
             ValueError: y has another shape, or an entry of it is missing; a traced y has no values to check.
         """
         if y.shape != (3,):
-            raise ValueError(f"a ship's measurement is north, east and heading; this one has shape {y.shape}")
+            raise InputError(f"a ship's measurement is north, east and heading; this one has shape {y.shape}")
         if not isinstance(y, Tracer) and np.isnan(y).any():
-            raise ValueError("the first row must hold north, east and heading; one is missing: start at a row with all")
+            raise InputError("the first row must hold north, east and heading; one is missing: start at a row with all")
         start = jnp.zeros(self.station.order, y.dtype).at[:3].set(y)
         return ContractingState(start, jnp.asarray(t, y.dtype), jnp.zeros_like(y), jnp.zeros_like(y))
 
@@ -203,7 +204,7 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
     a2 = np.asarray(velocity_matrix(station))
     largest = np.linalg.eigvals(a2).real.max()
     if not largest < 0:
-        raise ValueError(
+        raise InputError(
             f"A2 = −M⁻¹D is not Hurwitz: an eigenvalue has real part {largest:.3g}; the ship needs damping"
         )
     if q2 is None:
@@ -315,7 +316,7 @@ def notch_gains(
         w, z = np.asarray(station.waves.frequency), np.asarray(station.waves.damping)
         cutoffs = 1.22 * w if cutoff is None else _three_positive("cutoff", cutoff)
         if not (notch_damping > z).all():
-            raise ValueError(f"notch_damping must exceed that of the waves, {z.max():g}; got {notch_damping:g}")
+            raise InputError(f"notch_damping must exceed that of the waves, {z.max():g}; got {notch_damping:g}")
         # From the measurement to the wave-free error this leaves a notch of damping `notch_damping` at ω, (41)–(46).
         waves = np.concatenate([np.diag(-2 * (notch_damping - z) * cutoffs / w), np.diag(2 * w * (notch_damping - z))])
     # Without waves s² + K1 s + P1/m is (s + ω)²: the cutoff is 2ω, so that P1/m is ω².
@@ -328,7 +329,7 @@ def notch_gains(
 def _three_positive(name: str, entries: Sequence[float]) -> np.ndarray:
     values = np.asarray(entries, float)
     if values.shape != (3,) or not (values > 0).all():
-        raise ValueError(f"{name} needs three positive numbers [rad/s], for north, east, heading; got {entries}")
+        raise InputError(f"{name} needs three positive numbers [rad/s], for north, east, heading; got {entries}")
     return values
 
 

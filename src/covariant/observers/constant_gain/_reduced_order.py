@@ -12,6 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._integrate import rk4
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import StateSpace
@@ -86,9 +87,9 @@ class ReducedOrder(AbstractObserver):
     def __check_init__(self):
         n, p = self.start.shape[0], len(self.model.outputs)
         if self.model.coordinates and n != len(self.model.coordinates):
-            raise ValueError(f"start has {n} entries; the model has {len(self.model.coordinates)} states")
+            raise InputError(f"start has {n} entries; the model has {len(self.model.coordinates)} states")
         if p and self.direction.shape != (n, p):
-            raise ValueError(
+            raise InputError(
                 f"direction must have a row for each of {n} states, a column for each of {p} outputs; its shape is "
                 f"{self.direction.shape}"
             )

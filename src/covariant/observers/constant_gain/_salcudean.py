@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3, quaternion_from_rotation
 from covariant.models import MechanicalSystem, Motion, applied_force, body_velocity, resistance, spatial_momentum
@@ -96,7 +97,7 @@ class Salcudean(AbstractFlowObserver):
     def __check_init__(self):
         check_positive("Salcudean", kp=self.kp, kv=self.kv)
         if self.model.manifold != SO3:
-            raise ValueError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.manifold}")
+            raise InputError(f"Salcudean: the observer is for SO(3) only; the model is on {self.model.manifold}")
 
     def init(self, y: Float[Array, "3 3"], t: Number = 0.0) -> SalcudeanState:
         q, rest, t, last_input, _ = at_rest(self.model, y, t)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import wrap
@@ -71,7 +72,7 @@ class SavitzkyGolay(AbstractLinearFilter):
 
     def __check_init__(self):
         if not self.window > self.order >= 1:
-            raise ValueError(
+            raise InputError(
                 f"SavitzkyGolay: window {self.window} must exceed order {self.order}, and order be 1 or more"
             )
 

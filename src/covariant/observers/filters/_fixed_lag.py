@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Matrix, Number, Scalar
 from covariant.models import MechanicalSystem
 from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput
@@ -139,12 +140,12 @@ class FixedLag(AbstractWrapper):
 
     def __init__(self, observer: AbstractObserver, lag: int):
         if not isinstance(observer, AbstractGatedFilter):
-            raise ValueError(
+            raise InputError(
                 f"FixedLag: {type(observer).__name__} has no covariance of its own to smooth by; take an "
                 "IntrinsicKalman, EKF, UKF, JointKalman or StateEKF"
             )
         if lag < 1:
-            raise ValueError(f"FixedLag: lag must be a number of samples, 1 or more; got {lag}")
+            raise InputError(f"FixedLag: lag must be a number of samples, 1 or more; got {lag}")
         self.observer, self.lag = observer, lag
 
     @property
@@ -198,7 +199,7 @@ class FixedLag(AbstractWrapper):
             ValueError: The state is predicted already; a sample without a measurement is corrected with NaN.
         """
         if state.prediction is not None:
-            raise ValueError(
+            raise InputError(
                 "FixedLag: correct a predicted state before the next prediction; NaN marks what is not measured"
             )
         now, carried = self.observer.carried(state.now, u, dt)

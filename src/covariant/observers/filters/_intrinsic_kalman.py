@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, Budget
@@ -244,7 +245,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         if self.quantum is not None:
             check_positive("IntrinsicKalman", quantum=self.quantum)
             if not self.model.manifold.commuting:
-                raise ValueError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
+                raise InputError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         """State at rest at a measured configuration; readings of sensors are ignored at the start.

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant._linalg import cholesky, lower_solve, solve_square, upper_solve
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.observers.base import AbstractObserver, Rows, checked, covariance_at, in_jax, scan
@@ -109,17 +110,17 @@ def noise_step(observer: AbstractObserver, record: Record) -> NoiseStep:
         True
     """
     if not isinstance(observer, IntrinsicKalman | EKF | UKF):
-        raise ValueError(
+        raise InputError(
             f"noise_step: {type(observer).__name__} has no such noise; take an IntrinsicKalman, EKF or UKF"
         )
     if callable(observer.process_cov) or callable(observer.measurement_cov):
-        raise ValueError("noise_step: process_cov and measurement_cov must be numbers or matrices, not functions")
+        raise InputError("noise_step: process_cov and measurement_cov must be numbers or matrices, not functions")
     if isinstance(observer, IntrinsicKalman) and (
         observer.quantum is not None or any(each.offset is not None for each in observer.slow)
     ):
-        raise ValueError("noise_step: the noise of encoders that count ticks, or have an offset, is not estimated")
+        raise InputError("noise_step: the noise of encoders that count ticks, or have an offset, is not estimated")
     if getattr(observer, "sensors", ()):
-        raise ValueError("noise_step: the noise of sensors beside the positions is not estimated; leave them out")
+        raise InputError("noise_step: the noise of sensors beside the positions is not estimated; leave them out")
     # A filter that is adaptive would change the sizes that are sought.
     fixed = dataclasses.replace(observer, adaptive=False)
     rows = in_jax(checked(observer, record))

@@ -31,6 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact, Int
 
+from covariant._errors import InputError
 from covariant._linalg import (
     lower_solve,
     semidefinite_root,
@@ -208,19 +209,19 @@ def smooth(
         True
     """
     if not isinstance(observer, AbstractGatedFilter):
-        raise ValueError(
+        raise InputError(
             f"smooth: {type(observer).__name__} has no covariance of its own to smooth by; take an IntrinsicKalman, "
             "EKF, UKF, JointKalman or StateEKF"
         )
     if lag is not None and lag < 0:
-        raise ValueError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
+        raise InputError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
     result = smoothed(observer, *in_jax(checked(observer, record)), lag, keep)
     largest, beside = (
         max(float(np.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
         for run in (result.run, result.filtered)
     )
     if largest > FARTHEST * beside:
-        raise ValueError(
+        raise InputError(
             "smooth: some of the motion has no uncertainty but for rounding, which spoils the rest; give each "
             "coordinate some uncertainty at the start, or process noise"
         )

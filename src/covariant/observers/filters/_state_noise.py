@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Matrix, Vector
 from covariant.metrics import Equation, RiccatiMetric, metric_at
 from covariant.models import StateSpace
@@ -81,7 +82,7 @@ def riccati(model: StateSpace, noise: StateNoise) -> Riccati:
     settled = np.asarray(metrics.result) == int(StepCode.OK)
     if not settled.any():
         worst = StepCode(int(np.min(np.asarray(metrics.result)))).message
-        raise ValueError(f"riccati has no metric near the first estimate ({worst}); take a filter that needs none")
+        raise InputError(f"riccati has no metric near the first estimate ({worst}); take a filter that needs none")
     length = float(np.max(np.asarray(metrics.horizon)[settled]))
     zero, u = jnp.zeros(()), jnp.zeros(model.inputs)
     fastest = np.abs(np.linalg.eigvals(np.asarray(jax.vmap(lambda x: model.jacobians(zero, x, u)[0])(points)))).max()

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._linalg import semidefinite_root, triangular, upper_solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
@@ -128,7 +129,7 @@ class UKF(AbstractMechanicalFilter):
         check_free("UKF", self.model)
         # The weight 4 − α⁻² − α² of the central point is positive for α² between 2 − √3 and 2 + √3.
         if not 0.52 <= self.spread <= 1.93:
-            raise ValueError(f"UKF: spread must be between 0.52 and 1.93; got {self.spread}")
+            raise InputError(f"UKF: spread must be between 0.52 and 1.93; got {self.spread}")
 
     def init(self, y: Array, t: Number = 0.0) -> UKFState:
         q, v, t, last_input, _ = at_rest(self.model, y, t)

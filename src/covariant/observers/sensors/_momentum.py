@@ -19,6 +19,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import derivative
@@ -234,7 +235,7 @@ def observed_forces(
     """
     lengths = {"t": len(t), "u": len(u), "q": len(q), "v": len(v)}
     if len(set(lengths.values())) > 1 or not len(t):
-        raise ValueError(
+        raise InputError(
             f"observed_forces: t, u, q and v must have the same number of rows, at least one; they have {lengths}"
         )
     if not isinstance(t, Tracer):

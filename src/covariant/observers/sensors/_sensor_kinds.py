@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.geometry.lie import SO3
@@ -174,7 +175,7 @@ class Encoder(_AbstractComponents):
     def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
         model: Any = file.model
         if not model.manifold.commuting:
-            raise ValueError("an encoder is of coordinates, and the model is on a group; give a pose or a point")
+            raise InputError("an encoder is of coordinates, and the model is on a group; give a pose or a point")
         places, settings = _resolve_names(table, model.coordinates, file.columns.q)
         reduction = np.abs(np.broadcast_to(np.asarray(table.get("reduction", 1.0), float), len(places)))
         # A reading at the joint is an angle within a turn; one behind a gear counts turns.
@@ -480,7 +481,7 @@ def _resolve_names(table: Mapping[str, Any], *lists: Sequence[str]) -> tuple[lis
         holding = [names for names in lists if each in names]
         if not holding:
             known = dict.fromkeys(known for names in lists for known in names)
-            raise ValueError(f"of: there is no {each!r}; there are: {', '.join(known)}")
+            raise InputError(f"of: there is no {each!r}; there are: {', '.join(known)}")
         places.append(holding[0].index(each))
     return places, {key: value for key, value in table.items() if key != "of"}
 
@@ -498,10 +499,10 @@ def _components(
     whose, indices = kind.kind, [int(place) for place in places]
     k = len(indices)
     if not k or len(set(indices)) < k or min(indices) < 0:
-        raise ValueError(f"{whose}: places must be different indices, 0 or more; got {list(places)}")
+        raise InputError(f"{whose}: places must be different indices, 0 or more; got {list(places)}")
     factors, periods = (as_numbers(whose, *each, k) for each in (("reduction", reduction), ("period", period)))
     if not factors.all() or (periods < 0).any():
-        raise ValueError(f"{whose}: reduction must not be zero, nor period negative; got {reduction} and {period}")
+        raise InputError(f"{whose}: reduction must not be zero, nor period negative; got {reduction} and {period}")
     h = kind(tuple(indices), jnp.asarray(factors))
     turns = tuple(periods.tolist()) if periods.any() else None
     return _sensor(whose, name, h, _stds(whose, "std", std, k), bias, turns)
@@ -533,24 +534,24 @@ def _on_link(
     """The arguments of a sensor on a link, checked."""
     tree = robot_space(space)
     if tree is None:
-        raise ValueError(f"{whose}: {type(space).__name__} has no links; give the space of a robot")
+        raise InputError(f"{whose}: {type(space).__name__} has no links; give the space of a robot")
     try:
         tree.links.of(link)
     except ValueError as error:
-        raise ValueError(f"{whose}: {error}") from error
+        raise InputError(f"{whose}: {error}") from error
     try:
         rotation = np.eye(3) if axes is None else np.asarray(axes, float)
     except (TypeError, ValueError):
         rotation = np.zeros(0)
     if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), rtol=0, atol=1e-6):
-        raise ValueError(f"{whose}: axes must be a rotation matrix (3, 3); got {axes}")
+        raise InputError(f"{whose}: axes must be a rotation matrix (3, 3); got {axes}")
     if np.linalg.det(rotation) < 0:
-        raise ValueError(f"{whose}: axes must be right-handed, of determinant 1; one axis of {axes} is reversed")
+        raise InputError(f"{whose}: axes must be right-handed, of determinant 1; one axis of {axes} is reversed")
     return tree, link, jnp.asarray(rotation), jnp.asarray(as_numbers(whose, "place", place, 3))
 
 
 def _stds(whose: str, what: str, value: Numbers, count: int) -> np.ndarray:
     stds = as_numbers(whose, what, value, count, 0.0)
     if not (stds > 0).all():
-        raise ValueError(f"{whose}: {what} must be positive; got {value}")
+        raise InputError(f"{whose}: {what} must be positive; got {value}")
     return stds

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Scalar, Vector
 from covariant.geometry import Coordinates
@@ -118,10 +119,10 @@ class Sensor(Functional):
 
     def __check_init__(self):
         if not self.name:
-            raise ValueError("Sensor: name must not be empty")
+            raise InputError("Sensor: name must not be empty")
         check_covariance(f"Sensor {self.name}", "cov", self.cov, positive=True)
         if self.period is not None and len(self.period) != len(self.cov):
-            raise ValueError(
+            raise InputError(
                 f"Sensor {self.name}: period has {len(self.period)} entries, and the innovation {len(self.cov)}"
             )
 
@@ -215,11 +216,11 @@ class Sensors(NamedTuple):
         """Check that there are sensors, each with its own name."""
         for sensor in self.each:
             if not isinstance(sensor, Sensor):
-                raise ValueError(f"{whose}: sensors must be one Sensor or several, such as gyro(...); got {sensor!r}")
+                raise InputError(f"{whose}: sensors must be one Sensor or several, such as gyro(...); got {sensor!r}")
         names = [sensor.name for sensor in self.each]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise ValueError(f"{whose}: two sensors are called {twice!r}; give each its own name")
+            raise InputError(f"{whose}: two sensors are called {twice!r}; give each its own name")
 
     @property
     def size(self) -> int:
@@ -238,7 +239,7 @@ class Sensors(NamedTuple):
         size = (y.shape[0] if y.ndim == 1 else 0) - self.size
         needed = size if None in shape else math.prod(n or 0 for n in shape)
         if y.ndim != 1 or size < 1 or size != needed:
-            raise ValueError(
+            raise InputError(
                 f"a measurement must be one vector, the configuration ({'n' if None in shape else needed} numbers) and "
                 f"then the {self.size} readings of {', '.join(sensor.name for sensor in self.each)}; got {y.shape}"
             )

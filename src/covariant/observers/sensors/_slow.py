@@ -24,6 +24,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._gauss_markov import gauss_markov
 from covariant._linalg import semidefinite_root
@@ -86,13 +87,13 @@ class SlowVariables(Functional):
             check_positive("SlowVariables", time=self.time)
         k = len(self.names)
         if not k or len(set(self.names)) < k:
-            raise ValueError(f"SlowVariables: names must be different names, one for each state; got {self.names}")
+            raise InputError(f"SlowVariables: names must be different names, one for each state; got {self.names}")
         if np.shape(self.first) != (k,) or not _finite(self.first):
-            raise ValueError(f"SlowVariables: first must be {k} finite numbers, one for each name; got {self.first}")
+            raise InputError(f"SlowVariables: first must be {k} finite numbers, one for each name; got {self.first}")
         for name in ("first_cov", "walk_cov"):
             cov = getattr(self, name)
             if np.shape(cov) != (k, k):
-                raise ValueError(f"SlowVariables: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
+                raise InputError(f"SlowVariables: {name} must be a matrix ({k}, {k}); its shape is {np.shape(cov)}")
             check_covariance("SlowVariables", name, cov)
 
     def first_root(self) -> Float[Array, "k k"]:
@@ -207,17 +208,17 @@ class SlowStates(NamedTuple):
         """Check that the groups fit each other, and a model whose dimension is known."""
         for group in self.groups:
             if not isinstance(group, SlowVariables):
-                raise ValueError(
+                raise InputError(
                     f"{whose}: slow must be one SlowVariables or several, such as sensor_bias(0.01); got {group!r}"
                 )
             if group.force is None and group.model is None and group.offset is None:
-                raise ValueError(
+                raise InputError(
                     f"{whose}: give a force, a model or an offset that depends on the slow states "
                     f"{', '.join(group.names)}"
                 )
         self.check_names(whose)
         if sum(group.model is not None for group in self.groups) > 1:
-            raise ValueError(
+            raise InputError(
                 f"{whose}: only one group of slow states may replace the model; put their numbers together"
             )
         if None not in model.manifold.shape:
@@ -227,7 +228,7 @@ class SlowStates(NamedTuple):
         """Check that no two states have the same name."""
         duplicate = next((name for name in self.names if self.names.count(name) > 1), None)
         if duplicate is not None:
-            raise ValueError(f"{whose}: two slow states are called {duplicate!r}; give each its own name")
+            raise InputError(f"{whose}: two slow states are called {duplicate!r}; give each its own name")
 
 
 def external_force(
@@ -270,7 +271,7 @@ def external_force(
         cov = _square("external_force", "density", density)
         return SlowVariables(_numbered_names(name, len(cov)), jnp.zeros(len(cov)), cov, cov, force=_itself)
     if density is not None or std is None or time is None:
-        raise ValueError("external_force: give a density, or both std and time")
+        raise InputError("external_force: give a density, or both std and time")
     check_positive("external_force", time=time)
     stds = _deviations("external_force", "std", std)
     return forgotten_force(_numbered_names(name, len(stds)), stds, time, _itself)
@@ -316,7 +317,7 @@ def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> SlowV
     drifts = _deviations("sensor_bias", "drift", drift, stds.size)
     biased = np.flatnonzero(stds > 0)
     if not biased.size:
-        raise ValueError("sensor_bias: all of std are zero; give that of a position that may be off")
+        raise InputError("sensor_bias: all of std are zero; give that of a position that may be off")
     # Numbered by position, counted from 1, so that a name says which position it belongs to.
     names = tuple(f"{name}{i + 1}" for i in biased)
     covs = jnp.diag(jnp.asarray(stds[biased] ** 2)), jnp.diag(jnp.asarray(drifts[biased] ** 2))
@@ -357,7 +358,7 @@ def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> 
     """
     p = len(family.names)
     if any(place[0] != "parameters" for place in family.places):
-        raise ValueError("uncertain_parameters: a lag of inputs is no number of the equations of motion; leave it out")
+        raise InputError("uncertain_parameters: a lag of inputs is no number of the equations of motion; leave it out")
     stds = _deviations("uncertain_parameters", "std", std, p)
     drifts = _deviations("uncertain_parameters", "drift", drift, p)
     parameters = Parametric(_relative(family.positive), first=family.first)
@@ -401,7 +402,7 @@ def _finite(value: Any) -> bool:
 def _square(whose: str, name: str, value: Any) -> Matrix:
     check_covariance(whose, name, value)
     if np.ndim(value) != 2:
-        raise ValueError(f"{whose}: {name} must be a matrix (n, n); its shape is {np.shape(value)}")
+        raise InputError(f"{whose}: {name} must be a matrix (n, n); its shape is {np.shape(value)}")
     return jnp.asarray(value, float)
 
 
@@ -412,11 +413,11 @@ def _deviations(whose: str, name: str, value: Any, count: int | None = None) -> 
     except (TypeError, ValueError):
         deviations = np.array(np.nan)
     if deviations.ndim != 1 or not all(0 <= deviation < math.inf for deviation in deviations):
-        raise ValueError(f"{whose}: {name} must be numbers ≥ 0, standard deviations; got {value}")
+        raise InputError(f"{whose}: {name} must be numbers ≥ 0, standard deviations; got {value}")
     if count is None:
         return deviations
     if deviations.size not in (1, count):
-        raise ValueError(f"{whose}: {name} must be one number, or {count}; got {value}")
+        raise InputError(f"{whose}: {name} must be one number, or {count}; got {value}")
     return np.broadcast_to(deviations, (count,))
 
 
@@ -448,6 +449,6 @@ def _need(
         shape = eqx.filter_eval_shape(function, *arguments).shape
     except (TypeError, ValueError, IndexError, AttributeError) as error:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
-        raise ValueError(f"{whose}: {what} of the slow states {names} cannot be evaluated: {reason}") from error
+        raise InputError(f"{whose}: {what} of the slow states {names} cannot be evaluated: {reason}") from error
     if shape != expected:
-        raise ValueError(f"{whose}: {what} of the slow states {names} must have shape {expected}; it has {shape}")
+        raise InputError(f"{whose}: {what} of the slow states {names} must have shape {expected}; it has {shape}")

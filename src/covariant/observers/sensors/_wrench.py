@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._typing import Number, Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models.robots import RobotSpace, robot_space
@@ -83,7 +84,7 @@ def wrench(
         (2,)
     """
     if frame not in FRAMES:
-        raise ValueError(f"wrench: frame must be one of {', '.join(FRAMES)}; got {frame!r}")
+        raise InputError(f"wrench: frame must be one of {', '.join(FRAMES)}; got {frame!r}")
     check_positive("wrench", time=time)
     stds = np.concatenate(
         [as_numbers("wrench", "force_std", force_std, 3, 0.0), as_numbers("wrench", "torque_std", torque_std, 3, 0.0)]
@@ -91,16 +92,16 @@ def wrench(
     place = as_numbers("wrench", "point", point, 3)
     acting = np.flatnonzero(stds > 0)
     if not acting.size:
-        raise ValueError("wrench: force_std and torque_std are all zero; give the usual size of a component that acts")
+        raise InputError("wrench: force_std and torque_std are all zero; give the usual size of a component that acts")
     tree = robot_space(space)
     if tree is None:
-        raise ValueError(f"wrench: {type(space).__name__} has no links; give the space of a robot")
+        raise InputError(f"wrench: {type(space).__name__} has no links; give the space of a robot")
     force = _OnLink(tree, jnp.asarray(np.eye(6)[:, acting]), jnp.asarray(place), link, frame)
     q = jax.eval_shape(space.manifold.origin)
     v = jax.eval_shape(space.manifold.zero, q)
     try:
         eqx.filter_eval_shape(force, q, v, jax.ShapeDtypeStruct((acting.size,), v.dtype))
     except ValueError as error:
-        raise ValueError(f"wrench: {error}") from error
+        raise InputError(f"wrench: {error}") from error
     names = tuple(f"{_AXES[i]}_{link if name is None else name}" for i in acting)
     return forgotten_force(names, stds[acting], time, force)

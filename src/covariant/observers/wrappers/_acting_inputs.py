@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Number, Scalar
 from covariant.observers.base import AbstractObserver, AbstractWrapper, as_numbers
 from covariant.signals import LEAST_MISSING, MOST_MISSING, SAME_TIME
@@ -112,9 +113,9 @@ class ActingInputs(AbstractWrapper):
         inputs: int | None = None,
     ):
         if between not in ("held", "linear"):
-            raise ValueError(f"ActingInputs: between must be 'held' or 'linear'; got {between!r}")
+            raise InputError(f"ActingInputs: between must be 'held' or 'linear'; got {between!r}")
         if not 0 < rate < math.inf:
-            raise ValueError(f"ActingInputs: rate must be a positive number [Hz]; got {rate}")
+            raise InputError(f"ActingInputs: rate must be a positive number [Hz]; got {rate}")
         count = inputs if inputs is not None else max(map(np.size, (delay, lag, lead)))
         delays, lags = (
             as_numbers("ActingInputs", name, value, count, 0.0) for name, value in (("delay", delay), ("lag", lag))

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from covariant._errors import InputError
 from covariant._typing import Number, Scalar
 from covariant.models import MechanicalSystem, Motion, contacts, standing
 from covariant.observers.base import (
@@ -98,12 +99,12 @@ class Contacts(AbstractWrapper):
         check_whole("Contacts", self.observer)
         named = type(self.observer).__name__
         if not isinstance(self.observer, AbstractMechanicalObserver | IntrinsicKalman):
-            raise ValueError(
+            raise InputError(
                 f"Contacts: {named} has no jump at a touch-down; take an observer with constant gains, or an "
                 "IntrinsicKalman"
             )
         if self.model.feet is None:
-            raise ValueError(f"Contacts: the model of {named} has no feet; give it `feet`, the positions of its feet")
+            raise InputError(f"Contacts: the model of {named} has no feet; give it `feet`, the positions of its feet")
 
     @property
     def model(self) -> MechanicalSystem:

@@ -28,6 +28,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
@@ -150,18 +151,18 @@ class Damped(AbstractObserver):
     def __check_init__(self):
         inner = self.observer.observer if isinstance(self.observer, Gated) else self.observer
         if not isinstance(inner, AbstractMechanicalObserver):
-            raise ValueError(
+            raise InputError(
                 f"Damped: observer must be Intrinsic, Geodesic or ModelCopy, or one of them behind Gated; got "
                 f"{type(inner).__name__}. A filter with a covariance has sensors of its own"
             )
         if not self.sensors:
-            raise ValueError("Damped: sensors must be one Sensor or several, such as gyro(...); got none")
+            raise InputError("Damped: sensors must be one Sensor or several, such as gyro(...); got none")
         self._sensors.check("Damped")
         for sensor in self.sensors:
             if sensor.difference is not None or sensor.period is not None:
-                raise ValueError(f"Damped: sensor {sensor.name} is not linear in the velocity; use tachometer or gyro")
+                raise InputError(f"Damped: sensor {sensor.name} is not linear in the velocity; use tachometer or gyro")
             if sensor.slow is not None:
-                raise ValueError(
+                raise InputError(
                     f"Damped: sensor {sensor.name} has slow states, which only a filter estimates; leave out bias_std "
                     "and give Damped a bias_gain"
                 )
@@ -170,7 +171,7 @@ class Damped(AbstractObserver):
         for name in ("damping", "bias_gain"):
             shape = np.shape(getattr(self, name))
             if shape not in ((), (self._sensors.size,)):
-                raise ValueError(
+                raise InputError(
                     f"Damped: {name} must be one number or {self._sensors.size}, one for each reading; its shape is "
                     f"{shape}"
                 )
@@ -268,7 +269,7 @@ class Damped(AbstractObserver):
             change = np.abs(once - still).max()
             # With NaN, as at a singularity of a chart, the comparison is false and the sensor passes.
             if np.abs(twice - 2 * once + still).max() > 1e-3 * (change + np.abs(still).max()) or change == 0:
-                raise ValueError(
+                raise InputError(
                     f"Damped: the readings of sensor {sensor.name} must be linear in the velocity; use a filter, such "
                     "as IntrinsicKalman, for other sensors"
                 )
@@ -276,7 +277,7 @@ class Damped(AbstractObserver):
 
 def _reading(sensor: Sensor, motion: Motion, u: Float[Array, "m"], t: Scalar) -> Vector:
     def refused() -> Vector:
-        raise ValueError(f"Damped: sensor {sensor.name} reads an acceleration, which is not linear in the velocity")
+        raise InputError(f"Damped: sensor {sensor.name} reads an acceleration, which is not linear in the velocity")
 
     return sensor.h(Instant(motion.q, motion.v, refused, u, t), motion.v[:0])
 

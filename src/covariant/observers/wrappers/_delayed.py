@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Number, Scalar, Vector
 from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput, check_whole
 from covariant.observers.sensors import Sensors
@@ -123,11 +124,11 @@ class Delayed(AbstractWrapper):
     def __init__(self, observer: AbstractObserver, delay: Number | Sequence[float], rate: float, lateness: float = 0.0):
         delays = np.atleast_1d(np.asarray(delay, float))
         if delays.ndim != 1 or not (np.isfinite(delays) & (delays >= 0)).all():
-            raise ValueError(f"Delayed: delay must be a number ≥ 0 [s], or one for each coordinate; got {delay}")
+            raise InputError(f"Delayed: delay must be a number ≥ 0 [s], or one for each coordinate; got {delay}")
         if not 0 <= lateness < math.inf:
-            raise ValueError(f"Delayed: lateness must be a number ≥ 0 [s]; got {lateness}")
+            raise InputError(f"Delayed: lateness must be a number ≥ 0 [s]; got {lateness}")
         if not 0 < rate < math.inf:
-            raise ValueError(f"Delayed: rate must be a positive number [Hz]; got {rate}")
+            raise InputError(f"Delayed: rate must be a positive number [Hz]; got {rate}")
         check_whole("Delayed", observer)
         self.observer = observer
         self.delay, self.lateness = jnp.asarray(delays), jnp.asarray(float(lateness))
@@ -153,7 +154,7 @@ class Delayed(AbstractWrapper):
         """
         y = jnp.asarray(y)
         if len(self.delay) > 1 and y.shape != self.delay.shape:
-            raise ValueError(
+            raise InputError(
                 f"Delayed: {len(self.delay)} delays do not fit a measurement of shape {y.shape}; give one for each "
                 "coordinate, or a single one, which a group needs"
             )

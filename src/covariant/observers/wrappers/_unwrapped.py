@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
+from covariant._errors import InputError
 from covariant._typing import Number, Scalar
 from covariant.observers.base import AbstractObserver, AbstractWrapper
 
@@ -41,7 +42,7 @@ class Unwrapped(AbstractWrapper):
     def __init__(self, observer: AbstractObserver, period: Sequence[float]):
         self.observer, self.period = observer, tuple(map(float, period))
         if not all(0 <= each < float("inf") for each in self.period):
-            raise ValueError(f"Unwrapped: periods must be finite numbers ≥ 0; got {period}")
+            raise InputError(f"Unwrapped: periods must be finite numbers ≥ 0; got {period}")
 
     def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
         return self.observer.init(y, t)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.proofs.checker._enclosure import TaylorEnclosure
 from covariant.proofs.checker._taylor import ROUND, TINY, UndecidedError
 from covariant.proofs.checker._tree import SavedTree, halves
@@ -92,7 +93,7 @@ def show_definite(
         if len(low) > most or (deep < 0).any():
             k = deep.argmin()
             box = ", ".join(f"{c:.6g} to {d:.6g}" for c, d in zip(a[k], b[k], strict=True))
-            raise ValueError(f"{what} is not shown to hold where the variables are {box}")
+            raise InputError(f"{what} is not shown to hold where the variables are {box}")
         try:
             enclosure = matrix(a, b)
             good, axes = definite(enclosure + enclosure.T, b - a, matrix.kinks(), (b - a) / first)

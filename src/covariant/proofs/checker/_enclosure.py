@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering import STUMPFF, Branch, Call, ClosedJaxpr, JaxprEquation, LoweringError, Scan, equations, needed
 from covariant.proofs.checker._primitives import (
     ARRAYS,
@@ -28,10 +29,10 @@ from covariant.proofs.checker._taylor import ROUND, Taylor, UndecidedError, curv
 def _refuse_shorter_types(eqn: JaxprEquation) -> None:
     """Refuse results of a shorter type than the arguments, which are no function of real numbers."""
     if eqn.name == "reduce_precision":
-        raise ValueError("the model makes numbers shorter, by 'reduce_precision'")
+        raise InputError("the model makes numbers shorter, by 'reduce_precision'")
     old, new = ([atom.aval.dtype for atom in atoms if is_real(atom)] for atoms in (eqn.invars, eqn.outvars))
     if old and new and min(jnp.finfo(a).nmant for a in new) < max(jnp.finfo(a).nmant for a in old):
-        raise ValueError(f"the model makes numbers shorter, {old[0]} to {new[0]}, by '{eqn.name}'")
+        raise InputError(f"the model makes numbers shorter, {old[0]} to {new[0]}, by '{eqn.name}'")
 
 
 def is_whole(atom: Any) -> bool:
@@ -100,7 +101,7 @@ class TaylorEnclosure:
             try:
                 result = self._run(self.body, [z])[0]
             except LoweringError as error:
-                raise ValueError(f"{error}") from error
+                raise InputError(f"{error}") from error
             return result if self.needs is None else np.array([[self._watched()]], object)
 
     def kinks(self) -> np.ndarray:
@@ -188,7 +189,7 @@ class TaylorEnclosure:
             for a, v in zip(x, atoms, strict=True)
         ]
         if eqn.unknown is not None and (eqn.primitive is STUMPFF or name in {*ARRAYS, *MOVES, *ENTRIES}):
-            raise ValueError(f"the operation '{name}' with the parameter '{eqn.unknown}' is not known to the check")
+            raise InputError(f"the operation '{name}' with the parameter '{eqn.unknown}' is not known to the check")
         if name in ARRAYS:
             return [ARRAYS[name](p, *x)]
         if chosen or (name in MOVES and is_real(atoms[0]) <= is_real(eqn.outvars[0])):
@@ -197,7 +198,7 @@ class TaylorEnclosure:
             return [each(functools.partial(curve, f"stumpff{p['k']}"), *x)]
         if name in ENTRIES:
             return [each(ENTRIES[name], *(a if a.dtype == object else each(exact, a.astype(float)) for a in x))]
-        raise ValueError(f"the operation '{name}' is not known to the check")
+        raise InputError(f"the operation '{name}' is not known to the check")
 
     def _move(self, eqn: JaxprEquation, x: list) -> list:
         """Apply a primitive to known numbers, or let it move entries."""

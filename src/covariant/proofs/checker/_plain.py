@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from covariant._errors import InputError
 from covariant.lowering import Branch, Call, ClosedJaxpr, LoweringError, Scan, While, equations
 from covariant.proofs.checker._primitives import is_real, unrolled
 
@@ -24,7 +25,7 @@ def plain(function: Callable) -> Callable:
         try:
             results = _evaluate_body(ClosedJaxpr(closed.jaxpr, closed.consts), jax.tree.leaves(x))
         except LoweringError as error:
-            raise ValueError(f"{error}") from error
+            raise InputError(f"{error}") from error
         return jax.tree.unflatten(jax.tree.structure(shape), results)
 
     return inlined
@@ -73,7 +74,7 @@ def _evaluate_body(body: ClosedJaxpr, x: Sequence) -> list:
             case Scan():
                 out = unrolled(eqn.form, x, _evaluate_body, jnp.stack)
             case Branch() | While():
-                raise ValueError(f"the operation '{eqn.name}' is not known to the check")
+                raise InputError(f"the operation '{eqn.name}' is not known to the check")
             case None if eqn.name in CHOICES and is_real(eqn.invars[0]):
                 out = [CHOICES[eqn.name](*x)]
             case None:

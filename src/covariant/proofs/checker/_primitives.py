@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.lowering import ClosedJaxpr, Scan
 from covariant.proofs.checker._taylor import (
     CURVES,
@@ -171,7 +172,7 @@ def _scatter_add(p: dict, x: np.ndarray, indices: np.ndarray, updates: np.ndarra
             return np.asarray(jax.lax.scatter_add_p.bind(*operands, **p)).ravel().astype(int)
 
     if placed(np.ones(updates.size, int)).max(initial=0) > 1:
-        raise ValueError("'scatter-add' with several terms for one place is not known to the check")
+        raise InputError("'scatter-add' with several terms for one place is not known to the check")
     sums, terms = x.ravel().copy(), updates.ravel()
     for place, term in enumerate(placed(np.arange(1, updates.size + 1))):
         if term:

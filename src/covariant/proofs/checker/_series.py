@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._errors import InputError
 from covariant.lowering import STUMPFF, Call, ClosedJaxpr, LoweringError, equations, stumpff
 from covariant.proofs.checker._plain import plain
 
@@ -23,7 +24,7 @@ def series(function: Callable[[Array], Array], order: int) -> Callable[[Array], 
         try:
             (result,) = _expand_body(ClosedJaxpr(closed.jaxpr, closed.consts), [start])
         except LoweringError as error:
-            raise ValueError(f"{error}") from error
+            raise InputError(f"{error}") from error
         return _all(result, order + 1)
 
     return coefficients
@@ -49,7 +50,7 @@ def _expand_body(body: ClosedJaxpr, arguments: Sequence) -> list:
             out = eqn.primitive.bind(*x, **eqn.params)
             out = out if eqn.primitive.multiple_results else [out]
         elif eqn.form is not None:
-            raise ValueError(f"the operation '{eqn.name}' has no known expansion")
+            raise InputError(f"the operation '{eqn.name}' has no known expansion")
         else:
             out = _apply_primitive(eqn, x, len(moving[0]))
         known |= dict(zip(eqn.outvars, out, strict=True))
@@ -75,7 +76,7 @@ def _apply_primitive(eqn: Any, x: list, count: int) -> list[Coefficients]:
         return [_stumpff(eqn.params["k"], x[0])]
     if eqn.name in RULES:
         return [RULES[eqn.name](*(_all(a, count) for a in x))]
-    raise ValueError(f"the operation '{eqn.name}' has no known expansion")
+    raise InputError(f"the operation '{eqn.name}' has no known expansion")
 
 
 def _sum(terms: Sequence[Array]) -> Array:

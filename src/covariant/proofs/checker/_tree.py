@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from covariant._errors import InputError
+
 Boxes = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Numbers (m,) of boxes in a tree, with their lower and upper corners (m, d)."""
 
@@ -54,11 +56,11 @@ class SavedTree(NamedTuple):
         for depth, level in enumerate(levels):
             axes = codes[np.frombuffer(level.encode("latin-1", "replace"), np.uint8)]
             if len(axes) != size or (axes < -1).any():
-                raise ValueError(f"level {depth} of {what} must have {size} letters or dots; it is {level[:60]!r}")
+                raise InputError(f"level {depth} of {what} must have {size} letters or dots; it is {level[:60]!r}")
             parts.append(axes)
             size = 2 * np.count_nonzero(axes >= 0)
         if size:
-            raise ValueError(f"{what} lacks the last {size} boxes")
+            raise InputError(f"{what} lacks the last {size} boxes")
         axes = np.concatenate(parts)
         # Boxes are numbered level by level: the k-th box that is halved has the halves 2k − 1 and 2k.
         child = 2 * np.cumsum(axes >= 0) - 1
