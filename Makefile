@@ -60,6 +60,8 @@ types: env
 tests: env
 	$(BIN)/pytest $(PARALLEL) -m "not long"
 
+long exhaustive: export COVARIANT_CHECK_SHAPES := 1
+
 long: env
 	$(BIN)/pytest $(PARALLEL) $(EVERY_FILE) -m long
 

@@ -42,15 +42,18 @@ import pytest
 from beartype.claw import beartype_packages
 from jaxtyping import install_import_hook
 
+# The long suite checks types and shapes of arguments in every call, which takes time that the core suite has not.
 # What the checker computes with says no shapes. A wrong type there is no `TypeError`, which would count as a refusal.
 CHECKER = ("covariant.proofs.checker", "covariant.proofs._file")
-beartype_packages(CHECKER)
+if os.environ.get("COVARIANT_CHECK_SHAPES"):
+    beartype_packages(CHECKER)
 # Types are not checked in lowering, whose inner loops run millions of times, nor in certificates: there files are read
 # that may be forged, and must be refused by what users run.
 UNCHECKED = ("covariant.lowering", "covariant.certificates", *CHECKER)
 ROOMS = {f"covariant.{path.stem}" for path in SOURCE.iterdir() if path.suffix in ("", ".py")}
 PROOFS = {f"covariant.proofs.{path.stem}" for path in (SOURCE / "proofs").iterdir()}
-install_import_hook(sorted((ROOMS | PROOFS) - {"covariant.proofs", *UNCHECKED}), "beartype.beartype")
+if os.environ.get("COVARIANT_CHECK_SHAPES"):
+    install_import_hook(sorted((ROOMS | PROOFS) - {"covariant.proofs", *UNCHECKED}), "beartype.beartype")
 
 from covariant import geometry, models
 from covariant.geometry import Budget, Metric
@@ -61,7 +64,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-MOST_MAPPINGS, MOST_BYTES = 40_000, 1.1e9
+MOST_MAPPINGS, MOST_BYTES = 40_000, 1.0e9
 """Mappings of memory and resident bytes from which compiled programs are released; Linux allows 65 530 mappings."""
 SHARE = 4.0
 """Seconds of a core from which a test is named after a run: one of the core suite should be in a file `long_*.py`."""
@@ -79,7 +82,8 @@ def pytest_collection_modifyitems(config, items):
     """Read the marks `long` and `exhaustive`, and make each file a group that one process runs.
 
     Every test of a file `long_*.py` is long. With arguments, a mark is for the cases of these names, as tests show
-    them, or of these parameters: of several, joined by dashes, one or some that follow each other.
+    them, or of these parameters: of several, joined by dashes, one or some that follow each other. Of a test with the
+    mark `core(n)`, n cases are not long.
     """
     asked, used = set(), set()
     cases = {(item.location[0], item.originalname, item.callspec.id) for item in items if hasattr(item, "callspec")}
@@ -95,6 +99,7 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker("long")
         if not item.get_closest_marker("xdist_group"):
             item.add_marker(pytest.mark.xdist_group(item.location[0]))
+    _leave_to_the_long_suite(items)
     if asked - used and not any("::" in argument for argument in config.args):
         raise pytest.UsageError(f"marks name parameters that no test has: {sorted(asked - used)}")
     more = [item for item in items if item.get_closest_marker("exhaustive") and not config.option.exhaustive]
@@ -104,12 +109,28 @@ def pytest_collection_modifyitems(config, items):
     items[:] = sorted((item for item in items if item not in more), key=lambda item: "/pages/" not in item.nodeid)
 
 
+def _leave_to_the_long_suite(items):
+    """Of the cases of a test with the mark `core(n)`, mark all but n as long: the first, the last, and some between."""
+    cases: dict[tuple[str, str], list] = {}
+    for item in items:
+        if not item.get_closest_marker("exhaustive"):
+            cases.setdefault((item.location[0], item.originalname), []).append(item)
+    for tests in cases.values():
+        mark = tests[0].get_closest_marker("core")
+        if mark:
+            last, count = len(tests) - 1, mark.args[0]
+            chosen = {round(k * last / max(count - 1, 1)) for k in range(count)}
+            for k in set(range(len(tests))) - chosen:
+                tests[k].add_marker("long")
+
+
 def pytest_ignore_collect(collection_path: Path, config):
     """Import only files that can have a test of the suite: to import all of them takes longer than many a test."""
     marks = config.option.markexpr
     if marks not in ("long", "exhaustive") or not collection_path.name.startswith("test_"):
         return None
-    return True if f"mark.{marks}" not in collection_path.read_text(encoding="utf-8") else None
+    text = collection_path.read_text(encoding="utf-8")
+    return True if f"mark.{marks}" not in text and "mark.core" not in text else None
 
 
 def _is_case(case: str, name: str, whole: bool) -> bool:

@@ -227,6 +227,7 @@ def derivatives(module: ast.Module, names: set[str]) -> set[tuple[str, str]]:
     return found
 
 
+@functools.cache
 def derived_by_jax() -> set[str]:
     """Functions and methods of the library that take a derivative of JAX, and whose name is theirs alone.
 
