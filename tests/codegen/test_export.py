@@ -22,7 +22,6 @@ import pytest
 
 import covariant
 from covariant import metrics, models, observers
-from covariant.certificates import audit
 from covariant.cli import main
 from covariant.codegen import (
     ROWS,
@@ -528,7 +527,7 @@ NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
 
 @pytest.mark.exhaustive
 def test_an_export_with_a_lag_is_the_smoother_of_its_observer(tmp_path):
-    made = {"rate": 100.0, "overrides": NOISE, "audit": False, "observer": "intrinsic-kalman"}
+    made = {"rate": 100.0, "overrides": NOISE, "observer": "intrinsic-kalman"}
     late = covariant.export("oscillator", tmp_path / "late", lag=0.05, **made)
     assert "Estimates are 0.05 s late." in late.about
     buffers = {leaf.name: leaf.shape for leaf in late.program.state}
@@ -551,7 +550,7 @@ def test_an_export_with_a_lag_is_the_smoother_of_its_observer(tmp_path):
 )
 def test_a_lag_that_no_export_has_is_refused(options, message, tmp_path):
     with pytest.raises(ValueError, match=message):
-        covariant.export("oscillator", tmp_path / "c", rate=100.0, audit=False, **({"overrides": NOISE} | options))
+        covariant.export("oscillator", tmp_path / "c", rate=100.0, **({"overrides": NOISE} | options))
 
 
 @pytest.mark.parametrize(
@@ -660,18 +659,13 @@ def test_the_command_of_the_page_writes_what_passes_its_test(tmp_path, monkeypat
 
 
 @pytest.mark.exhaustive
-def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys):
-    """The data sheet quotes a certificate of this observer only, and a broken law is a warning."""
+def test_what_is_proved_is_told(tmp_path, monkeypatch, capsys):
+    """The data sheet quotes a certificate of this observer only."""
     proved = ROOT / "examples" / "certificates" / "ball_and_beam.json"
     gains = ("--alpha", "1.4142135623730951", "--beta", 0.5, "--rate", 100, "--certificate", proved)
-    broken = SimpleNamespace(rows=[SimpleNamespace(name="torsion", verdict="fails")], passed=False)
-    monkeypatch.setattr(audit, "audit", lambda observer, points: broken)
-    code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "-o", tmp_path / "out")
-    assert code == 0
-    assert "warning: the observer breaks laws of its audit: torsion" in told
+    assert command(monkeypatch, capsys, "ball_and_beam", *gains, "-o", tmp_path / "out")[0] == 0
     sheet = (tmp_path / "out" / "DATASHEET.md").read_text()
     assert "holds (proved): estimates within 0.009042 of a solution" in sheet
-    assert "breaks laws of its audit: torsion" in sheet
     code, _, told = command(monkeypatch, capsys, "ball_and_beam", *gains, "--beta", 0.6, "-o", tmp_path / "other")
     assert code == 2
     assert "is for alpha = 1.4142135623730951, beta = 0.5" in told
@@ -693,7 +687,7 @@ def test_what_is_proved_and_what_is_broken_is_told(tmp_path, monkeypatch, capsys
 )
 def test_bad_options_are_named(words, said, tmp_path, monkeypatch, capsys):
     model = ROOT / "examples" / "demo_double_pendulum.toml"
-    code, _, told = command(monkeypatch, capsys, model, *words, "--no-audit", "-o", tmp_path / "out")
+    code, _, told = command(monkeypatch, capsys, model, *words, "-o", tmp_path / "out")
     assert code == 2
     assert said in told
     assert not (tmp_path / "out").exists()

@@ -283,7 +283,7 @@ def test_a_wheel_installs_without_an_index(package, tmp_path):
 
 @pytest.mark.long
 def test_the_command_writes_a_package_and_warns_where_there_is_no_compiler(tmp_path, monkeypatch):
-    options = {"rate": 500.0, "alpha": 20.0, "beta": 200.0, "audit": False}
+    options = {"rate": 500.0, "alpha": 20.0, "beta": 200.0}
     monkeypatch.setattr(_compile, "compiler", lambda: None)
     monkeypatch.setattr(_compile, "zig", lambda: None)
     result = covariant.export("oscillator", tmp_path / "c", python=True, **options)

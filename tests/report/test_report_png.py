@@ -8,8 +8,7 @@ import pytest
 from matplotlib import pyplot
 from PIL import Image
 
-from covariant.certificates.audit import Audit, Law
-from covariant.report import PALETTE, _audit, draw_audit, new_figure, save_figure, write_png
+from covariant.report import PALETTE, new_figure, save_figure, write_png
 
 NAMES = ["log_velocity.png", "log_position.png", "log_distance.png"]
 
@@ -92,13 +91,3 @@ def test_without_matplotlib(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match=r"pip install 'covariant\[report\]'"):
         new_figure()
-
-
-def test_every_law_of_an_audit_is_in_the_picture(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(_audit, "save_figure", lambda figure, path: drawn.append(figure) or path)
-    laws = [Law(name, name, "", "holds", 1e-12, 1e-9, "", "", ()) for name in ("torsion", "curvature")]
-    draw_audit(Audit("intrinsic", "everywhere", tuple(laws)), tmp_path / "audit.png")
-    bottom, top = drawn[0].axes[0].get_ylim()
-    assert bottom >= 1.31  # a row is .62 high
-    assert top <= -0.31

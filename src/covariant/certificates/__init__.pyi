@@ -1,4 +1,3 @@
-from . import audit as audit
 from .base import (
     ASSUMED as ASSUMED,
     CLAIMS as CLAIMS,
@@ -112,7 +111,6 @@ __all__ = [
     "Bounded",
     "Hypothesis",
     "Statement",
-    "audit",
     "cascade",
     "certify",
     "check",

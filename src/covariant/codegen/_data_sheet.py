@@ -33,19 +33,17 @@ class Facts(NamedTuple):
         rate: Sampling rate [Hz] for which the observer was made.
         substeps: Number of Runge–Kutta steps in each sample; None if there are none, or each step chooses it.
         certificate: Lines on the proved statements; may be empty.
-        audit: A line on the measured laws; may be empty.
         gate: Sentences on which measurements are refused; may be empty.
 
     Example:
         >>> from covariant.codegen import Facts
         >>> Facts(rate=1000.0, substeps=2)
-        Facts(rate=1000.0, substeps=2, certificate='', audit='', gate='')
+        Facts(rate=1000.0, substeps=2, certificate='', gate='')
     """
 
     rate: float
     substeps: int | None
     certificate: str = ""
-    audit: str = ""
     gate: str = ""
 
 
@@ -112,8 +110,7 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
         lines += [f"- {line}" for line in program.signals.lines]
     lines += ["", "## Result codes", "", "| code | name | meaning |", "|---|---|---|"]
     lines += [f"| {int(result)} | `{source.name.upper()}_{result.name}` | {result.message} |" for result in StepCode]
-    for title, text in (("Certificate", facts.certificate), ("Audit", facts.audit)):
-        lines += ["", f"## {title}", "", text] if text else []
+    lines += ["", "## Certificate", "", facts.certificate] if facts.certificate else []
     lines += ["", "## Origin", "", f"- SHA-256 of header and source: `{digest(source)}`"]
     return "\n".join(lines) + "\n"
 

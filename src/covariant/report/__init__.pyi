@@ -1,5 +1,4 @@
 from ._article import block_html as block_html, write_article as write_article
-from ._audit import audit_figure as audit_figure, draw_audit as draw_audit, write_audit as write_audit
 from ._certificate import certificate_figure as certificate_figure, draw_certificate as draw_certificate
 from ._estimate import Along as Along, EstimateReport as EstimateReport
 from ._html import write_html as write_html, write_report as write_report

@@ -13,7 +13,6 @@ import numpy as np
 from covariant import certificates, models
 from covariant._compile import NO_COMPILER
 from covariant._errors import InputError
-from covariant.certificates import audit
 from covariant.codegen import (
     Facts,
     Program,
@@ -53,8 +52,6 @@ from covariant.workflow._sensors import reading_delays
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
 UNGATED = "It has no gate and refuses no measurement, as asked."
-AUDITED = 6
-"""States at which the laws of an observer are measured before it is written."""
 
 
 def export(
@@ -79,7 +76,6 @@ def export(
     ros2: bool = False,
     gate: bool = True,
     log: Any = None,
-    audit: bool = True,
     overwrite: bool = False,
     overrides: Overrides = (),
     progress: Progress = notebook_line,
@@ -121,7 +117,6 @@ def export(
         log: The log on which `estimate` runs, for the usual speed in the gate, for encoder ticks, and for sensors that
             it has no columns of, which are left out; by default the speed is the product of `motion_acceleration` and
             `motion_time` in the model file.
-        audit: Measure the laws of the observer first; violated ones are a warning.
         overwrite: Replace files that exist.
         overrides: Values that replace those of the model file.
         progress: Called with a description of the work.
@@ -136,7 +131,7 @@ def export(
     Example:
         >>> import covariant, tempfile
         >>> folder = tempfile.mkdtemp() + "/c"
-        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0, audit=False)
+        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0)
         >>> sorted(path.suffix for path in result.files)[:2]
         ['.c', '.c']
     """
@@ -219,8 +214,7 @@ def export(
     read = tuple(name for part in designed.sensors for name in part.signals)
     units = {**written.units, **designed.units}
     written = written._replace(signals=kind_of(file).signals(written.u, read), units=units)
-    broken = _broken_laws(designed.inner) if audit else ""
-    warnings = [line for line in (broken, assumed, unbounded) if line]
+    warnings = [line for line in (assumed, unbounded) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
         packed = fmu(written, prefix, description, rate, measured[0], version)
@@ -229,7 +223,7 @@ def export(
             warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
         files = [out]
     else:
-        facts = Facts(rate, substeps, proved, broken, refusals)
+        facts = Facts(rate, substeps, proved, refusals)
         run = vectors(written, measured, rate)
         texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm, ros2)
         more = python_files(written, texts, prefix, description, rate) if python else {}
@@ -262,7 +256,7 @@ class ExportResult(AbstractResult):
         >>> folder = tempfile.mkdtemp() + "/c"
         >>> noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
         >>> moves = {"uncertainty.motion_acceleration": 20.0, "uncertainty.motion_time": 0.1}
-        >>> result = covariant.export("oscillator", folder, rate=500.0, audit=False, overrides=noise | moves)
+        >>> result = covariant.export("oscillator", folder, rate=500.0, overrides=noise | moves)
         >>> result.observer_name, result.operations > 100
         ('intrinsic', True)
         >>> result.gate.partition(". ")[0]
@@ -283,7 +277,7 @@ class ExportResult(AbstractResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences on laws of its audit that the observer violates, on what a gate lacks, and on missing binaries."""
+        """Sentences on what a gate lacks, and on missing binaries."""
         return self.notes
 
     @property
@@ -424,14 +418,3 @@ def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
     if gains is None and entry.tuned_by not in ("gains", "gains and force", "state noise"):
         return "Tuned from its data sheet."  # the note is on gains that it does not have
     return designed.notes.replace("²", "^2").replace("±", "+-")
-
-
-def _broken_laws(observer: Any) -> str:
-    """A line where the observer breaks a law that its convergence rests on; nothing where it has no such laws."""
-    if not all(name in getattr(observer, "__dataclass_fields__", {}) for name in ("alpha", "beta", "model")):
-        return ""
-    if observer.model.manifold.redundant:  # in a box of coordinates, the loops are open
-        return ""
-    measured = audit.audit(observer, points=AUDITED)
-    broken = [law.name for law in measured.rows if law.verdict == "fails"]
-    return f"the observer breaks laws of its audit: {', '.join(broken)}" if broken else ""
