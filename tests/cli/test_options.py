@@ -18,7 +18,7 @@ FLAGS = {"alpha": "--alpha", "start": "--from", "overwrite": "--overwrite", "par
 FLAGS |= {'columns["q"]': "--q", "overrides": "--set"}
 
 
-@pytest.mark.parametrize("verb", [command.verb for command in COMMANDS] + ["compare_force", "check_certificate"])
+@pytest.mark.parametrize("verb", [command.verb for command in COMMANDS] + ["check_certificate"])
 def test_a_signature_that_is_read_from_source_is_that_of_the_function(verb):
     read = signature(verb)
     parameters = dict(inspect.signature(getattr(workflow, verb)).parameters)
@@ -36,13 +36,13 @@ def test_each_argument_has_one_option_and_each_option_a_help(command):
     names = [option.name for option in options]
     assert len(names) == len({*names})
     assert {*signature(command.verb).arguments} - {*names} <= {"columns"}
-    assert all(option.help or option.hidden for option in options)
+    assert all(option.help for option in options)
     assert ("columns" in signature(command.verb).arguments) == ({"t", "q", "u"} <= {*names})
 
 
 def test_every_verb_has_a_command():
     verbs = {name for name in dir(workflow) if name.islower() and not name.startswith("check_")}
-    assert verbs - {"compare_force", "over_logs"} == {command.verb for command in COMMANDS}
+    assert verbs - {"over_logs"} == {command.verb for command in COMMANDS}
     assert set(COLUMNS) == {"t", "q", "u", "v", "truth"}
 
 

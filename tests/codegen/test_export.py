@@ -3,7 +3,6 @@
 import errno
 import functools
 import json
-import math
 import os
 import re
 import shlex
@@ -11,7 +10,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -30,7 +28,6 @@ from covariant.codegen import (
     Recipe,
     Vectors,
     _data_sheet,
-    _source,
     check_export_name,
     export_name,
     export_texts,
@@ -40,7 +37,6 @@ from covariant.codegen import (
     vectors,
     with_open_numbers,
     write_folder,
-    write_source,
 )
 from covariant.geometry import Budget, Interpolated
 from covariant.lowering.graph import _places
@@ -58,7 +54,6 @@ class Case(NamedTuple):
     measured: np.ndarray
     inputs: int | None = None
     real: str = "double"
-    flash: float = math.inf
 
 
 def swing(*centres: float) -> np.ndarray:
@@ -93,8 +88,6 @@ def case(name: str) -> Case:
             return Case(of_family(observers.Intrinsic(pendulum, 20.0, 200.0, substeps=1), family()), swing(0.0, np.pi))
         case "pendulum_float":
             return case("pendulum")._replace(real="float")
-        case "tables":  # straight C is estimated at 76 kB
-            return case("kalman")._replace(flash=60 * 1024)
         case "kalman":
             filter_ = observers.IntrinsicKalman(pendulum, one, 1e-4 * one, one, substeps=1)
             return Case(with_open_numbers(filter_, ("*[!v]",)), swing(0.0, 0.5))
@@ -148,7 +141,6 @@ def case(name: str) -> Case:
 CASES = (
     "pendulum",
     "pendulum_float",
-    "tables",
     "kalman",
     "sensors",
     "exact",
@@ -184,12 +176,9 @@ def exported(tmp_path_factory):
     @functools.cache
     def made(name: str) -> Export:
         chosen = case(name)
-        if name == "tables":  # the same observer, for less memory
-            graphs = made("kalman").program
-        else:
-            graphs = program(chosen.recipe, chosen.measured[0], chosen.inputs, chosen.real, alone=name == "sensors")
+        graphs = program(chosen.recipe, chosen.measured[0], chosen.inputs, chosen.real, alone=name == "sensors")
         patch.setattr(_data_sheet, "COMPILERS", ())  # the command is asked for sizes once, below
-        texts = export_texts(graphs, name, f"The case */ {name}", chosen.measured, Facts(RATE, 1), chosen.flash)
+        texts = export_texts(graphs, name, f"The case */ {name}", chosen.measured, Facts(RATE, 1))
         write_folder(texts, folder / name)
         patch.undo()
         return Export(chosen, graphs, folder / name)
@@ -204,7 +193,7 @@ def ran(command: list, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.exhaustive("exact", "kalman", "late", "scara", "sensors", "smoothed", "tables", "thirty")
+@pytest.mark.exhaustive("exact", "kalman", "late", "scara", "sensors", "smoothed", "thirty")
 @pytest.mark.long("duffing", "frequency", "pendulum", "pendulum_float", "ship", "top")
 @each
 @needs_compiler
@@ -217,58 +206,14 @@ def test_it_compiles_without_a_warning_and_passes_its_own_test(name, exported):
         assert f"{name}: ok, {ROWS} steps" in ran(["./self_test"], folder)
 
 
-@pytest.mark.exhaustive("tables")
 @pytest.mark.long("top")
 @needs_compiler
-@pytest.mark.parametrize("name", ["pendulum", "top", "tables"])
+@pytest.mark.parametrize("name", ["pendulum", "top"])
 def test_sanitizers_find_nothing(name, exported):
     folder = exported(name).folder
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     ran(["cc", *FLAGS, *checks, "-I.", f"{name}.c", f"test/{name}_test.c", "-lm", "-o", "sanitized"], folder)
     ran(["./sanitized"], folder)
-
-
-@pytest.mark.exhaustive
-def test_memory_that_straight_code_does_not_fit_into_gets_tables(exported):
-    straight, tables = (exported(name).folder / f"{name}.c" for name in ("kalman", "tables"))
-    assert "_run(" not in straight.read_text()
-    assert "tables_core_step_loop1_turn_run(" in tables.read_text()
-    assert "those in loops too are done by loops over tables" in (tables.parent / "DATASHEET.md").read_text()
-    # Between the two there are tables outside of loops only, where they make the code shorter.
-    mixed = exported("frequency").program
-    limit = _source._estimated(_source._written(mixed, "p", "A pendulum.", "once"), "double")
-    once = write_source(mixed, "p", "A pendulum.", limit)
-    assert once.tables == "once"
-    assert "turn_run(" not in once.source
-    assert "_run(" in once.source
-    with pytest.raises(ValueError, match=r"takes about \d+ kB of flash, with loops over tables too, and may take 2;"):
-        write_source(exported("tables").program, "tables", "A pendulum.", 2048)
-
-
-def test_estimated_memory_counts_entries_of_tables_and_not_their_digits_or_names(exported):
-    """A table of short numbers takes as much memory as one of long numbers."""
-    chosen = exported("frequency")
-    ones = chosen.case.recipe.make(chosen.case.recipe.numbers)
-    ones = eqx.tree_at(lambda o: o.metric.factors, ones, jnp.ones_like(ones.metric.factors))
-    short = program(with_open_numbers(ones, ("low", "high", "spacing", "factors")), chosen.case.measured[0], 0)
-    sources = [_source._written(short, name, "A table.", "all") for name in ("p", "a_long_name_of_it")]
-    sources.append(_source._written(chosen.program, "p", "A table.", "all"))
-    assert len(sources[0].source) < 0.9 * len(sources[2].source)
-    entries = ones.metric.factors.size
-    sizes = [_source._estimated(source, "double") for source in sources]
-    assert min(sizes) > 8 * entries
-    np.testing.assert_allclose(sizes, sizes[0], rtol=0.03)
-
-
-@pytest.mark.long("thirty")
-@pytest.mark.parametrize("name", ["pendulum_float", "kalman", "top", "thirty", "frequency"])
-@pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no compiler for the microcontroller")
-def test_code_takes_no_more_memory_than_estimated(name, exported, monkeypatch):
-    monkeypatch.setattr(_data_sheet, "COMPILERS", ("arm-none-eabi-gcc",))
-    for tables in ("none", "once", "all"):
-        source = _source._written(exported(name).program, "p", "Of a short name.", tables)
-        (found,) = _data_sheet.sizes(source)
-        assert found.flash <= _source._estimated(source, exported(name).case.real)
 
 
 @needs_compiler
@@ -680,9 +625,6 @@ def test_what_is_proved_is_told(tmp_path, monkeypatch, capsys):
         (("--rate", 100, "--observer", "nobody"), "unknown observer 'nobody'"),
         (("--rate", 100, "--alpha", 1), "belong together"),
         (("--rate", 100, "--parameters", "weight"), "weight"),
-        (("--rate", 100, "--flash", "small"), "--flash must be a number of bytes, such as 64k"),
-        (("--rate", 100, "--flash", "-1k"), "--flash must be a number of bytes"),
-        (("--rate", 100, "--flash", "2K"), "kB of flash, with loops over tables too, and may take 2; give it"),
     ],
 )
 def test_bad_options_are_named(words, said, tmp_path, monkeypatch, capsys):
@@ -691,13 +633,6 @@ def test_bad_options_are_named(words, said, tmp_path, monkeypatch, capsys):
     assert code == 2
     assert said in told
     assert not (tmp_path / "out").exists()
-
-
-def test_a_unit_for_simulators_has_no_flash(tmp_path, monkeypatch, capsys):
-    words = ("--rate", 100, "--flash", "64k", "-o", tmp_path / "unit.fmu")
-    code, _, told = command(monkeypatch, capsys, "ball_and_beam", *words)
-    assert code == 2
-    assert "flash is for a microcontroller" in told
 
 
 STATES = tuple(shlex.split(next(line for line in commands_of_the_page() if line.startswith("unknown_frequency")))[:-2])

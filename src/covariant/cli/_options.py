@@ -50,7 +50,6 @@ KINDS = {
     "Sequence[str]": Kind(str, _parse.name_list, "<name,...>"),
     "bool": FLAG,
     "float": Kind(float),
-    "float | int": Kind(str, _parse.byte_count, "<bytes|64k|1M>"),
     "int": Kind(int),
     "int | Sequence[int]": Kind(str, _parse.count_list, "<count,...>"),
     "str": TEXT,

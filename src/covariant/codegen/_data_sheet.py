@@ -101,9 +101,6 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     if program.real == "float":
         lines.append("- Time is counted in single precision: a force that depends on time loses digits after an hour.")
     lines.append("- NaN marks what is missing, so that `-ffast-math` and `-ffinite-math-only` must not be used.")
-    if source.tables != "none":
-        where = ", those in loops too" if source.tables == "all" else ""
-        lines.append(f"- Like statements{where} are done by loops over tables: less memory, more time.")
     lines += ["", "## Gate", "", facts.gate] if facts.gate else []
     if program.signals.lines:
         lines += ["", "## What goes in and out", "", "In this order and in these units, whatever those of a log.", ""]

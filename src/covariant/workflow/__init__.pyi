@@ -6,7 +6,6 @@ from ._certify import (
 )
 from ._check import CheckResult as CheckResult, check as check
 from ._compare import CompareResult as CompareResult, compare as compare
-from ._compare_force import CompareForceResult as CompareForceResult, compare_force as compare_force
 from ._describe import ModelResult as ModelResult, describe_model as describe_model
 from ._determined import Determinacy as Determinacy
 from ._doctor import DoctorResult as DoctorResult, doctor as doctor
@@ -34,7 +33,6 @@ from ._tune import TuneResult as TuneResult, tune as tune
 __all__ = [
     "AbstractResult",
     "check_certificate",
-    "compare_force",
     "describe_model",
     "design_metric",
     "design_reduced_order",

@@ -1,7 +1,6 @@
 """`export`: an observer as C for microcontrollers, as a Python package, as WebAssembly, or as a unit (.fmu)."""
 
 import dataclasses
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,7 +64,6 @@ def export(
     real: str = "double",
     name: str | None = None,
     parameters: Sequence[str] | None = None,
-    flash: float | int | None = None,
     certificate: str | Path | None = None,
     metric: str | Path | None = None,
     fmi: str | None = None,
@@ -99,8 +97,6 @@ def export(
         real: Type of all numbers in C, "double" or "float".
         name: What all names in C begin with; that of the model by default.
         parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
-        flash: Most bytes of code and constants: where straight C is estimated to take more, like statements become
-            loops over tables, which take more time.
         certificate: A saved certificate (.json) of this observer, for the data sheet. With a certificate for sampled
             measurements, and doubles, every step also returns a proved bound of the error. The number of substeps is
             then that of the certificate, and all numbers are constants, since the proof holds only for them.
@@ -141,10 +137,9 @@ def export(
         above_zero("rate", rate)
         return write_robot(export, arguments)
     unit = out.suffix == ".fmu"
-    limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
     gains = gain_pair(alpha, beta)
-    _check(unit, real, fmi, flash, step_per_sensor, python, wasm, ros2)
+    _check(unit, real, fmi, step_per_sensor, python, wasm, ros2)
     if name is not None:  # before the work
         check_export_name(name, python or ros2, wasm)
     if wasm:  # so that nobody waits for a design that then cannot be written
@@ -225,7 +220,7 @@ def export(
     else:
         facts = Facts(rate, substeps, proved, refusals)
         run = vectors(written, measured, rate)
-        texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm, ros2)
+        texts = export_texts(written, prefix, description, measured, facts, run, python, wasm, ros2)
         more = python_files(written, texts, prefix, description, rate) if python else {}
         more |= ros_files(written, texts, prefix, description, rate) if ros2 else {}
         if python and not any(path.endswith(".whl") for path in more):
@@ -307,7 +302,6 @@ def _check(
     unit: bool,
     real: str,
     fmi: str | None,
-    flash: float | int | None,
     alone: bool,
     python: bool,
     wasm: bool,
@@ -320,8 +314,6 @@ def _check(
         raise InputError("fmi is for a unit: name a file that ends in .fmu by -o")
     if fmi not in (None, *VERSIONS):
         raise InputError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
-    if unit and flash is not None:
-        raise InputError("flash is for a microcontroller, and a unit is not for one; leave it out")
     if unit and alone:
         raise InputError("step_per_sensor is for C, and a unit has one step for all; leave it out")
     if unit and (python or wasm or ros2):
