@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from covariant import workflow
 from covariant.cli import main
-from covariant.cli._app import app
+from covariant.cli._app import REMOVED, app
 from covariant.cli._commands import COMMANDS
 from covariant.cli._options import COLUMNS, in_options
 from covariant.cli._signature import REQUIRED, signature
@@ -105,6 +105,16 @@ def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
         main()
     assert left.value.code == 2
     assert on_the_command_line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", REMOVED)
+@pytest.mark.parametrize("words", ["", " 64k", "=64k"])
+def test_what_is_gone_names_what_replaces_it(name, words, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["covariant", *f"{name}{words if '--' in name else ' model.toml'}".split()])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert capsys.readouterr().err == f"covariant: `{name}` is gone: {REMOVED[name]}\n"
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
