@@ -32,7 +32,6 @@ from .base import (
     optimal_lyapunov as optimal_lyapunov,
     parse as parse,
     rate_of as rate_of,
-    rates_along as rates_along,
     steady_distance as steady_distance,
     tangent_metric as tangent_metric,
 )
