@@ -11,9 +11,8 @@ systems, Automatica 34(6); Theorem 2 of Aghannan & Rouchon 2003.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from covariant._errors import InputError
 from covariant._linalg import solve, whiten
