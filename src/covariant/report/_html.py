@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._files import write_together
 from covariant._templates import fill, template
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
@@ -54,9 +55,8 @@ def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[P
     """
     files = {Path(path): page(report).encode()}
     files |= draw_png(report, Path(path).with_suffix(""))
-    return [
-        write_atomically(each, lambda file, content=content: file.write(content)) for each, content in files.items()
-    ]
+    write_together(files)
+    return list(files)
 
 
 def page(report: EstimateReport) -> str:
