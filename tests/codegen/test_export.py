@@ -295,8 +295,7 @@ def test_an_estimate_that_is_nan_is_no_deviation_of_zero(exported, tmp_path):
     assert re.search(r"slope: WRONG, 40 steps, largest deviation -?nan of", done.stdout)
 
 
-@pytest.mark.exhaustive("tables")
-@pytest.mark.parametrize("name", ["slope", "pendulum", "tables"])
+@pytest.mark.parametrize("name", ["slope", "pendulum"])
 @pytest.mark.parametrize("standard", ["c++98", "c++20"])
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler")
 def test_it_compiles_as_cpp_too(standard, name, exported, tmp_path):
@@ -616,7 +615,6 @@ def test_what_is_proved_is_told(tmp_path, monkeypatch, capsys):
     assert "is for alpha = 1.4142135623730951, beta = 0.5" in told
 
 
-@pytest.mark.exhaustive("words7")
 @pytest.mark.parametrize(
     ("words", "said"),
     [
