@@ -211,7 +211,7 @@ def test_without_an_error_the_estimate_moves_as_the_plant(observer, name):
     """Friction at the estimate is a part of the observer, beside the published law."""
     model, at = DAMPED[name]
     y, v = model.manifold.retract(model.manifold.origin(), jnp.array(at)), jnp.array([1.0, -2.0, 0.5])[: len(at)]
-    u, made = jnp.full(model.inputs or len(at), 0.3), OBSERVERS[observer](model)
+    u, made = jnp.full(len(at) if model.inputs is None else model.inputs, 0.3), OBSERVERS[observer](model)
 
     @jax.jit
     def both():
