@@ -257,27 +257,6 @@ def carry(n: int, g: Element, tracer: Modes) -> Modes:
     return _coefficients(n, g.conj().T @ _matrix(n, tracer) @ g)
 
 
-def enstrophy(n: int, v: Vector) -> Scalar:
-    """Enstrophy `½∫ω²dx` of a velocity.
-
-    Args:
-        n: Number of frequencies in each direction.
-        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
-
-    Returns:
-        The enstrophy [m²/s²], a scalar.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.models import fluid
-        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
-        >>> bool(jnp.isclose(fluid.enstrophy(3, fluid.velocity_coordinates(3, stream)), jnp.pi**2))
-        True
-    """
-    # Parseval on the torus of area (2π)².
-    return (2 * np.pi) ** 2 / 2 * jnp.sum(jnp.abs(vorticity_modes(n, v)) ** 2)
-
-
 def casimirs(n: int, v: Vector) -> Float[Array, "k"]:
     """Casimirs `(2π)²/n · tr Ωᵏ` for k = 2, …, n, with Ω = Σ ω_m T_m: the discrete counterpart of `∫ωᵏdx`.
 
