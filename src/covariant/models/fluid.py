@@ -23,7 +23,7 @@ from jaxtyping import Array, Complex, Float
 
 from covariant._errors import InputError
 from covariant._linalg import at_places
-from covariant._typing import Element, Scalar, Vector
+from covariant._typing import Element, Vector
 from covariant.geometry.lie import SU, AbstractInertia
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter
