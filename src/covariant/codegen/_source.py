@@ -70,7 +70,7 @@ def write_source(program: Program, name: str, about: str) -> Source:
         >>> program = codegen.program(recipe, np.zeros(1))
         >>> codegen.write_source(program, "double", "A filtered derivative.")
         Traceback (most recent call last):
-        ValueError: 'double' is a keyword of C or C++; take another name, such as 'my_double'
+        covariant._errors.InputError: 'double' is a keyword of C or C++; take another name, such as 'my_double'
     """
     check_export_name(name)
     core = {"init": _init(program, name), "step": _step(program, name, program.step, program.measurements)}

@@ -115,7 +115,7 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
         ['exported/a.h', 'exported/test/a.c']
         >>> write_folder({"a.h": ""}, Path("exported"))
         Traceback (most recent call last):
-        ValueError: exported: the folder is not empty; name a new one, or replace its files by `overwrite=True`
+        covariant._errors.InputError: exported: the folder is not empty; name a new one, or ...
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: this is a file; name a folder")
