@@ -99,7 +99,6 @@ def exported(spec: str | Path, folder: str, observer: str, parameters: Sequence[
         name=name,
         python=True,
         parameters=list(parameters),
-        audit=False,
         gate=False,
         overrides=overrides | more,
     )

@@ -59,7 +59,6 @@ ROOMS = sorted(".".join(path.parent.relative_to(SOURCE).parts) for path in SOURC
 """Rooms and sub-rooms; the stub of each lists what others may import from it."""
 
 PUBLIC = [room for room in ROOMS if "." not in room] + [
-    "certificates.audit",
     "geometry.lie",
     "models.marine",
     "models.robots",

@@ -54,7 +54,7 @@ def scripts(folder: Path) -> dict[str, str]:
     model = folder / "pendulum.toml"
     model.write_text(MODEL, encoding="utf-8")
     for name, observer in OBSERVERS.items():
-        place, options = folder / name, {"rate": RATE, "observer": observer, "audit": False, "wasm": True}
+        place, options = folder / name, {"rate": RATE, "observer": observer, "wasm": True}
         covariant.export(str(model), place, name=name, **options)
     return {name: (folder / name / f"{name}.js").read_text(encoding="utf-8") for name in OBSERVERS}
 

@@ -127,7 +127,7 @@ VERBS = ("check", "fit", "tune", "estimate", "smooth", "compare", "simulate", "d
 """The verbs in the order in which a user meets them."""
 ROOMS = (
     *("models", "models.robots", "models.marine", "observers", "logs", "simulation", "calibration", "engine"),
-    *("codegen", "certificates", "certificates.audit", "geometry", "geometry.lie", "metrics", "lowering", "proofs"),
+    *("codegen", "certificates", "geometry", "geometry.lie", "metrics", "lowering", "proofs"),
     *("workflow", "report"),
 )
 """Rooms with public names, in the order in which a user meets them."""

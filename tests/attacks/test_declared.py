@@ -23,7 +23,6 @@ from covariant.certificates import (
     reduced_order,
     sampled_system,
 )
-from covariant.certificates.audit import audit
 from covariant.certificates.base import corrections
 from covariant.lowering import LoweringError, along, change, jacobian, lower, to_jax
 from covariant.models import StateSpace, marine
@@ -261,14 +260,6 @@ def test_distances_are_sampled_where_the_metric_chooses():
     observer, _ = beam(lambda q: jnp.where(q[0] > 9.0, 1.0, polar(q)))
     bounds = {"position": ([-2.5, -4.0], [2.5, 4.0]), "velocity": 0.25, "error": 0.25}
     assert certify_distance(observer, interval=0.01, **bounds).statement.short == "holds (sampled)"
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["none", "stop_gradient", "custom_jvp"])
-def test_an_audit_measures_the_values_of_the_metric(name):
-    _, observer = beam(LIES.get(name, lambda f: f)(polar))
-    found = audit(observer, points=3, laws=("metric", "torsion", "transport"))
-    assert found.broken == (() if name == "none" else ("metric", "transport"))
 
 
 @pytest.mark.parametrize("name", ["stop_gradient", "custom_jvp"])

@@ -8,7 +8,6 @@ import pytest
 
 from covariant import certificates, models
 from covariant.certificates import Decay, Hypothesis, Statement, certify, certify_distance, check, falsify
-from covariant.certificates.audit import Audit, Law, audit
 from covariant.certificates.base import _properties, error_system, need_known, need_symmetry
 from covariant.certificates.sampled import sampled_system
 from covariant.geometry import AbstractSpace, Coordinates, KineticEnergy, Metric, lie
@@ -262,24 +261,6 @@ def test_a_model_that_is_refused_has_no_certificate_by_distance():
 
 
 # Nothing tried is nothing proved
-
-
-def test_an_audit_that_measures_nothing_passes_nothing():
-    observer = Intrinsic(models.oscillator(), 2.0, 2.0)
-    for laws in ((), ("curvature",)):
-        found = audit(observer, laws=laws, points=1)
-        assert (found.passed, found.statement.verdict) == (False, "undecided")
-        assert found.verdict.startswith("undecided: no law was measured")
-        assert found.broken == ()
-    skipped = Law("plant", "", "", "skipped", np.nan, 1.0, "no reason", "", ())
-    held = skipped._replace(verdict="holds", deviation=0.0)
-    assert [Audit("", "", rows).passed for rows in ((), (skipped,), (held,), (skipped, held))] == [0, 0, 1, 1]
-
-
-@pytest.mark.parametrize("options", [{"error": 1e-9}, {"error": 1e-300}, {"domain": box(q=(1e9, 2e9))}])
-def test_errors_that_are_lost_in_rounding_show_no_agreement(options):
-    with pytest.raises(ValueError, match="is lost in the rounding"):
-        audit(Intrinsic(models.oscillator(), 2.0, 2.0), points=1, laws=("approximation",), **options)
 
 
 @pytest.mark.parametrize("seconds", [1e-17, 1e-9, 1e-7])

@@ -187,7 +187,7 @@ def test_no_run_of_the_c_that_is_exported_is_farther_off_than_what_is_proved(nam
     if command is None:
         pytest.skip("no C compiler")
     certificate, (alpha, beta) = made.certificate, GAINS
-    options = {"alpha": alpha, "beta": beta, "certificate": made.path, "real": name, "name": "shipped", "audit": False}
+    options = {"alpha": alpha, "beta": beta, "certificate": made.path, "real": name, "name": "shipped"}
     covariant.export(made.model, tmp_path / "c", rate=RATE, observer="intrinsic", **options)
     (tmp_path / "driver.c").write_text(DRIVER)
     # A bound is computed with doubles alone.

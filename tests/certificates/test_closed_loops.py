@@ -8,11 +8,9 @@ import pytest
 
 import covariant
 from covariant import certificates, models, observers, workflow
-from covariant.certificates import audit
 from covariant.geometry import Coordinates, Euclidean, KineticEnergy, Leaf, Metric
 from covariant.lowering import lower, numbers
 from covariant.models import MechanicalSystem
-from covariant.workflow._export import _broken_laws
 
 CRANK, COUPLER, ROCKER, FRAME = 0.15, 0.4, 0.3, 0.35
 """Lengths of the links [m]."""
@@ -76,14 +74,12 @@ ENTRIES = {
         observers.Intrinsic(model, 4.0, 8.0), np.eye(2), certificates.Sampling(np.array([0.01, 0.01]))
     ),
     "tangent_metric": lambda model: certificates.tangent_metric(model.space, np.eye(2)),
-    "audit": lambda model: audit.audit(observers.Intrinsic(model, 4.0, 8.0)),
     "verb certify": lambda model: covariant.certify(
         model, alpha=4.0, beta=8.0, velocity=1.0, error=0.1, region=NAMED, checker="off"
     ),
     "verb certify, find": lambda model: covariant.certify(
         model, alpha=4.0, beta=8.0, velocity=1.0, error=0.1, region=NAMED, find="error"
     ),
-    "verb audit": workflow.audit_observer,
     "reduced_order": lambda model: certificates.reduced_order(models.state_space(model), rate=0.1),
     "verb reduced order": lambda model: workflow.design_reduced_order(model, rate=0.1, region=STATES),
     "verb metric": lambda model: workflow.design_metric(model, "unwritten.zarr", grid=4, region=STATES, rate=1.0),
@@ -94,10 +90,6 @@ ENTRIES = {
 def test_a_closed_loop_is_refused_by_name(entry, four_bar):
     with pytest.raises(ValueError, match="closed loops"):
         ENTRIES[entry](four_bar)
-
-
-def test_an_export_does_without_the_audit_of_a_closed_loop(four_bar):
-    assert _broken_laws(observers.Intrinsic(four_bar, 4.0, 8.0)) == ""
 
 
 def cross(a, b):

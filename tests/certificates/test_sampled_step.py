@@ -762,4 +762,4 @@ def test_an_export_at_another_rate_or_with_other_numbers_refuses_it(options, wor
     (tmp_path / "file.json").write_text(json.dumps(content | {"digest": digest(content)}))
     gains = {"alpha": 10.0, "beta": 50.0} | options
     with pytest.raises(ValueError, match=words):
-        covariant.export(model, tmp_path / "c", certificate=tmp_path / "file.json", audit=False, **gains)
+        covariant.export(model, tmp_path / "c", certificate=tmp_path / "file.json", **gains)

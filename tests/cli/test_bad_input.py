@@ -111,8 +111,6 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         ((*ESTIMATE, "--alpha", "3", "--beta", "1", "--observer", "ekf"), ["ekf"]),
         ((*ESTIMATE, "--alpha", "inf", "--beta", "inf"), ["positive", "inf"]),
         ((*ESTIMATE, "--alpha", "nan", "--beta", "1"), ["positive", "nan"]),
-        ((*ESTIMATE, "--smooth"), ["covariant smooth MODEL LOG"]),
-        ((*ESTIMATE, "--lag", "0"), ["covariant smooth MODEL LOG", "--lag SECONDS"]),
         ((*ESTIMATE, "--report", "out/r.pdf"), ["r.pdf", ".html"]),
         ((*ESTIMATE, "--report", "absent/r.html"), ["absent", "make it first"]),
         (("estimate", "model.toml", "log.csv", "-o", "absent/v.csv"), ["absent", "make it first"]),

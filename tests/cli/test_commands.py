@@ -1,6 +1,5 @@
 """The commands on good input: what they print and write."""
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -205,15 +204,6 @@ def test_logged_velocities_are_compared_with_and_never_used(estimated):
     assert Path("with_v.csv").read_bytes() == Path("v.csv").read_bytes()
 
 
-@pytest.mark.long
-@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
-def test_the_engine_that_is_asked_for_does_the_work_and_is_named(estimated):
-    result = command("estimate", "model.toml", "log.csv", "--truth", "true_v1", "-o", "jax.csv", "--engine", "jax")
-    assert result["engine"] == "jax: as asked"
-    assert estimated["engine"] == "c"
-    np.testing.assert_allclose(logs.read("jax.csv", READ).truth, logs.read("v.csv", READ).truth, atol=1e-9)
-
-
 def test_some_rows_of_a_log():
     log = logs.read("log.csv", logs.Columns(q=("angle",)), every=4, until=2.0).record
     result = command("estimate", "model.toml", "log.csv", "--every", "4", "--until", "2", "-o", "some.csv", "--score")
@@ -245,15 +235,6 @@ def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, capsys, m
     assert left.value.code == 0
     [line] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("engine")]
     assert line.endswith(": jax: there is no C compiler here")
-
-
-@pytest.mark.long("jax")
-@pytest.mark.parametrize("engine", ["c", "jax"])
-def test_a_report_is_drawn_whichever_engine_did_the_work(engine):
-    if engine == "c" and shutil.which("cc") is None:
-        pytest.skip("there is no C compiler, `cc`")
-    done = command("estimate", "model.toml", "log.csv", "--engine", engine, "--report", f"{engine}.html")
-    assert all(Path(page).stat().st_size > 10_000 for page in done["report"])
 
 
 def test_given_gains_replace_the_designed_ones():

@@ -1,7 +1,6 @@
 """The commands on systems on groups: attitudes and poses in, velocities out, whichever way they are written."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -107,13 +106,6 @@ def test_the_estimate_has_the_columns_of_the_log_and_the_names_of_the_model(esti
     q, true_q = column("v.csv", *WXYZ), column("log.csv", *(f"true_{name}" for name in WXYZ))
     assert np.isfinite(column("v.csv", *RATES)).all()
     assert np.abs(np.abs(np.einsum("ki,ki->k", q, true_q)) - 1)[200:].max() < 1e-5
-
-
-@pytest.mark.exhaustive
-@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
-def test_the_report_through_c_is_that_through_jax(estimated):
-    done = command("estimate", TOP, "log.csv", "--truth", TRUTH, "--engine", "c", "--report", "through_c.html")
-    assert [Path(page).suffix for page in done["report"]] == [Path(page).suffix for page in estimated["report"]]
 
 
 def test_the_report_is_one_page_and_figures(estimated):

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from covariant import workflow
 from covariant.cli import main
-from covariant.cli._app import app
+from covariant.cli._app import REMOVED, app
 from covariant.cli._commands import COMMANDS
 from covariant.cli._options import COLUMNS, in_options
 from covariant.cli._signature import REQUIRED, signature
@@ -18,7 +18,7 @@ FLAGS = {"alpha": "--alpha", "start": "--from", "overwrite": "--overwrite", "par
 FLAGS |= {'columns["q"]': "--q", "overrides": "--set"}
 
 
-@pytest.mark.parametrize("verb", [command.verb for command in COMMANDS] + ["compare_force", "check_certificate"])
+@pytest.mark.parametrize("verb", [command.verb for command in COMMANDS] + ["check_certificate"])
 def test_a_signature_that_is_read_from_source_is_that_of_the_function(verb):
     read = signature(verb)
     parameters = dict(inspect.signature(getattr(workflow, verb)).parameters)
@@ -36,13 +36,13 @@ def test_each_argument_has_one_option_and_each_option_a_help(command):
     names = [option.name for option in options]
     assert len(names) == len({*names})
     assert {*signature(command.verb).arguments} - {*names} <= {"columns"}
-    assert all(option.help or option.hidden for option in options)
+    assert all(option.help for option in options)
     assert ("columns" in signature(command.verb).arguments) == ({"t", "q", "u"} <= {*names})
 
 
 def test_every_verb_has_a_command():
     verbs = {name for name in dir(workflow) if name.islower() and not name.startswith("check_")}
-    assert verbs - {"compare_force", "over_logs"} == {command.verb for command in COMMANDS}
+    assert verbs - {"over_logs"} == {command.verb for command in COMMANDS}
     assert set(COLUMNS) == {"t", "q", "u", "v", "truth"}
 
 
@@ -105,6 +105,16 @@ def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
         main()
     assert left.value.code == 2
     assert on_the_command_line in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", REMOVED)
+@pytest.mark.parametrize("words", ["", " 64k", "=64k"])
+def test_what_is_gone_names_what_replaces_it(name, words, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["covariant", *f"{name}{words if '--' in name else ' model.toml'}".split()])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert capsys.readouterr().err == f"covariant: `{name}` is gone: {REMOVED[name]}\n"
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)

@@ -1,6 +1,5 @@
 """The commands on state-space models: a log of outputs, with the true states beside them."""
 
-import shutil
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -70,13 +69,9 @@ def log(simulated):
     return "log.csv"
 
 
-@pytest.mark.exhaustive("c")
 @pytest.mark.long
-@pytest.mark.parametrize("engine", ["c", "jax"])
-def test_estimate_writes_states_and_how_certain_they_are(log, engine):
-    if engine == "c" and shutil.which("cc") is None:
-        pytest.skip("there is no C compiler, `cc`")
-    words = ("-o", "states.csv", "--report", "page.html", "--engine", engine)
+def test_estimate_writes_states_and_how_certain_they_are(log):
+    words = ("-o", "states.csv", "--report", "page.html", "--engine", "jax")
     done = command("estimate", "model.toml", log, *words, *TRUTH)
     assert done["observer"] == "covariance-ekf"
     assert done["scored_against"] == "true state"

@@ -340,7 +340,7 @@ def test_the_binary_is_made_by_the_compiler_that_cc_names(monkeypatch):
 @pytest.mark.long
 def test_without_a_compiler_the_command_writes_sources_and_says_so(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_fmu, "compiler_command", lambda: None)
-    words = ["export", str(MODEL), "--rate", "500", "--no-audit", "--json"]
+    words = ["export", str(MODEL), "--rate", "500", "--json"]
 
     def told(*more: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["covariant", *words, *more])

@@ -126,18 +126,6 @@ def test_arrays_of_any_layout_reach_c_in_its_own(package):
         np.testing.assert_array_equal(made.run(record.t, y).v, expected.v)
 
 
-@needs_compiler
-@pytest.mark.skipif(importlib.util.find_spec("cffi") is None, reason="cffi is not installed")
-def test_a_log_in_compiled_c_is_the_same(package):
-    """The engine compiles C of the same graph with other flags."""
-    chosen, y, _ = observer("pendulum")
-    record = log(y, 2)
-    expected, engine = run_log(chosen, record, engine="c")
-    run = package("pendulum").run(record.t, record.y, record.u)
-    assert engine == "c"
-    np.testing.assert_allclose(np.hstack([run.q, run.v]), expected.estimate, rtol=0, atol=1e-12)
-
-
 @pytest.mark.long
 @needs_compiler
 def test_samples_are_those_of_the_log_and_of_a_stream(package):
@@ -283,7 +271,7 @@ def test_a_wheel_installs_without_an_index(package, tmp_path):
 
 @pytest.mark.long
 def test_the_command_writes_a_package_and_warns_where_there_is_no_compiler(tmp_path, monkeypatch):
-    options = {"rate": 500.0, "alpha": 20.0, "beta": 200.0, "audit": False}
+    options = {"rate": 500.0, "alpha": 20.0, "beta": 200.0}
     monkeypatch.setattr(_compile, "compiler", lambda: None)
     monkeypatch.setattr(_compile, "zig", lambda: None)
     result = covariant.export("oscillator", tmp_path / "c", python=True, **options)

@@ -50,7 +50,7 @@ def node(script: str, folder: Path) -> str:
 def test_it_does_in_node_what_its_c_does(wasm, real, tmp_path, monkeypatch):
     """Along a run with missing measurements, irregular steps and inputs; and its self-test passes."""
     folder, name = tmp_path / "arm", f"arm_{real}"
-    options = {"real": real, "name": name, "audit": False, "python": True, "wasm": True}
+    options = {"real": real, "name": name, "python": True, "wasm": True}
     covariant.export(MODEL, folder, rate=RATE, **options)
     readme = (folder / "README.md").read_text(encoding="utf-8")
     assert f"`python/{name}`" in readme

@@ -295,7 +295,7 @@ def exported(request, tmp_path_factory) -> Exported:
     folder = tmp_path_factory.mktemp(name)
     model = folder / "model.toml"
     model.write_text(member.text)
-    chosen = {"observer": member.observer, "rate": RATE, "audit": False, "name": name}
+    chosen = {"observer": member.observer, "rate": RATE, "name": name}
     chosen |= {"log": log_of(member, member.hole)} if member.hole else {}
     result = covariant.export(model, folder / "c", python=True, wasm=has_wasm(), **chosen)
     known = log_of(member, member.hole) if member.hole else Record(*(a[:ROWS] for a in member.log()[:3]))
@@ -508,7 +508,7 @@ require("./c/NAME.js").load().then(({ Observer }) => {
 def written(folder, text=MODEL + MOTION, name="speed", **options):
     """An export of a filter without a model, the quickest to write."""
     (folder / "pendulum.toml").write_text(text)
-    chosen = {"observer": "filtered-derivative", "rate": RATE, "audit": False, "name": name} | options
+    chosen = {"observer": "filtered-derivative", "rate": RATE, "name": name} | options
     return covariant.export(folder / "pendulum.toml", folder / "c", **chosen)
 
 
@@ -565,7 +565,7 @@ def test_header_data_sheet_and_readme_tell_how_far_apart_samples_are(tmp_path):
 def test_each_number_of_a_unit_has_its_unit(version, tmp_path, monkeypatch):
     monkeypatch.setattr(_fmu, "compiler_command", lambda: None)
     noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
-    chosen = {"observer": "joint-kalman", "rate": RATE, "audit": False, "overrides": noise, "name": "beam"}
+    chosen = {"observer": "joint-kalman", "rate": RATE, "overrides": noise, "name": "beam"}
     beam = covariant.export("ball_and_beam", tmp_path / "beam", **chosen).program
     arm = covariant.export("pendulum_chain", tmp_path / "arm", **chosen).program
     units = {}

@@ -44,20 +44,6 @@ def record() -> Record:
     return Record(t, 0.1 * np.sin(np.stack([t, 2 * t], axis=1)), y)
 
 
-@pytest.mark.exhaustive
-@needs_compiler
-def test_a_log_through_c_is_that_through_jax():
-    through_c, name = run_log(gated(), record(), engine="c")
-    through_jax, other = run_log(gated(), record(), engine="jax")
-    assert (name, other[:3]) == ("c", "jax")
-    assert jax.tree.structure(through_c) == jax.tree.structure(through_jax)
-    for ours, theirs in zip(jax.tree.leaves(through_c), jax.tree.leaves(through_jax), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
-        assert (type(ours), ours.dtype, ours.flags.writeable) == (np.ndarray, theirs.dtype, theirs.flags.writeable)
-        assert type(theirs) is np.ndarray
-    assert {StepCode.OK, StepCode.COASTED, StepCode.OUTLIER} <= set(np.asarray(through_c.info.result))
-
-
 def parts(lengths) -> list[Record]:
     """The first rows of the log, as logs of their own."""
     return [Record(*(a[:count] for a in record()[:3])) for count in lengths]

@@ -228,6 +228,7 @@ def is_as_through_jax(done: Any, observer: AbstractObserver, record: Record, kee
     expected = Run(jax.ShapeDtypeStruct(record.t.shape, record.t.dtype), estimate, info)
     assert jax.tree.structure(done) == jax.tree.structure(expected)
     pairs = list(zip(jax.tree.leaves(done), jax.tree.leaves(expected), strict=True))
+    assert all(a.flags.writeable for a, _ in pairs)
     return all(type(a) is np.ndarray and (a.shape, a.dtype) == (b.shape, b.dtype) for a, b in pairs)
 
 

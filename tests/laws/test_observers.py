@@ -27,6 +27,7 @@ from covariant.geometry import (
 )
 from covariant.models import Lagrangian, acceleration, in_chart, source
 from covariant.observers import REGISTRY, Geodesic, Intrinsic, MechanicalState
+from covariant.papers._errata import PrintedBallAndBeam
 
 ALPHA, BETA = 1.2, 0.9
 A = np.array([[-ALPHA, 1.0], [-BETA, 0.0]])
@@ -188,6 +189,36 @@ def test_each_mistake_breaks_the_linear_law(mistake, name):
 @pytest.mark.exhaustive
 def test_the_spoiled_observer_without_a_mistake_keeps_the_law():
     assert worst(Spoiled(SYSTEMS["ball and beam"][0], "none"), "ball and beam", 3.0) <= 1e-4
+
+
+@pytest.mark.exhaustive
+def test_the_printed_ball_and_beam():
+    """Equation (14) as printed breaks the law; with the sign of (5) it keeps it."""
+    printed, corrected = (worst(PrintedBallAndBeam(ALPHA, BETA, sign), "ball and beam", 3.0) for sign in (1, -1))
+    assert printed > 1e-2
+    assert corrected <= 1e-4
+
+
+DAMPED = {
+    "double pendulum": (models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.2, 0.1)), [0.4, 0.6]),
+    "heavy top": (models.heavy_top((1.0, 2.0, 3.5), 2.0, viscous=0.2), [0.4, 0.6, -0.3]),
+}
+
+
+@pytest.mark.parametrize("observer", OBSERVERS)
+@pytest.mark.parametrize("name", DAMPED)
+def test_without_an_error_the_estimate_moves_as_the_plant(observer, name):
+    """Friction at the estimate is a part of the observer, beside the published law."""
+    model, at = DAMPED[name]
+    y, v = model.manifold.retract(model.manifold.origin(), jnp.array(at)), jnp.array([1.0, -2.0, 0.5])[: len(at)]
+    u, made = jnp.full(len(at) if model.inputs is None else model.inputs, 0.3), OBSERVERS[observer](model)
+
+    @jax.jit
+    def both():
+        slope = made.flow(jnp.zeros(()), made.init(y)._replace(v=v), u, y)
+        return (slope.q, slope.v), (v, acceleration(model, jnp.zeros(()), y, v, u))
+
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12), *both())
 
 
 # Invariance under coordinates.

@@ -247,78 +247,6 @@ def test_in_parts_it_is_the_same_to_the_bit(tmp_path):
         np.testing.assert_allclose(whole(x), numbers(lowered, x), rtol=1e-9, atol=1e-12)
 
 
-def alike(graph, x):
-    """Sums of products, most of them of few shapes, a few of others, between choices, angles and constants."""
-    random, values = np.random.default_rng(5), [*x, *(graph.constant(c) for c in (0.5, -3.25, 1e-3))]
-
-    def some() -> int:
-        return values[int(random.integers(max(0, len(values) - 30), len(values)))]
-
-    for k in range(400):
-        product = graph.apply("mul", some(), some())
-        match k % 8:
-            case 0 | 1 | 2 | 3:
-                made = graph.apply(("add", "sub")[k % 2], some(), product)
-            case 4:
-                made = graph.apply("sub", graph.apply("mul", some(), some()), graph.apply("neg", product))
-            case 5:
-                made = graph.apply("div", graph.apply("abs", product), graph.apply("add", values[3], some()))
-            case 6:
-                made = graph.apply("select", graph.apply("lt", product, some()), some(), product)
-            case _:
-                made = graph.apply(("sin", "tanh", "sqrt")[k % 3], graph.apply("abs", product))
-        values.append(graph.apply("tanh", made) if k % 3 == 0 else made)
-    return [*values[-60:], x[0], values[3], graph.apply("lt", values[-1], values[-2])]
-
-
-@pytest.mark.parametrize("real", ["double", "float"])
-@pytest.mark.parametrize("most", [500, 3])
-def test_in_tables_it_is_the_same_to_the_bit(real, most, tmp_path):
-    lowered = graph_of(alike, 3)
-    for folder in ("straight", "tables"):
-        (tmp_path / folder).mkdir()
-    straight, _ = compiled(lowered, tmp_path / "straight", real)
-    tables, text = compiled(lowered, tmp_path / "tables", real, tables="all", most_statements=most)
-    assert "f_run(" in text
-    assert 3 < text.count("case ") < 20, "rare shapes are taken apart"
-    edges = [[a, b, 1.0] for a in EDGES for b in EDGES]
-    points = np.array([*np.random.default_rng(2).normal(size=(200, 3)), *edges])
-    with np.errstate(over="ignore"):
-        points = points.astype({"double": np.float64, "float": np.float32}[real])
-    for x in points:
-        np.testing.assert_array_equal(straight(x), tables(x))
-    finite = [np.isfinite(straight(x)).mean() for x in points[:200]]
-    assert np.mean(finite) > 0.5, "numbers are compared, and not what is no number"
-
-
-def test_tables_take_less_text_and_places_that_do_not_grow_with_it(tmp_path):
-    """A long function of sums: what it read for the last time makes room."""
-
-    def long(graph, x):
-        values = list(x)
-        for k in range(5000):
-            values.append(graph.apply("add", values[-3], graph.apply("mul", values[-1], values[-2 - k % 2])))
-        return values[-3:]
-
-    lowered = graph_of(long, 4)
-    straight, tables = (c_function(lowered, "f", tables=use) for use in ("none", "all"))
-    assert len(tables.text) < 0.5 * len(straight.text)
-    assert tables.scratch < 100
-    assert tables.operations == straight.operations
-    with pytest.raises(ValueError, match="choose one of them"):
-        c_function(lowered, "f", tables="all", lanes=4)
-
-
-def test_places_beyond_two_bytes_are_numbered_in_more(tmp_path, monkeypatch):
-    from covariant.lowering.c import _c_tables
-
-    monkeypatch.setattr(_c_tables, "MOST_PLACES", 3)
-    lowered = graph_of(alike, 3)
-    tables, text = compiled(lowered, tmp_path, tables="all")
-    assert "static const unsigned f_steps" in text
-    np.testing.assert_allclose(tables([0.3, 0.2, 0.1]), numbers(lowered, np.array([0.3, 0.2, 0.1])), rtol=1e-9)
-
-
 def rule(write, expected: str, inputs: int = 3):
     return write, Counter(expected.split()), inputs
 
@@ -387,12 +315,11 @@ def test_numbers_are_read_back_as_they_were(value):
 def test_the_text_does_not_depend_on_the_order_of_sets():
     script = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from test_c import alike, every_operation, graph_of\n"
+        "from test_c import every_operation, graph_of\n"
         "from covariant.lowering import c_function, c_helpers, c_rows\n"
         "print(c_rows(graph_of(every_operation, 4), 'g', 8))\n"
         "text = c_function(graph_of(every_operation, 4), 'f', most_statements=20)\n"
-        "print(c_helpers(text.helpers), text.text)\n"
-        "print(c_function(graph_of(alike, 3), 'h', tables='all').text)"
+        "print(c_helpers(text.helpers), text.text)"
     )
     folder = os.path.dirname(__file__)
     texts = {
@@ -442,9 +369,9 @@ def test_a_loop_whose_length_the_arguments_decide_is_one_of_c(tmp_path):
         lower(walk, points[0])
     np.testing.assert_allclose(numbers(lowered, points), expected, rtol=1e-12)  # lanes of different lengths
     np.testing.assert_allclose(numbers(simplified(lowered), points), expected, rtol=1e-12)
-    for most, tables in ((500, "none"), (500, "once"), (500, "all"), (3, "all"), (3, "none")):
-        (tmp_path / f"{most}{tables}").mkdir()
-        call, text = compiled(lowered, tmp_path / f"{most}{tables}", most_statements=most, tables=tables)
+    for most in (500, 3):
+        (tmp_path / str(most)).mkdir()
+        call, text = compiled(lowered, tmp_path / str(most), most_statements=most)
         np.testing.assert_allclose([call(p) for p in points], expected, rtol=1e-12)
     np.testing.assert_allclose(in_lanes(lowered, tmp_path, most_statements=3)(points), expected, rtol=1e-12)
     assert text.count("for (;;)") == 2

@@ -327,7 +327,7 @@ def test_the_driven_pendulum_with_a_late_joint(data_folder):
 @pytest.mark.parametrize("delay", ["0.005", "[0.0, 0.005]"])
 def test_the_members_of_an_exported_state_have_names_of_their_own(tmp_path, delay):
     late = (f"measurement.delay={delay}",)
-    made = export("pendulum_chain", tmp_path / "c", rate=500.0, alpha=30.0, beta=450.0, overrides=late, audit=False)
+    made = export("pendulum_chain", tmp_path / "c", rate=500.0, alpha=30.0, beta=450.0, overrides=late)
     names = [leaf.name for leaf in made.program.state if leaf.size]
     assert len(set(names)) == len(names)
     assert "age_of_known" in names

@@ -1,4 +1,4 @@
-"""Momentum observer and inverse dynamics: on exact motions their force is the true one behind a first-order lag."""
+"""Momentum observer: on exact motions its force is the true one behind a first-order lag."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ import pytest
 
 from covariant import models
 from covariant.models import resistance
-from covariant.observers import InverseDynamics, MomentumObserver, observed_forces
+from covariant.observers import MomentumObserver, observed_forces
 from covariant.signals import StampError
 from covariant.simulation import simulate
 
@@ -69,29 +69,11 @@ def test_a_body_on_a_group():
     np.testing.assert_allclose(force, np.asarray(torque) * (1 - np.exp(-GAIN * t))[:, None], atol=1e-4)
 
 
-@pytest.mark.exhaustive
-def test_inverse_dynamics_of_a_constant_acceleration_and_of_a_swing():
-    mass = models.oscillator(stiffness=0.0)
-    t = np.array([0.0, 0.1, 0.15, 0.3, 0.3, 0.5])
-    inverse = InverseDynamics(mass, bandwidth=8.0)
-    force = observed_forces(inverse, t, np.zeros((6, 1)), t[:, None] ** 2, 2 * t[:, None])
-    np.testing.assert_allclose(force[:, 0], 2 * (1 - np.exp(-8.0 * t)), atol=1e-12)
-    errors = []
-    for bandwidth in (100.0, 400.0):
-        t, u, q, v = swing(0.0005, lambda s: jnp.asarray(PUSH))
-        force = np.asarray(observed_forces(InverseDynamics(CHAIN, bandwidth), t, u, q, v))
-        settled = (t > 0.3) & (np.abs(t - 1.15) > 0.15)  # the torque jumps at one second
-        errors.append(np.abs(force - PUSH)[settled].max())
-    assert errors[1] < 0.3 * errors[0]  # the lag of the acceleration is one over the bandwidth
-    assert errors[1] < 0.5
-
-
-@pytest.mark.parametrize("kind", [MomentumObserver, InverseDynamics])
-def test_rows_without_a_motion_leave_the_force_as_it_was(kind):
+def test_rows_without_a_motion_leave_the_force_as_it_was():
     """Also the row after, if it has nothing to start from; after that the force is found again."""
     t = np.linspace(0.0, 2.0, 201)  # a unit mass on a unit spring, pushed by 2 N
     q, v, u = 2 * (1 - np.cos(t))[:, None], 2 * np.sin(t)[:, None], np.zeros((201, 1))
-    observer = kind(models.oscillator(), 25.0)
+    observer = MomentumObserver(models.oscillator(), 25.0)
     whole = np.asarray(observed_forces(observer, t, u, q, v))
     for spoiled in range(3):
         rows = u.copy(), q.copy(), v.copy()
@@ -103,11 +85,10 @@ def test_rows_without_a_motion_leave_the_force_as_it_was(kind):
         np.testing.assert_allclose(force[180:], whole[180:], atol=1e-4)
 
 
-@pytest.mark.parametrize("kind", [MomentumObserver, InverseDynamics])
-def test_a_sample_with_the_stamp_of_the_one_before_changes_nothing(kind):
+def test_a_sample_with_the_stamp_of_the_one_before_changes_nothing():
     t = np.linspace(0.0, 2.0, 201)
     rows = np.zeros((201, 1)), 2 * (1 - np.cos(t))[:, None], 2 * np.sin(t)[:, None]
-    observer = kind(models.oscillator(), 25.0)
+    observer = MomentumObserver(models.oscillator(), 25.0)
     twice = [
         np.insert(each, 100, each[99] + shift, axis=0) for each, shift in zip((t, *rows), (0, 0, 1, 1), strict=True)
     ]
@@ -125,9 +106,8 @@ def test_stamps_that_say_nothing_are_named():
         observed_forces(observer, np.zeros(0), *[np.zeros((0, 2))] * 3)
 
 
-@pytest.mark.parametrize(("kind", "name"), [(MomentumObserver, "gain"), (InverseDynamics, "bandwidth")])
-def test_bad_input_is_named(kind, name):
-    with pytest.raises(ValueError, match=f"{kind.__name__}: {name}"):
-        kind(CHAIN, 0.0)
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match="MomentumObserver: gain"):
+        MomentumObserver(CHAIN, 0.0)
     with pytest.raises(ValueError, match=r"same number of rows.*'v': 2"):
-        observed_forces(kind(CHAIN, 1.0), np.zeros(3), np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((2, 2)))
+        observed_forces(MomentumObserver(CHAIN, 1.0), np.zeros(3), np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((2, 2)))

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.report import EstimateReport, figure, write_html, write_png
+from covariant.report import EstimateReport, figure, write_report
 from covariant.report._panels import quantities
 
 ARRAYS = pytest.mark.parametrize("array", [np.asarray, jnp.asarray], ids=["numpy", "jax"])
@@ -58,8 +58,9 @@ def test_every_kind_is_drawn_from_the_arrays_of_any_engine(kind, array, make, tm
         np.testing.assert_allclose(drawn.values, x[:, 3:] - whole.v_reference, atol=1e-12)
     drawn = panels["position"].curves if "position" in panels else ()
     assert len(drawn) == {chart: 4, velocities_in_a_chart: 1}.get(kind, 0)
-    assert write_html(report, tmp_path / "page.html").stat().st_size > 1e5
-    assert write_png(report, tmp_path / "page")
+    page, *figures = write_report(report, tmp_path / "page.html")
+    assert page.stat().st_size > 1e5
+    assert figures
     assert len(figure(report).axes) == 6
 
 

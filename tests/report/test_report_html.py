@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from covariant.report import Along, new_figure, save_figure, write_article, write_html, write_report
+from covariant.report import Along, _html, new_figure, save_figure, write_article, write_report
 
 
 class Page(HTMLParser):
@@ -64,8 +64,8 @@ def values(array) -> np.ndarray:
 
 
 @pytest.fixture
-def page(report, tmp_path) -> Page:
-    return Page(write_html(report, tmp_path / "report.html").read_text(encoding="utf-8"))
+def page(report) -> Page:
+    return Page(_html.page(report))
 
 
 def test_page_loads_nothing(page):
@@ -86,19 +86,19 @@ def test_labels_are_text(page, report):
         assert text in page.text
 
 
-def test_the_result_stands_first_and_what_was_odd_below_it(make, tmp_path):
+def test_the_result_stands_first_and_what_was_odd_below_it(make):
     odd = make(1)._replace(headline="velocity from 400 rows", warnings=("26 of 400 samples: no measurement",))
-    text = write_html(odd, tmp_path / "report.html").read_text(encoding="utf-8")
+    text = _html.page(odd)
     verdict, warning, table = (text.index(part) for part in ("Velocity from 400 rows.", "26 of 400", "<table"))
     assert text.index("</h1>") < verdict < warning < table
     assert "No warnings" not in text
-    calm = write_html(odd._replace(warnings=()), tmp_path / "report.html").read_text(encoding="utf-8")
+    calm = _html.page(odd._replace(warnings=()))
     assert "No warnings." in calm
 
 
-def test_only_a_ranking_has_a_best_row(make, tmp_path):
+def test_only_a_ranking_has_a_best_row(make):
     unranked = make(1)._replace(rows=[{"when": "before", "RMS": 2.0}, {"when": "after", "RMS": 1.0}], best=0)
-    page = Page(write_html(unranked, tmp_path / "report.html").read_text(encoding="utf-8"))
+    page = Page(_html.page(unranked))
     assert all("class" not in attrs for attrs in page.all("tr"))
 
 
@@ -107,9 +107,9 @@ def test_numbers_on_axes_have_no_prefixes_of_units(page):
     assert {axis["exponentformat"] for axis in axes} == {"power"}
 
 
-def test_terms_are_explained_where_they_occur(make, tmp_path):
+def test_terms_are_explained_where_they_occur(make):
     def terms(report):
-        text = write_html(report, tmp_path / "report.html").read_text(encoding="utf-8")
+        text = _html.page(report)
         return re.findall(r"<strong>([^<]*)</strong>: ", text)
 
     plain = make(1)._replace(innovation={}, distance={}, notes=(), rows=(), v_reference_label="truth")
@@ -171,21 +171,20 @@ def test_missing_samples_are_gaps(page, report):
     np.testing.assert_array_equal(np.isnan(values(slopes["y"])), missing | np.roll(missing, 1) | (report.t == 0))
 
 
-def test_a_long_log_of_many_estimators_stays_small_and_is_told(make, tmp_path):
-    path = write_html(make(2, 100_000, labels=tuple(f"estimator {i}" for i in range(13))), tmp_path / "large.html")
-    assert path.stat().st_size < 3_000_000
-    page = Page(path.read_text(encoding="utf-8"))
+def test_a_long_log_of_many_estimators_stays_small_and_is_told(make):
+    text = _html.page(make(2, 100_000, labels=tuple(f"estimator {i}" for i in range(13))))
+    assert len(text) < 3_000_000
+    page = Page(text)
     assert re.search(r"Of each \S+ of the 100000 samples the smallest and the largest", page.text)
     assert page.unpacked("plotly") == get_plotlyjs()
 
 
-def test_all_samples_of_a_log_can_be_zoomed_to(make, tmp_path):
+def test_all_samples_of_a_log_can_be_zoomed_to(make):
     """The velocity is one line through every sample, to four digits and more, not the range of an interval."""
     report = make(1, 5000, labels=("one",))
     report = report._replace(table={"t": report.t, "v": report.estimates["one"][:, 1]})
-    path = write_html(report, tmp_path / "page.html")
-    page = Page(path.read_text(encoding="utf-8"))
-    assert path.stat().st_size < 3_000_000
+    page = Page(text := _html.page(report))
+    assert len(text) < 3_000_000
     [line] = [
         trace for trace in page.figures()[0]["data"] if trace["legendgroup"] == "one" and trace.get("yaxis") == "y"
     ]
@@ -196,7 +195,7 @@ def test_all_samples_of_a_log_can_be_zoomed_to(make, tmp_path):
     assert len(rows) == 5001
 
 
-def test_bands_marks_pushes_and_forces_are_drawn(make, tmp_path):
+def test_bands_marks_pushes_and_forces_are_drawn(make):
     report = make(1, labels=("filter",))
     one = np.ones((len(report.t), 1))
     report = report._replace(
@@ -206,7 +205,7 @@ def test_bands_marks_pushes_and_forces_are_drawn(make, tmp_path):
         marks={"refused": report.t > 19, "no measurement": (report.t > 8) & (report.t < 9)},
         shaded=np.array([[1.0, 2.0]]),
     )
-    page = Page(write_html(report, tmp_path / "page.html").read_text(encoding="utf-8"))
+    page = Page(_html.page(report))
     motion, force, _ = page.figures()
     assert [shape["x0"] for shape in motion["layout"]["shapes"]] == [1.0] == [force["layout"]["shapes"][0]["x0"]]
     bounds = [trace for trace in motion["data"] if trace["yaxis"] == "y3" and trace.get("hoverinfo") == "skip"]
@@ -218,46 +217,40 @@ def test_bands_marks_pushes_and_forces_are_drawn(make, tmp_path):
     np.testing.assert_allclose([np.nanmin(band), np.nanmax(band)], [0.3, 0.7], rtol=1e-4)
 
 
-def test_hidden_curves_wait_for_a_click_and_pale_columns_are_grey(make, tmp_path):
+def test_hidden_curves_wait_for_a_click_and_pale_columns_are_grey(make):
     report = make(1, labels=("one", "two"))._replace(hidden=("two",), pale=("RMS [rad/s]",))
-    page = Page(write_html(report, tmp_path / "page.html").read_text(encoding="utf-8"))
+    page = Page(_html.page(report))
     pressed = {attrs["data-label"]: attrs["aria-pressed"] for attrs in page.all("button")}
     assert (pressed["one"], pressed["two"]) == ("true", "false")
     assert page.all("th")[1]["class"] == "number pale"
 
 
-def test_lines_to_copy_and_facts_are_text(make, tmp_path):
+def test_lines_to_copy_and_facts_are_text(make):
     report = make(1)._replace(code='[design]\na = "<b>"', facts={"command": "covariant estimate <arm>"})
-    page = Page(write_html(report, tmp_path / "page.html").read_text(encoding="utf-8"))
+    page = Page(_html.page(report))
     assert not page.all("b")
     assert '[design]\na = "<b>"' in page.text
     assert "covariant estimate <arm>" in page.text
 
 
-def test_degenerate(degenerate, tmp_path):
-    assert Page(write_html(degenerate, tmp_path / "report.html").read_text(encoding="utf-8")).figures()
+def test_degenerate(degenerate):
+    assert Page(_html.page(degenerate)).figures()
 
 
 def test_failure_leaves_the_old_page(make, tmp_path, monkeypatch):
     path = tmp_path / "report.html"
     path.write_text("old")
     with pytest.raises(ValueError, match="q_measured"):
-        write_html(make()._replace(q_measured=np.zeros(3)), path)
+        write_report(make()._replace(q_measured=np.zeros(3)), path)
 
     def full_disk(_):
         raise OSError("no space left on device")
 
     monkeypatch.setattr("os.fsync", full_disk)
     with pytest.raises(OSError, match="no space"):
-        write_html(make(), path)
+        write_report(make(), path)
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
-
-
-def test_without_plotly(make, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    with pytest.raises(ImportError, match=r"pip install 'covariant\[report\]'"):
-        write_html(make(), tmp_path / "report.html")
 
 
 @pytest.mark.parametrize(

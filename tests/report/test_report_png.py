@@ -1,5 +1,6 @@
 """Still figures: files, sizes, and the house style."""
 
+import io
 import sys
 
 import matplotlib as mpl
@@ -8,8 +9,8 @@ import pytest
 from matplotlib import pyplot
 from PIL import Image
 
-from covariant.certificates.audit import Audit, Law
-from covariant.report import PALETTE, _audit, draw_audit, new_figure, save_figure, write_png
+from covariant.report import PALETTE, new_figure, save_figure
+from covariant.report._png import draw_png
 
 NAMES = ["log_velocity.png", "log_position.png", "log_distance.png"]
 
@@ -19,43 +20,43 @@ def ink(image: Image.Image) -> np.ndarray:
     return np.asarray(image.convert("L")) < 250
 
 
+def images(report) -> dict[str, Image.Image]:
+    """The figures of a report by the name of their file."""
+    return {path.name: Image.open(io.BytesIO(drawn)) for path, drawn in draw_png(report, "log.png").items()}
+
+
+def within(image: Image.Image) -> bool:
+    """Whether no text runs out of the figure."""
+    drawn = ink(image)
+    return not np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]]).any()
+
+
 @pytest.mark.long("n=3")
-def test_files(report, tmp_path):
-    paths = write_png(report, tmp_path / "log.png")
-    assert [path.name for path in paths] == NAMES
-    for path in paths:
-        with Image.open(path) as image:
-            assert image.info["dpi"] == pytest.approx((150, 150), abs=0.1)
-            assert image.width == round(150 * (7.2 if "distance" in path.name else 2 * 4.8))
-            drawn = ink(image)
-        assert drawn.mean() > 0.02
-        edges = np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]])
-        assert not edges.any()  # no text runs out of the figure
-        assert path.stat().st_size < 2**20
+def test_files(report):
+    drawn = images(report)
+    assert list(drawn) == NAMES
+    assert max(map(len, draw_png(report, "log").values())) < 2**20
+    for name, image in drawn.items():
+        assert image.info["dpi"] == pytest.approx((150, 150), abs=0.1)
+        assert image.width == round(150 * (7.2 if "distance" in name else 2 * 4.8))
+        assert ink(image).mean() > 0.02
+        assert within(image)
 
 
 @pytest.mark.long
-def test_a_row_a_coordinate(make, tmp_path):
-    heights = []
-    for n in (1, 3):
-        with Image.open(write_png(make(n), tmp_path / f"n{n}")[0]) as image:
-            heights.append(image.height)
-    assert heights[1] - heights[0] == pytest.approx(2 * 2.3 * 150, abs=1)
+def test_a_row_a_coordinate(make):
+    low, high = (images(make(n))["log_velocity.png"].height for n in (1, 3))
+    assert high - low == pytest.approx(2 * 2.3 * 150, abs=1)
 
 
 @pytest.mark.long("diverged", "zero_distances")
-def test_degenerate(degenerate, tmp_path):
-    for path in write_png(degenerate, tmp_path / "log"):
-        with Image.open(path) as image:
-            assert ink(image).any()
+def test_degenerate(degenerate):
+    assert all(ink(image).any() for image in images(degenerate).values())
 
 
-def test_long_texts(make, tmp_path):
+def test_long_texts(make):
     report = make(1, labels=tuple(f"observer {i} " + "with a long name " * 6 for i in range(9)))
-    path, *_ = write_png(report._replace(title="word " * 60, coordinates=("joint " * 20,)), tmp_path / "log")
-    with Image.open(path) as image:
-        drawn = ink(image)
-    assert not np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]]).any()
+    assert within(images(report._replace(title="word " * 60, coordinates=("joint " * 20,)))["log_velocity.png"])
 
 
 @pytest.mark.long
@@ -92,13 +93,3 @@ def test_without_matplotlib(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match=r"pip install 'covariant\[report\]'"):
         new_figure()
-
-
-def test_every_law_of_an_audit_is_in_the_picture(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(_audit, "save_figure", lambda figure, path: drawn.append(figure) or path)
-    laws = [Law(name, name, "", "holds", 1e-12, 1e-9, "", "", ()) for name in ("torsion", "curvature")]
-    draw_audit(Audit("intrinsic", "everywhere", tuple(laws)), tmp_path / "audit.png")
-    bottom, top = drawn[0].axes[0].get_ylim()
-    assert bottom >= 1.31  # a row is .62 high
-    assert top <= -0.31

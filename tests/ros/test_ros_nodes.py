@@ -79,7 +79,7 @@ def messages(model):
 def exported(model, messages, tmp_path_factory):
     folder = tmp_path_factory.mktemp("ros")
     log = bag(folder / "whole", messages)
-    covariant.export(model, folder / "out", rate=RATE, name="arm", ros2=True, audit=False, log=log, **GAINS)
+    covariant.export(model, folder / "out", rate=RATE, name="arm", ros2=True, log=log, **GAINS)
     return folder / "out" / "ros2"
 
 

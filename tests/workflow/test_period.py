@@ -54,7 +54,7 @@ def test_check_asks_for_the_period_and_for_nothing_once_it_is_stated(whole, wrap
 
 def test_exported_code_follows_the_readings_as_they_are(wrapped, tmp_path, monkeypatch):
     arguments = {"observer": "intrinsic", "overrides": STATED, "rate": 250.0}
-    covariant.export("pendulum_chain", tmp_path / "c", python=True, audit=False, name="geared", **arguments)
+    covariant.export("pendulum_chain", tmp_path / "c", python=True, name="geared", **arguments)
     monkeypatch.syspath_prepend(str(tmp_path / "c" / "python"))
     module = importlib.import_module("geared")
     velocities = np.asarray(module.run(wrapped.t, wrapped.y, wrapped.u).v)[:, 0]

@@ -1,10 +1,15 @@
-"""Rows in which something pushes: the share of false ones is at most what is told, and large pushes are found."""
+"""Pushes: those of `simulate`, and rows of `estimate` in which something pushes."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import covariant
+from covariant import models
+from covariant.observers import MomentumObserver, observed_forces
 from covariant.workflow import _outcome
+from covariant.workflow._simulated_log import pushes
 
 NOISE = {"measurement.std": 2e-4, "uncertainty.acceleration": 0.1}
 FORCE = {"uncertainty.external_force_std": [0.2, 0.1], "uncertainty.external_force_time": 0.3}
@@ -61,3 +66,35 @@ def test_without_forces_nothing_is_said_of_pushes():
 def test_beside_forces_on_links_those_of_joints_are_no_pushes(wrenches, names, forces):
     file = covariant.models.load("oscillator")._replace(wrenches=wrenches)
     assert _outcome.force_names(file, names) == forces
+
+
+@pytest.mark.exhaustive
+def test_simulated_pushes_are_what_moves_the_machine():
+    """The momentum of the exact motion shows the forces in the log, behind its lag."""
+    stiff = {"parameters.stiffness": 4.0}
+    log = covariant.simulate("oscillator", duration=8.0, rate=100.0, push=[0.6], q0=[0.3], overrides=stiff)
+    assert log.force_columns == ("true_external_force1",)
+    assert log.units["true_external_force1"] == "N"
+    assert log.summary["force_columns"] == "true_external_force1"
+    assert str(log).endswith("true forces are in true_external_force1")
+    t, x, gain, force = log.record.t, log.record.x, 20.0, log.columns["true_external_force1"]
+    seen = observed_forces(
+        MomentumObserver(models.oscillator(stiffness=4.0), gain), t, log.record.u, x[:, :1], x[:, 1:]
+    )
+    share = -np.expm1(-gain * 0.01)
+    np.testing.assert_allclose(seen[:, 0], lfilter([share], [1, share - 1], force), atol=0.02)
+    assert covariant.simulate("oscillator", duration=0.5, rate=20.0).force_columns == ()
+
+
+def test_pushes_are_on_each_joint_in_turn_and_change_sign():
+    times = jnp.array([0.5, 1.0, 1.5, 2.0, 2.5, 3.5, 5.5, 7.5, 9.5])
+    forces = np.stack([pushes(t, jnp.array([0.5, 0.2])) for t in times])
+    first, second = [0, 0, 0.5, 0, 0, 0, -0.5, 0, 0.5], [0, 0, 0, 0, 0, 0.2, 0, -0.2, 0]
+    np.testing.assert_allclose(forces, np.stack([first, second], axis=1), atol=1e-12)
+
+
+def test_pushes_need_a_mechanical_model_and_a_force_for_each_velocity():
+    with pytest.raises(ValueError, match="push needs 2 finite numbers"):
+        covariant.simulate("pendulum_chain", duration=1.0, push=[1.0])
+    with pytest.raises(ValueError, match="pushes are for mechanical ones"):
+        covariant.simulate("duffing", duration=1.0, push=[1.0])

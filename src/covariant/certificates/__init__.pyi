@@ -1,4 +1,3 @@
-from . import audit as audit
 from .base import (
     ASSUMED as ASSUMED,
     CLAIMS as CLAIMS,
@@ -33,7 +32,6 @@ from .base import (
     optimal_lyapunov as optimal_lyapunov,
     parse as parse,
     rate_of as rate_of,
-    rates_along as rates_along,
     steady_distance as steady_distance,
     tangent_metric as tangent_metric,
 )
@@ -112,7 +110,6 @@ __all__ = [
     "Bounded",
     "Hypothesis",
     "Statement",
-    "audit",
     "cascade",
     "certify",
     "check",

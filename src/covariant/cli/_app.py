@@ -7,16 +7,37 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from covariant._errors import InputError
 from covariant.cli._command import Command
 from covariant.cli._commands import COMMANDS
 from covariant.cli._signature import signature
 
 WIDEST = 120
 """Columns of the help in a terminal that has as many; longer lines are hard to read."""
+NO_LAWS = "an export does not measure laws of the observer; leave it out"
+SMOOTH = "`covariant smooth MODEL LOG`, with --lag SECONDS or all rows after each, writes smoothed estimates"
+REMOVED = {
+    "audit": "the laws are tests of the library; `covariant certify` proves that an observer converges",
+    "cite": "CITATION.cff and the page of each paper say what to cite",
+    "compare --force": "`covariant estimate` writes forces; benchmarks/forces.py compares estimators of them",
+    "estimate --lag": SMOOTH,
+    "estimate --smooth": SMOOTH,
+    "export --audit": NO_LAWS,
+    "export --flash": "compile with -Os where memory is small, and keep `--parameters` few; see docs/firmware.md",
+    "export --no-audit": NO_LAWS,
+}
+"""Commands and options that are gone, and what replaces them."""
 
 
 class Grouped(TyperGroup):
     """A group whose help lists its commands by what they are for, each with its whole first sentence."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        command, *rest = args
+        for name in (command, *(f"{command} {word.partition('=')[0]}" for word in rest)):
+            if name in REMOVED:
+                raise InputError(f"`{name}` is gone: {REMOVED[name]}")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         listed = {name: self.commands[name] for name in self.list_commands(ctx)}

@@ -17,21 +17,6 @@ from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
 from covariant.workflow import FIGURES, TABLES, check_machine_files, check_model_output, check_output
 
 
-def _estimate(call: Invocation, smooth: bool, lag: float | None, **places: Any) -> Any:
-    if smooth or lag is not None:
-        raise InputError(
-            "estimate knows the rows before each only; `covariant smooth MODEL LOG`, with --lag SECONDS or all rows "
-            "after each, writes smoothed estimates and those of the filter beside them"
-        )
-    return call.show(call(), **places)
-
-
-def _compare(call: Invocation, force: str | None, report: Path | None, out: Path | None) -> Any:
-    if force is not None and report is not None:
-        raise InputError("--report: forces have no page; give -o TABLE.csv, or leave out --force")
-    return call.show(call() if force is None else call("compare_force", force=force), out, report)
-
-
 def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
     model, parameters = call.values["model"], call.values["parameters"].split(",")
     inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
@@ -59,11 +44,6 @@ def _init(call: Invocation, out: Path) -> Any:
     if out.exists():
         raise InputError(f"{out}: there is such a file already, and it is not overwritten; give another name")
     return call.show(call(), out)
-
-
-def _audit(call: Invocation, out: Path | None) -> Any:
-    page, figure = (out, None) if out is not None and out.suffix == ".html" else (None, out)
-    return call.show(call(), report=page, figure=figure)
 
 
 def _export(call: Invocation) -> Any:
@@ -190,16 +170,8 @@ COMMANDS = (
         LOG,
         "estimate arm.toml log.csv -o velocity.csv --report page.html",
         "docs/your-log.md",
-        own=(
-            ESTIMATE,
-            REPORT,
-            RERUN,
-            OVERWRITE,
-            Option("smooth", FLAG, default=False, flags=("--smooth",), hidden=True),
-            Option("lag", Kind(float), flags=("--lag",), hidden=True),
-        ),
+        own=(ESTIMATE, REPORT, RERUN, OVERWRITE),
         changes=LISTED | {"log": EACH},
-        run=_estimate,
         again=True,
         over_logs=True,
     ),
@@ -218,17 +190,7 @@ COMMANDS = (
         LOG,
         "compare arm.toml log.csv",
         "docs/choose.md",
-        own=(
-            _output("Write the table here", ".csv"),
-            REPORT,
-            Option(
-                "force",
-                TEXT,
-                "Columns of true external forces: estimates of these are compared, and not velocities.",
-                flags=("--force",),
-            ),
-        ),
-        run=_compare,
+        own=(_output("Write the table here", ".csv"), REPORT),
     ),
     Command("describe_model", ROBOTS, "model panda", "docs/robots.md", "model"),
     Command(
@@ -321,31 +283,12 @@ COMMANDS = (
         note="Angles are in radians. Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.",
     ),
     Command(
-        "audit_observer",
-        PROOFS,
-        "audit ball_and_beam --out audit.html",
-        "docs/certificates.md",
-        "audit",
-        own=(_output("Write a page or its figure here", ".html", *FIGURES, flags=("-o", "--out", "--html")),),
-        run=_audit,
-        exit_code=lambda result: not result.passed,
-        note="Exit code 1 where a law is broken, or none was measured.",
-    ),
-    Command(
         "reproduce_paper",
         PROOFS,
         "reproduce maithripala",
         "docs/maithripala.md",
         "reproduce",
         own=(_output("Write the paper's figure here", ".png", name="figure"), PAGE),
-    ),
-    Command(
-        "cite",
-        HELP,
-        "cite arm.toml --observer ekf",
-        "docs/observers.md",
-        own=(_output("Write the BibTeX entries here", ".bib"),),
-        changes=LISTED,
     ),
     Command(
         "doctor",

@@ -50,7 +50,6 @@ KINDS = {
     "Sequence[str]": Kind(str, _parse.name_list, "<name,...>"),
     "bool": FLAG,
     "float": Kind(float),
-    "float | int": Kind(str, _parse.byte_count, "<bytes|64k|1M>"),
     "int": Kind(int),
     "int | Sequence[int]": Kind(str, _parse.count_list, "<count,...>"),
     "str": TEXT,
@@ -71,7 +70,6 @@ class Option(NamedTuple):
         flags: How it is typed; empty for a positional argument.
         least: The least number.
         suffixes: Of a file to write, the endings that it may have.
-        hidden: Whether the help leaves it out.
     """
 
     name: str
@@ -81,7 +79,6 @@ class Option(NamedTuple):
     flags: tuple[str, ...] = ()
     least: int | None = None
     suffixes: tuple[str, ...] = ()
-    hidden: bool = False
 
     @property
     def typed(self) -> str:
@@ -94,7 +91,7 @@ class Option(NamedTuple):
 
     def parameter(self) -> inspect.Parameter:
         """Parameter from whose annotation typer makes the option."""
-        made = functools.partial(typer.Option, *self.flags, hidden=self.hidden) if self.flags else typer.Argument
+        made = functools.partial(typer.Option, *self.flags) if self.flags else typer.Argument
         choices = self.kind.choices
         setting = made(
             help=self.help,
@@ -191,9 +188,9 @@ def _option(name: str, argument: Argument) -> Option:
 def flags_of(options: Iterable[Option]) -> dict[str, str]:
     """How options are typed, by the arguments of Python that they become.
 
-    Columns and `force` are always there: results name them for the next command.
+    Columns are always there: results name them for the next command.
     """
-    flags = {"force": "--force", **{f'columns["{field}"]': f"--{field}" for field in COLUMNS}}
+    flags = {f'columns["{field}"]': f"--{field}" for field in COLUMNS}
     for option in options:
         if option.flags:
             # By what is typed too: `--model` of one command is no argument of its own verb.

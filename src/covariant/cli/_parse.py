@@ -11,8 +11,6 @@ from covariant._numbers import integer, number
 from covariant.models import check_spec
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
 
-UNITS = {"k": 1024, "m": 1024**2}
-
 
 def number_list(option: str, text: str) -> list[float]:
     """Parse numbers separated by commas.
@@ -53,23 +51,6 @@ def interval_map(option: str, text: str) -> dict[str, tuple[float, float]]:
             raise InputError(f"{option}: {name} is given twice; keep one of them")
         ends[name] = low, high
     return ends
-
-
-def byte_count(option: str, text: str) -> int:
-    """Parse a number of bytes, such as `64k`, `1M` or `65536`, where k is 1024.
-
-    Example:
-        >>> byte_count("--flash", "64k")
-        65536
-    """
-    digits, unit = (text[:-1], text[-1].lower()) if text[-1:].lower() in UNITS else (text, "")
-    try:
-        count = int(number(digits) * UNITS.get(unit, 1))
-    except (ValueError, OverflowError):  # no number, or infinity
-        count = 0
-    if count <= 0:
-        raise InputError(f"{option} must be a number of bytes, such as 64k, 1M or 65536; got {text!r}")
-    return count
 
 
 def name_list(option: str, text: str) -> tuple[str, ...]:

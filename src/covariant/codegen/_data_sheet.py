@@ -33,19 +33,17 @@ class Facts(NamedTuple):
         rate: Sampling rate [Hz] for which the observer was made.
         substeps: Number of Runge–Kutta steps in each sample; None if there are none, or each step chooses it.
         certificate: Lines on the proved statements; may be empty.
-        audit: A line on the measured laws; may be empty.
         gate: Sentences on which measurements are refused; may be empty.
 
     Example:
         >>> from covariant.codegen import Facts
         >>> Facts(rate=1000.0, substeps=2)
-        Facts(rate=1000.0, substeps=2, certificate='', audit='', gate='')
+        Facts(rate=1000.0, substeps=2, certificate='', gate='')
     """
 
     rate: float
     substeps: int | None
     certificate: str = ""
-    audit: str = ""
     gate: str = ""
 
 
@@ -103,17 +101,13 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
     if program.real == "float":
         lines.append("- Time is counted in single precision: a force that depends on time loses digits after an hour.")
     lines.append("- NaN marks what is missing, so that `-ffast-math` and `-ffinite-math-only` must not be used.")
-    if source.tables != "none":
-        where = ", those in loops too" if source.tables == "all" else ""
-        lines.append(f"- Like statements{where} are done by loops over tables: less memory, more time.")
     lines += ["", "## Gate", "", facts.gate] if facts.gate else []
     if program.signals.lines:
         lines += ["", "## What goes in and out", "", "In this order and in these units, whatever those of a log.", ""]
         lines += [f"- {line}" for line in program.signals.lines]
     lines += ["", "## Result codes", "", "| code | name | meaning |", "|---|---|---|"]
     lines += [f"| {int(result)} | `{source.name.upper()}_{result.name}` | {result.message} |" for result in StepCode]
-    for title, text in (("Certificate", facts.certificate), ("Audit", facts.audit)):
-        lines += ["", f"## {title}", "", text] if text else []
+    lines += ["", "## Certificate", "", facts.certificate] if facts.certificate else []
     lines += ["", "## Origin", "", f"- SHA-256 of header and source: `{digest(source)}`"]
     return "\n".join(lines) + "\n"
 

@@ -4,40 +4,23 @@ All names begin with the name of the export. There is no memory management and n
 plain structure, so that a copy of it is a snapshot, and every function works on its arguments alone.
 """
 
-import math
 import re
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
 from covariant._errors import InputError
 from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
-from covariant.codegen._program import Member, Program, Real, part_text
+from covariant.codegen._program import Member, Program, part_text
 from covariant.lowering import C_KEYWORDS, C_MACROS, CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import StepCode
 
 RESERVED = C_KEYWORDS | C_MACROS | {"info"}
 """Words that cannot name a number in C; `info` is the name of the diagnostics of a step."""
 SENTENCE = "This text is yours: use, change and sell it as you like; no licence of its generator extends to it."
-
-
-Tables = Literal["none", "once", "all"]
-
-CODE = {
-    "none": {"float": 0.41, "double": 0.85},
-    "once": {"float": 0.34, "double": 0.68},
-    "all": {"float": 0.32, "double": 0.44},
-}
-"""Bytes that a character of C, but for constant arrays, becomes on a Cortex-M4F by gcc -Os, at most, for each use of
-tables: in single precision, and in double, which that processor does by functions."""
-LOOK_UP = {"float": 10, "double": 60}
-"""Further bytes of a look-up in a table."""
-WIDTHS = {"double": 8, "float": 4, "unsigned": 4, "unsigned short": 2}
-"""Bytes of an entry of a constant array there."""
-ARRAY = re.compile(rf"^static const ({'|'.join(WIDTHS)}) \w+\[(\d+)\] = {{[^}}]*}};$", re.MULTILINE)
 
 
 class Source(NamedTuple):
@@ -48,7 +31,6 @@ class Source(NamedTuple):
         header: Text of the header.
         source: Text of the source.
         functions: The functions "init", "step" and "estimate", with the operations of a call of each.
-        tables: Which like statements are loops over tables: "none", those outside loops ("once"), or "all" of them.
 
     Example:
         >>> import numpy as np
@@ -64,27 +46,22 @@ class Source(NamedTuple):
     header: str
     source: str
     functions: dict[str, CText]
-    tables: Tables = "none"
 
 
-def write_source(program: Program, name: str, about: str, flash: int | float = math.inf) -> Source:
+def write_source(program: Program, name: str, about: str) -> Source:
     """Generate the header and the source of an observer, in C99.
 
-    Use it where the C goes into a build of your own. It allocates no memory and has no global variables. On a small
-    controller set `flash`; smaller code is slower. `covariant.export` adds a self-test and a data sheet, and
-    is the better start.
+    Use it where the C goes into a build of your own. It allocates no memory and has no global variables.
+    `covariant.export` adds a self-test and a data sheet, and is the better start.
 
     Args:
         program: The observer as graphs.
         name: Prefix of all names in C, an identifier.
         about: A line that says what the observer is, for comments and texts.
-        flash: Limit [bytes] of code and constants; by default there is none. Where straight C is estimated to take
-            more, like statements are loops over tables. The estimate is by the length of the text, the same on every
-            machine.
 
     Raises:
         ValueError: The name is not an identifier of C, or is reserved in C, C++, JavaScript or Python or by the
-            system; or the tables are estimated to take more than `flash` too.
+            system.
 
     Example:
         >>> import numpy as np
@@ -93,33 +70,9 @@ def write_source(program: Program, name: str, about: str, flash: int | float = m
         >>> program = codegen.program(recipe, np.zeros(1))
         >>> codegen.write_source(program, "double", "A filtered derivative.")
         Traceback (most recent call last):
-        ValueError: 'double' is a keyword of C or C++; take another name, such as 'my_double'
+        covariant._errors.InputError: 'double' is a keyword of C or C++; take another name, such as 'my_double'
     """
     check_export_name(name)
-    least = math.inf
-    # From the fastest code to the smallest: the first that fits is taken.
-    for tables in get_args(Tables):
-        source = _written(program, name, about, tables)
-        size = _estimated(source, program.real)
-        if size <= flash:
-            return source
-        least = min(least, math.ceil(size / 1024))
-    closed = ", close numbers by `parameters=[]`" if program.numbers else ""
-    raise InputError(
-        f"{name} takes about {least} kB of flash, with loops over tables too, and may take {flash / 1024:g}; give it "
-        f"{least}k or more{closed}, or choose a cheaper observer"
-    )
-
-
-def _estimated(source: Source, real: Real) -> float:
-    """Bytes of code and constants on a Cortex-M4F, more than its compiler makes of it, whatever the name."""
-    arrays = sum(WIDTHS[kind] * int(count) for kind, count in ARRAY.findall(source.source))
-    # A name of fixed length in place of the export's, so that the estimate does not depend on it.
-    code = re.sub(rf"\b{source.name}_", "arm_", ARRAY.sub("", source.source))
-    return arrays + LOOK_UP[real] * code.count("arm_table(") + CODE[source.tables][real] * len(code)
-
-
-def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
     core = {"init": _init(program, name), "step": _step(program, name, program.step, program.measurements)}
     for part, count in program.parts if program.alone else ():
         if step_of(part) in core:
@@ -127,11 +80,11 @@ def _written(program: Program, name: str, about: str, tables: Tables) -> Source:
         core[step_of(part)] = _step(program, name, dict(program.alone)[part], count)
     core["estimate"] = _estimate(program, name)
     functions = {
-        key: c_function(graph, f"{name}_core_{key}", signature, program.real, f"{name}_", static=True, tables=tables)
+        key: c_function(graph, f"{name}_core_{key}", signature, program.real, f"{name}_", static=True)
         for key, (graph, signature) in core.items()
     }
     words = common_words(program, name, about)
-    return Source(name, _header(program, words), _source(program, words, functions), functions, tables)
+    return Source(name, _header(program, words), _source(program, words, functions), functions)
 
 
 def entries(owner: str, leaf: Member) -> list[str]:

@@ -1,6 +1,5 @@
 """An export as files in a folder."""
 
-import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,7 +22,6 @@ def export_texts(
     about: str,
     measured: np.ndarray,
     facts: Facts,
-    flash: int | float = math.inf,
     run: Vectors | None = None,
     python: bool = False,
     wasm: bool = False,
@@ -39,7 +37,6 @@ def export_texts(
         about: A line that says what the observer is, for comments and texts.
         measured: Measurements (ROWS + 1, *n) of the self-test, the first of which starts it.
         facts: Further facts on the data sheet.
-        flash: Limit [bytes] of code and constants, as for `write_source`; by default there is none.
         run: The run that the self-test follows; by default it is computed from the measurements.
         python, wasm, ros2: Whether the README lists the files of `python_files`, of `wasm_files`, of `ros_files`; by
             default it does not.
@@ -48,7 +45,7 @@ def export_texts(
         The texts by their path in the folder of the export.
 
     Raises:
-        ValueError: The name is no identifier of C, or the observer is estimated to take more flash.
+        ValueError: The name is no identifier of C.
 
     Example:
         >>> import numpy as np
@@ -62,7 +59,7 @@ def export_texts(
     """
     # A comment of C ends at */, and one line must stay one.
     about = " ".join(about.replace("*/", "").split())
-    source = write_source(program, name, about, flash)
+    source = write_source(program, name, about)
     words = common_words(program, name, about)
     first = program.x[-1]
     words |= {
@@ -118,7 +115,7 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
         ['exported/a.h', 'exported/test/a.c']
         >>> write_folder({"a.h": ""}, Path("exported"))
         Traceback (most recent call last):
-        ValueError: exported: the folder is not empty; name a new one, or replace its files by `overwrite=True`
+        covariant._errors.InputError: exported: the folder is not empty; name a new one, or ...
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: this is a file; name a folder")

@@ -34,7 +34,6 @@ from .files import (
     document as document,
     family as family,
     from_recipe as from_recipe,
-    is_robot_number as is_robot_number,
     load as load,
     loaded_once as loaded_once,
     override as override,

@@ -23,7 +23,7 @@ from jaxtyping import Array, Complex, Float
 
 from covariant._errors import InputError
 from covariant._linalg import at_places
-from covariant._typing import Element, Scalar, Vector
+from covariant._typing import Element, Vector
 from covariant.geometry.lie import SU, AbstractInertia
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter
@@ -255,27 +255,6 @@ def carry(n: int, g: Element, tracer: Modes) -> Modes:
     """
     # g is unitary, so its inverse is gᴴ.
     return _coefficients(n, g.conj().T @ _matrix(n, tracer) @ g)
-
-
-def enstrophy(n: int, v: Vector) -> Scalar:
-    """Enstrophy `½∫ω²dx` of a velocity.
-
-    Args:
-        n: Number of frequencies in each direction.
-        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
-
-    Returns:
-        The enstrophy [m²/s²], a scalar.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.models import fluid
-        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
-        >>> bool(jnp.isclose(fluid.enstrophy(3, fluid.velocity_coordinates(3, stream)), jnp.pi**2))
-        True
-    """
-    # Parseval on the torus of area (2π)².
-    return (2 * np.pi) ** 2 / 2 * jnp.sum(jnp.abs(vorticity_modes(n, v)) ** 2)
 
 
 def casimirs(n: int, v: Vector) -> Float[Array, "k"]:

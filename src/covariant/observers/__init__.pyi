@@ -96,10 +96,8 @@ from .filters import (
     smooth as smooth,
 )
 from .sensors import (
-    AbstractForceObserver as AbstractForceObserver,
     ForceState as ForceState,
     Instant as Instant,
-    InverseDynamics as InverseDynamics,
     MissingInputs as MissingInputs,
     MomentumObserver as MomentumObserver,
     Sensor as Sensor,

@@ -1,7 +1,7 @@
 """The registry of observers that `calibration` can tune: one entry for each.
 
-An observer is entered here and nowhere else. `calibration.estimators` and `tuned_estimators`, the commands `estimate`,
-`compare` and `audit`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.
+An observer is entered here and nowhere else. `calibration.estimators` and `tuned_estimators`, the commands `estimate`
+and `compare`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.
 """
 
 from collections.abc import Callable

@@ -38,7 +38,6 @@ class Erratum(NamedTuple):
     slip: str = ""
 
 
-_AUDIT = "tests/certificates/test_audit.py"
 _GROUPS = "tests/laws/test_group_observers.py::test_each_slip_of_the_print_breaks_the_linear_law"
 _ERRATA = "tests/reference/test_errata.py"
 _FOSSEN = "tests/reference/test_jouffroy_fossen.py"
@@ -53,7 +52,7 @@ ERRATA: tuple[Erratum, ...] = (
         "all four curvature terms have the sign opposite to equation (5) of the same paper",
         "the observer diverges in the scenario of figure 4: the error is 1.2 after 10 s and 509 after 40 s, where the "
         "corrected one is at 0.043 and 1.4e-10",
-        f"{_AUDIT}::test_the_printed_ball_and_beam",
+        "tests/laws/test_observers.py::test_the_printed_ball_and_beam",
     ),
     Erratum(
         "aghannan-rouchon",

@@ -1,4 +1,4 @@
-"""Figures and pages from arrays: estimates, certificates and audits drawn for people. No mathematics of observers here.
+"""Figures and pages from arrays: estimates and certificates drawn for people. No mathematics of observers here.
 
 matplotlib and plotly are optional packages, loaded by the functions that draw and installed by
 `pip install 'covariant[report]'`.

@@ -1,9 +1,8 @@
 from ._article import block_html as block_html, write_article as write_article
-from ._audit import audit_figure as audit_figure, draw_audit as draw_audit, write_audit as write_audit
 from ._certificate import certificate_figure as certificate_figure, draw_certificate as draw_certificate
 from ._estimate import Along as Along, EstimateReport as EstimateReport
-from ._html import write_html as write_html, write_report as write_report
-from ._png import figure as figure, write_png as write_png
+from ._html import write_report as write_report
+from ._png import figure as figure
 from ._rerun import MovingBody as MovingBody, PlottedCurve as PlottedCurve, write_rerun as write_rerun
 from ._style import PALETTE as PALETTE, new_figure as new_figure, save_figure as save_figure
 from ._table import table as table

@@ -44,7 +44,7 @@ class Along(NamedTuple):
 
 
 class EstimateReport(NamedTuple):
-    """Estimates of one log, time first: what `figure`, `write_png` and `write_html` draw.
+    """Estimates of one log, time first: what `figure` and `write_report` draw.
 
     NaN marks a missing value and is drawn as a gap. `check` tests the shapes. Arrays may be NumPy's or JAX's.
 

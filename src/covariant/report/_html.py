@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._files import write_together
 from covariant._templates import fill, template
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
@@ -23,40 +24,14 @@ from covariant.report._glossary import glossary
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, quantities
 from covariant.report._plotly import correlogram, stack
-from covariant.report._png import draw_png, write_all
+from covariant.report._png import draw_png
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
 from covariant.report._whiteness import autocorrelation
 
 
-def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
-    """Write a report as one complete file, a page that contains its data and its plotting code.
-
-    Args:
-        report: What is drawn.
-        path: The page to write (.html).
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: The report is not consistent: see `EstimateReport.check`.
-        ImportError: plotly is not installed.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.report import EstimateReport, write_html
-        >>> t = np.linspace(0.0, 5.0, 501)
-        >>> velocity = np.cos(t)[:, None]
-        >>> report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
-        >>> write_html(report, "pendulum.html").name
-        'pendulum.html'
-    """
-    return write_all({Path(path): page(report).encode()})[0]
-
-
 def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
-    """Write the page, and beside it the figures of `write_png`: all of them or none.
+    """Write a page with its data and its plotting code, and figures beside it: all of them or none.
 
     Args:
         report: What is drawn.
@@ -79,7 +54,9 @@ def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[P
         ['pendulum.html', 'pendulum_velocity.png']
     """
     files = {Path(path): page(report).encode()}
-    return write_all(files | draw_png(report, Path(path).with_suffix("")))
+    files |= draw_png(report, Path(path).with_suffix(""))
+    write_together(files)
+    return list(files)
 
 
 def page(report: EstimateReport) -> str:

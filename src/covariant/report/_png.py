@@ -6,7 +6,6 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from covariant._files import write_atomically
 from covariant.report._axis_range import axis_range
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
@@ -27,35 +26,11 @@ _FIGURES = {
 }
 
 
-def write_png(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a report as figures: a row of panels for each coordinate, a column for each quantity.
-
-    Args:
-        report: What is drawn.
-        path: The figures are `<path>_velocity.png`, `<path>_position.png` and `<path>_distance.png`, those that have
-            curves. A suffix .png of the path is dropped first.
-
-    Returns:
-        The paths of all files.
-
-    Raises:
-        ValueError: The report is not consistent: see `EstimateReport.check`.
-        ImportError: matplotlib is not installed.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.report import EstimateReport, write_png
-        >>> t = np.linspace(0.0, 5.0, 501)
-        >>> velocity = np.cos(t)[:, None]
-        >>> report = EstimateReport("Pendulum", ("dθ/dt",), ("rad/s",), t, None, {"intrinsic": velocity})
-        >>> [path.name for path in write_png(report, "pendulum.png")]
-        ['pendulum_velocity.png']
-    """
-    return write_all(draw_png(report, path))
-
-
 def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path, bytes]:
-    """Draw the figures of `write_png`, which also describes the arguments."""
+    """Draw a row of panels for each coordinate, with a column for each quantity.
+
+    The figures are `<path>_velocity.png`, `<path>_position.png` and `<path>_distance.png`, those that have curves.
+    """
     panels, styled = condensed(quantities(report.check())), styles(report)
     path = Path(path)
     stem = path.with_suffix("") if path.suffix.lower() == ".png" else path
@@ -69,20 +44,13 @@ def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path,
     return files
 
 
-def write_all(files: dict[Path, bytes]) -> list[Path]:
-    """Write files that are complete in memory, each whole or not at all."""
-    return [
-        write_atomically(path, lambda file, content=content: file.write(content)) for path, content in files.items()
-    ]
-
-
 def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
     """Draw velocities or states, and their errors where there is a reference: a row for each coordinate.
 
     Below them is what is estimated along with the motion, such as forces.
 
     Args:
-        report: The curves; those of the motion are in `<path>_velocity.png` of `write_png` too.
+        report: The curves; those of the motion are in `<path>_velocity.png` of `write_report` too.
 
     Returns:
         A `matplotlib.figure.Figure` that belongs to no window; a notebook shows it, and `save_figure` writes it.

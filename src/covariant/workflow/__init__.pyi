@@ -1,4 +1,3 @@
-from ._audit import AuditResult as AuditResult, audit_observer as audit_observer
 from ._certify import (
     CertificateCheckResult as CertificateCheckResult,
     CertifyResult as CertifyResult,
@@ -6,9 +5,7 @@ from ._certify import (
     check_certificate as check_certificate,
 )
 from ._check import CheckResult as CheckResult, check as check
-from ._cite import CiteResult as CiteResult, cite as cite
 from ._compare import CompareResult as CompareResult, compare as compare
-from ._compare_force import CompareForceResult as CompareForceResult, compare_force as compare_force
 from ._describe import ModelResult as ModelResult, describe_model as describe_model
 from ._determined import Determinacy as Determinacy
 from ._doctor import DoctorResult as DoctorResult, doctor as doctor
@@ -35,9 +32,7 @@ from ._tune import TuneResult as TuneResult, tune as tune
 
 __all__ = [
     "AbstractResult",
-    "audit_observer",
     "check_certificate",
-    "compare_force",
     "describe_model",
     "design_metric",
     "design_reduced_order",

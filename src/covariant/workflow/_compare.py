@@ -96,29 +96,7 @@ def compare(
 
 
 @dataclass(frozen=True, repr=False)
-class AbstractComparison(AbstractTable):
-    """Several estimators on one log.
-
-    Attributes:
-        job: The model and the log, and which part of it was read.
-        loaded: Both as they were read.
-    """
-
-    job: Job
-    loaded: Loaded
-
-    written = (".csv",)
-
-    @property
-    def _log(self) -> Any:
-        return self.job.log
-
-    def _write(self, path: Path) -> None:
-        write_table(path, self.columns)  # a number that an estimator does not have is left empty
-
-
-@dataclass(frozen=True, repr=False)
-class CompareResult(AbstractComparison):
+class CompareResult(AbstractTable):
     """Estimators ranked on a log, best first.
 
     Attributes:
@@ -140,10 +118,21 @@ class CompareResult(AbstractComparison):
         True
     """
 
+    job: Job
+    loaded: Loaded
     design: str
     outcomes: dict[str, Outcome]
     asked_engine: EngineName
     predicted: Ahead | None = None
+
+    written = (".csv",)
+
+    @property
+    def _log(self) -> Any:
+        return self.job.log
+
+    def _write(self, path: Path) -> None:
+        write_table(path, self.columns)  # a number that an estimator does not have is left empty
 
     @property
     def ranking(self) -> tuple[str, ...]:

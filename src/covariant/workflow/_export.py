@@ -1,7 +1,6 @@
 """`export`: an observer as C for microcontrollers, as a Python package, as WebAssembly, or as a unit (.fmu)."""
 
 import dataclasses
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +12,6 @@ import numpy as np
 from covariant import certificates, models
 from covariant._compile import NO_COMPILER
 from covariant._errors import InputError
-from covariant.certificates import audit
 from covariant.codegen import (
     Facts,
     Program,
@@ -53,8 +51,6 @@ from covariant.workflow._sensors import reading_delays
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
 UNGATED = "It has no gate and refuses no measurement, as asked."
-AUDITED = 6
-"""States at which the laws of an observer are measured before it is written."""
 
 
 def export(
@@ -68,7 +64,6 @@ def export(
     real: str = "double",
     name: str | None = None,
     parameters: Sequence[str] | None = None,
-    flash: float | int | None = None,
     certificate: str | Path | None = None,
     metric: str | Path | None = None,
     fmi: str | None = None,
@@ -79,7 +74,6 @@ def export(
     ros2: bool = False,
     gate: bool = True,
     log: Any = None,
-    audit: bool = True,
     overwrite: bool = False,
     overrides: Overrides = (),
     progress: Progress = notebook_line,
@@ -103,8 +97,6 @@ def export(
         real: Type of all numbers in C, "double" or "float".
         name: What all names in C begin with; that of the model by default.
         parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
-        flash: Most bytes of code and constants: where straight C is estimated to take more, like statements become
-            loops over tables, which take more time.
         certificate: A saved certificate (.json) of this observer, for the data sheet. With a certificate for sampled
             measurements, and doubles, every step also returns a proved bound of the error. The number of substeps is
             then that of the certificate, and all numbers are constants, since the proof holds only for them.
@@ -121,7 +113,6 @@ def export(
         log: The log on which `estimate` runs, for the usual speed in the gate, for encoder ticks, and for sensors that
             it has no columns of, which are left out; by default the speed is the product of `motion_acceleration` and
             `motion_time` in the model file.
-        audit: Measure the laws of the observer first; violated ones are a warning.
         overwrite: Replace files that exist.
         overrides: Values that replace those of the model file.
         progress: Called with a description of the work.
@@ -136,7 +127,7 @@ def export(
     Example:
         >>> import covariant, tempfile
         >>> folder = tempfile.mkdtemp() + "/c"
-        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0, audit=False)
+        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0)
         >>> sorted(path.suffix for path in result.files)[:2]
         ['.c', '.c']
     """
@@ -146,10 +137,9 @@ def export(
         above_zero("rate", rate)
         return write_robot(export, arguments)
     unit = out.suffix == ".fmu"
-    limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
     gains = gain_pair(alpha, beta)
-    _check(unit, real, fmi, flash, step_per_sensor, python, wasm, ros2)
+    _check(unit, real, fmi, step_per_sensor, python, wasm, ros2)
     if name is not None:  # before the work
         check_export_name(name, python or ros2, wasm)
     if wasm:  # so that nobody waits for a design that then cannot be written
@@ -219,8 +209,7 @@ def export(
     read = tuple(name for part in designed.sensors for name in part.signals)
     units = {**written.units, **designed.units}
     written = written._replace(signals=kind_of(file).signals(written.u, read), units=units)
-    broken = _broken_laws(designed.inner) if audit else ""
-    warnings = [line for line in (broken, assumed, unbounded) if line]
+    warnings = [line for line in (assumed, unbounded) if line]
     if unit:
         version: Any = fmi or VERSIONS[0]
         packed = fmu(written, prefix, description, rate, measured[0], version)
@@ -229,9 +218,9 @@ def export(
             warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
         files = [out]
     else:
-        facts = Facts(rate, substeps, proved, broken, refusals)
+        facts = Facts(rate, substeps, proved, refusals)
         run = vectors(written, measured, rate)
-        texts = export_texts(written, prefix, description, measured, facts, limit, run, python, wasm, ros2)
+        texts = export_texts(written, prefix, description, measured, facts, run, python, wasm, ros2)
         more = python_files(written, texts, prefix, description, rate) if python else {}
         more |= ros_files(written, texts, prefix, description, rate) if ros2 else {}
         if python and not any(path.endswith(".whl") for path in more):
@@ -262,7 +251,7 @@ class ExportResult(AbstractResult):
         >>> folder = tempfile.mkdtemp() + "/c"
         >>> noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
         >>> moves = {"uncertainty.motion_acceleration": 20.0, "uncertainty.motion_time": 0.1}
-        >>> result = covariant.export("oscillator", folder, rate=500.0, audit=False, overrides=noise | moves)
+        >>> result = covariant.export("oscillator", folder, rate=500.0, overrides=noise | moves)
         >>> result.observer_name, result.operations > 100
         ('intrinsic', True)
         >>> result.gate.partition(". ")[0]
@@ -283,7 +272,7 @@ class ExportResult(AbstractResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences on laws of its audit that the observer violates, on what a gate lacks, and on missing binaries."""
+        """Sentences on what a gate lacks, and on missing binaries."""
         return self.notes
 
     @property
@@ -313,7 +302,6 @@ def _check(
     unit: bool,
     real: str,
     fmi: str | None,
-    flash: float | int | None,
     alone: bool,
     python: bool,
     wasm: bool,
@@ -326,8 +314,6 @@ def _check(
         raise InputError("fmi is for a unit: name a file that ends in .fmu by -o")
     if fmi not in (None, *VERSIONS):
         raise InputError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
-    if unit and flash is not None:
-        raise InputError("flash is for a microcontroller, and a unit is not for one; leave it out")
     if unit and alone:
         raise InputError("step_per_sensor is for C, and a unit has one step for all; leave it out")
     if unit and (python or wasm or ros2):
@@ -424,14 +410,3 @@ def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
     if gains is None and entry.tuned_by not in ("gains", "gains and force", "state noise"):
         return "Tuned from its data sheet."  # the note is on gains that it does not have
     return designed.notes.replace("²", "^2").replace("±", "+-")
-
-
-def _broken_laws(observer: Any) -> str:
-    """A line where the observer breaks a law that its convergence rests on; nothing where it has no such laws."""
-    if not all(name in getattr(observer, "__dataclass_fields__", {}) for name in ("alpha", "beta", "model")):
-        return ""
-    if observer.model.manifold.redundant:  # in a box of coordinates, the loops are open
-        return ""
-    measured = audit.audit(observer, points=AUDITED)
-    broken = [law.name for law in measured.rows if law.verdict == "fails"]
-    return f"the observer breaks laws of its audit: {', '.join(broken)}" if broken else ""

@@ -20,8 +20,8 @@ HEAD_NOTES = {
     ".json": "Positions of joints are those of the log. command_offsets are added to commands.",
 }
 """Notes for the head of a file, by extension."""
-ROBOT_ARGUMENTS = ("model", "out", "rate", "overwrite", "overrides", "progress", "audit")
-"""Arguments of `export` that apply to a robot; `audit` is accepted although robot files have no audit."""
+ROBOT_ARGUMENTS = ("model", "out", "rate", "overwrite", "overrides", "progress")
+"""Arguments of `export` that apply to a robot."""
 
 
 def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFileResult":

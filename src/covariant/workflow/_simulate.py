@@ -146,7 +146,7 @@ class SimulateResult(AbstractTable):
 
     def __str__(self) -> str:
         use = 'score against `columns["truth"]`' if self.mechanical else "the true state is in"
-        forces = ", forces against `force` " * bool(self.force_columns) + ",".join(self.force_columns)
+        forces = ", true forces are in " * bool(self.force_columns) + ",".join(self.force_columns)
         rows = f"{len(self.record.t)} rows; {use} {','.join(self.truth_columns)}{forces}"
         return "\n".join([rows, *self.warnings])
 

@@ -31,7 +31,6 @@ from ._contraction import (
     in_coordinates as in_coordinates,
     in_frame as in_frame,
     log_norm as log_norm,
-    rates_along as rates_along,
 )
 from ._contraction_statement import contraction_statement as contraction_statement
 from ._document import (

@@ -5,7 +5,7 @@ ASSUMED = (
     "times",
     "the observer runs in continuous time",
     "the measured positions are exact up to the stated bound of the noise",
-    "without an error the observer moves as the model, which `covariant audit` measures",
+    "without an error the observer moves as the model",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "the running observer does not round",
     "Stumpff's functions and logarithms of rotations are read as what they approximate",

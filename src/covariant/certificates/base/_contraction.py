@@ -11,9 +11,8 @@ systems, Automatica 34(6); Theorem 2 of Aghannan & Rouchon 2003.
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from covariant._errors import InputError
 from covariant._linalg import solve, whiten
@@ -222,27 +221,3 @@ def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
     sizes = jnp.abs(matrix) if order == 1 else jnp.abs(matrix).T
     diagonal = jnp.diagonal(matrix)
     return jnp.max(diagonal + jnp.sum(sizes, axis=0) - jnp.abs(diagonal))
-
-
-def rates_along(
-    flow: Flow, metric: StateMetric | StateMatrix, t: Float[Array, "T"], x: Float[Array, "T n"]
-) -> Float[Array, "T"]:
-    """Compute `contraction_rate` at each stamp of a trajectory.
-
-    Args:
-        flow: `(t, x) -> x'`, the right-hand side f.
-        metric: a `StateMetric`, or a function `(t, x) -> M (n, n)`.
-        t: stamps (T,) [s].
-        x: states (T, n).
-
-    Returns:
-        Rates λ (T,) [1/s], of squared lengths.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.certificates import rates_along
-        >>> t, x = jnp.array([0.0, 1.0]), jnp.array([[0.0], [1.0]])
-        >>> rates_along(lambda t, x: -2 * x - x**3, lambda t, x: jnp.eye(1), t, x).tolist()
-        [4.0, 10.0]
-    """
-    return jax.vmap(lambda time, state: contraction_rate(flow, metric, time, state))(t, x)

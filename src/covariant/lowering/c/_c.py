@@ -9,16 +9,11 @@ from typing import Literal
 
 from covariant._errors import InputError
 from covariant.lowering.c._c_operations import Words, helpers, literal
-from covariant.lowering.c._c_tables import TablesOnce, TablesThroughout
 from covariant.lowering.c._c_writer import CText, Signature, Writer
 from covariant.lowering.c._peephole import simplified
 from covariant.lowering.graph import Lowered
 
 Real = Literal["double", "float"]
-Tables = Literal["none", "once", "all"]
-
-WRITERS = {"none": Writer, "once": TablesOnce, "all": TablesThroughout}
-
 MOST_STATEMENTS = 500
 """Longest function in statements: gcc takes minutes for ten thousand in one function, and seconds in parts."""
 MOST_IN_LANES = 2000
@@ -34,7 +29,6 @@ def c_function(
     static: bool = False,
     most_statements: int | None = None,
     lanes: int = 1,
-    tables: Tables = "none",
 ) -> CText:
     """Generate the C of a lowered function.
 
@@ -54,12 +48,9 @@ def c_function(
             or `MOST_IN_LANES` for several lanes.
         lanes: For how many arguments it is evaluated at once, a power of 2. Above 1 a number is a vector of the
             compilers gcc and clang, of the type `{prefix}lanes`, with one entry for each argument.
-        tables: Which similar statements become loops over tables of indices: "none", those that a call executes "once",
-            or "all", including those in loops. Tables are for small memories: the code takes less memory and five times
-            the instructions. The operations are the same.
 
     Raises:
-        ValueError: Lanes are combined with tables, or the signature has another number of inputs or results.
+        ValueError: The signature has another number of inputs or results.
 
     Example:
         >>> import jax.numpy as jnp
@@ -82,9 +73,7 @@ def c_function(
         if len(names) != count:
             raise InputError(f"{name}: the function has {count} {role}; the signature names {len(names)}")
     most = most_statements or (MOST_STATEMENTS if lanes == 1 else MOST_IN_LANES)
-    if tables != "none" and lanes > 1:
-        raise InputError(f"{name}: tables save memory and lanes time; choose one of them")
-    return WRITERS[tables](lowered, name, chosen, Words(real, prefix, lanes), static, most).written()
+    return Writer(lowered, name, chosen, Words(real, prefix, lanes), static, most).written()
 
 
 def c_helpers(names: Sequence[str] | frozenset[str], real: Real = "double", prefix: str = "", lanes: int = 1) -> str:

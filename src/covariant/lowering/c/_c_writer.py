@@ -86,9 +86,6 @@ class Writer:
         most_statements: Longest part in statements.
     """
 
-    loops_by: "type[Writer] | None" = None
-    """The class that writes the loops, if it is another one."""
-
     def __init__(
         self, lowered: Lowered, name: str, signature: Signature, words: Words, static: bool, most_statements: int
     ):
@@ -99,15 +96,11 @@ class Writer:
         order = _order(self.graph, self.outputs)
         self.inside = self._inside(order)
         statements = [i for i in order if i not in self.inside]
-        self.parts = self._split(statements, most_statements)
+        self.parts = in_parts(self.graph, statements, most_statements)
         self.loops = self._loops([i for i in statements if self.graph.nodes[i].op == "loop"], most_statements)
         self.part = {i: k for k, part in enumerate(self.parts) for i in part}
         looked_up = dict.fromkeys(self.graph.nodes[i].value for i in statements if self.graph.nodes[i].op == "table")
         self.tables: dict[Any, str] = {table: f"{name}_table{k + 1}" for k, table in enumerate(looked_up)}
-
-    def _split(self, statements: list[int], most: int) -> list[list[int]]:
-        """The statements in parts, each a function."""
-        return in_parts(self.graph, statements, most)
 
     def written(self) -> CText:
         """The function, its parts, tables and loops."""
@@ -145,9 +138,8 @@ class Writer:
 
     def _loops(self, nodes: Sequence[int], most_statements: int) -> dict[int, "_LoopText"]:
         """The functions of the loops, by their nodes."""
-        by = self.loops_by or type(self)
         return {
-            i: _loop(self.graph.nodes[i].value, f"{self.name}_loop{k + 1}", self.words, most_statements, by)
+            i: _loop(self.graph.nodes[i].value, f"{self.name}_loop{k + 1}", self.words, most_statements)
             for k, i in enumerate(nodes)
         }
 
@@ -309,7 +301,7 @@ class _LoopText(NamedTuple):
     scratch: int
 
 
-def _loop(loop: Repetition, name: str, words: Words, most_statements: int, writer: type[Writer]) -> _LoopText:
+def _loop(loop: Repetition, name: str, words: Words, most_statements: int) -> _LoopText:
     """C of a loop on its fixed and carried numbers, which it changes in place; a turn of unknown count counts once."""
     real, width, carried = words.real, loop.body.inputs, loop.carried
     inputs = tuple(f"x[{i}]" for i in range(width))
@@ -318,7 +310,7 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int, write
         if graph is not None:
             outputs = tuple(f"y[{i}]" for i in range(len(graph.outputs)))
             signature = Signature(f"const {real} *restrict x, {real} *restrict y", ("x", "y"), inputs, outputs)
-            texts[role] = writer(graph, f"{name}_{role}", signature, words, True, most_statements).written()
+            texts[role] = Writer(graph, f"{name}_{role}", signature, words, True, most_statements).written()
     stop, first = "", f"turn = 0; turn < {loop.turns}; ++turn"
     index, carry = "    int turn;\n", "y[i]"
     if loop.turns is None:

@@ -1,7 +1,6 @@
 from ._differentiate import Derivative as Derivative, expand as expand, pairs as pairs
 from ._fingerprint import fingerprint as fingerprint
 from ._graph import (
-    COMMUTATIVE as COMMUTATIVE,
     FOLD as FOLD,
     LARGEST as LARGEST,
     TRUTHS as TRUTHS,

@@ -17,7 +17,6 @@ from ._model_file import ModelError as ModelError, ModelFile as ModelFile
 from ._rewrite import rewrite as rewrite
 from ._robot_family import (
     RobotFamily as RobotFamily,
-    is_robot_number as is_robot_number,
     robot_family as robot_family,
 )
 from ._source import attribute as attribute

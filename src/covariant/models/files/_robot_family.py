@@ -208,11 +208,6 @@ class RobotFamily(NamedTuple):
         return [i for i, n in enumerate(self.numbers) if n.group == "inertia" and n.number == OF_INERTIA[0]]
 
 
-def is_robot_number(name: str) -> bool:
-    """Whether a name is one of `GROUPS`, or of a number in one: `friction`, `friction.elbow`, `armature.3`."""
-    return "[" not in name and name.strip().removeprefix("parameters.").split(".")[0] in GROUPS
-
-
 def robot_family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> RobotFamily:
     """Robot as a function of the named numbers.
 

@@ -4,9 +4,7 @@ from ._missing_inputs import (
     missing_now as missing_now,
 )
 from ._momentum import (
-    AbstractForceObserver as AbstractForceObserver,
     ForceState as ForceState,
-    InverseDynamics as InverseDynamics,
     MomentumObserver as MomentumObserver,
     observed_forces as observed_forces,
 )

@@ -1,7 +1,7 @@
-"""Rivals of a filter for external forces: the momentum observer, and inverse dynamics.
+"""The momentum observer, a baseline for external forces.
 
-Both take a velocity as if it were measured, usually a filtered derivative of the positions, and a model as if it were
-exact. What the model does not explain of the motion is the force. A momentum observer needs no acceleration: with
+It takes a velocity as if it were measured, usually a filtered derivative of the positions, and a model as if it were
+exact. What the model does not explain of the motion is the force. It needs no acceleration: with
 `p = M v` the momentum changes by the forces of the model, by `Cᵀv`, which is `½∂<v, v>` in coordinates, and by the
 external force.
 
@@ -9,8 +9,7 @@ Source: De Luca & Mattone 2003, Actuator failure detection and isolation using g
 De Luca & Albu-Schäffer 2017, Robot collisions: a survey, IEEE Transactions on Robotics 33(6), equation (27).
 """
 
-import abc
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -36,7 +35,6 @@ class ForceState(NamedTuple):
         q: Its configuration.
         v: Its velocity (n,), in the frame.
         force: Estimated external force (n,), a covector in the frame [N or N m].
-        acceleration: Filtered derivative (n,) of the velocity; zero where none is used.
 
     Example:
         >>> import jax.numpy as jnp
@@ -49,70 +47,9 @@ class ForceState(NamedTuple):
     q: Array
     v: Vector
     force: Vector
-    acceleration: Vector
 
 
-class AbstractForceObserver(Functional):
-    """Estimates an external force from configurations and velocities, sample by sample.
-
-    Attributes:
-        model: Mechanical system, in coordinates or on a group.
-
-    Example:
-        >>> from covariant import observers
-        >>> issubclass(observers.InverseDynamics, observers.AbstractForceObserver)
-        True
-    """
-
-    model: eqx.AbstractVar[MechanicalSystem]
-
-    def init(self, q: Array, v: Vector, t: Number = 0.0) -> ForceState:
-        """State at the first sample, where no force is known yet.
-
-        Args:
-            q: Configuration.
-            v: Velocity (n,), in the frame.
-            t: Its time [s].
-
-        Returns:
-            The state, its force zero.
-        """
-        return ForceState(jnp.asarray(t, v.dtype), q, v, jnp.zeros_like(v), jnp.zeros_like(v))
-
-    @final
-    def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
-        """State at the next sample.
-
-        The force stays unchanged if configuration or velocity of this sample or the one before, or the input, are not
-        finite. A sample that is not later than the one before changes nothing.
-
-        Args:
-            state: State at the sample before.
-            u: Input (m,) that acted in between.
-            q: Configuration at the next sample.
-            v: Velocity (n,) there, in the frame.
-            dt: Time [s] between them.
-
-        Returns:
-            The state, with the force that is estimated there.
-        """
-        later = jnp.isfinite(dt) & (dt > 0)
-        # The divisor 1 only avoids 0/0: the state of such a step is not used.
-        new = self._advance(state, u, q, v, jnp.where(later, dt, 1.0))
-        known = jnp.all(jnp.isfinite(new.force)) & jnp.all(jnp.isfinite(new.acceleration))
-        # Position and velocity are stored even if they are not finite: then the next sample leaves the force unchanged.
-        new = new._replace(
-            force=jnp.where(known, new.force, state.force),
-            acceleration=jnp.where(known, new.acceleration, state.acceleration),
-        )
-        return jax.tree.map(lambda a, b: jnp.where(later, a, b), new, state)
-
-    @abc.abstractmethod
-    def _advance(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
-        """Compute the next state for a sample that is later than the one before."""
-
-
-class MomentumObserver(AbstractForceObserver):
+class MomentumObserver(Functional):
     """The residual of the generalised momentum, `r = K (p − p₀ − ∫(F + Cᵀv + r) dt)`: the external force, late by 1/K.
 
     The exact solution of `r' = K (f − r)` over each sample, with f the change of momentum per time that the forces F of
@@ -142,13 +79,49 @@ class MomentumObserver(AbstractForceObserver):
     def __check_init__(self):
         check_positive("MomentumObserver", gain=self.gain)
 
+    def init(self, q: Array, v: Vector, t: Number = 0.0) -> ForceState:
+        """State at the first sample, where no force is known yet.
+
+        Args:
+            q: Configuration.
+            v: Velocity (n,), in the frame.
+            t: Its time [s].
+
+        Returns:
+            The state, its force zero.
+        """
+        return ForceState(jnp.asarray(t, v.dtype), q, v, jnp.zeros_like(v))
+
+    def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
+        """State at the next sample.
+
+        The force stays unchanged if configuration or velocity of this sample or the one before, or the input, are not
+        finite. A sample that is not later than the one before changes nothing.
+
+        Args:
+            state: State at the sample before.
+            u: Input (m,) that acted in between.
+            q: Configuration at the next sample.
+            v: Velocity (n,) there, in the frame.
+            dt: Time [s] between them.
+
+        Returns:
+            The state, with the force that is estimated there.
+        """
+        later = jnp.isfinite(dt) & (dt > 0)
+        # The divisor 1 only avoids 0/0: the state of such a step is not used.
+        new = self._advance(state, u, q, v, jnp.where(later, dt, 1.0))
+        # Position and velocity are stored even if they are not finite: then the next sample leaves the force unchanged.
+        new = new._replace(force=jnp.where(jnp.all(jnp.isfinite(new.force)), new.force, state.force))
+        return jax.tree.map(lambda a, b: jnp.where(later, a, b), new, state)
+
     def _advance(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         space, end = self.model.space, state.t + dt
         change = space.lower(q, v) - space.lower(state.q, state.v)
         known = (self._rate(state.t, state.q, state.v, u) + self._rate(end, q, v, u)) / 2
         unexplained = change / dt - known
         force = state.force - jnp.expm1(-self.gain * dt) * (unexplained - state.force)
-        return state._replace(t=end, q=q, v=v, force=force)
+        return ForceState(end, q, v, force)
 
     def _rate(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
         """Rate (n,) of the momentum in the frame by all that the model knows."""
@@ -159,59 +132,21 @@ class MomentumObserver(AbstractForceObserver):
         return force + turned - space.connection_force(q, v, v)
 
 
-class InverseDynamics(AbstractForceObserver):
-    """What moves the model as it was seen to move, less what the model knows: `M (a + B(v, v)) − F`.
-
-    The acceleration a is the derivative of the velocity through a first-order low-pass filter; where the velocity is a
-    filtered derivative, the positions are differentiated and filtered twice.
-
-    Attributes:
-        model: Mechanical system.
-        bandwidth: Bandwidth ω of the filter of the acceleration [rad/s].
-
-    Raises:
-        ValueError: The bandwidth is not positive and finite.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant import models, observers
-        >>> t = np.linspace(0.0, 1.0, 101)  # a unit mass on a unit spring, pushed by 2 N so that x = 2 (1 − cos t)
-        >>> q, v = 2 * (1 - np.cos(t))[:, None], 2 * np.sin(t)[:, None]
-        >>> inverse = observers.InverseDynamics(models.oscillator(), bandwidth=50.0)
-        >>> observers.observed_forces(inverse, t, np.zeros((101, 1)), q, v)[100, 0].round(1).item()
-        2.0
-    """
-
-    model: MechanicalSystem
-    bandwidth: Scalar = eqx.field(converter=as_gain)
-
-    def __check_init__(self):
-        check_positive("InverseDynamics", bandwidth=self.bandwidth)
-
-    def _advance(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
-        space, end = self.model.space, state.t + dt
-        slope = (v - state.v) / dt
-        acceleration = state.acceleration - jnp.expm1(-self.bandwidth * dt) * (slope - state.acceleration)
-        needed = space.lower(q, acceleration) + space.connection_force(q, v, v)
-        force = needed - applied_force(self.model, end, q, u) - resistance(self.model, end, q, v, u)
-        return ForceState(end, q, v, force, acceleration)
-
-
 def observed_forces(
-    observer: AbstractForceObserver,
+    observer: MomentumObserver,
     t: Float[Any, "_"],
     u: Float[Any, "_ m"],
     q: Float[Any, "_ ..."],
     v: Float[Any, "_ n"],
 ) -> Float[Array, "_ n"]:
-    """Run an observer of external forces over estimated motions.
+    """Run a momentum observer over estimated motions.
 
     Use it as a baseline for contact or collision forces, with velocities from any estimator. It takes these velocities
     and the model as exact, so their errors appear as forces. An `IntrinsicKalman` with an `external_force` estimates
     motion and force together, and gives standard deviations.
 
     Args:
-        observer: A `MomentumObserver` or `InverseDynamics`.
+        observer: The observer.
         t: Stamps (T,) [s].
         u: Inputs (T, m), each of which acts from its stamp to the next.
         q: Configurations (T, ...).
@@ -257,7 +192,7 @@ def _check_stamps(t: np.ndarray) -> None:
 
 
 @eqx.filter_jit
-def _scan(observer: AbstractForceObserver, t: Array, u: Array, q: Array, v: Array) -> Float[Array, "_ n"]:
+def _scan(observer: MomentumObserver, t: Array, u: Array, q: Array, v: Array) -> Float[Array, "_ n"]:
     def step(state, sample):
         state = observer.step(state, *sample)
         return state, state.force
