@@ -52,7 +52,7 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
         >>> workflow.check_model_output("oscillator", "fitted.csv")
         Traceback (most recent call last):
             ...
-        ValueError: fitted.csv: the file to write must end in .toml
+        covariant._errors.InputError: fitted.csv: the file to write must end in .toml
     """
     if path is None:
         return

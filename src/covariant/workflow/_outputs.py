@@ -39,7 +39,7 @@ def check_output(
         >>> workflow.check_output(Path("ranking.txt"), ".csv")
         Traceback (most recent call last):
             ...
-        ValueError: ranking.txt: the file to write must end in .csv
+        covariant._errors.InputError: ranking.txt: the file to write must end in .csv
     """
     if path is None:
         return
