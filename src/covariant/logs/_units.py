@@ -123,7 +123,7 @@ def check_unit(text: str, wanted: str) -> None:
         >>> check_unit("deg", "rad")
         >>> check_unit("mm", "rad")
         Traceback (most recent call last):
-        ValueError: unit 'mm' is no unit of what is measured in rad
+        covariant._errors.InputError: unit 'mm' is no unit of what is measured in rad
     """
     parsed = _unit(text)
     try:

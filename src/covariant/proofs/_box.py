@@ -108,7 +108,7 @@ def check_box(given: Box) -> Box:
         >>> from covariant.proofs import Box, check_box
         >>> check_box(Box(("x",), ("m",), np.array([1.0]), np.array([0.0])))
         Traceback (most recent call last):
-        ValueError: bounds of x must be finite, the lower one first; got 1 to 0
+        covariant._errors.InputError: bounds of x must be finite, the lower one first; got 1 to 0
     """
     for name, low, high in zip(given.names, given.low, given.high, strict=True):
         if not (np.isfinite(low) and np.isfinite(high) and low <= high):

@@ -186,7 +186,7 @@ class Field(NamedTuple):
         ('rate', -1.5)
         >>> field.positive()
         Traceback (most recent call last):
-        ValueError: claims.json: rate must be a positive number; found -1.5; ask for the file as it was saved, ...
+        covariant._errors.InputError: claims.json: rate must be a positive number; found -1.5; ask for the file as it was saved, ...
     """
 
     file: str

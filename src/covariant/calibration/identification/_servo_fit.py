@@ -80,7 +80,7 @@ def fit_servos(
         >>> from covariant.calibration.identification import fit_servos
         >>> fit_servos([], [])
         Traceback (most recent call last):
-        ValueError: give a family and a log for each of the logs
+        covariant._errors.InputError: give a family and a log for each of the logs
     """
     if not records or len(families) != len(records):
         raise InputError("give a family and a log for each of the logs")
