@@ -62,6 +62,7 @@ SPACES = {
     "robot, SE(3) x joints": lambda: models.robots.load("quadruped", lock=STILL).space,
     "robot, ball joint x joints": lambda: models.robots.load(Path(__file__).parents[1] / "models/ball_arm.xml").space,
 }
+ROBOTS = tuple(name for name in SPACES if name.startswith("robot"))
 SOUGHT = ("uneven, SO(3), by its energy", "uneven, SE(2) x coordinates", "coordinates", "robot, joints")
 """Where geodesics are searched for: by what is the same on every space, and takes long to compile on the others."""
 
@@ -207,13 +208,7 @@ def both(request, bent):
     return sample(request.param), *bent(request.param)
 
 
-@pytest.mark.exhaustive(
-    "robot, SE(3) x joints",
-    "robot, ball joint x joints",
-    "robot, joints",
-    "robot, planar base",
-    "uneven, SE(2) x coordinates",
-)
+@pytest.mark.exhaustive(*ROBOTS, "uneven, SE(2) x coordinates")
 def test_lowering_is_symmetric_and_raising_undoes_it(both):
     at, _, _ = both
 
@@ -234,27 +229,13 @@ def test_an_energy_is_the_metric_of_its_matrix():
     close(at.space(at.x), uneven(3)(at.x))
 
 
-@pytest.mark.exhaustive(
-    "arm, SE(3) x joints",
-    "robot, SE(3) x joints",
-    "robot, ball joint x joints",
-    "robot, joints",
-    "robot, planar base",
-    "uneven, SE(2) x coordinates",
-)
+@pytest.mark.exhaustive(*ROBOTS, "arm, SE(3) x joints", "uneven, SE(2) x coordinates")
 def test_the_connection_has_the_frames_torsion(both):
     at, b, _ = both
     close(b(at.x, at.a, at.b) - b(at.x, at.b, at.a), at.manifold.bracket(at.x, at.a, at.b))
 
 
-@pytest.mark.exhaustive(
-    "arm, SE(3) x joints",
-    "robot, SE(3) x joints",
-    "robot, ball joint x joints",
-    "robot, joints",
-    "robot, planar base",
-    "uneven, SE(2) x coordinates",
-)
+@pytest.mark.exhaustive(*ROBOTS, "arm, SE(3) x joints", "uneven, SE(2) x coordinates")
 def test_the_connection_is_metric(both):
     at, b, _ = both
 
@@ -266,13 +247,7 @@ def test_the_connection_is_metric(both):
     close(*changes(at.x, at.a, at.b, at.c, b(at.x, at.a, at.b), b(at.x, at.a, at.c)))
 
 
-@pytest.mark.exhaustive(
-    "robot, SE(3) x joints",
-    "robot, ball joint x joints",
-    "robot, joints",
-    "robot, planar base",
-    "uneven, SE(2) x coordinates",
-)
+@pytest.mark.exhaustive(*ROBOTS, "uneven, SE(2) x coordinates")
 def test_free_motion_is_hamels(both):
     """`M B(v, v) = (∂_v M)v − ½∂<v, v> − ad*_v M v`, as the momentum's equation has it."""
     at, b, _ = both
@@ -286,15 +261,7 @@ def test_free_motion_is_hamels(both):
     close(*forces(at.x, at.a, b(at.x, at.a, at.a)))
 
 
-@pytest.mark.exhaustive(
-    "arm, SE(3) x joints",
-    "robot, SE(3) x joints",
-    "robot, ball joint x joints",
-    "robot, joints",
-    "robot, planar base",
-    "uneven, SE(2) x coordinates",
-    "uneven, SO(3), by its energy",
-)
+@pytest.mark.exhaustive(*ROBOTS, "arm, SE(3) x joints", "uneven, SE(2) x coordinates", "uneven, SO(3), by its energy")
 def test_the_curvature_has_its_symmetries(both):
     at, _, curvature = both
     abcd = np.stack([at.a, at.b, at.c, at.d])

@@ -13,10 +13,21 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from covariant._integrate import rk8
+from covariant._integrate import rk4_step, rk8
 from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, SU
-from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, free_body, heavy_top, robots, satellite_arm
+from covariant.models import (
+    GroupSystem,
+    Motion,
+    acceleration,
+    chart_velocity,
+    free_body,
+    heavy_top,
+    in_chart,
+    robots,
+    satellite_arm,
+)
+from covariant.models.marine import euler_rotation
 from covariant.observers import REGISTRY, Geodesic, GeodesicState, Intrinsic
 from covariant.papers._errata import SLIPS, PrintedGroup
 from covariant.simulation import observe
@@ -199,60 +210,20 @@ def test_the_printed_observer_without_its_slips_keeps_the_law(name):
     assert worst(PrintedGroup(model, ALPHA / 2, BETA, ()), model, 3.0) <= 1e-4
 
 
-def from_euler(q):
-    """Rotation by yaw, pitch and roll, q = (ψ, θ, φ)."""
-    (a, b, c), (d, e, f) = jnp.cos(q), jnp.sin(q)
-    rows = (
-        (a * b, a * e * f - d * c, a * e * c + d * f),
-        (d * b, d * e * f + a * c, d * e * c - a * f),
-        (-e, b * f, b * c),
-    )
-    return jnp.stack([jnp.stack(row) for row in rows])
-
-
-def rates_to_body(q, w):
-    """Angular velocity in the body of Euler angles that change at the rates w."""
-    b, e, c, f = jnp.cos(q[1]), jnp.sin(q[1]), jnp.cos(q[2]), jnp.sin(q[2])
-    return jnp.stack([w[2] - e * w[0], b * f * w[0] + c * w[1], b * c * w[0] - f * w[1]])
-
-
-@pytest.mark.exhaustive
-def test_the_body_rates_of_euler_angles_are_right():
-    q, w = jnp.array([0.3, -0.4, 0.5]), jnp.array([0.2, 0.7, -0.6])
-    turned = from_euler(q).T @ jax.jvp(from_euler, (q,), (w,))[1]
-    np.testing.assert_allclose(SO3.vee(turned), rates_to_body(q, w), atol=1e-15)
-    assert float(SO3.defect(from_euler(q))) < 1e-15
-
-
-def in_euler_angles(model):
-    """The same body as a `Lagrangian` in yaw, pitch and roll."""
-
-    @jax.jit  # differentiated and batched in many places: each way once
-    def metric(q):
-        rates = jax.vmap(lambda e: rates_to_body(q, e))(jnp.eye(3, dtype=q.dtype))
-        return rates @ model.metric.inertia.matrix @ rates.T
-
-    return Lagrangian(metric, lambda q: model.potential(from_euler(q)))
-
-
 def runge_kutta(slope, x, steps, h):
     """Trajectory of a compiled right-hand side; a loop in Python, so that it is compiled once."""
     path = [x]
     for _ in range(steps):
-        k1 = slope(x)
-        k2 = slope(x + h / 2 * k1)
-        k3 = slope(x + h / 2 * k2)
-        k4 = slope(x + h * k3)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        path.append(x)
+        path.append(rk4_step(lambda t, x: slope(x), 0.0, path[-1], h))
     return jnp.stack(path)
 
 
 @pytest.mark.exhaustive
 def test_coordinates_and_group_are_one_observer():
     """The exact observer in Euler angles and on SO(3), away from pitch 90°, on an asymmetric heavy top."""
+    to_body = partial(chart_velocity, SO3, euler_rotation)
     model, budget = heavy_top((1.0, 2.0, 3.5), 2.0), Budget(newton=2, steps=12)
-    chart = in_euler_angles(model)
+    chart = in_chart(model, euler_rotation)
     exact = Geodesic(chart, 2.0, 3.0, budget)
     group = Geodesic(model, 2.0, 3.0, budget=budget)
     none, zero = jnp.zeros(3), jnp.zeros(())
@@ -274,11 +245,13 @@ def test_coordinates_and_group_are_one_observer():
 
     @jax.jit
     def carried_over(x):
-        parts = [(from_euler(x[i : i + 3]).ravel(), rates_to_body(x[i : i + 3], x[i + 3 : i + 6])) for i in (0, 6)]
+        parts = [
+            (euler_rotation(q).ravel(), to_body(q, rate)) for q, rate in (x[:6].reshape(2, 3), x[6:12].reshape(2, 3))
+        ]
         return jnp.concatenate([a for part in parts for a in part])
 
     start = jnp.array([0.2, 0.3, -0.1, 0.5, -0.2, 0.4, 0.4, 0.1, 0.2, 0.0, 0.1, 0.0, -0.2, 0.2, -0.3])
-    warm = rates_to_body(start[6:9], start[12:])
+    warm = to_body(start[6:9], start[12:])
     angles = jnp.stack([carried_over(x) for x in runge_kutta(in_angles, start, 60, 0.02)])
     elements = runge_kutta(on_group, jnp.concatenate([carried_over(start), warm]), 60, 0.02)[:, :24]
     assert np.abs(angles - elements).max() < 1e-7

@@ -17,7 +17,6 @@ from covariant import models
 from covariant._integrate import rk8
 from covariant.geometry import (
     Budget,
-    Pullback,
     christoffel,
     curvature,
     hyperbolic,
@@ -279,42 +278,3 @@ def test_intrinsic_differs_from_geodesic_by_second_order(order, slope):
     sizes = np.geomspace(1e-3, 1e-2, 5)
     fitted = np.polyfit(np.log(sizes), np.log([float(gap(jnp.asarray(s))) for s in sizes]), 1)[0]
     assert fitted == pytest.approx(slope, abs=0.05)
-
-
-@pytest.mark.exhaustive
-def test_the_second_order_error_is_of_third_order():
-    """`e − ½Γ(q̂)(e, e)` approaches −log_q̂ q one order faster than e."""
-    model = models.pendulum_chain((1.0, 0.7), (0.5, 0.4))
-    y = jnp.array([0.4, 0.6])
-
-    @jax.jit
-    def rest(size):
-        q = y + size * jnp.array([0.8, -0.6])
-        e = q - y
-        exact = -shoot_geodesic(model.metric, q, y).velocity
-        second = e - christoffel(model.metric, q, e, e) / 2
-        return jnp.stack([jnp.linalg.norm(e - exact), jnp.linalg.norm(second - exact)])
-
-    sizes = np.geomspace(3e-3, 3e-2, 5)
-    found = np.array([rest(jnp.asarray(s)) for s in sizes])
-    slopes = [np.polyfit(np.log(sizes), np.log(found[:, i]), 1)[0] for i in (0, 1)]
-    assert slopes == pytest.approx([2.0, 3.0], abs=0.1)
-
-
-@pytest.mark.exhaustive
-def test_closed_forms_and_shooting_give_the_same_observer():
-    """`Pullback` knows its space's closed forms; the numerical metric of the same matrix must agree."""
-    forward, inverse = shear(np.array([0.2, -0.1]), np.array([0.1, 0.2]))
-    closed = on_space(Pullback(sphere(), forward, inverse))
-    numeric = on_space(jax.jit(lambda q: closed.metric(q)))  # differentiated in many places: each way once
-    state = MechanicalState(jnp.array([0.3, -0.2]), jnp.array([0.7, 0.4]), jnp.zeros(()))
-    y, u = jnp.array([0.1, 0.1]), jnp.zeros(2)
-
-    @jax.jit
-    def flows():
-        made = [Geodesic(m, ALPHA, BETA, Budget()) for m in (closed, numeric)]
-        return [o.flow(jnp.zeros(()), o.init(state.q)._replace(v=state.v), u, y) for o in made]
-
-    one, two = flows()
-    assert np.allclose(one.q, two.q, atol=1e-11)
-    assert np.allclose(one.v, two.v, atol=1e-11)
