@@ -35,11 +35,6 @@ def flow_of(observer, state, u, y):
     return observer.flow(ZERO, state, u, y).x
 
 
-@pytest.fixture(scope="module")
-def oscillator():
-    return models.duffing()
-
-
 def mass_on_a_spring():
     return models.StateSpace(
         lambda t, x, u: jnp.stack([x[1], u[0] - x[0]]),

@@ -3,33 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import linalg, signal
+from scipy import signal
 
-from covariant import models
-from covariant.observers import EKF, FilteredDerivative, SavitzkyGolay, run
+from covariant.observers import FilteredDerivative, SavitzkyGolay, run
 from covariant.signals import Record
 
 RANDOM = np.random.default_rng(0)
 STAMPS = jnp.asarray(np.cumsum(np.concatenate([[0.0], RANDOM.uniform(1e-3, 4e-3, 300)])))
-
-
-@pytest.mark.long
-def test_ekf_is_the_textbook_filter_on_a_linear_system():
-    stiffness, process, noise, dt = 4.0, 0.5, 1e-4, 0.01
-    model = models.oscillator(stiffness=stiffness)
-    t = jnp.arange(60.0) * dt
-    y = jnp.sin(2 * t)[:, None] + 0.01 * jnp.asarray(RANDOM.normal(size=(60, 1)))
-    observer = EKF(model, process * jnp.eye(1), noise * jnp.eye(1), substeps=20)
-    found = np.asarray(run(observer, Record(t, jnp.zeros((60, 1)), y)).estimate)
-
-    transition = linalg.expm(np.array([[0.0, 1.0], [-stiffness, 0.0]]) * dt)
-    added = process * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    x, cov, output = np.array([float(y[0, 0]), 0.0]), np.diag([noise, 1.0]), np.array([[1.0, 0.0]])
-    for k in range(1, 60):  # the first measurement is what the filter starts from
-        x, cov = transition @ x, transition @ cov @ transition.T + added
-        gain = cov @ output.T / (output @ cov @ output.T + noise)
-        x, cov = x + (gain * (float(y[k, 0]) - x[0]))[:, 0], (np.eye(2) - gain @ output) @ cov
-        assert np.allclose(found[k], x, atol=1e-8)
 
 
 def test_filters_agree_with_scipy_on_regular_stamps():

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import plants
 import pytest
 
 from covariant import models
@@ -52,19 +53,12 @@ def textbook(y: np.ndarray, stiffness: float, std: float, drift: float) -> tuple
     added = np.zeros((3, 3))
     added[:2, :2] = 1e-4 * np.array([[STEP**3 / 3, STEP**2 / 2], [STEP**2 / 2, STEP]])
     added[2, 2] = drift**2 * STEP
-    shown = np.array([1.0, 0.0, 1.0])
     # Nothing is known of the position before the first sample, which then says q = y − offset.
-    mean, cov = np.array([y[0], 0.0, 0.0]), np.diag([NOISE**2 + std**2, 4.0, std**2])
+    cov = np.diag([NOISE**2 + std**2, 4.0, std**2])
     cov[0, 2] = cov[2, 0] = -(std**2)
-    means, covs = [mean], [cov]
-    for value in y[1:]:
-        mean, cov = ahead @ mean, ahead @ cov @ ahead.T + added
-        if np.isfinite(value):
-            gain = cov @ shown / (shown @ cov @ shown + NOISE**2)
-            mean, cov = mean + gain * (value - shown @ mean), cov - np.outer(gain, shown @ cov)
-        means.append(mean)
-        covs.append(cov)
-    return np.array(means), np.array(covs)
+    steps = [(ahead, np.zeros(3), added)] * (len(y) - 1)
+    output, noise = np.array([[1.0, 0.0, 1.0]]), np.array([[NOISE**2]])
+    return plants.kalman(np.array([y[0], 0.0, 0.0]), cov, steps, y[:, None], output, noise)
 
 
 @pytest.mark.long("0.0")
