@@ -7,7 +7,6 @@ import compare_robots
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 
@@ -88,26 +87,6 @@ def state(model, seed: int):
         rest = jnp.asarray(rng.normal(size=len(model.velocities) - n))
         q = model.manifold.retract(model.manifold.origin(), jnp.concatenate([rest, q]))
     return q, jnp.asarray(rng.normal(size=(6, model.manifold.zero(q).shape[0])))
-
-
-@pytest.mark.exhaustive
-def test_forward_dynamics_and_inertia_are_those_of_mujoco(arm):
-    """MuJoCo reads the same file; its friction losses are constraints, so they are left out there."""
-    theirs = mujoco.MjModel.from_xml_string(ARM.replace('friction="0.2"', ""))
-    data = mujoco.MjData(theirs)
-    order = [mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, name) for name in NAMES]
-    assert arm.coordinates == NAMES
-    ours = jax.jit(lambda q, v, u: (arm.space(q), acceleration(arm, jnp.zeros(()), q, v, u)))
-    for seed in range(5):
-        q, (v, u, *_) = state(arm, seed)
-        data.qpos[order], data.qvel[order], data.qfrc_applied[order] = q, v, u
-        data.qfrc_applied[order[0]] -= 0.2 * 2 / np.pi * np.arctan(100 * v[0])
-        mujoco.mj_forward(theirs, data)
-        full = np.zeros((4, 4))
-        mujoco.mj_fullM(theirs, data, full)
-        matrix, rate = ours(q, v, u)
-        np.testing.assert_allclose(matrix, full[np.ix_(order, order)], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(rate, data.qacc_smooth[order], rtol=1e-9, atol=1e-9)  # without limits
 
 
 H = 1e-2
@@ -192,20 +171,6 @@ def test_a_free_fall_keeps_the_momentum_that_weight_leaves(floating_arm):
 def energies(model, q, v):
     """Twice the kinetic energy, and the potential one."""
     return jnp.stack([model.space.inner(q, v, v), model.potential(q)])
-
-
-@pytest.mark.exhaustive
-def test_a_joint_that_follows_moves_with_the_other(folder, arm):
-    """`roll = −0.5 bend + 0.2`: energies are those of the whole arm moving so."""
-    follows = ARM.replace(
-        '<parent link="flange"/>', '<mimic joint="bend" multiplier="-0.5" offset="0.2"/><parent link="flange"/>'
-    )
-    (folder / "follows.urdf").write_text(follows)
-    coupled = robots.load(folder / "follows.urdf")
-    assert coupled.coordinates == ("turn", "slide", "bend")
-    q, v = jnp.array([0.3, -0.2, 0.7]), jnp.array([1.0, 0.5, -2.0])
-    whole = jnp.array([0.3, -0.2, -0.5 * 0.7 + 0.2, 0.7]), jnp.array([1.0, 0.5, 1.0, -2.0])
-    np.testing.assert_allclose(energies(coupled, q, v), energies(arm, *whole), rtol=1e-12)
 
 
 @pytest.mark.exhaustive
@@ -319,25 +284,23 @@ def test_motion_is_that_of_the_coordinates(arm):
     assert arm.state(Motion(q, v)).shape == (8,)
 
 
-# The robots that come with the library
+# Against MuJoCo, and the robots that come with the library
+
+TREES = {
+    "arm": lambda: ARM,
+    "panda": lambda: robots.located("panda").read_text(encoding="utf-8"),
+    "quadruped": lambda: robots.located("quadruped").read_text(encoding="utf-8"),
+    "16 joints on the ground": lambda: compare_robots.tree(1),
+    "15 joints in the air": lambda: compare_robots.tree(6),
+}
+"""Two of them at random: branched, turning, sliding, following ones, and balls."""
 
 
 @pytest.mark.exhaustive
-def test_shipped_robots_move_as_in_mujoco():
-    """The others, and more trees, are compared by `tools/compare_robots.py`, with Pinocchio too."""
-    for name in ("panda", "quadruped"):
-        found = compare_robots.compared(robots.located(name).read_text(encoding="utf-8"), 5)
-        assert found["MuJoCo"] < compare_robots.TOLERANCE
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", [1, 6])
-def test_random_trees_move_as_in_mujoco(seed):
-    """Of 16 joints on the ground and 15 in the air: branched, turning, sliding, following ones, and balls."""
-    text = compare_robots.tree(seed)
-    kinds = ("prismatic", "continuous", "spherical", "<mimic")
-    assert all(kind in text for kind in (*kinds, '"floating"' if seed == 6 else '"fixed"'))
-    assert compare_robots.compared(text, 5)["MuJoCo"] < compare_robots.TOLERANCE
+@pytest.mark.parametrize("text", TREES.values(), ids=TREES)
+def test_trees_move_as_in_mujoco(text):
+    """More are compared by `tools/compare_robots.py`, with Pinocchio too."""
+    assert compare_robots.compared(text(), 5)["MuJoCo"] < compare_robots.TOLERANCE
 
 
 @pytest.mark.exhaustive

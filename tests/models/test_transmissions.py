@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models, workflow
+from covariant import models
 from covariant.models import acceleration, robots
 
 INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/>'
@@ -119,17 +119,6 @@ def test_the_report_says_that_reductions_were_used(read, tmp_path):
     robot = robots.read(tmp_path / "geared.urdf", motor_torques=True)
     assert robot.used["transmission/actuator/mechanicalReduction"] == robot.used["transmission"] == 2
     assert not robot.ignored.get("transmission/actuator/mechanicalReduction")
-
-
-@pytest.mark.exhaustive
-def test_a_description_takes_torques_of_motors(read, tmp_path):
-    read(EACH)
-    said = {}
-    for sure in ("true", "false"):
-        overrides = ("parameters.lock={tip=0.0}", f"parameters.motor_torques={sure}")
-        said[sure] = str(workflow.describe_model(tmp_path / "geared.urdf", samples=5, overrides=overrides))
-    assert "2 transmission/actuator/mechanicalReduction" in said["true"].split("used: ")[1].split("\n")[0]
-    assert "2 transmission/actuator/mechanicalReduction" not in said["false"].split("used: ")[1].split("\n")[0]
 
 
 @pytest.mark.parametrize(

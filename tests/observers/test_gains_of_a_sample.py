@@ -21,7 +21,7 @@ def poles(alpha, beta):
 
 
 @pytest.mark.parametrize("dt", [1e-4, 4e-3, 0.1, 1.0])
-@pytest.mark.parametrize("damping", [0.05, 0.7, 0.999, 1.001, 1.5, 8.0])
+@pytest.mark.parametrize("damping", [0.05, 0.7, 0.999, 1.0, 1.001, 1.5, 8.0])
 @pytest.mark.parametrize("omega", [0.5, 20.0])
 def test_the_sampled_loop_has_the_continuous_poles(omega, damping, dt):
     alpha, beta = 2 * damping * omega, omega**2
@@ -31,21 +31,10 @@ def test_the_sampled_loop_has_the_continuous_poles(omega, damping, dt):
     assert np.linalg.det(found) == pytest.approx(wanted.prod().real, abs=1e-13)
 
 
-@pytest.mark.parametrize("dt", [1e-3, 0.3])
-def test_a_double_pole_stays_double(dt):
-    found = loop(8.0, 16.0, dt)
-    assert np.trace(found) == pytest.approx(2 * np.exp(-4.0 * dt), abs=1e-14)
-    assert np.linalg.det(found) == pytest.approx(np.exp(-8.0 * dt), abs=1e-14)
-
-
-@pytest.mark.parametrize("beta", [1.0, 399.999999, 400.0, 400.000001, 1e5])
-def test_no_step_is_no_correction(beta):
-    assert [float(k) for k in gains(40.0, beta, 0.0)] == [0.0, 0.0]
-
-
-@pytest.mark.parametrize("beta", [1.0, 400.0, 1e5])
+@pytest.mark.parametrize("beta", [1.0, 399.999999, 400.0, 1e5])
 def test_no_step_is_no_correction_whatever_the_gains(beta):
     """Their derivatives vanish too: a record whose first step is empty can be differentiated in the gains."""
+    assert [float(k) for k in gains(40.0, beta, 0.0)] == [0.0, 0.0]
     slopes = jax.jit(jax.jacrev(lambda alpha, beta: jnp.stack(gains(alpha, beta, 0.0)), (0, 1)))(40.0, beta)
     np.testing.assert_array_equal(slopes, np.zeros((2, 2)))
 

@@ -25,7 +25,6 @@ from scipy.linalg import block_diag
 from covariant import models, observers
 from covariant.engine import KernelForm, Stream
 from covariant.engine._kernel import _KernelKey
-from covariant.geometry.lie import SO3
 from covariant.models import Lagrangian, acceleration, robots
 from covariant.observers import Delayed, FixedLag, Instant, IntrinsicKalman, Sensor, run, smooth
 from covariant.signals import Record, StepCode
@@ -323,31 +322,6 @@ def test_with_a_lag_sensors_smooth_as_in_the_batch():
     batch = smooth(kalman, log, lag=6).run
     np.testing.assert_allclose(stream.estimate[6:], batch.estimate[:-6], rtol=0, atol=1e-11)
     np.testing.assert_allclose(stream.info.slow_std[6:], batch.info.slow_std[:-6], rtol=1e-9)
-
-
-@pytest.mark.exhaustive
-def test_a_gyro_on_a_body_in_space_halves_the_error_and_shows_its_bias():
-    rigid, rng = body(), np.random.default_rng(5)
-    motion, true = models.Motion(jnp.eye(3), jnp.array([0.5, -0.8, 0.3])), []
-    advance = jax.jit(lambda m: models.advance(rigid, 0.0, m, jnp.zeros(3), 0.01, 1))
-    for _ in range(400):
-        true.append(motion)
-        motion = advance(motion)
-    q, v = np.array([m.q for m in true]), np.array([m.v for m in true])
-    turned = jax.vmap(lambda q, e: q @ SO3.exp(e))(jnp.asarray(q), jnp.asarray(0.02 * rng.normal(size=(400, 3))))
-    read = v + np.array([0.2, -0.1, 0.15]) + 0.01 * rng.normal(size=v.shape)
-    without = IntrinsicKalman(rigid, 1e-2, 4e-4, 1.0, substeps=1)
-    gyro = observers.tachometer([0, 1, 2], 0.01, name="gyro", bias_std=0.3)
-    with_gyro = IntrinsicKalman(rigid, 1e-2, 4e-4, 1.0, sensors=gyro, substeps=1)
-    t, u = 0.01 * np.arange(400), np.zeros((400, 3))
-    plain = run(without, Record(t, u, np.asarray(turned)))
-    y = with_gyro._sensors.joined(np.asarray(turned), read)
-    better = run(with_gyro, Record(t, u, y))
-    errors = [np.sqrt(np.mean((np.asarray(r.estimate.v)[200:] - v[200:]) ** 2)) for r in (plain, better)]
-    assert errors[1] < 0.5 * errors[0]
-    off = np.asarray(better.info.slow)[-1] - [0.2, -0.1, 0.15]
-    assert (np.abs(off) < 4 * np.asarray(better.info.slow_std)[-1]).all()
-    assert (np.asarray(better.info.slow_std)[-1] < 0.02).all()
 
 
 def test_a_motor_encoder_within_a_turn_is_read_modulo_its_turn():

@@ -17,15 +17,13 @@ from plants import (
     least_squares,
     masses,
     masses_steps,
-    sphere_pendulum,
     van_loan,
 )
 from scipy.linalg import block_diag
 
 from covariant import models, observers
 from covariant._linalg import triangular_with_rank
-from covariant.geometry import Budget
-from covariant.models import Lagrangian, Parametric, chart_jacobian, chart_velocity, in_chart
+from covariant.models import Lagrangian
 from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, smooth
 from covariant.observers.filters import _smoother
 from covariant.observers.filters._smoother import Step, backward_map
@@ -333,41 +331,6 @@ def test_a_start_and_a_model_that_are_certain_leave_one_motion(kind):
 
 
 # In other coordinates.
-
-
-def warped(z, a):
-    following = jnp.roll(z, -1)
-    return z + a * jnp.sin(following) + a / 3 * jnp.cos(2 * following)
-
-
-CHARTS = {
-    "rod": (rod(), (0.3,), 0.35),
-    "sphere": (sphere_pendulum(), (1.1, 0.4), 0.15),
-}
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["rod", "sphere"])
-def test_in_other_coordinates_it_is_the_same(name):
-    """Noise is the same tensor, and readings are the same points; so are the motion and its standard deviation."""
-    model, start, size = CHARTS[name]
-    chart, n, rows = Parametric(warped, a=np.array(size)), len(start), 25
-    rng = np.random.default_rng(5)
-    z = np.array(start) + 0.2 * np.sin(np.outer(np.arange(rows) / 8, np.arange(1, n + 1)))
-    z += 0.01 * rng.normal(size=z.shape)
-    t, u = 0.02 * np.arange(rows), np.zeros((rows, n))
-    named = {"gate": None, "substeps": 3, "budget": Budget(newton=2, steps=8)}
-    there = smooth(IntrinsicKalman(in_chart(model, chart), 4.0, 1e-4, 4.0, **named), Record(t, u, z))
-    y = np.asarray(jax.vmap(chart)(jnp.asarray(z)))
-    here = smooth(IntrinsicKalman(model, 4.0, 1e-4, 4.0, **named), Record(t, u, y))
-    q, v = jnp.split(there.run.estimate, 2, axis=1)
-    seen = jax.vmap(chart)(q), jax.vmap(lambda q, v: chart_velocity(model.manifold, chart, q, v))(q, v)
-    np.testing.assert_allclose(jnp.concatenate(seen, axis=1), here.run.estimate, rtol=0, atol=1e-5)
-    slopes = np.asarray(jax.vmap(lambda q: jnp.kron(jnp.eye(2), chart_jacobian(model.manifold, chart, q)))(q))
-    roots = slopes @ np.asarray(there.root)
-    covs = [a @ np.swapaxes(a, 1, 2) for a in (roots, np.asarray(here.root))]
-    np.testing.assert_allclose(*covs, rtol=0, atol=1e-5 * np.abs(covs[1]).max())
-    assert np.abs(slopes - np.eye(2 * n)).max() > 0.1
 
 
 @pytest.mark.parametrize(

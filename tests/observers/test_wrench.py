@@ -1,7 +1,5 @@
 """Forces on links: what they do to the joints is what MuJoCo says, and a filter finds those that the joints feel."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -9,10 +7,9 @@ import pytest
 
 import covariant
 from covariant import models
-from covariant.models import resistance, robots
-from covariant.observers import IntrinsicKalman, external_force, run, wrench
+from covariant.models import robots
+from covariant.observers import IntrinsicKalman, external_force, wrench
 from covariant.signals import Record
-from covariant.simulation import simulate
 
 STEP, ROWS = 0.01, 600
 STAMPS = STEP * np.arange(ROWS)
@@ -46,47 +43,6 @@ def test_its_torques_are_those_of_mujoco(robot, link):
             assert ours.names == tuple(f"{axis}_{link}" for axis in ("fx", "fy", "fz", "tx", "ty", "tz"))
             got = ours.force(jnp.asarray(q), jnp.zeros(len(q)), jnp.asarray(w))
             np.testing.assert_allclose(got, felt[theirs.jnt_dofadr[order]], atol=1e-9)
-
-
-def pushed(arm, force):
-    """The arm with a force on its last link, in the axes of the world, by the derivative of the place of its origin."""
-
-    def dissipation(t, q, v, u):
-        place = lambda q: arm.space.pose(q, "lower") @ jnp.array([0.0, 0.0, -0.2, 1.0])  # noqa: E731
-        return resistance(arm, t, q, v, u) + jax.jacfwd(lambda q: place(q)[:3])(q).T @ force(t)
-
-    return eqx.tree_at(lambda m: m.dissipation, arm, dissipation)
-
-
-@pytest.mark.exhaustive
-def test_pushes_are_found_with_their_uncertainty(arm):
-    """Two joints feel a force in their plane; the third component keeps what was known of it at first."""
-
-    def force(t):
-        on = jnp.where((t > 1.5) & (t < 3.0), 1.0, 0.0)
-        return on * jnp.array([1.5, 0.0, -1.0])
-
-    def torques(t, x):
-        return jnp.stack([0.8 * jnp.sin(2.0 * t), 0.3 * jnp.sin(3.0 * t + 1.0)])
-
-    record = simulate(pushed(arm, force), jnp.array([0.4, 0.9, 0.0, 0.0]), jnp.asarray(STAMPS), torques)
-    y = np.asarray(record.y) + 1e-4 * np.random.default_rng(1).normal(size=(ROWS, 2))
-    log = Record(STAMPS, np.asarray(record.u), y)
-    push = wrench(arm.space, "lower", 1.5, time=0.5, frame="world", point=(0.0, 0.0, -0.2), name="tip")
-    filter_ = IntrinsicKalman(arm, 1e-4, 1e-8 * jnp.eye(2), jnp.eye(2), push, substeps=1)
-    info = run(filter_, log).info
-    found, std = np.asarray(info.slow), np.asarray(info.slow_std)
-    truth = np.array([force(t) for t in STAMPS])
-    assert filter_.slow_names == ("fx_tip", "fy_tip", "fz_tip")
-    during, after = (STAMPS > 1.8) & (STAMPS < 3.0), STAMPS > 3.5
-    for axis in (0, 2):
-        assert np.sqrt(np.mean((found - truth)[during, axis] ** 2)) < 0.35
-        assert np.abs(found[after, axis]).mean() < 0.3
-    inside = np.abs(found - truth) < 2 * std
-    assert inside[50:, [0, 2]].mean() > 0.9
-    # No joint of the plane feels the force across it.
-    np.testing.assert_allclose(std[:, 1], 1.5, rtol=1e-3)
-    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-6)
 
 
 MODEL = """
