@@ -5,7 +5,6 @@ The pendulum is simulated by its equation, written here a second time and withou
 
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import pytest
 from covariant import models, scoring
 from covariant.calibration import PredictionErrors, cut_windows, fit, horizon, prediction_errors, relations
 from covariant.calibration.identification import error_growth, predicts_worse, split_windows
-from covariant.observers import Intrinsic, run
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
@@ -214,53 +212,6 @@ def test_what_cannot_be_told_apart_is_named(tmp_path):
     assert found.determined.tolist() == [False, False, True]
     np.testing.assert_allclose(found.values[0] * found.values[1], MASS * COM, rtol=0.03)
     np.testing.assert_allclose(found.values[0] / found.values[1], found.first[0] / found.first[1], rtol=0.05)
-
-
-DOUBLE = """
-system = "pendulum_chain"
-[parameters]
-mass = [0.6, 0.4]
-length = [0.3, 0.25]
-com = [0.16, 0.14]
-inertia = [0.005, 0.0026]
-viscous = [0.012, 0.008]
-[measurement]
-quantum = 1e-3
-"""
-
-
-@pytest.mark.exhaustive
-def test_an_observer_with_the_fitted_model_is_as_good_as_with_the_true_one(tmp_path):
-    """A double pendulum, with masses and inertias 30 % too large, fitted on one log and judged on another."""
-    (tmp_path / "model.toml").write_text(DOUBLE)
-    truth = models.load(str(tmp_path / "model.toml")).model
-    t = np.arange(0, 6, 0.005)
-    logs = []
-    for phase in (0.0, 2.0):
-        u = np.stack([1.2 * np.sin(4.1 * t + phase), 0.4 * np.sin(6.7 * t + 2 * phase)], axis=1)
-        held = hold(jnp.asarray(t), jnp.asarray(u))
-        made = simulate(truth, jnp.array([0.8, -0.5, 0.0, 0.0]), jnp.asarray(t), held, rtol=1e-7, atol=1e-8)
-        y = np.round(np.asarray(made.y) / 1e-3) * 1e-3
-        logs.append((Record(t, u, y), np.asarray(made.x)[:, 2:]))
-    (record, _), (other, v) = logs
-    open_numbers = family(
-        tmp_path,
-        *("mass", "inertia"),
-        text=DOUBLE,
-        overrides=["parameters.mass=[0.78,0.52]", "parameters.inertia=[0.0065,0.00338]"],
-    )
-    velocity = reference(record)
-    found = fit(open_numbers, cut_windows([record], [velocity], horizon(record, velocity)))
-
-    def error(model):
-        estimated = np.asarray(run(Intrinsic(model, 60.0, 1800.0), jax.tree.map(jnp.asarray, other)).estimate)[:, 2:]
-        return scoring.rmse(estimated[200:], v[200:])
-
-    best = error(truth)
-    assert np.all(error(open_numbers.file.model) > 1.2 * best)
-    np.testing.assert_array_less(error(open_numbers.make(found.values)[0]), 1.05 * best)
-    assert found.determined.all()
-    assert np.all(np.abs(found.values - [0.6, 0.4, 0.005, 0.0026]) < 5 * found.standard_errors + 0.01 * found.values)
 
 
 @pytest.mark.exhaustive

@@ -286,41 +286,6 @@ def test_se3_with_one_mass_is_a_product(fly, shoot):
     close(end.velocity, np.concatenate([np.einsum("kji,kj->ki", turn, b), part.arrival], axis=1), 1e-9)
 
 
-def group_and_riemannian(shoot, axes, angle):
-    """Excess length of the group's logarithm over the Riemannian one, and their angle [deg] in the metric."""
-    x = angle * axes / np.linalg.norm(axes, axis=1)[:, None]
-    inertia = np.tile(TOP, (BATCH, 1, 1))
-    shot = shoot(inertia, jax.vmap(lie.SO3.exp)(x))
-    assert (shot.result == StepCode.OK).all()
-    v = np.asarray(shot.velocity)
-    long, short = (np.sqrt(inner(inertia, a, a)) for a in (x, v))
-    return long / short - 1, np.degrees(np.arccos(np.minimum(1, inner(inertia, x, v) / long / short)))
-
-
-def sphere_points(count):
-    """Points spread evenly by Fibonacci's spiral."""
-    i = np.arange(count) + 0.5
-    z, angle = 1 - 2 * i / count, i * np.pi * (1 + 5**0.5)
-    radius = np.sqrt(1 - z**2)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
-
-
-@pytest.mark.exhaustive("2.0")
-@pytest.mark.parametrize(
-    ("angle", "longest", "widest", "middle_length", "middle_angle"),
-    [(1.0, 0.0160, 17.7, 0.0121, 15.36), (2.0, 0.0672, 36.0, 0.0479, 29.57)],
-)
-def test_the_group_logarithm_is_not_the_riemannian_one(shoot, angle, longest, widest, middle_length, middle_angle):
-    """I = diag(1, 2, 3.5): how much longer the group's logarithm is, and its angle to the other; the worst over the
-    sphere of axes, which lies between the axes of least and greatest inertia, and about (1, 1, 1)."""
-    axes = np.concatenate([np.ones((1, 3)), np.eye(3), sphere_points(15 * BATCH - 4)])
-    length, degrees = np.concatenate([group_and_riemannian(shoot, a, angle) for a in np.split(axes, 15)], axis=1)
-    assert length.min() > -1e-12
-    np.testing.assert_allclose([length.max(), degrees.max()], [longest, widest], rtol=0.02)
-    np.testing.assert_allclose([length[0], degrees[0]], [middle_length, middle_angle], rtol=0.01)
-    close(length[1:4], np.zeros(3), 1e-12)
-
-
 # Inertias
 
 

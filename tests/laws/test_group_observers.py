@@ -278,23 +278,3 @@ def test_a_pitch_of_90_degrees_is_no_event():
     assert distance[-1] < 1e-2 * distance[0]
     assert np.isfinite(distance).all()
     assert np.abs(np.diff(np.log(distance))).max() < 0.5
-
-
-@pytest.mark.exhaustive
-def test_both_errors_agree_to_first_order():
-    """The right-hand sides with the group's and with the Riemannian logarithm differ by the square of the error."""
-    model = heavy_top((1.0, 2.0, 3.5), 2.0)
-    y, v = SO3.exp(jnp.array([0.3, -0.2, 0.5])), jnp.array([0.7, -0.4, 0.9])
-    budget = Budget(newton=3, steps=8)
-    observers = [Intrinsic(model, 2.0, 3.0), Geodesic(model, 2.0, 3.0, budget)]
-
-    @jax.jit
-    def difference(size):
-        g = y @ SO3.exp(size * jnp.array([0.5, 0.6, -0.6]))
-        slopes = [o.flow(size, o.init(y)._replace(q=g, v=v), jnp.zeros(3), y) for o in observers]
-        return jnp.sqrt(jnp.sum((slopes[0].q - slopes[1].q) ** 2)), jnp.sqrt(jnp.sum((slopes[0].v - slopes[1].v) ** 2))
-
-    sizes = np.array([0.2, 0.1, 0.05, 0.025])
-    found = np.array([difference(jnp.asarray(s)) for s in sizes])
-    for column in found.T:
-        assert np.polyfit(np.log(sizes), np.log(column), 1)[0] == pytest.approx(2.0, abs=0.1)

@@ -1,7 +1,6 @@
 """Robots from files: the same mechanics as MuJoCo's, the same geometry as the space derived from the metric alone."""
 
 import re
-from pathlib import Path
 
 import compare_robots
 import equinox as eqx
@@ -87,66 +86,6 @@ def state(model, seed: int):
         rest = jnp.asarray(rng.normal(size=len(model.velocities) - n))
         q = model.manifold.retract(model.manifold.origin(), jnp.concatenate([rest, q]))
     return q, jnp.asarray(rng.normal(size=(6, model.manifold.zero(q).shape[0])))
-
-
-H = 1e-2
-WEIGHTS = np.array([1, -9, 45, -45, 9, -1]) / (60 * H)
-"""Central differences of sixth order, at the places 3, 2, 1, −1, −2, −3 steps away."""
-
-
-def around(model, q, a):
-    """Configurations (6, …) on the way through q along the frame field a."""
-    return jnp.stack([model.manifold.retract(q, k * H * a) for k in (3, 2, 1, -1, -2, -3)])
-
-
-@pytest.fixture(scope="module")
-def ball_arm():
-    return robots.load(Path(__file__).with_name("ball_arm.xml"))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["arm", "floating_arm", "ball_arm"])
-def test_sweeps_are_what_follows_from_the_metric(name, request):
-    """Koszul's formula with differences of the inertia matrix; curvature with differences of the connection."""
-    model = request.getfixturevalue(name)
-    space, manifold = model.space, model.manifold
-    q, (a, b, c, *_) = state(model, 1)
-    n = len(a)
-    axes = jnp.eye(n)
-
-    @jax.jit
-    def near():
-        along = jax.vmap(lambda e: jnp.tensordot(WEIGHTS, jax.vmap(space)(around(model, q, e)), 1))(axes)
-        brackets = jax.vmap(lambda e: jax.vmap(lambda f: manifold.bracket(q, e, f))(axes))(axes)
-        forces = jax.vmap(lambda one, two: space.connection_force(q, one, two))(
-            jnp.stack([a, b, a]), jnp.stack([b, c, c])
-        )
-        force = lambda at, e: jax.vmap(lambda x: space.connection(x, e, c))(around(model, q, at))  # noqa: E731
-        change = lambda one, two: jnp.tensordot(WEIGHTS, force(one, two), 1)  # noqa: E731
-        turned = jax.vmap(change)(jnp.stack([a, b]), jnp.stack([b, a]))
-        return along, brackets, forces, turned, space.curvature(q, a, b, c), space(q)
-
-    slopes, brackets, forces, turned, curvature, matrix = (np.asarray(part) for part in near())
-    a, b, c = (np.asarray(part) for part in (a, b, c))
-
-    def bracket(x, y):
-        return np.einsum("ijk,i,j->k", brackets, x, y)
-
-    def koszul(x, y):
-        total = np.einsum("k,kij,j->i", x, slopes, y) + np.einsum("k,kij,j->i", y, slopes, x)
-        total += matrix @ bracket(x, y) - np.einsum("i,kij,j->k", x, slopes, y)
-        total -= np.einsum("ijk,k,i->j", brackets, matrix @ y, x) + np.einsum("ijk,k,i->j", brackets, matrix @ x, y)
-        return total / 2
-
-    for force, pair in zip(forces, ((a, b), (b, c), (a, c)), strict=True):
-        np.testing.assert_allclose(force, koszul(*pair), rtol=0, atol=1e-9 * np.abs(force).max())
-
-    def connection(x, y):
-        return np.linalg.solve(matrix, koszul(x, y))
-
-    expected = turned[0] - turned[1] + connection(a, connection(b, c)) - connection(b, connection(a, c))
-    expected -= connection(bracket(a, b), c)
-    np.testing.assert_allclose(curvature, expected, rtol=0, atol=1e-8 * np.abs(curvature).max())
 
 
 @pytest.mark.exhaustive

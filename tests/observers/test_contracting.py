@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from covariant import models
 from covariant.models import marine, state_space
@@ -19,7 +20,7 @@ from covariant.observers import (
     run,
 )
 from covariant.signals import Record, StepCode
-from covariant.simulation import observe, simulate
+from covariant.simulation import simulate
 
 ZERO = jnp.zeros(())
 
@@ -169,24 +170,9 @@ def test_lyapunov_function_of_the_ship_falls_as_designed(own):
         expected = np.asarray(jax.scipy.linalg.block_diag(q1, (damping + damping.T) / 2 if q2 is None else q2))
         scale = np.sqrt(np.diag(expected))
         np.testing.assert_allclose(fall / scale / scale[:, None], expected / scale / scale[:, None], atol=1e-9)
-
-
-@pytest.mark.exhaustive
-def test_passive_observer_converges_as_fast_as_its_lyapunov_function_says():
-    plain = station()
-    mass = np.asarray(plain.ship.mass)
-    gains = lyapunov_gains(plain, mass * 1e-2, mass * 1e-3)
-    rate = lyapunov_rate(plain, gains)
-    observer = PassiveShip(plain, gains)
-    x0 = jnp.array([0.0, 0.0, 0.3, 0.5, -0.2, 0.004])
-    t = jnp.linspace(0.0, 300.0, 31)
-    x, state = observe(plain.model(), observer, x0, observer.init(jnp.array([10.0, -5.0, 0.4])), t)
-    error = np.asarray(x - state.x)
-    p = np.asarray(jax.scipy.linalg.block_diag(gains.stiffness, gains.inertia))
-    value = np.einsum("ti,ij,tj->t", error, p, error) / 2
-    assert rate >= printed_rate(plain, gains) > 0  # (47) as printed, which depends on units, is never more
-    assert (value <= np.exp(-2 * rate * np.asarray(t)) * value[0] * (1 + 1e-9)).all()
-    assert value[-1] < 1e-2 * value[0]
+        # It falls at the rate, of which (47) as printed, which depends on units, is never more.
+        assert eigh(fall, p, eigvals_only=True)[0] >= lyapunov_rate(plain, gains) * (1 - 1e-9)
+        assert lyapunov_rate(plain, gains) >= printed_rate(plain, gains) > 0
 
 
 @pytest.mark.long
