@@ -7,7 +7,6 @@ from covariant.calibration import diagnose, misfit
 
 MOST_ALARMS, MOST_MISSED = 0.01, 0.05
 """Largest fractions of logs without faults that are called wrong, and of faults that are not named."""
-long, exhaustive = pytest.mark.long, pytest.mark.exhaustive
 
 
 @pytest.mark.long("25", "31")
@@ -35,9 +34,8 @@ def test_a_fault_is_named(kind):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("logs", [pytest.param(20, marks=long), pytest.param(100, marks=exhaustive)])
-def test_false_alarms_are_rare(logs):
-    wrong = []
+def test_false_alarms_are_rare():
+    wrong, logs = [], 100
     for seed in range(logs):
         log = without_fault(seed)
         found = alarms(list(diagnose(log.file, log.record).findings))
@@ -48,9 +46,8 @@ def test_false_alarms_are_rare(logs):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("each", [pytest.param(1, marks=long), pytest.param(6, marks=exhaustive)])
-def test_most_faults_are_named(each):
-    missed = []
+def test_most_faults_are_named():
+    missed, each = [], 6
     for kind in FAULTS:
         for seed in range(each):
             fault = with_fault(kind, seed)

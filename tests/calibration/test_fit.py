@@ -8,6 +8,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from plain import rk4
 
 from covariant import models, scoring
 from covariant.calibration import PredictionErrors, cut_windows, fit, horizon, prediction_errors, relations
@@ -38,20 +39,16 @@ def swing(seeds: int, driven: bool, viscous: float = VISCOUS, seconds: float = 1
     for k in range(1, len(t)):  # correlated over 50 ms, 0.02 N m
         torque[:, k] = 0.8 * torque[:, k - 1] + 0.02 * np.sqrt(1 - 0.8**2) * rng.normal(size=seeds)
 
-    def acceleration(q, v, k):
-        pushed = u[k] + driven * torque[:, k]
-        return (pushed - MASS * GRAVITY * COM * np.sin(q) - viscous * v) / inertia
-
-    q, v, path = np.full(seeds, 1.5), np.zeros(seeds), []
+    x, path = np.array([np.full(seeds, 1.5), np.zeros(seeds)]), []
     for k in range(len(t)):
-        path.append(q)
+        path.append(x[0])
+        pushed = u[k] + driven * torque[:, k]
+
+        def rate(x, pushed=pushed):
+            return np.array([x[1], (pushed - MASS * GRAVITY * COM * np.sin(x[0]) - viscous * x[1]) / inertia])
+
         for _ in range(4):
-            h = 0.01 / 4
-            k1, l1 = v, acceleration(q, v, k)
-            k2, l2 = v + h / 2 * l1, acceleration(q + h / 2 * k1, v + h / 2 * l1, k)
-            k3, l3 = v + h / 2 * l2, acceleration(q + h / 2 * k2, v + h / 2 * l2, k)
-            k4, l4 = v + h * l3, acceleration(q + h * k3, v + h * l3, k)
-            q, v = q + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), v + h / 6 * (l1 + 2 * l2 + 2 * l3 + l4)
+            x = rk4(rate, x, 0.01 / 4)
     return t, u, np.stack(path, axis=1) + NOISE * rng.normal(size=(seeds, len(t)))
 
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from plain import rk4
 
 from covariant import models
 
@@ -43,15 +44,10 @@ def test_without_servos_and_friction_the_bodies_move_as_those_of_the_library(tmp
     q, v, h = log.position[70], log.velocity[70], 0.005
     acceleration = jax.jit(lambda q, v: models.acceleration(ours, jnp.zeros(()), q, v, jnp.zeros(2)))
 
-    def rate(q, v):
-        return v, np.asarray(acceleration(q, v))
-
+    x = np.array([q, v])
     for _ in range(60):
-        a = rate(q, v)
-        b = rate(q + h / 2 * a[0], v + h / 2 * a[1])
-        c = rate(q + h / 2 * b[0], v + h / 2 * b[1])
-        d = rate(q + h * c[0], v + h * c[1])
-        q, v = (x + h / 6 * (a + 2 * b + 2 * c + d) for x, a, b, c, d in zip((q, v), a, b, c, d, strict=True))
+        x = rk4(lambda x: np.array([x[1], acceleration(*x)]), x, h)
+    q, v = x
     assert np.abs(log.velocity).max() > 3
     np.testing.assert_allclose(log.position[100], q, atol=2e-4)
     np.testing.assert_allclose(log.velocity[100], v, atol=4e-3)

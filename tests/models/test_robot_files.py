@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from plain import rk4
 
 import covariant
 from covariant.models import acceleration, robots
@@ -106,15 +107,11 @@ def test_mujoco_follows_commands_as_the_model_does(tmp_path):
 
     @jax.jit
     def ours():
-        def slope(x, u):
-            return jnp.concatenate([x[2:], acceleration(model, jnp.zeros(()), x[:2], x[2:], u)])
-
         def step(x, u):
-            a = slope(x, u)
-            b = slope(x + STEP / 2 * a, u)
-            c = slope(x + STEP / 2 * b, u)
-            d = slope(x + STEP * c, u)
-            return x + STEP / 6 * (a + 2 * b + 2 * c + d), x[:2]
+            def slope(x):
+                return jnp.concatenate([x[2:], acceleration(model, jnp.zeros(()), x[:2], x[2:], u)])
+
+            return rk4(slope, x, STEP), x[:2]
 
         return jax.lax.scan(step, jnp.concatenate([start, jnp.zeros(2)]), late)[1]
 

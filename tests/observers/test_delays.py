@@ -135,22 +135,10 @@ IN_C = {
 }
 
 
-IN_LONG = (0.4, (0.4, 1.0))
-"""Delays in rows that the long suite compiles: one for all, and one for each joint."""
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("name", "rows"),
-    [
-        ("intrinsic", 2.5),
-        *(
-            pytest.param(name, rows, marks=pytest.mark.long if rows in IN_LONG else pytest.mark.exhaustive)
-            for name in IN_C
-            for rows in (0.0, 0.4, 1.0, 2.5, (0.0, 2.5), (0.4, 1.0))
-            if (name, rows) != ("intrinsic", 2.5)
-        ),
-    ],
+    [(name, rows) for name in IN_C for rows in (0.0, 0.4, 1.0, 2.5, (0.0, 2.5), (0.4, 1.0))],
 )
 def test_compiled_c_equals_jax(name, rows):
     """At irregular stamps, with measurements missing."""

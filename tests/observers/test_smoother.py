@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+from plain import rk4
 from plants import (
     FIRST_COV,
     MEASUREMENT,
@@ -149,15 +150,7 @@ def swing(rows: int = 40, noise: float = 0.02, speed: float = 0.5) -> Record:
 
 def rod_step(x: np.ndarray, h: float) -> np.ndarray:
     """One Runge–Kutta step, written a second time."""
-
-    def f(x):
-        return np.array([x[1], -20.0 * np.sin(x[0]) - 0.3 * x[1]])
-
-    a = f(x)
-    b = f(x + h / 2 * a)
-    c = f(x + h / 2 * b)
-    d = f(x + h * c)
-    return x + h / 6 * (a + 2 * b + 2 * c + d)
+    return rk4(lambda x: np.array([x[1], -20.0 * np.sin(x[0]) - 0.3 * x[1]]), x, h)
 
 
 def rod_filter(kind: str, noise: float = 0.02, **named):
