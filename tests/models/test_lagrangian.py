@@ -9,16 +9,7 @@ from hypothesis import given, strategies as st
 
 from covariant import geometry, models
 from covariant.geometry.lie import SO3, LeftInvariant
-from covariant.models import (
-    Lagrangian,
-    MechanicalSystem,
-    acceleration,
-    check_model,
-    energy,
-    friction,
-    robots,
-    source,
-)
+from covariant.models import Lagrangian, MechanicalSystem, acceleration, check_model, energy, friction, robots, source
 
 TIME = jnp.zeros(())
 

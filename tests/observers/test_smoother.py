@@ -10,16 +10,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from plain import rk4
-from plants import (
-    FIRST_COV,
-    MEASUREMENT,
-    PROCESS,
-    SPEED,
-    least_squares,
-    masses,
-    masses_steps,
-    van_loan,
-)
+from plants import FIRST_COV, MEASUREMENT, PROCESS, SPEED, least_squares, masses, masses_steps, van_loan
 from scipy.linalg import block_diag
 
 from covariant import models, observers
