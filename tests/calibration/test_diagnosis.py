@@ -466,11 +466,7 @@ TWO_LINKS = {"viscous": (0.0, 0.0), "coulomb": (0.0, 0.0), "asymmetry": (0.0, 0.
     [
         ({"viscous": (0.3, 0.06), "coulomb": (0.2, 0.08)}, "friction", "friction"),
         ({"armature": (0.01, 0.004)}, "rotor inertia", "armature"),
-        (
-            {"viscous": (0.3, 0.06), "armature": (0.01, 0.004)},
-            "friction and rotor inertia",
-            "friction,armature",
-        ),
+        ({"viscous": (0.3, 0.06), "armature": (0.01, 0.004)}, "friction and rotor inertia", "friction,armature"),
         ({"armature": (0.01, 0.0)}, "rotor inertia", "armature.shoulder"),
         ({"load": 0.3}, "", ""),
     ],

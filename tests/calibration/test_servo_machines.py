@@ -61,20 +61,6 @@ def test_a_servo_sags_by_the_torque_over_its_stiffness():
     np.testing.assert_allclose(sag, shoulder_weight(log.position[-1]) / stiffness, rtol=1e-4)
 
 
-def test_friction_holds_below_its_bound_for_good_and_lets_go_above_it():
-    """Load-dependent friction of both kinds: the bound at rest is known by hand."""
-    machine = two_joints()
-    weight = shoulder_weight(machine.middle)
-    # The command holds with no torque, so that the friction bears the weight by itself, or does not.
-    numbers = {"stiffness": 1e-9, "armature": 0.01, "coulomb": 0.01, "stribeck": 0.02}
-    for factor, holds in ((1.02, True), (0.98, False)):
-        needed = (factor * np.abs(weight) - 0.03) / np.abs(weight)
-        servo = Servo.of(2, **numbers, load_external=needed)
-        log = simulate(machine, servo, *held(machine, 10.0), ticks=False)
-        moved = np.abs(log.position[-1] - log.position[50])
-        assert (moved < 1e-5).all() if holds else (moved > 0.01).any(), (factor, moved)
-
-
 def judged(case, folder):
     """The numbers of a fit from usual first values, and errors of velocities over those of the best other filters."""
     first = bench["usual_servo"](case.machine, case.ranges)

@@ -103,14 +103,8 @@ LAWS = {
     "exp of Ad": lambda G, s: (G.exp(G.adjoint(s.g, s.x)), s.g @ G.exp(s.x) @ G.inverse(s.g)),
     "ad* pairs": lambda G, s: (dot(G.coadjoint(s.x, s.mu), s.y), dot(s.mu, G.lie_bracket(s.x, s.y))),
     "Ad* pairs": lambda G, s: (dot(G.coadjoint_action(s.g, s.mu), s.y), dot(s.mu, G.adjoint(s.g, s.y))),
-    "body velocity": lambda G, s: (
-        G.exp(s.x) @ G.hat(G.right_jacobian(s.x, s.y)),
-        G.derivative("exp", s.x, s.y),
-    ),
-    "spatial velocity": lambda G, s: (
-        G.hat(G.left_jacobian(s.x, s.y)) @ G.exp(s.x),
-        G.derivative("exp", s.x, s.y),
-    ),
+    "body velocity": lambda G, s: (G.exp(s.x) @ G.hat(G.right_jacobian(s.x, s.y)), G.derivative("exp", s.x, s.y)),
+    "spatial velocity": lambda G, s: (G.hat(G.left_jacobian(s.x, s.y)) @ G.exp(s.x), G.derivative("exp", s.x, s.y)),
     "Ad leads from body to space": lambda G, s: (
         G.left_jacobian(s.x, s.y),
         G.adjoint(G.exp(s.x), G.right_jacobian(s.x, s.y)),

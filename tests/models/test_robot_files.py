@@ -13,15 +13,7 @@ import covariant
 from covariant.models import acceleration, robots
 
 STEP = 1e-3
-SERVO = {
-    "stiffness": 9.0,
-    "gain": 2.0,
-    "damping": 0.4,
-    "delay": 0.03,
-    "limit": 5.0,
-    "viscous": 0.05,
-    "armature": 0.03,
-}
+SERVO = {"stiffness": 9.0, "gain": 2.0, "damping": 0.4, "delay": 0.03, "limit": 5.0, "viscous": 0.05, "armature": 0.03}
 SERVOS = {"shoulder": SERVO | {"offset": 0.1, "sign": -1, "back_emf": 0.1}, "elbow": SERVO | {"stiffness": 4.0}}
 NUMBERS = {"servos": SERVOS, "offsets": {"shoulder": 0.2, "elbow": -0.3}, "payload": {"lower": (0.2, 0.0, 0.1, -0.3)}}
 CHAIN = """<robot name="chain">

@@ -192,10 +192,7 @@ std = 1e-3
     (folder / "floating.urdf").write_text(HEAVY)
     file = load(str(folder / "in_the_air.toml"))
     assert (file.dimension, file.model.coordinates) == (8, ("turn", "slide"))
-    wrongs = {
-        "lock={elbow=1.0}": "unknown joint 'elbow'",
-        'path="none.urdf"': "give the path of a URDF or MJCF file",
-    }
+    wrongs = {"lock={elbow=1.0}": "unknown joint 'elbow'", 'path="none.urdf"': "give the path of a URDF or MJCF file"}
     for wrong, words in wrongs.items():
         with pytest.raises(ModelError, match=words):
             load(str(folder / "in_the_air.toml"), [f"parameters.{wrong}"])

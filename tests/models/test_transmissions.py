@@ -57,10 +57,7 @@ WRONG = {
     "1 rotors on 2 joints are not supported": ('<joint name="hand"/>', '<joint name="hand"/><joint name="arm"/>'),
     "rotor_inertia must not be negative; got -2e-05 kg m²": ('"2e-5"', '"-2e-5"'),
     "gear_ratio must not be 0": ('"100"', '"0"'),
-    "gear_ratio 100 and mechanicalReduction 50 differ": (
-        "<limit/>",
-        "<mechanicalReduction>50</mechanicalReduction>",
-    ),
+    "gear_ratio 100 and mechanicalReduction 50 differ": ("<limit/>", "<mechanicalReduction>50</mechanicalReduction>"),
     "<mechanicalReduction> must be a finite number; got '1:50'": (
         '<drake:gear_ratio value="100"/>',
         "<mechanicalReduction>1:50</mechanicalReduction>",

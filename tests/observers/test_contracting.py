@@ -37,10 +37,7 @@ def flow_of(observer, state, u, y):
 
 def mass_on_a_spring():
     return models.StateSpace(
-        lambda t, x, u: jnp.stack([x[1], u[0] - x[0]]),
-        lambda t, x, u: x[:1],
-        coordinates=("x", "v"),
-        inputs=1,
+        lambda t, x, u: jnp.stack([x[1], u[0] - x[0]]), lambda t, x, u: x[:1], coordinates=("x", "v"), inputs=1
     )
 
 

@@ -256,10 +256,7 @@ NO_COVARIANCES = [
     ({"measurement_cov": 0.0}, "measurement_cov must have variances that are positive; its least is 0"),
     ({"measurement_cov": np.ones((2, 2))}, "measurement_cov must have variances that are positive"),
     ({"initial_velocity_cov": np.array([[1.0, 0.5], [0.4, 1.0]])}, "initial_velocity_cov must be symmetric"),
-    (
-        {"initial_velocity_cov": np.ones(2)},
-        "initial_velocity_cov must be a number or a square matrix",
-    ),
+    ({"initial_velocity_cov": np.ones(2)}, "initial_velocity_cov must be a number or a square matrix"),
     ({"initial_velocity_cov": np.nan}, "initial_velocity_cov must have finite entries"),
 ]
 

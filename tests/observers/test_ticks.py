@@ -33,11 +33,6 @@ def counting(quantum=TICK, model=MODEL, n=1):
     return IntrinsicKalman(model, PROCESS**2 * eye, (quantum / 100) ** 2 * eye, eye, quantum=jnp.full(n, quantum))
 
 
-def noisy(quantum=TICK):
-    eye = jnp.eye(1)
-    return IntrinsicKalman(MODEL, PROCESS**2 * eye, quantum**2 / 12 * eye, eye)
-
-
 def rounded(q, quantum=TICK):
     return jnp.round(q / quantum) * quantum
 
@@ -167,14 +162,6 @@ def test_errors_are_as_large_as_it_says(model, n, runs, settled):
     off = np.abs(nees[:, settled:].mean(axis=0) - 1)
     assert np.mean(off < 1.96 * (2 / (2 * n * runs)) ** 0.5) > 0.9
     assert nis[:, settled:].mean() == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.exhaustive
-def test_taken_for_noise_ticks_make_errors_larger_than_it_says():
-    """Readings of one interval have one error, which a filter that takes it for noise believes to average out."""
-    ticks, noise = (lottery(MODEL, observer, (100, 1), 900) for observer in (counting(), noisy()))
-    assert noise[0][:, 400:].mean() > 2
-    assert np.mean(ticks[3][:, 400:]) < 0.7**2 * np.mean(noise[3][:, 400:])
 
 
 @pytest.mark.exhaustive
