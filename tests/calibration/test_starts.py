@@ -12,7 +12,6 @@ from covariant.calibration.identification import Unknowns
 from covariant.workflow import fit, init, simulate
 
 CART, POLE, COM, INERTIA, VISCOUS, COULOMB = 0.57, 0.23, 0.32, 0.0079, (1.2, 0.002), (0.6, 0.001)
-TRUTH = {"cart_mass": CART, "com": COM, "inertia": INERTIA}
 RATE, SUBSTEPS = 100.0, 5
 
 

@@ -246,3 +246,15 @@ def test_a_survey_goes_on_where_a_metric_is_not_finite():
     assert np.isnan(models.survey(model, np.tile([-1.0, 1.0], (3, 1)), samples=20).conditioning).all()
     low, high = models.survey(model, np.array([[0.1, 1.0], [-1.0, 1.0], [-1.0, 1.0]]), samples=20).conditioning
     assert low == pytest.approx(high) == pytest.approx(1.0)
+
+
+def test_an_oscillator_is_the_same_in_the_chart_q_and_in_r_its_exponential():
+    """`r̈ = r(q̈ + q̇²)`."""
+    q, v, u = jnp.array([0.4]), jnp.array([-0.7]), jnp.array([0.3])
+    r, v_r, (plain, other) = jnp.exp(q), jnp.exp(q) * v, (models.oscillator(chart, 2.0) for chart in "qr")
+    in_q, in_r = acceleration(plain, TIME, q, v, u), acceleration(other, TIME, r, v_r, u)
+    np.testing.assert_allclose(in_q, -2.0 * q + u, rtol=1e-15)
+    np.testing.assert_allclose(in_r, r * (in_q + v**2), rtol=1e-14)
+    np.testing.assert_allclose(energy(plain, q, v), energy(other, r, v_r), rtol=1e-14)
+    with pytest.raises(ValueError, match="chart must be 'q' or 'r'; got 's'"):
+        models.oscillator("s")
