@@ -248,14 +248,3 @@ def test_compiled_c_does_the_same(entry, name):
     np.testing.assert_allclose(velocities(done.estimate)[1:], v, rtol=0, atol=1e-7 * np.abs(v).max())
     np.testing.assert_allclose(done.info.innovation[1:], innovation, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(done.info.result[1:], codes)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", MODELS)
-def test_the_engine_of_jax_returns_arrays_of_numpy_too(name):
-    """Of one observer on each model: the structure of the others is that of the loop itself."""
-    watched, observer = seen(name), loops(name)["copy"].observer
-    record = Record(watched.t, watched.u, with_a_gap(name))
-    done, engine = run_log(observer, record, ("result",), "jax")
-    assert engine == "jax: as asked"
-    assert is_as_through_jax(done, observer, record, ("result",))
