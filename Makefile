@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # What to run after every change: laws, the mathematics under them, and the house. About a minute, without the
 # C of every observer.
 QUICK := tests/laws/test_every_observer.py tests/calibration/test_estimators.py tests/calibration/test_gain_rule.py \
-	tests/geometry/test_tensors.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
+	tests/geometry/test_metric.py tests/test_integrate.py tests/test_scoring.py tests/test_signals.py \
 	tests/test_house.py tests/pages/test_links.py
 
 # A process that dies ends the run, which would else wait for its tests for ever.

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from covariant import models
 from covariant.calibration import diagnose
 from covariant.calibration.diagnosis import later_line
 from covariant.calibration.diagnosis._jumps import periods, second_sender
@@ -202,11 +201,6 @@ def test_of_a_body_frozen_attitudes_and_stamps_in_another_unit_are_seen():
     slow = np.clip(t - 1.5, 0.0, 2.0)
     assert wrong(file, Record(t, torque, turning(slow**2 * (3 - slow) / 2))) == []
     assert wrong(file, Record(t, torque, turning(np.round(0.2 * t, 2)))) == []
-
-
-def test_the_state_of_a_wider_model_is_left_alone():
-    record = Record(T, np.zeros((len(T), 0)), np.ones((len(T), 1)))
-    assert diagnose(models.ModelFile("lorenz", models.lorenz()), record).findings == ()
 
 
 def test_a_machine_on_a_slope_has_some_of_its_weight():

@@ -460,22 +460,15 @@ TWO_LINKS = {"viscous": (0.0, 0.0), "coulomb": (0.0, 0.0), "asymmetry": (0.0, 0.
 """Numbers that the URDF file of the arm does not have."""
 
 
-repeated = pytest.mark.exhaustive
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("unknown", "what", "line"),
     [
-        pytest.param({"viscous": (0.3, 0.06), "coulomb": (0.2, 0.08)}, "friction", "friction", marks=repeated),
-        pytest.param({"armature": (0.01, 0.004)}, "rotor inertia", "armature", marks=repeated),
-        (
-            {"viscous": (0.3, 0.06), "armature": (0.01, 0.004)},
-            "friction and rotor inertia",
-            "friction,armature",
-        ),
-        pytest.param({"armature": (0.01, 0.0)}, "rotor inertia", "armature.shoulder", marks=repeated),
-        pytest.param({"load": 0.3}, "", "", marks=repeated),
+        ({"viscous": (0.3, 0.06), "coulomb": (0.2, 0.08)}, "friction", "friction"),
+        ({"armature": (0.01, 0.004)}, "rotor inertia", "armature"),
+        ({"viscous": (0.3, 0.06), "armature": (0.01, 0.004)}, "friction and rotor inertia", "friction,armature"),
+        ({"armature": (0.01, 0.0)}, "rotor inertia", "armature.shoulder"),
+        ({"load": 0.3}, "", ""),
     ],
 )
 def test_friction_and_rotors_that_a_robot_lacks_are_named(unknown, what, line):

@@ -44,11 +44,7 @@ def test_content_says_it_where_names_do_not():
             {},
             'a, b all rise from row to row; name the one of the stamps by `columns\\["t"\\]`',
         ),
-        (
-            columns(q=SWING),
-            {"q": ["angle"]},
-            "no column 'angle' of numbers; the columns of numbers are time, q",
-        ),
+        (columns(q=SWING), {"q": ["angle"]}, "no column 'angle' of numbers; the columns of numbers are time, q"),
         (columns(q=np.where(T == 0, np.nan, SWING)), {}, "row 1 lacks a position"),
     ],
 )

@@ -3,7 +3,6 @@
 import math
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import linalg
@@ -17,7 +16,6 @@ from covariant.calibration import (
     filter_bandwidth,
     gains,
     observer_gains,
-    steady_state_errors,
     tuned_estimators,
 )
 from covariant.calibration.tuning._filters import (
@@ -54,43 +52,6 @@ FLAT = Lagrangian(geometry.Euclidean(), lambda q: 0.0 * q[0])
 """A free point in eight dimensions: as many double integrators, watched by one observer."""
 
 
-def watched(alpha, beta, t, y):
-    record = Record(t, np.zeros_like(y), y)
-    return np.asarray(run(Intrinsic(FLAT, jnp.array(alpha), jnp.array(beta), substeps=1), record).estimate)
-
-
-@pytest.mark.long("0.4")
-@pytest.mark.parametrize("damping", [0.4, math.sqrt(0.5), 1.5])
-def test_the_predicted_errors_are_those_of_a_simulation(damping):
-    rate, std, acceleration, time = 1000.0, 1e-3, 1.0, 0.005
-    chosen = gains(std, rate, acceleration, time, damping)
-    rng, count, dt = np.random.default_rng(5), 8000, 1 / rate
-    # White acceleration of the density that the rule assumes: velocity steps, with the position steps they bring.
-    steps = rng.multivariate_normal(
-        [0, 0],
-        2 * acceleration**2 * time * np.array([[dt, dt**2 / 2], [dt**2 / 2, dt**3 / 3]]),
-        (count, AXES),
-    )
-    v = np.cumsum(steps[..., 0], 0)
-    q = np.cumsum(steps[..., 1] + dt * np.concatenate([np.zeros((1, AXES)), v[:-1]]), 0)
-    estimate = watched(chosen.alpha, chosen.beta, dt * np.arange(count), q + rng.normal(0, std, q.shape))
-    settled = slice(count // 4, None)
-    error = np.split((estimate - np.hstack([q, v]))[settled], 2, axis=1)
-    assert chosen.alpha * dt < 0.2, "the prediction is for sampling that is fast beside the observer"
-    assert np.std(error[1]) == pytest.approx(chosen.velocity_std, rel=0.05)
-    assert np.std(error[0]) == pytest.approx(chosen.position_std, rel=0.1)
-
-
-def test_a_constant_acceleration_leaves_the_predicted_bias():
-    alpha, beta, acceleration = 8.0, 30.0, 2.0
-    t = 0.0005 * np.arange(4000)
-    q = np.tile(acceleration * t[:, None] ** 2 / 2, AXES)
-    estimate = watched(alpha, beta, t, q)[-1]
-    position, velocity = steady_state_errors(alpha, beta, acceleration)
-    assert q[-1, 0] - estimate[0] == pytest.approx(position, rel=0.01)
-    assert acceleration * t[-1] - estimate[AXES] == pytest.approx(velocity, rel=0.01)
-
-
 SHEET = DataSheet(1e-3, 2.0, 0.01, motion_std=20.0, motion_time=0.05)
 RATE = 200.0
 WEIGHTS = {
@@ -111,29 +72,14 @@ def test_weights_form_a_slope():
 @pytest.mark.parametrize("name", WEIGHTS)
 @pytest.mark.parametrize("motion_time", [0.02, 0.3])
 def test_the_predicted_error_of_a_filter_is_that_of_the_motion_it_assumes(name, motion_time):
-    """Accelerations of exponential correlation, weighed by the filter, on a grid much finer than the samples."""
-    sheet = SHEET._replace(motion_time=motion_time)
-    w = WEIGHTS[name]
-    fine = 20  # integration steps a sample, over h(r), the weight of the acceleration r seconds ago
-    r = np.arange((len(w) - 1) * fine + 1) / (RATE * fine)
-    h = np.maximum(np.arange(len(w))[None, :] / RATE - r[:, None], 0) @ w
-    h *= np.where((r == r[0]) | (r == r[-1]), 0.5, 1.0) / (RATE * fine)
-    # h' C h for the exponential correlation C, in two passes of a first-order filter instead of a square matrix.
-    decay, behind, total = math.exp(-1 / (RATE * fine * motion_time)), 0.0, 0.0
-    for value in h:
-        total += value * (value + 2 * decay * behind)
-        behind = value + decay * behind
-    expected = math.sqrt(sheet.measurement_std**2 * w @ w + sheet.motion_std**2 * total)
-    assert linear_filter_error(w, sheet, RATE) == pytest.approx(expected, rel=0.02)
-
-
-def test_the_recursion_is_the_quadratic_form():
-    sheet = SHEET._replace(measurement_std=0.0)
-    w = WEIGHTS["line"]
-    h = np.array([sum(w[i] * (i - j) for i in range(j, len(w))) for j in range(len(w))]) / RATE**2
-    h[0] /= 2  # trapezoid rule
-    correlation = linalg.toeplitz(np.exp(-np.arange(len(w)) / (RATE * sheet.motion_time)))
-    assert linear_filter_error(w, sheet, RATE) == pytest.approx(20.0 * math.sqrt(h @ correlation @ h), rel=1e-10)
+    """Accelerations of exponential correlation, weighed by the filter, by the trapezoid rule; and noise."""
+    sheet, w = SHEET._replace(motion_time=motion_time), WEIGHTS[name]
+    ages = np.arange(len(w)) / RATE
+    h = np.maximum(ages[None, :] - ages[:, None], 0) @ w / RATE  # the weight of the acceleration of an age
+    h[0] /= 2
+    correlation = linalg.toeplitz(np.exp(-ages / motion_time))
+    expected = math.hypot(sheet.measurement_std * np.linalg.norm(w), sheet.motion_std * math.sqrt(h @ correlation @ h))
+    assert linear_filter_error(w, sheet, RATE) == pytest.approx(expected, rel=1e-10)
 
 
 def test_a_difference_is_half_a_sample_late_and_a_parabola_is_not():

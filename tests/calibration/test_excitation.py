@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from two_links import Truth, accelerate
+from two_links import Truth, accelerate, moved
 
 from covariant import models
 from covariant.calibration import (
@@ -157,22 +157,16 @@ def test_a_joint_without_a_motor_is_refused():
 
 def tracked(motion: FourierMotion, model, rate: float, seconds: float):
     """Log of the true arm that follows a motion: feed-forward of a model, and a feedback that corrects its errors."""
-    t, substeps = np.arange(round(rate * seconds) + 1) / rate, 4
+    t = np.arange(round(rate * seconds) + 1) / rate
     wanted, wanted_v, wanted_a = motion.at(t)
     forward, _ = motor_inputs(model, wanted, wanted_v, wanted_a)
-    q, v, h = wanted[:1].copy(), wanted_v[:1].copy(), 1 / rate / substeps
+    q, v = wanted[:1].copy(), wanted_v[:1].copy()
     y, u = np.empty_like(wanted), np.empty_like(wanted)
     gains = np.array([60.0, 15.0]), np.array([3.0, 0.8])
     for k in range(len(t)):
         y[k] = q[0]
         u[k] = forward[k] + gains[0] * (wanted[k] - q[0]) + gains[1] * (wanted_v[k] - v[0])
-        for _ in range(substeps):
-            a1 = accelerate(TRUTH, q, v, u[k : k + 1])
-            a2 = accelerate(TRUTH, q + h / 2 * v, v + h / 2 * a1, u[k : k + 1])
-            a3 = accelerate(TRUTH, q + h / 2 * v + h**2 / 4 * a1, v + h / 2 * a2, u[k : k + 1])
-            a4 = accelerate(TRUTH, q + h * v + h**2 / 2 * a2, v + h * a3, u[k : k + 1])
-            q = q + h * v + h**2 / 6 * (a1 + a2 + a3)
-            v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        q, v = moved(TRUTH, q, v, u[k : k + 1], 1 / rate / 4, 4)
     return t, u, y
 
 

@@ -55,10 +55,7 @@ SLOW_T, SLOW, SLOW_SENT = servo(rate=30.0, seconds=10.0)
 STEP_T, STEP, STEP_SENT = servo(steps=True)
 _, SAG, SAG_SENT = servo(sag=0.2)
 RANDOM = np.random.default_rng(0).normal(size=(2, T.size))
-STATES, ACTIONS = (
-    {"t": T, "observation.state[0]": Q1, "observation.state[1]": Q2},
-    {"action[0]": C1, "action[1]": C2},
-)
+STATES, ACTIONS = ({"t": T, "observation.state[0]": Q1, "observation.state[1]": Q2}, {"action[0]": C1, "action[1]": C2})
 
 COMMANDS = {
     "cmd": ({"t": T, "q_a": Q1, "q_b": Q2, "cmd_a": C1, "cmd_b": C2}, ("cmd_a", "cmd_b")),

@@ -179,10 +179,7 @@ SERVOS = {
     "wrist_pitch": "wrist_flex",
     "wrist_roll": "wrist_roll",
 }
-REACHED = {
-    "step_response": (14.0, 6.0, 5.0, 2.5, 5.0),
-    "slow_precision": (4.0, 5.0, 18.0, 6.0, 6.0),
-}
+REACHED = {"step_response": (14.0, 6.0, 5.0, 2.5, 5.0), "slow_precision": (4.0, 5.0, 18.0, 6.0, 6.0)}
 """Open-loop errors [mrad] below which the five joints of a recorded arm must stay."""
 
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from plain import rk4
 
 from covariant import models
 from covariant.calibration.identification import Unknowns
 from covariant.workflow import fit, init, simulate
 
 CART, POLE, COM, INERTIA, VISCOUS, COULOMB = 0.57, 0.23, 0.32, 0.0079, (1.2, 0.002), (0.6, 0.001)
-TRUTH = {"cart_mass": CART, "com": COM, "inertia": INERTIA}
 RATE, SUBSTEPS = 100.0, 5
 
 
@@ -34,10 +34,7 @@ def cart_pole(path: Path, late: float = 0.0, sign: float = 1.0, seconds: float =
     for u in force:
         rows.append(x[:2])
         for _ in range(SUBSTEPS):
-            k1 = rate(x, u)
-            k2 = rate(x + h / 2 * k1, u)
-            k3 = rate(x + h / 2 * k2, u)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + h * k3, u))
+            x = rk4(lambda x, u=u: rate(x, u), x, h)
     q = np.array(rows) + rng.normal(size=(len(t), 2)) * (2e-4, 5e-4)
     q = np.stack([np.interp(t - late, t, column) for column in q.T], axis=1)
     table = np.column_stack([t, q, sign * force])

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from plain import rk4
 
 GRAVITY, V0 = 9.81, 0.02
 M1, C1, I1, M2, C2, I2, L1 = 0.6, 0.17, 0.0052, 0.4, 0.13, 0.0025, 0.3
@@ -46,14 +47,16 @@ def swing(runs: int, truth: Truth, seconds: float, rate: float = 500.0, torque_n
         y[:, k] = q
         unknown = 0.8 * unknown + 0.6 * torque_noise * rng.normal(size=unknown.shape)
         torque = np.array(truth.constants) * u[:, k] + unknown
-        for _ in range(substeps):
-            a1 = accelerate(truth, q, v, torque)
-            a2 = accelerate(truth, q + h / 2 * v, v + h / 2 * a1, torque)
-            a3 = accelerate(truth, q + h / 2 * v + h**2 / 4 * a1, v + h / 2 * a2, torque)
-            a4 = accelerate(truth, q + h * v + h**2 / 2 * a2, v + h * a3, torque)
-            q = q + h * v + h**2 / 6 * (a1 + a2 + a3)
-            v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        q, v = moved(truth, q, v, torque, h, substeps)
     return t, u, y - np.array(truth.offsets) + noise * rng.normal(size=y.shape)
+
+
+def moved(truth: Truth, q, v, torque, h: float, steps: int):
+    """Positions and velocities after some steps of a time under a torque."""
+    x = np.array([q, v])
+    for _ in range(steps):
+        x = rk4(lambda x: np.array([x[1], accelerate(truth, *x, torque)]), x, h)
+    return x
 
 
 def accelerate(truth: Truth, q: np.ndarray, v: np.ndarray, torque: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from covariant import geometry
 from covariant.geometry import Interpolated
 
 LOW, HIGH = np.array([0.0, 1.0, 0.5]), np.array([1.0, 1.5, 1.5])
@@ -148,27 +147,6 @@ def test_single_precision(field):
         assert at(each, x).dtype == np.float64
     np.testing.assert_array_equal(at(single, grid_points(axes)[-1, -1, -1:].astype(np.float32)).shape, (1, 3, 3))
     assert np.isfinite(at(single, grid_points(axes).reshape(-1, 3))).all()
-
-
-@pytest.mark.exhaustive
-def test_christoffel_symbols_of_a_sphere():
-    sphere, axes = geometry.sphere(), axes_of((-1, -1), (1, 1), (65, 65))
-    field = Interpolated(axes, np.asarray(jax.vmap(jax.vmap(sphere))(grid_points(axes))))
-    p, v = jnp.array([0.2, -0.3]), jnp.array([0.4, 1.0])
-    np.testing.assert_allclose(field(p), sphere(p), rtol=0, atol=1e-5)
-    found, exact = (jax.jit(lambda p, v, g=g: geometry.christoffel(g, p, v, v))(p, v) for g in (field, sphere))
-    np.testing.assert_allclose(found, exact, rtol=0, atol=5e-3)
-
-
-@pytest.mark.exhaustive
-def test_distance_on_a_parabola():
-    """The metric 1 + x² is that of the arc length of y = x²/2."""
-    (axis,) = axes = axes_of([-1], [1], [65])
-    field = Interpolated(axes, (1 + axis**2)[:, None, None])
-    budget = geometry.Budget(steps=4, newton=2)
-    found = jax.jit(lambda p, q: geometry.distance(field, p, q, budget))(jnp.array([-0.3]), jnp.array([0.8]))
-    length = np.array([(x * np.hypot(1, x) + np.arcsinh(x)) / 2 for x in (-0.3, 0.8)])
-    assert found == pytest.approx(length[1] - length[0], rel=1e-3)
 
 
 LINE = np.linspace(0.0, 1.0, 5)

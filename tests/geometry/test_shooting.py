@@ -166,15 +166,6 @@ def test_log_has_the_derivatives_of_the_closed_form(mode):
     jax.tree.map(lambda a, b: close(a, b, 1e-9), numeric, closed)
 
 
-def test_log_has_the_derivative_that_differences_show():
-    """Central differences of fourth order along a direction in both points, good to 1e-7 at this step."""
-    step, (dp, dq) = 1e-2, jnp.array([[0.6, 0.1], [-0.2, 0.7]])
-    ends = {k: shoot(P + k * step * dp, Q + k * step * dq, jnp.zeros(2)).velocity for k in (-2, -1, 1, 2)}
-    differences = (8 * (ends[1] - ends[-1]) - (ends[2] - ends[-2])) / (12 * step)
-    slope = jax.jvp(lambda p, q: geometry.log(SPHERE, p, q), (P, Q), (dp, dq))[1]
-    close(differences, slope, 1e-6)
-
-
 @pytest.mark.exhaustive
 def test_log_has_second_derivatives_also_in_the_parameters_of_the_metric():
     """On the line with metric `exp(2kq)` the logarithm is `(exp(k(q − p)) − 1)/k`; forward over reverse."""
@@ -214,32 +205,24 @@ def slope(scales, errors):
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
-    ("budget", "order"),
+    ("budget", "order", "farthest"),
     [
-        (Budget(0, 4), 3),
-        (Budget(1, 16), 6),
-        (Budget(2, 4), 5),
-        (Budget(0, 4, near=True), 3),
-        (Budget(1, 16, near=True), 5),
+        (Budget(0, 4), 3, 0.1),
+        (Budget(1, 16), 6, 0.1),
+        (Budget(2, 4), 5, 0.1),
+        (Budget(0, 4, near=True), 3, 0.1),
+        (Budget(1, 16, near=True), 5, 0.1),
+        (Budget(2, 32, near=True), 7, 0.05),
     ],
 )
-def test_error_of_a_fixed_budget_falls_with_the_distance(budget, order):
+def test_error_of_a_fixed_budget_falls_with_the_distance(budget, order, farthest):
     """`d + ½Γ(d, d)` leaves d³, one correction squares that, two leave the d⁵ of the Runge–Kutta steps; a correction by
     the derivative of the expansion gains two orders."""
-    scales = np.geomspace(0.03, 0.1, 5)
+    scales = np.geomspace(0.3 * farthest, farthest, 5)
     targets = jnp.stack([P + s * (Q - P) for s in scales])
     log = jax.jit(jax.vmap(lambda q: geometry.shoot(NUMERIC, P, q, None, budget).velocity))
     errors = np.linalg.norm(log(targets) - jax.vmap(lambda q: geometry.log(SPHERE, P, q))(targets), axis=1)
     assert slope(scales, errors) == pytest.approx(order, abs=0.25)
-
-
-@pytest.mark.exhaustive
-def test_a_second_correction_by_the_expansion_gains_two_orders_more():
-    budget, scales = Budget(2, 32, near=True), np.geomspace(0.02, 0.05, 4)
-    targets = jnp.stack([P + s * (Q - P) for s in scales])
-    log = jax.jit(jax.vmap(lambda q: geometry.shoot(NUMERIC, P, q, None, budget).velocity))
-    errors = np.linalg.norm(log(targets) - jax.vmap(lambda q: geometry.log(SPHERE, P, q))(targets), axis=1)
-    assert slope(scales, errors) == pytest.approx(7, abs=0.25)
 
 
 def test_near_ends_need_a_number_of_corrections():

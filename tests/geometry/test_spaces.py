@@ -40,22 +40,20 @@ def test_christoffel_is_that_of_the_matrix(closed, derived):
     close(closed.christoffel(closed.p, closed.x, closed.y), derived.christoffel(closed.p, closed.x, closed.y))
 
 
-@pytest.mark.exhaustive("hyperbolic", "plane, curved chart", "small 3", "sphere x hyperbolic", "sphere, curved chart")
+@pytest.mark.exhaustive("hyperbolic", "plane, curved chart", "sphere x hyperbolic")
 def test_curvature_is_that_of_the_matrix(closed, derived):
     arguments = closed.p, closed.x, closed.y, closed.z
     close(closed.curvature(*arguments), derived.curvature(*arguments))
 
 
-@pytest.mark.exhaustive(
-    "hyperbolic", "plane, curved chart", "small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart"
-)
+@pytest.mark.exhaustive("hyperbolic", "plane, curved chart", "sphere", "sphere x hyperbolic")
 def test_transport_is_that_of_the_matrix(closed, derived):
     w = np.stack([closed.velocity, closed.x], 1)
     for mine, theirs in zip(*(space.fly(closed.p, closed.velocity, w) for space in (closed, derived)), strict=True):
         close(mine, theirs)
 
 
-@pytest.mark.exhaustive("plane, curved chart", "small 3", "sphere x hyperbolic", "sphere, curved chart")
+@pytest.mark.exhaustive("plane, curved chart", "sphere x hyperbolic")
 def test_log_is_that_of_the_matrix(closed, derived):
     """The derived geodesic with the closed form's velocity arrives, modulo the periods of a torus."""
     shot = closed.shoot(closed.p, closed.q)
@@ -76,21 +74,14 @@ def test_shooting_finds_the_closed_log(spaces, name):
 # The one sign of curvature
 
 
-@pytest.mark.exhaustive("derived")
-@pytest.mark.parametrize(("metric", "k"), [(geometry.sphere(), 1.0), (geometry.sphere(2.0), 0.25)])
+@pytest.mark.parametrize(("make", "sign"), [(geometry.sphere, 1.0), (geometry.hyperbolic, -1.0)])
+@pytest.mark.parametrize("radius", [1.0, 2.0])
 @pytest.mark.parametrize("form", [lambda m: m, Metric], ids=["closed", "derived"])
-def test_curvature_of_a_sphere(metric, k, form):
+def test_curvature_is_constant(make, sign, radius, form):
     """`R(x, y)z = K(<y, z>x − <x, z>y)`: positive on a sphere."""
-    q, x, y, z = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)))
-    expected = k * (geometry.inner(metric, q, y, z) * x - geometry.inner(metric, q, x, z) * y)
-    close(geometry.curvature(form(metric), q, x, y, z), expected)
-
-
-@pytest.mark.parametrize(("metric", "k"), [(geometry.hyperbolic(), -1.0), (geometry.hyperbolic(2.0), -0.25)])
-@pytest.mark.parametrize("form", [lambda m: m, Metric], ids=["closed", "derived"])
-def test_curvature_of_a_hyperbolic_space(metric, k, form):
     q, x, y, z = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)) * np.array([[0.3], [1.0], [1.0], [1.0]]))
-    expected = k * (geometry.inner(metric, q, y, z) * x - geometry.inner(metric, q, x, z) * y)
+    metric = make(radius)
+    expected = sign / radius**2 * (geometry.inner(metric, q, y, z) * x - geometry.inner(metric, q, x, z) * y)
     close(geometry.curvature(form(metric), q, x, y, z), expected)
 
 
@@ -182,7 +173,7 @@ def test_log_is_that_of_the_quadric_on_both_sides_of_the_seam(k, n):
     compare(jax.jacrev(mine, (0, 1)), jax.jacfwd(theirs, (0, 1)), p, q[: len(LENGTHS)], 1e-10)
 
 
-@pytest.mark.exhaustive("hyperbolic", "small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart")
+@pytest.mark.exhaustive("hyperbolic", "sphere", "sphere x hyperbolic")
 def test_exp_and_log_have_derivatives_at_zero(closed):
     """`D exp_p(0) = 1`, `D log_p(q) = 1` in q and −1 in p at q = p, where norms have no derivative."""
     metric, n = closed.metric, closed.p.shape[1]
@@ -199,9 +190,7 @@ def test_exp_and_log_have_derivatives_at_zero(closed):
         close(derivative, sign * np.eye(n), 1e-13)
 
 
-@pytest.mark.exhaustive(
-    "hyperbolic", "plane, curved chart", "small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart"
-)
+@pytest.mark.exhaustive("hyperbolic", "plane, curved chart", "sphere", "sphere x hyperbolic")
 def test_gradient_of_half_squared_distance_is_minus_log(closed):
     """Also where the points coincide and the distance has no derivative of its own."""
 
@@ -212,7 +201,7 @@ def test_gradient_of_half_squared_distance_is_minus_log(closed):
     close(*jax.jit(jax.vmap(both))(closed.p, closed.q), 1e-12)
 
 
-@pytest.mark.exhaustive("small 3", "sphere", "sphere x hyperbolic", "sphere, curved chart")
+@pytest.mark.exhaustive("sphere", "sphere x hyperbolic")
 def test_transport_between_points_is_along_the_geodesic(closed):
     metric = closed.metric
     shot = closed.shoot(closed.p, closed.q)

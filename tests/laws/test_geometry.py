@@ -22,6 +22,12 @@ def each(law, *arrays):
     return jax.jit(jax.vmap(law))(*arrays)
 
 
+def slope(curve, at=0.0, step=2e-3):
+    """The derivative of a curve by central differences of fourth order, good to 1e-9 at this step."""
+    near, far = (curve(at + k * step) - curve(at - k * step) for k in (1, 2))
+    return (8 * near - far) / (12 * step)
+
+
 def close(a, b, tolerance, scale=1.0):
     np.testing.assert_allclose(a, b, rtol=0, atol=tolerance * max(scale, np.abs(a).max(), np.abs(b).max()))
 
@@ -53,18 +59,7 @@ def test_connection_is_metric(space):
     close(each(along_x, p, x, y, z), turned, POINTWISE)
 
 
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "numeric sphere",
-    "plane, curved chart",
-    "small 3",
-    "sphere x hyperbolic",
-    "sphere, curved chart",
-    "triple pendulum",
-)
+@pytest.mark.exhaustive("double pendulum", "numeric sphere", "plane, curved chart", "sphere x hyperbolic")
 def test_curvature_is_the_commutator_of_covariant_derivatives(space):
     """`R(x, y)w = ∇_x∇_y w − ∇_y∇_x w` for x, y constant, so that their bracket vanishes, and a field w that is not."""
 
@@ -86,42 +81,12 @@ def riemann(space, x, y, z, w):
     return space.inner(space.p, space.curvature(space.p, x, y, z), w)
 
 
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "small 3",
-    "sphere, curved chart",
-    "triple pendulum",
-)
-def test_curvature_changes_sign_with_its_plane(space):
+def test_curvature_has_its_symmetries(space):
     x, y, z, w = space.x, space.y, space.z, space.w
     close(riemann(space, x, y, z, w), -riemann(space, y, x, z, w), POINTWISE)
-
-
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "small 3",
-    "sphere, curved chart",
-    "triple pendulum",
-)
-def test_curvature_is_skew(space):
-    x, y, z, w = space.x, space.y, space.z, space.w
     close(riemann(space, x, y, z, w), -riemann(space, x, y, w, z), POINTWISE)
-
-
-def test_curvature_has_the_pair_symmetry(space):
-    x, y, z, w = space.x, space.y, space.z, space.w
     close(riemann(space, x, y, z, w), riemann(space, z, w, x, y), POINTWISE)
-
-
-def test_first_bianchi_identity(space):
-    p, x, y, z = space.p, space.x, space.y, space.z
-    terms = [np.asarray(space.curvature(p, *a)) for a in ((x, y, z), (y, z, x), (z, x, y))]
+    terms = [np.asarray(space.curvature(space.p, *a)) for a in ((x, y, z), (y, z, x), (z, x, y))]
     close(terms[0] + terms[1], -terms[2], POINTWISE)
 
 
@@ -137,25 +102,12 @@ def carried(space):
     return space.fly(space.p, space.velocity, bundle(space))
 
 
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "small 3",
-    "sphere x hyperbolic",
-    "sphere, curved chart",
-    "triple pendulum",
-)
+@pytest.mark.exhaustive("double pendulum", "sphere x hyperbolic")
 def test_geodesic_moves_with_its_velocity(space):
-    """By central differences of the time along the geodesic, of fourth order, good to 1e-9 at this step."""
-    step = 2e-3
-
     def at(t):
         return np.asarray(space.fly(space.p, t * space.velocity, bundle(space)).q)
 
-    slope = (8 * (at(1 + step) - at(1 - step)) - (at(1 + 2 * step) - at(1 - 2 * step))) / (12 * step)
-    close(slope, carried(space).velocity, 1e-8)
+    close(slope(at, 1.0), carried(space).velocity, 1e-8)
 
 
 def test_geodesic_velocity_is_carried_along(space):
@@ -196,30 +148,20 @@ def test_transport_in_two_halves_is_transport(space):
 
 
 def test_transport_starts_with_zero_covariant_derivative(space):
-    """By central differences of the time along the geodesic, of fourth order, good to 1e-9 at this step."""
-    step = 2e-3
-
     def moved(t):
         return np.asarray(space.fly(space.p, t * space.velocity, bundle(space)).w)[:, 1]
 
-    slope = (8 * (moved(step) - moved(-step)) - (moved(2 * step) - moved(-2 * step))) / (12 * step)
-    close(slope, -np.asarray(space.christoffel(space.p, space.velocity, space.x)), 1e-8)
+    close(slope(moved), -np.asarray(space.christoffel(space.p, space.velocity, space.x)), 1e-8)
 
 
 @pytest.mark.exhaustive(
-    "ball and beam",
     "double pendulum",
-    "double pendulum, absolute",
     "hyperbolic",
-    "numeric hyperbolic",
     "numeric sphere",
     "oscillator in r",
     "plane, curved chart",
-    "small 3",
     "sphere",
     "sphere x hyperbolic",
-    "sphere, curved chart",
-    "triple pendulum",
 )
 def test_geodesic_deviation(space):
     """`D²J/dt² = −R(J, γ')γ'` for the field J by which neighbouring geodesics part, integrated beside the geodesic."""
@@ -244,34 +186,14 @@ def test_geodesic_deviation(space):
 # Between two points
 
 
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "numeric sphere",
-    "oscillator in r",
-    "small 3",
-    "sphere, curved chart",
-    "triple pendulum",
-)
+@pytest.mark.exhaustive("double pendulum", "numeric sphere", "oscillator in r")
 def test_geodesic_is_found(space):
     shot = space.shoot(space.p, space.q)
     np.testing.assert_array_equal(shot.result, StepCode.OK)
     assert shot.residual.max() < 1e-13
 
 
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "numeric sphere",
-    "oscillator in r",
-    "small 3",
-    "sphere, curved chart",
-    "triple pendulum",
-)
+@pytest.mark.exhaustive("double pendulum", "numeric sphere", "oscillator in r")
 def test_exp_of_log_arrives(space):
     shot = space.shoot(space.p, space.q)
     end = space.fly(space.p, shot.velocity, bundle(space))
@@ -279,32 +201,12 @@ def test_exp_of_log_arrives(space):
     close(end.velocity, shot.arrival, GEODESIC)
 
 
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "numeric sphere",
-    "oscillator in r",
-    "small 3",
-    "sphere, curved chart",
-    "triple pendulum",
-)
+@pytest.mark.exhaustive("double pendulum", "numeric sphere", "oscillator in r")
 def test_log_of_exp_returns(space):
     close(space.shoot(space.p, carried(space).q).velocity, space.velocity, GEODESIC)
 
 
-@pytest.mark.exhaustive(
-    "ball and beam",
-    "double pendulum",
-    "double pendulum, absolute",
-    "numeric hyperbolic",
-    "numeric sphere",
-    "oscillator in r",
-    "small 3",
-    "sphere, curved chart",
-    "triple pendulum",
-)
+@pytest.mark.exhaustive("double pendulum", "numeric sphere", "oscillator in r")
 def test_arrival_is_minus_the_log_back(space):
     close(space.shoot(space.p, space.q).arrival, -np.asarray(space.shoot(space.q, space.p).velocity), GEODESIC)
 
@@ -326,15 +228,9 @@ def test_triangle_inequality(space):
 
 @pytest.mark.long("double pendulum", "numeric sphere", "oscillator in r")
 def test_gradient_of_half_squared_distance_is_minus_log(space):
-    """By central differences of fourth order, good to 1e-9 at this step."""
-    step = 2e-3
-
     def half_square(shift):
         return length(space, space.p + shift, space.q) ** 2 / 2
 
-    slopes = []
-    for e in step * np.eye(space.p.shape[1]):
-        near, far = (half_square(k * e) - half_square(-k * e) for k in (1, 2))
-        slopes.append((8 * near - far) / (12 * step))
+    slopes = [slope(lambda t, e=e: half_square(t * e)) for e in np.eye(space.p.shape[1])]
     log = space.shoot(space.p, space.q).velocity
     close(np.stack(slopes, 1), -np.einsum("kij,kj->ki", space.matrix(space.p), log), 1e-6)

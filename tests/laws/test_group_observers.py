@@ -11,17 +11,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from error_law import ALPHA, BETA, directions, worst
 
-from covariant._integrate import rk8
+from covariant._integrate import rk4_step
 from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, SU
-from covariant.models import GroupSystem, Lagrangian, Motion, acceleration, free_body, heavy_top, robots, satellite_arm
+from covariant.models import (
+    GroupSystem,
+    Motion,
+    acceleration,
+    chart_velocity,
+    free_body,
+    heavy_top,
+    in_chart,
+    robots,
+    satellite_arm,
+)
+from covariant.models.marine import euler_rotation
 from covariant.observers import REGISTRY, Geodesic, GeodesicState, Intrinsic
 from covariant.papers._errata import SLIPS, PrintedGroup
 from covariant.simulation import observe
-
-ALPHA, BETA = 1.2, 0.9
 
 
 def random_inertia(n, seed=3):
@@ -76,72 +85,6 @@ PROMISED = {entry.name: entry.make for entry in REGISTRY if "error law" in entry
 OBSERVERS = PROMISED | {"coefficients at the estimate": partial(Intrinsic, coefficients="estimated")}
 WHERE = {"intrinsic": tuple(SYSTEMS), "geodesic": ("SO(3)", "SE(3)")}
 """The published error is tested on all groups, the others where they compile in seconds."""
-
-
-@eqx.filter_jit
-def directions(model, x, key):
-    """Unit vectors of the metric at x: a velocity, and an error's two parts."""
-    raw = jax.random.normal(jax.random.key(key), (3, model.manifold.zero(x).size))
-    return jax.vmap(lambda a: a / model.space.norm(x, a))(raw)
-
-
-@eqx.filter_jit
-def deviation_from_linear_law(observer, model, speed, size):
-    """Largest distance, over a unit of path, between the error in a parallel frame and `expm(At)` times its start.
-
-    The frame is carried along the truth. `ξ = local(q, q̂)`, and ζ is v̂ carried back to q, to first order, minus v.
-    """
-    space, manifold = model.space, model.manifold
-    q0 = manifold.retract(manifold.origin(), 0.4 * directions(model, manifold.origin(), 2)[0])
-    along, first, second = directions(model, q0, 1)
-    v0, n = speed * along, len(along)
-    xi0, zeta0 = size * first, size * 0.6 * second
-    u = jnp.zeros(n if model.inputs is None else model.inputs)
-    estimated = manifold.retract(q0, xi0)
-    state0 = observer.init(estimated)._replace(v=v0 + zeta0 - space.connection(q0, xi0, v0 + zeta0))
-
-    def flow(s, centres, joint):
-        """Everything in charts around where plant and estimate were, which keeps both on their manifold."""
-        moved, (v, frame, state) = joint
-        q, estimate = (manifold.retract(c, part) for c, part in zip(centres, moved, strict=True))
-        carried = jax.vmap(lambda e: -space.connection(q, v, e))(frame)
-        slope = observer.flow(s, state._replace(q=estimate), u, q)
-        velocities = v, slope.q
-        rates = [manifold.local_rate(*each) for each in zip(centres, moved, velocities, strict=True)]
-        return tuple(rates), (acceleration(model, s, q, v, u), carried, slope._replace(q=None))
-
-    duration = 1.0 / (1.0 + speed)
-
-    def interval(carry, k):
-        centres, beside = carry
-        begin, rest = k * duration / 4, (jnp.zeros(n), jnp.zeros(n))
-        moved, beside = rk8(lambda s, x: flow(s, centres, x), begin, (rest, beside), duration / 4, 8)
-        after = tuple(manifold.retract(c, part) for c, part in zip(centres, moved, strict=True)), beside
-        return after, after
-
-    start = ((q0, estimated), (v0, jnp.eye(n), state0._replace(q=None)))
-    after = jax.lax.scan(interval, start, jnp.arange(4.0))[1]
-
-    def error(both, beside):
-        (q, estimate), (v, frame, state) = both, beside
-        xi = manifold.local(q, estimate)
-        zeta = state.v + space.connection(q, xi, state.v) - v
-        inner = jnp.stack([frame @ space.lower(q, xi), frame @ space.lower(q, zeta)], axis=1)
-        return jnp.linalg.solve(space.gram(q, frame), inner).T
-
-    return jax.vmap(error)(*after), jnp.stack([xi0, zeta0]), duration * jnp.arange(1.0, 5.0) / 4, q0
-
-
-def worst(observer, model, speed, size=1e-5, alpha=ALPHA):
-    found, start, t, q0 = deviation_from_linear_law(observer, model, jnp.asarray(speed), jnp.asarray(size))
-    expected = np.stack([expm(np.array([[-alpha, 1.0], [-BETA, 0.0]]) * s) @ np.asarray(start) for s in np.asarray(t)])
-    gap = jnp.asarray(np.asarray(found) - expected).reshape(-1, start.shape[1])
-    return float(lengths(model.space, q0, gap).max()) / size
-
-
-@eqx.filter_jit
-def lengths(space, x, w):
-    return jax.vmap(lambda a: space.norm(x, a))(w)
 
 
 CASES = [(o, s) for o in OBSERVERS for s in WHERE.get(o, ("SO(3)", "robot, joints"))]
@@ -199,60 +142,20 @@ def test_the_printed_observer_without_its_slips_keeps_the_law(name):
     assert worst(PrintedGroup(model, ALPHA / 2, BETA, ()), model, 3.0) <= 1e-4
 
 
-def from_euler(q):
-    """Rotation by yaw, pitch and roll, q = (ψ, θ, φ)."""
-    (a, b, c), (d, e, f) = jnp.cos(q), jnp.sin(q)
-    rows = (
-        (a * b, a * e * f - d * c, a * e * c + d * f),
-        (d * b, d * e * f + a * c, d * e * c - a * f),
-        (-e, b * f, b * c),
-    )
-    return jnp.stack([jnp.stack(row) for row in rows])
-
-
-def rates_to_body(q, w):
-    """Angular velocity in the body of Euler angles that change at the rates w."""
-    b, e, c, f = jnp.cos(q[1]), jnp.sin(q[1]), jnp.cos(q[2]), jnp.sin(q[2])
-    return jnp.stack([w[2] - e * w[0], b * f * w[0] + c * w[1], b * c * w[0] - f * w[1]])
-
-
-@pytest.mark.exhaustive
-def test_the_body_rates_of_euler_angles_are_right():
-    q, w = jnp.array([0.3, -0.4, 0.5]), jnp.array([0.2, 0.7, -0.6])
-    turned = from_euler(q).T @ jax.jvp(from_euler, (q,), (w,))[1]
-    np.testing.assert_allclose(SO3.vee(turned), rates_to_body(q, w), atol=1e-15)
-    assert float(SO3.defect(from_euler(q))) < 1e-15
-
-
-def in_euler_angles(model):
-    """The same body as a `Lagrangian` in yaw, pitch and roll."""
-
-    @jax.jit  # differentiated and batched in many places: each way once
-    def metric(q):
-        rates = jax.vmap(lambda e: rates_to_body(q, e))(jnp.eye(3, dtype=q.dtype))
-        return rates @ model.metric.inertia.matrix @ rates.T
-
-    return Lagrangian(metric, lambda q: model.potential(from_euler(q)))
-
-
 def runge_kutta(slope, x, steps, h):
     """Trajectory of a compiled right-hand side; a loop in Python, so that it is compiled once."""
     path = [x]
     for _ in range(steps):
-        k1 = slope(x)
-        k2 = slope(x + h / 2 * k1)
-        k3 = slope(x + h / 2 * k2)
-        k4 = slope(x + h * k3)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        path.append(x)
+        path.append(rk4_step(lambda t, x: slope(x), 0.0, path[-1], h))
     return jnp.stack(path)
 
 
 @pytest.mark.exhaustive
 def test_coordinates_and_group_are_one_observer():
     """The exact observer in Euler angles and on SO(3), away from pitch 90°, on an asymmetric heavy top."""
+    to_body = partial(chart_velocity, SO3, euler_rotation)
     model, budget = heavy_top((1.0, 2.0, 3.5), 2.0), Budget(newton=2, steps=12)
-    chart = in_euler_angles(model)
+    chart = in_chart(model, euler_rotation)
     exact = Geodesic(chart, 2.0, 3.0, budget)
     group = Geodesic(model, 2.0, 3.0, budget=budget)
     none, zero = jnp.zeros(3), jnp.zeros(())
@@ -274,11 +177,13 @@ def test_coordinates_and_group_are_one_observer():
 
     @jax.jit
     def carried_over(x):
-        parts = [(from_euler(x[i : i + 3]).ravel(), rates_to_body(x[i : i + 3], x[i + 3 : i + 6])) for i in (0, 6)]
+        parts = [
+            (euler_rotation(q).ravel(), to_body(q, rate)) for q, rate in (x[:6].reshape(2, 3), x[6:12].reshape(2, 3))
+        ]
         return jnp.concatenate([a for part in parts for a in part])
 
     start = jnp.array([0.2, 0.3, -0.1, 0.5, -0.2, 0.4, 0.4, 0.1, 0.2, 0.0, 0.1, 0.0, -0.2, 0.2, -0.3])
-    warm = rates_to_body(start[6:9], start[12:])
+    warm = to_body(start[6:9], start[12:])
     angles = jnp.stack([carried_over(x) for x in runge_kutta(in_angles, start, 60, 0.02)])
     elements = runge_kutta(on_group, jnp.concatenate([carried_over(start), warm]), 60, 0.02)[:, :24]
     assert np.abs(angles - elements).max() < 1e-7
@@ -305,23 +210,3 @@ def test_a_pitch_of_90_degrees_is_no_event():
     assert distance[-1] < 1e-2 * distance[0]
     assert np.isfinite(distance).all()
     assert np.abs(np.diff(np.log(distance))).max() < 0.5
-
-
-@pytest.mark.exhaustive
-def test_both_errors_agree_to_first_order():
-    """The right-hand sides with the group's and with the Riemannian logarithm differ by the square of the error."""
-    model = heavy_top((1.0, 2.0, 3.5), 2.0)
-    y, v = SO3.exp(jnp.array([0.3, -0.2, 0.5])), jnp.array([0.7, -0.4, 0.9])
-    budget = Budget(newton=3, steps=8)
-    observers = [Intrinsic(model, 2.0, 3.0), Geodesic(model, 2.0, 3.0, budget)]
-
-    @jax.jit
-    def difference(size):
-        g = y @ SO3.exp(size * jnp.array([0.5, 0.6, -0.6]))
-        slopes = [o.flow(size, o.init(y)._replace(q=g, v=v), jnp.zeros(3), y) for o in observers]
-        return jnp.sqrt(jnp.sum((slopes[0].q - slopes[1].q) ** 2)), jnp.sqrt(jnp.sum((slopes[0].v - slopes[1].v) ** 2))
-
-    sizes = np.array([0.2, 0.1, 0.05, 0.025])
-    found = np.array([difference(jnp.asarray(s)) for s in sizes])
-    for column in found.T:
-        assert np.polyfit(np.log(sizes), np.log(column), 1)[0] == pytest.approx(2.0, abs=0.1)

@@ -220,19 +220,6 @@ def test_a_body_with_a_pinned_point_is_a_top():
     np.testing.assert_allclose(torsion, system.manifold.bracket(g, x, y), atol=1e-13)
 
 
-def test_a_body_with_a_pinned_point_moves_as_a_top():
-    system, top, twist = pinned()
-    w = jnp.array([2.0, -1.0, 3.0])
-    start = models.Motion(system.space.assembly, twist(w))
-    end = jax.jit(lambda x: models.advance(system, 0.0, x, jnp.zeros(6), 0.2, 100))(start)
-    reference = jax.jit(lambda x: models.advance(top, 0.0, x, jnp.zeros(3), 0.2, 100))(
-        models.Motion(start.q[:3, :3], w)
-    )
-    np.testing.assert_allclose(end.q[:3, :3], reference.q, atol=1e-11)
-    np.testing.assert_allclose(end.v, twist(reference.v), atol=1e-11)
-    assert np.abs(system.space.constraint(end.q)).max() < 1e-15
-
-
 # The flow
 
 

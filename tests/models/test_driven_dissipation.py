@@ -85,25 +85,6 @@ def test_it_acts_as_written():
     assert float(acceleration(model, t, q, v, u)[0]) == pytest.approx(expected)
 
 
-@pytest.mark.exhaustive
-def test_a_simulated_motion_is_that_of_a_plain_integration(motions):
-    _, record = motions["pendulum"]
-    h, x = 1e-3, np.array([0.4, 2.0])
-
-    def rate(t, x, u):
-        return np.array([x[1], (u[0] - (0.05 + 0.2 / (1 + t) + u[1]) * x[1] - 3 * np.sin(x[0])) / 0.5])
-
-    u = np.asarray(record.u)
-    for k in range(100):
-        for s in STAMPS[k] + h * np.arange(10):
-            a = rate(s, x, u[k])
-            b = rate(s + h / 2, x + h / 2 * a, u[k])
-            c = rate(s + h / 2, x + h / 2 * b, u[k])
-            d = rate(s + h, x + h * c, u[k])
-            x = x + h / 6 * (a + 2 * b + 2 * c + d)
-    np.testing.assert_allclose(record.x[100], x, atol=1e-8)
-
-
 OBSERVERS = {
     "intrinsic": lambda model, n: Intrinsic(model, 8.0, 32.0, substeps=1),
     "geodesic": lambda model, n: Geodesic(model, 8.0, 32.0, substeps=1),

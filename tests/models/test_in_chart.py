@@ -7,7 +7,7 @@ import pytest
 
 from covariant import models
 from covariant.geometry.lie import SE2, SO3
-from covariant.models import GroupSystem, Lagrangian, Motion, chart_jacobian, chart_velocity, in_chart
+from covariant.models import GroupSystem, Lagrangian, chart_jacobian, chart_velocity, in_chart
 from covariant.models.marine import euler_rates, euler_rotation
 
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
@@ -80,16 +80,3 @@ def test_a_plain_lagrangian_keeps_its_inputs():
     model = Lagrangian(lambda q: jnp.eye(2), force=lambda t, q, u: jnp.stack([u[0], 0 * u[0]]), inputs=1)
     assert in_chart(model, wavy).inputs == 1
     assert in_chart(braked(SO3, 3), euler_rotation).inputs == 3
-
-
-@pytest.mark.exhaustive
-def test_motion_of_the_body_is_the_same():
-    """Half a second with drag, force and potential, to the integrator's tolerance."""
-    body = braked(SO3, 3)
-    euler = in_chart(body, euler_rotation)
-    z, rate = jnp.array([0.2, 0.3, -0.1]), jnp.array([0.4, -0.3, 0.5])
-    u = jnp.array([0.1, 0.2, 0.3])
-    start = Motion(euler_rotation(z), chart_velocity(SO3, euler_rotation, z, rate))
-    there = models.advance(body, 0.0, start, u, 0.5, 200)
-    here = models.advance(euler, 0.0, Motion(z, rate), u, 0.5, 200)
-    np.testing.assert_allclose(euler_rotation(here.q), there.q, rtol=0, atol=1e-9)

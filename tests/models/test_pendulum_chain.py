@@ -1,4 +1,4 @@
-"""The chain of pendulums against the published double pendulum, and against mass points moved by hand."""
+"""The chain of pendulums against mass points moved by hand."""
 
 import jax
 import jax.numpy as jnp
@@ -17,30 +17,6 @@ TRIPLE |= {"viscous": (0.1, 0.2, 0.3), "coulomb": (0.2, 0.1, 0.05), "offset": (0
 def states(n, inputs, seed=0):
     rng = np.random.default_rng(seed)
     return rng.uniform(-3, 3, (SAMPLES, n)), rng.normal(size=(SAMPLES, n)), rng.normal(size=(SAMPLES, inputs))
-
-
-def test_double_pendulum_is_the_published_one():
-    """M11 = I1 + I2 + m2 l1² + 2c cos q2 + gr² Ir + Ir, M12 = I2 + c cos q2 − gr Ir, M22 = I2 + gr² Ir, c = m2 l1 r2,
-    with both moments about the joints; parameters of the DFKI double pendulum."""
-    i1, i2, rotor, gear = 0.05347, 0.02392, 7.659e-3, 6.0
-    m1, m2, l1, r1, r2 = 0.5594, 0.6043, 0.3, 0.28, 0.1838
-    model = pendulum_chain(
-        (m1, m2),
-        (l1, 0.2),
-        (r1, r2),
-        (i1, i2),
-        inertia_about="joint",
-        rotor_inertia=(rotor, rotor),
-        gear=(gear, gear),
-    )
-    for q2 in (0.0, 0.7, -2.0):
-        c = m2 * l1 * r2 * np.cos(q2)
-        m11 = i1 + i2 + m2 * l1**2 + 2 * c + gear**2 * rotor + rotor
-        m12, m22 = i2 + c - gear * rotor, i2 + gear**2 * rotor
-        np.testing.assert_allclose(model.metric(jnp.array([1.3, q2])), [[m11, m12], [m12, m22]], rtol=1e-13)
-    q = jnp.array([1.3, 0.7])
-    potential = -9.81 * (m1 * r1 * np.cos(1.3) + m2 * (l1 * np.cos(1.3) + r2 * np.cos(2.0)))
-    assert model.potential(q) == pytest.approx(potential, rel=1e-14)
 
 
 def by_hand(absolute, zero=-1.0, p=TRIPLE):
@@ -97,7 +73,6 @@ def euler_lagrange(kinetic, potential, forces):
 CHARTS = {"relative": jnp.cumsum, "absolute": lambda q: q}
 
 
-@pytest.mark.exhaustive
 @pytest.mark.parametrize(("zero", "sign"), [("hanging", -1.0), ("upright", 1.0)])
 @pytest.mark.parametrize("angles", CHARTS)
 def test_triple_pendulum_is_the_one_moved_by_hand(angles, zero, sign):
@@ -117,86 +92,13 @@ def test_triple_pendulum_is_the_one_moved_by_hand(angles, zero, sign):
     np.testing.assert_allclose(my_energy, their_energy, rtol=1e-13)
 
 
-def test_both_charts_move_alike():
-    relative, absolute = (pendulum_chain(**TRIPLE, angles=angles) for angles in ("relative", "absolute"))
-
-    @jax.jit
-    @jax.vmap
-    def both(q, v, u):
-        in_relative = acceleration(relative, TIME, q, v, u)
-        return jnp.cumsum(in_relative), acceleration(absolute, TIME, jnp.cumsum(q), jnp.cumsum(v), u)
-
-    np.testing.assert_allclose(*both(*states(3, 2)), rtol=1e-10, atol=1e-10)
-
-
-def test_upright_is_hanging_turned_by_half_a_turn():
-    hanging, upright = (pendulum_chain(**TRIPLE, zero=zero) for zero in ("hanging", "upright"))
-    turn = jnp.array([np.pi, 0.0, 0.0])
-
-    @jax.jit
-    @jax.vmap
-    def both(q, v, u):
-        return acceleration(hanging, TIME, q, v, u), acceleration(upright, TIME, q + turn, v, u)
-
-    np.testing.assert_allclose(*both(*states(3, 2)), rtol=1e-10, atol=1e-10)
-
-
-# One pendulum
-
-SINGLE = {"mass": (2.0,), "length": (0.7,), "com": (0.4,), "inertia": (0.05,)}
-ABOUT_JOINT = 0.05 + 2.0 * 0.4**2
-LEVER = 2.0 * 0.4 * 9.81
-
-
-def single_acceleration(q, v=0.0, u=0.0, **settings):
-    model = pendulum_chain(**SINGLE, **settings)
-    return float(acceleration(model, TIME, *(jnp.array([a]) for a in (q, v, u)))[0])
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("zero", "sign"), [("hanging", -1), ("upright", 1)])
-def test_small_oscillation_has_the_frequency_of_a_pendulum(zero, sign):
-    """`ω² = m g c/(I + m c²)`, and the same number as a growth rate upright."""
-    slope = single_acceleration(1e-6, zero=zero) / 1e-6
-    assert slope == pytest.approx(sign * LEVER / ABOUT_JOINT, rel=1e-10)
-
-
-def test_inertia_about_the_joint_includes_the_mass():
-    about_joint = pendulum_chain((2.0,), (0.7,), (0.4,), (ABOUT_JOINT,), inertia_about="joint")
-    assert about_joint.metric(jnp.zeros(1))[0, 0] == pytest.approx(ABOUT_JOINT, rel=1e-14)
+def test_an_inertia_about_the_joint_includes_the_mass():
+    chain = pendulum_chain((2.0,), (0.7,), (0.4,), (0.37,), inertia_about="joint")
+    assert chain.metric(jnp.zeros(1))[0, 0] == pytest.approx(0.37, rel=1e-14)
 
 
 def test_point_mass_sits_at_the_end_by_default():
     assert pendulum_chain((2.0,), (0.7,)).metric(jnp.zeros(1))[0, 0] == pytest.approx(2.0 * 0.49, rel=1e-14)
-
-
-def test_rotor_adds_its_inertia_times_the_gear_squared():
-    model = pendulum_chain(**SINGLE, rotor_inertia=(0.01,), gear=(-6.0,))
-    assert model.metric(jnp.zeros(1))[0, 0] == pytest.approx(ABOUT_JOINT + 0.36, rel=1e-14)
-
-
-def test_offset_holds_the_pendulum_off_the_vertical():
-    assert single_acceleration(np.arcsin(1.5 / LEVER), offset=(1.5,)) == pytest.approx(0.0, abs=1e-14)
-
-
-def test_friction_opposes_the_motion():
-    braking = single_acceleration(0.0, 2.0, viscous=(0.3,), coulomb=(0.2,))
-    assert braking == pytest.approx(-(0.3 * 2.0 + 0.2 * np.arctan(200.0)) / ABOUT_JOINT, rel=1e-14)
-
-
-def test_relative_torque_turns_the_lower_link_against_the_upper():
-    """A motor in the second joint of a chain at rest and without gravity leaves the total angular momentum zero."""
-    model = pendulum_chain(gravity=0.0, actuated=(1,))
-    q = jnp.array([0.3, 0.8])
-    a = acceleration(model, TIME, q, jnp.zeros(2), jnp.array([1.0]))
-    assert (model.metric(q) @ a)[0] == pytest.approx(0.0, abs=1e-14)
-    assert (model.metric(q) @ a)[1] == pytest.approx(1.0, rel=1e-14)
-
-
-def test_actuated_joints_are_in_the_order_given():
-    model = pendulum_chain((1.0,) * 3, (1.0,) * 3, actuated=(2, 0))
-    assert model.inputs == 2
-    np.testing.assert_array_equal(model.force(TIME, jnp.zeros(3), jnp.array([5.0, 7.0])), [7.0, 0.0, 5.0])
 
 
 def test_chain_describes_itself():
@@ -221,6 +123,7 @@ WRONG = {
     "coulomb": {"coulomb": (0.1, -0.1)},
     "offset": {"offset": (np.nan, 0.0)},
     "mass": {"mass": (1.0, -1.0)},
+    "mass must be finite; got \\(inf, 1.0\\)": {"mass": (np.inf, 1.0)},
     "angles": {"angles": "relativ"},
     "zero": {"zero": "down"},
     "inertia_about": {"inertia_about": "centre"},
@@ -230,10 +133,5 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_parameter_is_named(name):
-    with pytest.raises(ValueError, match=f"^pendulum_chain: {name} "):
+    with pytest.raises(ValueError, match=f"^pendulum_chain: {name}"):
         pendulum_chain(**WRONG[name])
-
-
-def test_infinite_mass_is_named():
-    with pytest.raises(ValueError, match=r"mass must be finite; got \(inf, 1.0\)"):
-        pendulum_chain(mass=(np.inf, 1.0))

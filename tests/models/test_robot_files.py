@@ -7,20 +7,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from plain import rk4
 
 import covariant
 from covariant.models import acceleration, robots
 
 STEP = 1e-3
-SERVO = {
-    "stiffness": 9.0,
-    "gain": 2.0,
-    "damping": 0.4,
-    "delay": 0.03,
-    "limit": 5.0,
-    "viscous": 0.05,
-    "armature": 0.03,
-}
+SERVO = {"stiffness": 9.0, "gain": 2.0, "damping": 0.4, "delay": 0.03, "limit": 5.0, "viscous": 0.05, "armature": 0.03}
 SERVOS = {"shoulder": SERVO | {"offset": 0.1, "sign": -1, "back_emf": 0.1}, "elbow": SERVO | {"stiffness": 4.0}}
 NUMBERS = {"servos": SERVOS, "offsets": {"shoulder": 0.2, "elbow": -0.3}, "payload": {"lower": (0.2, 0.0, 0.1, -0.3)}}
 CHAIN = """<robot name="chain">
@@ -106,15 +99,11 @@ def test_mujoco_follows_commands_as_the_model_does(tmp_path):
 
     @jax.jit
     def ours():
-        def slope(x, u):
-            return jnp.concatenate([x[2:], acceleration(model, jnp.zeros(()), x[:2], x[2:], u)])
-
         def step(x, u):
-            a = slope(x, u)
-            b = slope(x + STEP / 2 * a, u)
-            c = slope(x + STEP / 2 * b, u)
-            d = slope(x + STEP * c, u)
-            return x + STEP / 6 * (a + 2 * b + 2 * c + d), x[:2]
+            def slope(x):
+                return jnp.concatenate([x[2:], acceleration(model, jnp.zeros(()), x[:2], x[2:], u)])
+
+            return rk4(slope, x, STEP), x[:2]
 
         return jax.lax.scan(step, jnp.concatenate([start, jnp.zeros(2)]), late)[1]
 

@@ -1,13 +1,11 @@
 """Robots from files: the same mechanics as MuJoCo's, the same geometry as the space derived from the metric alone."""
 
 import re
-from pathlib import Path
 
 import compare_robots
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 
@@ -91,86 +89,6 @@ def state(model, seed: int):
 
 
 @pytest.mark.exhaustive
-def test_forward_dynamics_and_inertia_are_those_of_mujoco(arm):
-    """MuJoCo reads the same file; its friction losses are constraints, so they are left out there."""
-    theirs = mujoco.MjModel.from_xml_string(ARM.replace('friction="0.2"', ""))
-    data = mujoco.MjData(theirs)
-    order = [mujoco.mj_name2id(theirs, mujoco.mjtObj.mjOBJ_JOINT, name) for name in NAMES]
-    assert arm.coordinates == NAMES
-    ours = jax.jit(lambda q, v, u: (arm.space(q), acceleration(arm, jnp.zeros(()), q, v, u)))
-    for seed in range(5):
-        q, (v, u, *_) = state(arm, seed)
-        data.qpos[order], data.qvel[order], data.qfrc_applied[order] = q, v, u
-        data.qfrc_applied[order[0]] -= 0.2 * 2 / np.pi * np.arctan(100 * v[0])
-        mujoco.mj_forward(theirs, data)
-        full = np.zeros((4, 4))
-        mujoco.mj_fullM(theirs, data, full)
-        matrix, rate = ours(q, v, u)
-        np.testing.assert_allclose(matrix, full[np.ix_(order, order)], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(rate, data.qacc_smooth[order], rtol=1e-9, atol=1e-9)  # without limits
-
-
-H = 1e-2
-WEIGHTS = np.array([1, -9, 45, -45, 9, -1]) / (60 * H)
-"""Central differences of sixth order, at the places 3, 2, 1, −1, −2, −3 steps away."""
-
-
-def around(model, q, a):
-    """Configurations (6, …) on the way through q along the frame field a."""
-    return jnp.stack([model.manifold.retract(q, k * H * a) for k in (3, 2, 1, -1, -2, -3)])
-
-
-@pytest.fixture(scope="module")
-def ball_arm():
-    return robots.load(Path(__file__).with_name("ball_arm.xml"))
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["arm", "floating_arm", "ball_arm"])
-def test_sweeps_are_what_follows_from_the_metric(name, request):
-    """Koszul's formula with differences of the inertia matrix; curvature with differences of the connection."""
-    model = request.getfixturevalue(name)
-    space, manifold = model.space, model.manifold
-    q, (a, b, c, *_) = state(model, 1)
-    n = len(a)
-    axes = jnp.eye(n)
-
-    @jax.jit
-    def near():
-        along = jax.vmap(lambda e: jnp.tensordot(WEIGHTS, jax.vmap(space)(around(model, q, e)), 1))(axes)
-        brackets = jax.vmap(lambda e: jax.vmap(lambda f: manifold.bracket(q, e, f))(axes))(axes)
-        forces = jax.vmap(lambda one, two: space.connection_force(q, one, two))(
-            jnp.stack([a, b, a]), jnp.stack([b, c, c])
-        )
-        force = lambda at, e: jax.vmap(lambda x: space.connection(x, e, c))(around(model, q, at))  # noqa: E731
-        change = lambda one, two: jnp.tensordot(WEIGHTS, force(one, two), 1)  # noqa: E731
-        turned = jax.vmap(change)(jnp.stack([a, b]), jnp.stack([b, a]))
-        return along, brackets, forces, turned, space.curvature(q, a, b, c), space(q)
-
-    slopes, brackets, forces, turned, curvature, matrix = (np.asarray(part) for part in near())
-    a, b, c = (np.asarray(part) for part in (a, b, c))
-
-    def bracket(x, y):
-        return np.einsum("ijk,i,j->k", brackets, x, y)
-
-    def koszul(x, y):
-        total = np.einsum("k,kij,j->i", x, slopes, y) + np.einsum("k,kij,j->i", y, slopes, x)
-        total += matrix @ bracket(x, y) - np.einsum("i,kij,j->k", x, slopes, y)
-        total -= np.einsum("ijk,k,i->j", brackets, matrix @ y, x) + np.einsum("ijk,k,i->j", brackets, matrix @ x, y)
-        return total / 2
-
-    for force, pair in zip(forces, ((a, b), (b, c), (a, c)), strict=True):
-        np.testing.assert_allclose(force, koszul(*pair), rtol=0, atol=1e-9 * np.abs(force).max())
-
-    def connection(x, y):
-        return np.linalg.solve(matrix, koszul(x, y))
-
-    expected = turned[0] - turned[1] + connection(a, connection(b, c)) - connection(b, connection(a, c))
-    expected -= connection(bracket(a, b), c)
-    np.testing.assert_allclose(curvature, expected, rtol=0, atol=1e-8 * np.abs(curvature).max())
-
-
-@pytest.mark.exhaustive
 def test_a_free_fall_keeps_the_momentum_that_weight_leaves(floating_arm):
     """In the air the weight of all links acts at the common centre: the base accelerates so that this one falls."""
     q, (v, u, *_) = state(floating_arm, 2)
@@ -192,20 +110,6 @@ def test_a_free_fall_keeps_the_momentum_that_weight_leaves(floating_arm):
 def energies(model, q, v):
     """Twice the kinetic energy, and the potential one."""
     return jnp.stack([model.space.inner(q, v, v), model.potential(q)])
-
-
-@pytest.mark.exhaustive
-def test_a_joint_that_follows_moves_with_the_other(folder, arm):
-    """`roll = −0.5 bend + 0.2`: energies are those of the whole arm moving so."""
-    follows = ARM.replace(
-        '<parent link="flange"/>', '<mimic joint="bend" multiplier="-0.5" offset="0.2"/><parent link="flange"/>'
-    )
-    (folder / "follows.urdf").write_text(follows)
-    coupled = robots.load(folder / "follows.urdf")
-    assert coupled.coordinates == ("turn", "slide", "bend")
-    q, v = jnp.array([0.3, -0.2, 0.7]), jnp.array([1.0, 0.5, -2.0])
-    whole = jnp.array([0.3, -0.2, -0.5 * 0.7 + 0.2, 0.7]), jnp.array([1.0, 0.5, 1.0, -2.0])
-    np.testing.assert_allclose(energies(coupled, q, v), energies(arm, *whole), rtol=1e-12)
 
 
 @pytest.mark.exhaustive
@@ -288,10 +192,7 @@ std = 1e-3
     (folder / "floating.urdf").write_text(HEAVY)
     file = load(str(folder / "in_the_air.toml"))
     assert (file.dimension, file.model.coordinates) == (8, ("turn", "slide"))
-    wrongs = {
-        "lock={elbow=1.0}": "unknown joint 'elbow'",
-        'path="none.urdf"': "give the path of a URDF or MJCF file",
-    }
+    wrongs = {"lock={elbow=1.0}": "unknown joint 'elbow'", 'path="none.urdf"': "give the path of a URDF or MJCF file"}
     for wrong, words in wrongs.items():
         with pytest.raises(ModelError, match=words):
             load(str(folder / "in_the_air.toml"), [f"parameters.{wrong}"])
@@ -319,25 +220,23 @@ def test_motion_is_that_of_the_coordinates(arm):
     assert arm.state(Motion(q, v)).shape == (8,)
 
 
-# The robots that come with the library
+# Against MuJoCo, and the robots that come with the library
+
+TREES = {
+    "arm": lambda: ARM,
+    "panda": lambda: robots.located("panda").read_text(encoding="utf-8"),
+    "quadruped": lambda: robots.located("quadruped").read_text(encoding="utf-8"),
+    "16 joints on the ground": lambda: compare_robots.tree(1),
+    "15 joints in the air": lambda: compare_robots.tree(6),
+}
+"""Two of them at random: branched, turning, sliding, following ones, and balls."""
 
 
 @pytest.mark.exhaustive
-def test_shipped_robots_move_as_in_mujoco():
-    """The others, and more trees, are compared by `tools/compare_robots.py`, with Pinocchio too."""
-    for name in ("panda", "quadruped"):
-        found = compare_robots.compared(robots.located(name).read_text(encoding="utf-8"), 5)
-        assert found["MuJoCo"] < compare_robots.TOLERANCE
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", [1, 6])
-def test_random_trees_move_as_in_mujoco(seed):
-    """Of 16 joints on the ground and 15 in the air: branched, turning, sliding, following ones, and balls."""
-    text = compare_robots.tree(seed)
-    kinds = ("prismatic", "continuous", "spherical", "<mimic")
-    assert all(kind in text for kind in (*kinds, '"floating"' if seed == 6 else '"fixed"'))
-    assert compare_robots.compared(text, 5)["MuJoCo"] < compare_robots.TOLERANCE
+@pytest.mark.parametrize("text", TREES.values(), ids=TREES)
+def test_trees_move_as_in_mujoco(text):
+    """More are compared by `tools/compare_robots.py`, with Pinocchio too."""
+    assert compare_robots.compared(text(), 5)["MuJoCo"] < compare_robots.TOLERANCE
 
 
 @pytest.mark.exhaustive

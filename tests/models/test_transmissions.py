@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models, workflow
+from covariant import models
 from covariant.models import acceleration, robots
 
 INERTIA = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/>'
@@ -57,10 +57,7 @@ WRONG = {
     "1 rotors on 2 joints are not supported": ('<joint name="hand"/>', '<joint name="hand"/><joint name="arm"/>'),
     "rotor_inertia must not be negative; got -2e-05 kg m²": ('"2e-5"', '"-2e-5"'),
     "gear_ratio must not be 0": ('"100"', '"0"'),
-    "gear_ratio 100 and mechanicalReduction 50 differ": (
-        "<limit/>",
-        "<mechanicalReduction>50</mechanicalReduction>",
-    ),
+    "gear_ratio 100 and mechanicalReduction 50 differ": ("<limit/>", "<mechanicalReduction>50</mechanicalReduction>"),
     "<mechanicalReduction> must be a finite number; got '1:50'": (
         '<drake:gear_ratio value="100"/>',
         "<mechanicalReduction>1:50</mechanicalReduction>",
@@ -119,17 +116,6 @@ def test_the_report_says_that_reductions_were_used(read, tmp_path):
     robot = robots.read(tmp_path / "geared.urdf", motor_torques=True)
     assert robot.used["transmission/actuator/mechanicalReduction"] == robot.used["transmission"] == 2
     assert not robot.ignored.get("transmission/actuator/mechanicalReduction")
-
-
-@pytest.mark.exhaustive
-def test_a_description_takes_torques_of_motors(read, tmp_path):
-    read(EACH)
-    said = {}
-    for sure in ("true", "false"):
-        overrides = ("parameters.lock={tip=0.0}", f"parameters.motor_torques={sure}")
-        said[sure] = str(workflow.describe_model(tmp_path / "geared.urdf", samples=5, overrides=overrides))
-    assert "2 transmission/actuator/mechanicalReduction" in said["true"].split("used: ")[1].split("\n")[0]
-    assert "2 transmission/actuator/mechanicalReduction" not in said["false"].split("used: ")[1].split("\n")[0]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from plain import rk4
 
 from covariant.models import Lagrangian, ball_and_beam, pendulum_chain
 from covariant.observers import (
@@ -36,13 +37,10 @@ class Machine(NamedTuple):
         states = [np.asarray(x0, float)]
         for k in range(len(t) - 1):
             x, h = states[-1], (t[k + 1] - t[k]) / substeps
-            for s in t[k] + h * np.arange(substeps):
-                a = self.motion(s, x, u[k])
-                b = self.motion(s + h / 2, x + h / 2 * a, u[k])
-                c = self.motion(s + h / 2, x + h / 2 * b, u[k])
-                d = self.motion(s + h, x + h * c, u[k])
-                x = x + h / 6 * (a + 2 * b + 2 * c + d)
-            states.append(x)
+            x = np.append(x, t[k])
+            for _ in range(substeps):
+                x = rk4(lambda x, k=k: np.append(self.motion(x[-1], x[:-1], u[k]), 1.0), x, h)
+            states.append(x[:-1])
         return np.array(states)
 
 

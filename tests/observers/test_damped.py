@@ -6,20 +6,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from plants import body, sphere_pendulum
 
 from covariant import models, observers
 from covariant.engine import Stream
 from covariant.geometry.lie import SO3
-from covariant.models import GroupSystem, Lagrangian, Motion, Parametric, chart_velocity, in_chart, robots
+from covariant.models import Motion, Parametric, chart_velocity, in_chart, robots
 from covariant.observers import Damped, Delayed, Gated, Instant, Intrinsic, Sensor, damping_margin, run
 from covariant.signals import Record, StepCode
 
 STEP = 0.01
-
-
-def curved() -> Lagrangian:
-    """A pendulum on a ball, in coordinates with a connection and a metric that is not constant."""
-    return Lagrangian(lambda q: jnp.diag(jnp.stack([jnp.ones(()), jnp.sin(q[0]) ** 2])), lambda q: jnp.cos(q[0]))
 
 
 def oblique() -> Sensor:
@@ -30,10 +26,10 @@ def oblique() -> Sensor:
 @pytest.fixture(scope="module")
 def systems():
     """A system on each kind of space, a configuration, and its sensors."""
-    arm, body = robots.load("double_pendulum"), GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))
+    arm = robots.load("double_pendulum")
     return {
-        "chart": (curved(), jnp.array([0.9, 0.4]), (oblique(), observers.tachometer([1], 0.1, reduction=3.0))),
-        "SO(3)": (body, SO3.exp(jnp.array([0.4, -0.3, 0.8])), observers.tachometer([2, 0], 0.1)),
+        "chart": (sphere_pendulum(), jnp.array([0.9, 0.4]), (oblique(), observers.tachometer([1], 0.1, reduction=3.0))),
+        "SO(3)": (body(), SO3.exp(jnp.array([0.4, -0.3, 0.8])), observers.tachometer([2, 0], 0.1)),
         "robot": (arm, jnp.array([0.4, -0.7]), observers.gyro(arm.space, "lower", 0.01)),
     }
 
@@ -119,7 +115,7 @@ def warped(z, a):
 @pytest.mark.exhaustive
 def test_in_other_coordinates_it_is_the_same():
     """To rounding; a gain that is no tensor, such as a diagonal matrix in each chart, would show here."""
-    model, chart, sensor = curved(), Parametric(warped, a=np.array(0.2)), oblique()
+    model, chart, sensor = sphere_pendulum(), Parametric(warped, a=np.array(0.2)), oblique()
 
     def there(z, v):
         return chart(z), chart_velocity(model.manifold, chart, z, v)
@@ -145,7 +141,7 @@ def test_in_other_coordinates_it_is_the_same():
 @pytest.mark.parametrize("gated", [False, True])
 def test_without_a_reading_it_is_the_inner_observer(gated):
     """To the last bit; readings between two measured configurations are no gap."""
-    model, rng = curved(), np.random.default_rng(3)
+    model, rng = sphere_pendulum(), np.random.default_rng(3)
     inner = Intrinsic(model, 4.0, 8.0, substeps=1)
     inner = Gated(inner, model, noise=1e-3, speed=1.0) if gated else inner
     y = np.array([0.9, 0.4]) + 0.002 * rng.normal(size=(60, 2))
@@ -163,24 +159,24 @@ def test_without_a_reading_it_is_the_inner_observer(gated):
 
 def shaken_body(rows=1500):
     """A body turned by unknown torques: its velocity, noisy attitudes, and the readings of a gyro with an offset."""
-    body, rng = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5]))), np.random.default_rng(5)
+    rigid, rng = body(), np.random.default_rng(5)
 
     def advance(motion, k):
         torque = 0.5 * jnp.sin(STEP * k * jnp.array([3.0, 4.0, 2.0]))
-        return models.advance(body, 0.0, motion, torque, STEP, 1), motion
+        return models.advance(rigid, 0.0, motion, torque, STEP, 1), motion
 
     true = jax.lax.scan(advance, Motion(jnp.eye(3), jnp.array([0.5, -0.8, 0.3])), jnp.arange(float(rows)))[1]
     q = jax.vmap(lambda q, e: q @ SO3.exp(e))(true.q, jnp.asarray(0.02 * rng.normal(size=(rows, 3))))
     read = np.asarray(true.v) + [0.2, -0.1, 0.15] + 0.01 * rng.normal(size=(rows, 3))
-    return body, np.asarray(true.v), np.asarray(q), read
+    return rigid, np.asarray(true.v), np.asarray(q), read
 
 
 @pytest.mark.exhaustive
 def test_a_gyro_lowers_the_error_to_a_third_and_its_offset_is_found():
     """At a quarter of the rate each reading counts four times as long, so that much the same is found."""
-    body, v, q, read = shaken_body()
+    rigid, v, q, read = shaken_body()
     t, u = STEP * np.arange(len(v)), np.zeros((len(v), 3))
-    inner = Intrinsic(body, 4.0, 8.0, substeps=1)
+    inner = Intrinsic(rigid, 4.0, 8.0, substeps=1)
     damped = Damped(inner, observers.tachometer([0, 1, 2], 0.01, name="gyro"), 10.0, 0.2)
     rare = np.where(np.arange(len(v))[:, None] % 4 > 0, np.nan, read)
     plain = run(inner, Record(t, u, q))
@@ -200,7 +196,7 @@ def two_sensors():
     y = np.array([0.9, 0.4, 0.0, 0.0]) + 0.1 * rng.normal(size=(40, 4))
     y[rng.uniform(size=y.shape) < 0.3] = np.nan
     y[0] = 0.5
-    return Damped(Intrinsic(curved(), 4.0, 8.0, substeps=1), sensors, 3.0, [0.5, 0.0]), y
+    return Damped(Intrinsic(sphere_pendulum(), 4.0, 8.0, substeps=1), sensors, 3.0, [0.5, 0.0]), y
 
 
 @pytest.mark.exhaustive

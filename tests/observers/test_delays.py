@@ -1,14 +1,11 @@
 """Readings that are late: the estimate is that of the filter that got each reading at the time at which it was true."""
 
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.calibration import tuned_estimators
 from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, free_body, oscillator, pendulum_chain
 from covariant.observers import (
@@ -22,13 +19,10 @@ from covariant.observers import (
     run,
     tachometer,
 )
-from covariant.scoring import rmse
 from covariant.signals import Record, StepCode
 from covariant.simulation import hold, simulate
 from covariant.workflow import export
-from covariant.workflow._inputs import Job, Loaded, data_sheet, load, with_sensor_delays
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 CHAIN = pendulum_chain((0.6, 0.4), (0.3, 0.25), com=(0.16, 0.14), inertia=(0.005, 0.0026), viscous=(0.012, 0.008))
 FILTER = IntrinsicKalman(CHAIN, 0.1 * jnp.eye(2), 1e-8 * jnp.eye(2), 4.0 * jnp.eye(2), substeps=1)
 WAITING = 12
@@ -135,22 +129,9 @@ IN_C = {
 }
 
 
-IN_LONG = (0.4, (0.4, 1.0))
-"""Delays in rows that the long suite compiles: one for all, and one for each joint."""
-
-
 @pytest.mark.exhaustive
 @pytest.mark.parametrize(
-    ("name", "rows"),
-    [
-        ("intrinsic", 2.5),
-        *(
-            pytest.param(name, rows, marks=pytest.mark.long if rows in IN_LONG else pytest.mark.exhaustive)
-            for name in IN_C
-            for rows in (0.0, 0.4, 1.0, 2.5, (0.0, 2.5), (0.4, 1.0))
-            if (name, rows) != ("intrinsic", 2.5)
-        ),
-    ],
+    ("name", "rows"), [(name, rows) for name in IN_C for rows in (0.0, 0.4, 1.0, 2.5, (0.0, 2.5), (0.4, 1.0))]
 )
 def test_compiled_c_equals_jax(name, rows):
     """At irregular stamps, with measurements missing."""
@@ -277,50 +258,6 @@ def test_an_attitude_is_late_as_a_whole(step):
 def test_names_a_number_that_makes_no_sense(arguments, words):
     with pytest.raises(ValueError, match=words):
         Delayed(FILTER, *arguments)
-
-
-def recorded(data_folder, model: str, log: str) -> Loaded:
-    return load(Job(str(EXAMPLES / model), data_folder / log, (), 1, 10.0, {}))
-
-
-def velocity_error(loaded: Loaded, name: str, rows: np.ndarray, y: np.ndarray, delay: tuple[float, ...]) -> float:
-    """The velocity error, as a part of the velocity, of an observer on some rows, which takes y to be so late."""
-    t, u = (np.asarray(a)[rows] for a in loaded.record[:2])
-    told = loaded._replace(file=loaded.file._replace(delay=delay), record=Record(t, u, y[rows]))
-    made = tuned_estimators(loaded.model, 2, data_sheet(loaded.file), 1 / np.median(np.diff(t)), names=(name,))
-    v = np.asarray(loaded.model.motion(run(with_sensor_delays(made, told)[name], told.record).estimate).v)
-    scored, truth = loaded.reference.scored[rows], loaded.reference.v[rows]
-    return float(np.linalg.norm(rmse(v[scored], truth[scored]) / np.sqrt(np.mean(truth[scored] ** 2, axis=0))))
-
-
-@pytest.mark.exhaustive
-def test_the_free_pendulum_with_a_late_joint_and_jittered_stamps(data_folder):
-    """The log at 1 kHz, of which every fifth row is read, or one near it; its second joint is five rows late."""
-    loaded = recorded(data_folder, "multiarm_double.toml", "multiarm_pendulum/double.csv")
-    y = np.asarray(loaded.record.y)
-    behind = np.stack([y[:, 0], np.roll(y[:, 1], 5)], axis=1)
-    rows = np.arange(10, len(y) - 5, 5)
-    jittered = rows + np.random.default_rng(1).integers(-2, 3, len(rows))
-    late = (0.0, 0.005)
-    clean = velocity_error(loaded, "intrinsic", rows, y, (0.0, 0.0))
-    told = velocity_error(loaded, "intrinsic", rows, behind, late)
-    assert told < 1.15 * clean
-    assert velocity_error(loaded, "intrinsic", rows, behind, (0.0, 0.0)) > 25 * clean
-    assert velocity_error(loaded, "intrinsic", jittered, y, (0.0, 0.0)) < 1.05 * clean
-    assert velocity_error(loaded, "intrinsic", jittered, behind, late) < 1.05 * told
-
-
-@pytest.mark.exhaustive
-def test_the_driven_pendulum_with_a_late_joint(data_folder):
-    """Its encoders tick, and its stamps jitter as they are."""
-    loaded = recorded(data_folder, "dfki_double_pendulum.toml", "dfki_double_pendulum/A0_sysid_00.csv")
-    t, y, tick = np.asarray(loaded.record.t), np.asarray(loaded.record.y), loaded.file.quantum
-    assert tick is not None
-    behind = np.stack([y[:, 0], np.round(np.interp(t - 0.005, t, y[:, 1]) / tick) * tick], axis=1)
-    rows = np.arange(len(t))
-    clean = velocity_error(loaded, "ekf", rows, y, (0.0, 0.0))
-    assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.005)) < 1.15 * clean
-    assert velocity_error(loaded, "ekf", rows, behind, (0.0, 0.0)) > 2.4 * clean
 
 
 @pytest.mark.exhaustive

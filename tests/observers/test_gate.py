@@ -157,21 +157,6 @@ def test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said(speed, 
     assert (found[:5] == StepCode.OK).all()
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("joints", [2, 3])
-def test_a_gate_does_not_do_the_work_of_its_observer_twice(joints):
-    """Counted by the compiler: with few substeps the correction is a large part of a step."""
-    chain = pendulum_chain((1.0, 0.7, 0.5)[:joints], (0.5, 0.4, 0.3)[:joints])
-    observer, rest = Intrinsic(chain, 10.0, 50.0, substeps=2), jnp.zeros(joints)
-
-    def operations(watched) -> float:
-        step = jax.jit(watched.step).lower(watched.init(rest), rest, rest, jnp.asarray(0.01))
-        return step.compile().cost_analysis()["flops"]
-
-    # The gate costs a number of operations a joint that no model changes.
-    assert operations(Gated(observer, chain, 1e-3, 5.0)) < operations(observer) + 330 * joints
-
-
 @pytest.mark.long("0.3")
 @pytest.mark.parametrize("size", [0.3, 5.0])
 def test_a_burst_of_outliers_does_not_open_the_gate_for_its_last_ones(size):

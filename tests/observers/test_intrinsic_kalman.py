@@ -1,4 +1,4 @@
-"""The intrinsic Kalman filter: the textbook's in flat space, its reset exact, the same in all coordinates."""
+"""The intrinsic Kalman filter: its reset is exact, and it is the same in all coordinates."""
 
 import functools
 from typing import Any, NamedTuple
@@ -9,16 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
+from plants import body, sphere_pendulum
 
 from covariant import models
 from covariant.geometry import Budget
 from covariant.geometry.lie import SO3
-from covariant.models import GroupSystem, Lagrangian, Motion, Parametric, chart_jacobian, chart_velocity, in_chart
+from covariant.models import Lagrangian, Motion, Parametric, chart_jacobian, chart_velocity, in_chart
 from covariant.models.marine import euler_rotation
-from covariant.observers import EKF, IntrinsicKalman
+from covariant.observers import IntrinsicKalman
 from covariant.signals import StepCode
 
-ROWS = 60
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))
 FINE = Budget(newton=None, steps=12)
 STRICT = Budget(newton=2, steps=16)
@@ -27,30 +27,6 @@ STRICT = Budget(newton=2, steps=16)
 def isotropic(model, process=0.5, measurement=0.02, velocity=1.0, **named) -> IntrinsicKalman:
     """A filter whose noise is the same in all directions of the metric, hence the same tensor in every chart."""
     return IntrinsicKalman(model, process**2, measurement**2, velocity**2, **named)
-
-
-# Where space is flat.
-
-MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
-STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
-PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])
-MEASUREMENT = 1e-4 * np.array([[1.0, 0.6], [0.6, 2.0]])
-
-
-@pytest.mark.exhaustive
-def test_on_two_coupled_masses_it_is_the_kalman_filter(follow):
-    """The EKF, itself checked against a textbook, with gaps of both coordinates, of one, of the other."""
-    rng = np.random.default_rng(0)
-    t = np.cumsum(rng.uniform(0.002, 0.01, ROWS))
-    y = 0.1 * np.cumsum(rng.normal(size=(ROWS, 2)), 0)
-    y[20:25] = y[30:36, 0] = y[40:48:2, 1] = np.nan
-    model = Lagrangian(lambda q: jnp.asarray(MASS), lambda q: q @ jnp.asarray(STIFFNESS) @ q / 2)
-    noise = jnp.asarray(PROCESS), jnp.asarray(MEASUREMENT)
-    plain = follow(EKF(model, *noise, 0.7, substeps=1, gate=None), t, y)
-    found = follow(IntrinsicKalman(model, *noise, 0.49 * jnp.eye(2), gate=None, substeps=1), t, y)
-    np.testing.assert_allclose(found.x, plain.x, rtol=0, atol=1e-10)
-    cov = found.state.root @ np.swapaxes(found.state.root, 1, 2)
-    np.testing.assert_allclose(cov, plain.state.cov, rtol=0, atol=1e-10)
 
 
 @pytest.mark.long
@@ -76,22 +52,13 @@ def test_an_angle_starts_anew_where_it_is_uncertain_by_more_than_its_noise_expla
 # The reset: how an error is seen from the estimate after a correction.
 
 
-def sphere_pendulum() -> Lagrangian:
-    """A pendulum on a sphere, in its angles from the pole and around it."""
-    return Lagrangian(
-        lambda q: jnp.diag(jnp.stack([jnp.ones(()), jnp.sin(q[0]) ** 2])),
-        lambda q: 9.81 * jnp.cos(q[0]),
-        coordinates=("inclination", "azimuth"),
-    )
-
-
 def double_pendulum() -> Lagrangian:
     chain = models.pendulum_chain((1.0, 0.7), (0.5, 0.4))
     return Lagrangian(chain.metric, chain.potential, coordinates=chain.coordinates)
 
 
 CASES = {
-    "SO(3)": (GroupSystem(SO3, INERTIA), SO3.exp(jnp.array([0.3, -0.2, 0.4])), (1.0, -2.0, 1.5)),
+    "SO(3)": (body(), SO3.exp(jnp.array([0.3, -0.2, 0.4])), (1.0, -2.0, 1.5)),
     "sphere": (sphere_pendulum(), jnp.array([1.1, 0.4]), (1.5, -2.0)),
     "double pendulum": (double_pendulum(), jnp.array([0.5, -0.8]), (2.0, -1.0)),
 }
@@ -149,11 +116,11 @@ def test_the_reset_is_the_derivative_of_the_exact_change_of_base_point(name):
 
 @pytest.mark.exhaustive
 def test_body_frame_and_euler_angles_predict_correct_and_reset_alike():
-    body = GroupSystem(SO3, INERTIA)
+    rigid = body()
     angles, rates = jnp.array([0.4, 0.5, -0.3]), jnp.array([1.0, -0.8, 1.2])
     measured = angles + jnp.array([0.25, -0.2, 0.3])
     fine = {"budget": STRICT, "substeps": 40, "gate": None}
-    there, here = isotropic(body, **fine), isotropic(body_in_euler_angles(), **fine)
+    there, here = isotropic(rigid, **fine), isotropic(body_in_euler_angles(), **fine)
 
     def turned(q):
         return chart_jacobian(SO3, euler_rotation, q)
@@ -289,10 +256,7 @@ NO_COVARIANCES = [
     ({"measurement_cov": 0.0}, "measurement_cov must have variances that are positive; its least is 0"),
     ({"measurement_cov": np.ones((2, 2))}, "measurement_cov must have variances that are positive"),
     ({"initial_velocity_cov": np.array([[1.0, 0.5], [0.4, 1.0]])}, "initial_velocity_cov must be symmetric"),
-    (
-        {"initial_velocity_cov": np.ones(2)},
-        "initial_velocity_cov must be a number or a square matrix",
-    ),
+    ({"initial_velocity_cov": np.ones(2)}, "initial_velocity_cov must be a number or a square matrix"),
     ({"initial_velocity_cov": np.nan}, "initial_velocity_cov must have finite entries"),
 ]
 

@@ -23,10 +23,7 @@ GALLERY = Path(__file__).parents[2] / "gallery"
 SLIP, THRESHOLD, ENCODER = 1e-3, 5.0, 3e-4
 LATE = 2
 """Rows of 2 ms by which encoders are late."""
-TWO_FEET = {
-    "parameters.path": "quadruped",
-    "parameters.feet": {"FL_FOOT": [0.0, 0.0, 0.0], "HR_FOOT": [0.0, 0.0, 0.0]},
-}
+TWO_FEET = {"parameters.path": "quadruped", "parameters.feet": {"FL_FOOT": [0.0, 0.0, 0.0], "HR_FOOT": [0.0, 0.0, 0.0]}}
 STANDING = 15.0
 """Load [N] from which a foot counts as standing."""
 TUNED = 2800

@@ -8,7 +8,6 @@ import functools
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -115,53 +114,6 @@ def test_a_gate_takes_an_impact_for_motion(kind):
     assert (codes == StepCode.OUTLIER).sum() <= 1.5 * (codes == StepCode.RESTARTED).sum()
     # A filter without a model follows an impact by itself within two rows, of which the gate refuses one.
     assert error(estimates, v) < (1.12 if kind == "JointKalman" else 1.05) * error(free, v)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("kind", ["EKF", "IntrinsicKalman"])
-def test_a_gate_takes_the_impacts_of_a_tossed_cube_for_motion(kind):
-    ratios = []
-    for seed in range(4):
-        t, y, v = tossed(seed)
-        gated, free = (cube_velocities(kind, gate, t, y) for gate in (Gate(), None))
-        ratios.append([np.sqrt(np.mean((a - v)[5:] ** 2, axis=0)) for a in (gated, free)])
-    gated, free = np.sqrt(np.mean(np.array(ratios) ** 2, axis=0))
-    assert np.linalg.norm(gated[:3]) < 1.1 * np.linalg.norm(free[:3])
-    assert np.linalg.norm(gated[3:]) < 1.1 * np.linalg.norm(free[3:])
-
-
-def tossed(seed: int, rate: float = 150.0, rows: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stamps, noisy poses and twists in the body of a cube tossed onto a floor."""
-    plant = mujoco.MjModel.from_xml_string(
-        '<mujoco><option timestep="5e-4" integrator="RK4"/><worldbody><geom type="plane" size="5 5 .1"/>'
-        '<body pos="0 0 .5"><freejoint/><geom type="box" size=".05 .05 .05" mass=".37"/></body></worldbody></mujoco>'
-    )
-    data, rng = mujoco.MjData(plant), np.random.default_rng(seed)
-    data.qvel[:] = [1.0, 0.3, 1.0, *8 * rng.normal(size=3)]
-    t, y, v = np.arange(rows) / rate, np.tile(np.eye(4), (rows, 1, 1)), np.zeros((rows, 6))
-    for k in range(rows):
-        while data.time < t[k] - 1e-9:
-            mujoco.mj_step(plant, data)
-        mujoco.mj_forward(plant, data)
-        rotation = data.xmat[1].reshape(3, 3)
-        y[k, :3, 3] = data.qpos[:3] + 2e-3 * rng.normal(size=3)
-        y[k, :3, :3] = rotation @ Rotation.from_rotvec(5e-3 * rng.normal(size=3)).as_matrix()
-        v[k] = [*rotation.T @ data.qvel[:3], *data.qvel[3:]]
-    return t, y, v
-
-
-def cube_velocities(kind: str, gate: Gate | None, t, y) -> np.ndarray:
-    mass, moment = 0.37, 0.37 / 6 * 0.1**2
-    inertia = jnp.diag(jnp.array([mass] * 3 + [moment] * 3))
-    body = GroupSystem(SE3, inertia, lambda g: mass * 9.81 * g[2, 3], inputs=0, force=lambda t, g, u: jnp.zeros(6))
-    process, noise, prior = (
-        jnp.diag(jnp.array([a] * 3 + [b] * 3)) for a, b in ((1.0, 50.0), (4e-6, 2.5e-5), (1.0, 64.0))
-    )
-    if kind == "EKF":
-        observer = EKF(body, process, noise, 4.0, substeps=1, gate=gate)
-    else:
-        observer = IntrinsicKalman(body, process, noise, prior, substeps=1, gate=gate)
-    return np.asarray(run(observer, Record(t, np.zeros((len(t), 0)), y)).estimate.v)
 
 
 @pytest.mark.exhaustive

@@ -49,10 +49,7 @@ def test_a_step_is_the_slope_of_the_likelihood():
     first = ekf(0.5 * PROCESS, 2.0 * MEASUREMENT)
     stepped = noise_step(first, log()).observer
     readings = np.isfinite(log().y).sum(0)
-    fields = {
-        "process_cov": np.full(2, ROWS - 1.0),
-        "measurement_cov": readings / 2,
-    }
+    fields = {"process_cov": np.full(2, ROWS - 1.0), "measurement_cov": readings / 2}
     for name, count in fields.items():
         old, new = (np.diag(getattr(each, name)) for each in (first, stepped))
         for i in range(2):

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import plants
 import pytest
 
 from covariant import models
@@ -52,19 +53,12 @@ def textbook(y: np.ndarray, stiffness: float, std: float, drift: float) -> tuple
     added = np.zeros((3, 3))
     added[:2, :2] = 1e-4 * np.array([[STEP**3 / 3, STEP**2 / 2], [STEP**2 / 2, STEP]])
     added[2, 2] = drift**2 * STEP
-    shown = np.array([1.0, 0.0, 1.0])
     # Nothing is known of the position before the first sample, which then says q = y − offset.
-    mean, cov = np.array([y[0], 0.0, 0.0]), np.diag([NOISE**2 + std**2, 4.0, std**2])
+    cov = np.diag([NOISE**2 + std**2, 4.0, std**2])
     cov[0, 2] = cov[2, 0] = -(std**2)
-    means, covs = [mean], [cov]
-    for value in y[1:]:
-        mean, cov = ahead @ mean, ahead @ cov @ ahead.T + added
-        if np.isfinite(value):
-            gain = cov @ shown / (shown @ cov @ shown + NOISE**2)
-            mean, cov = mean + gain * (value - shown @ mean), cov - np.outer(gain, shown @ cov)
-        means.append(mean)
-        covs.append(cov)
-    return np.array(means), np.array(covs)
+    steps = [(ahead, np.zeros(3), added)] * (len(y) - 1)
+    output, noise = np.array([[1.0, 0.0, 1.0]]), np.array([[NOISE**2]])
+    return plants.kalman(np.array([y[0], 0.0, 0.0]), cov, steps, y[:, None], output, noise)
 
 
 @pytest.mark.long("0.0")
@@ -197,86 +191,14 @@ def spring_with(slow: SlowVariables, substeps: int = 1) -> IntrinsicKalman:
     return IntrinsicKalman(spring, 1e-6, NOISE**2 * jnp.eye(1), 4 * jnp.eye(1), (slow,), gate=None, substeps=substeps)
 
 
-def pushed(std: float, time: float, seed: int, rows: int = 2000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, velocities and forces of a mass on a spring under a Gauss–Markov force, in fine steps."""
-    rng, fine = np.random.default_rng(seed), 10
-    h = STEP / fine
-    w, fade = np.sqrt(6.0), np.exp(-h / time)
-    # Exact for a force that is constant over a fine step.
-    ahead = np.array([[np.cos(w * h), np.sin(w * h) / w], [-w * np.sin(w * h), np.cos(w * h)]])
-    by_force = np.array([(1 - np.cos(w * h)) / w**2, np.sin(w * h) / w])
-    x, force, rows_of = np.zeros(2), std * rng.normal(), []
-    for _ in range(rows):
-        rows_of.append([*x, force])
-        for _ in range(fine):
-            x = ahead @ x + by_force * force
-            force = fade * force + std * np.sqrt(1 - fade**2) * rng.normal()
-    q, v, force = np.array(rows_of).T
-    return q + NOISE * rng.normal(size=rows), v, force
-
-
-@pytest.mark.exhaustive
-def test_through_a_gap_a_force_fades_and_becomes_as_uncertain_as_at_first():
-    """The closed form of a Gauss–Markov process, whatever the length of the steps."""
-    std, time, gap = 0.5, 0.3, 0.7
-    y, _, _ = pushed(std, time, seed=0, rows=200)
-    observer = spring_with(external_force(std=std, time=time))
-
-    @jax.jit
-    def last(y):
-        def step(state, each):
-            return observer.step(state, jnp.zeros(1), each, STEP)
-
-        return jax.lax.scan(step, observer.init(y[0]), y[1:])[0]
-
-    state = last(jnp.asarray(y[:, None]))
-    assert abs(float(state.slow[0])) > 0.1, "there must be a force to forget"
-    for steps in (1, 7):
-        moved = state
-        for _ in range(steps):
-            moved = observer.predict(moved, jnp.zeros(1), jnp.asarray(gap / steps))
-        np.testing.assert_allclose(moved.slow, np.exp(-gap / time) * state.slow, rtol=1e-12)
-        known, now = (observer.cov(each)[2, 2] for each in (state, moved))
-        np.testing.assert_allclose(now, std**2 + np.exp(-2 * gap / time) * (known - std**2), rtol=1e-9)
-
-
 @pytest.mark.exhaustive
 def test_of_a_very_long_time_it_is_the_random_walk():
-    y, _, _ = pushed(0.5, 0.3, seed=1, rows=300)
-    record = Record(STAMPS[:300], np.zeros((300, 1)), y[:, None])
+    y = 0.3 * np.sin(2 * STAMPS[:300, None]) + noise(1)[:300]
+    record = Record(STAMPS[:300], np.zeros((300, 1)), y)
     walk = external_force(0.8 * jnp.eye(1))
     without, with_time = (run(spring_with(slow), record) for slow in (walk, dataclasses.replace(walk, time=1e9)))
     for a, b in zip(jax.tree.leaves(without), jax.tree.leaves(with_time), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.exhaustive
-def test_forces_that_fade_are_estimated_consistently_in_and_after_gaps():
-    """Over gaps of a few time constants the random walk keeps what is over, and the velocity runs away with it."""
-    std, time = 0.5, 0.3
-    gaps = np.zeros(2000, bool)
-    for start in range(150, 2000, 200):
-        gaps[start : start + 100] = True
-    errors = {"fades": [], "walks": []}
-    squared = []
-    kinds = {"fades": external_force(std=(std,), time=time), "walks": external_force(2 * std**2 / time * jnp.eye(1))}
-    for seed in range(4):
-        y, v, force = pushed(std, time, seed)
-        record = Record(STEP * np.arange(2000), np.zeros((2000, 1)), np.where(gaps, np.nan, y)[:, None])
-        for name, slow in kinds.items():
-            found = run(spring_with(slow), record)
-            errors[name].append(np.asarray(found.estimate)[gaps, 1] - v[gaps])
-            if name == "fades":
-                squared.append(
-                    ((np.asarray(found.info.slow)[:, 0] - force) / np.asarray(found.info.slow_std)[:, 0]) ** 2
-                )
-                squared.append(
-                    ((np.asarray(found.estimate)[:, 1] - v) / np.asarray(found.info.velocity_std)[:, 0]) ** 2
-                )
-    rms = {name: np.sqrt(np.mean(np.square(each))) for name, each in errors.items()}
-    assert rms["fades"] < 0.8 * rms["walks"], rms
-    assert 0.8 < np.mean(np.array(squared)[:, gaps]) < 1.2
-    assert 0.85 < np.mean(np.array(squared)[:, ~gaps]) < 1.15
 
 
 FAMILY_ARGUMENTS = ("pendulum_chain", ["mass"], ["parameters.mass=[1.0]", "parameters.length=[1.0]"])

@@ -8,46 +8,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.linalg
 import scipy.optimize
+from plain import rk4
+from plants import FIRST_COV, MEASUREMENT, PROCESS, SPEED, least_squares, masses, masses_steps, van_loan
+from scipy.linalg import block_diag
 
 from covariant import models, observers
 from covariant._linalg import triangular_with_rank
-from covariant.geometry import Budget
-from covariant.geometry.lie import SO3
-from covariant.models import (
-    GroupSystem,
-    Lagrangian,
-    Motion,
-    Parametric,
-    chart_jacobian,
-    chart_velocity,
-    in_chart,
-    pendulum_chain,
-)
+from covariant.models import Lagrangian
 from covariant.observers import EKF, UKF, IntrinsicKalman, JointKalman, smooth
 from covariant.observers.filters import _smoother
-from covariant.observers.filters._smoother import Step, backward_map, smoothed as smoothed_arrays
+from covariant.observers.filters._smoother import Step, backward_map
 from covariant.signals import Record, StepCode
 
 # Where everything is linear: the smoother is the least-squares solution over all rows.
 
-MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
-STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
-DAMPING = np.array([[0.4, 0.1], [0.1, 0.3]])
-PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])
-MEASUREMENT = 1e-4 * np.array([[1.0, 0.6], [0.6, 2.0]])
-SPEED = 0.7
 PUSH, TIME = np.array([1.5, 0.8]), 0.2
 ROWS = 60
-
-
-def masses() -> Lagrangian:
-    return Lagrangian(
-        lambda q: jnp.asarray(MASS),
-        lambda q: q @ jnp.asarray(STIFFNESS) @ q / 2,
-        dissipation=lambda q, v: -jnp.asarray(DAMPING) @ v,
-    )
 
 
 @functools.cache
@@ -60,68 +37,21 @@ def log() -> Record:
     return Record(t, rng.normal(size=(ROWS, 2)), y)
 
 
-def taylor(a: np.ndarray, h: float, first: int) -> np.ndarray:
-    """What one Runge–Kutta step makes of a linear system: Σ hᵏ aᵏ⁻ᶠ/k! from k = first to 4."""
-    powers = (h**k * np.linalg.matrix_power(a, k - first) / math.factorial(k) for k in range(first, 5))
-    return np.sum(list(powers), axis=0)
-
-
-def masses_steps(record: Record, forced: bool) -> list:
-    """Transition, known change and noise covariance of each step, written a second time."""
-    inverse = np.linalg.inv(MASS)
-    a = np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ STIFFNESS, -inverse @ DAMPING]])
-    pushed = np.concatenate([np.zeros((2, 2)), inverse])
-    steps = []
-    for h, u in zip(np.diff(record.t), record.u, strict=False):
-        transition, held = taylor(a, h, 0), taylor(a, h, 1) @ pushed
-        noise = np.block([[h**3 / 3 * PROCESS, h**2 / 2 * PROCESS], [h**2 / 2 * PROCESS, h * PROCESS]])
-        change = held @ u
-        if forced:
-            decay, mean = math.exp(-h / TIME), TIME / h * (1 - math.exp(-h / TIME))
-            transition = np.block([[transition, mean * held], [np.zeros((2, 4)), decay * np.eye(2)]])
-            noise = block(noise, np.diag(PUSH**2) * (1 - decay**2))
-            change = np.concatenate([change, np.zeros(2)])
-        steps.append((transition, change, noise))
-    return steps
-
-
-def least_squares(first: np.ndarray, first_cov: np.ndarray, steps: list, y: np.ndarray, noise: np.ndarray):
-    """Means (T, N) and covariances (T, N, N) of all states, by one orthogonal factorisation of all rows at once."""
-    n, rows, slopes, values = len(first), len(steps) + 1, [], []
-
-    def add(parts: dict[int, np.ndarray], value: np.ndarray, cov: np.ndarray) -> None:
-        """Rows `Σ part x = value` with this covariance, by the index of the state."""
-        slope = np.zeros((len(value), rows * n))
-        for i, part in parts.items():
-            slope[:, i * n : (i + 1) * n] = part
-        root = np.linalg.cholesky(cov)
-        slopes.append(scipy.linalg.solve_triangular(root, slope, lower=True))
-        values.append(scipy.linalg.solve_triangular(root, value, lower=True))
-
-    add({0: np.eye(n)}, first, first_cov)
-    for k, (transition, change, cov) in enumerate(steps, 1):
-        add({k: np.eye(n), k - 1: -transition}, change, cov)
-        seen = np.flatnonzero(np.isfinite(y[k]))
-        if seen.size:
-            add({k: np.eye(n)[seen]}, y[k, seen], noise[np.ix_(seen, seen)])
-    q, r = np.linalg.qr(np.concatenate(slopes))
-    inverse = scipy.linalg.solve_triangular(r, np.eye(rows * n))
-    roots = inverse.reshape(rows, n, rows * n)
-    return (inverse @ q.T @ np.concatenate(values)).reshape(rows, n), roots @ np.swapaxes(roots, 1, 2)
+def with_a_force(t: np.ndarray, u: np.ndarray):
+    """The steps of the masses with two more states, forces that are forgotten."""
+    for h, (transition, change, noise) in zip(np.diff(t), masses_steps(t, u), strict=True):
+        held = np.stack([masses_steps(np.array([0.0, h]), [axis])[0][1] for axis in np.eye(2)], axis=1)
+        decay, mean = math.exp(-h / TIME), TIME / h * (1 - math.exp(-h / TIME))
+        transition = np.block([[transition, mean * held], [np.zeros((2, 4)), decay * np.eye(2)]])
+        yield transition, np.append(change, np.zeros(2)), block_diag(noise, np.diag(PUSH**2) * (1 - decay**2))
 
 
 def of_masses(forced: bool = False, last: int = ROWS - 1):
-    covs = [MEASUREMENT, SPEED**2 * np.eye(2), *([np.diag(PUSH**2)] if forced else [])]
-    first = np.concatenate([log().y[0], np.zeros(4 if forced else 2)])
-    return least_squares(first, block(*covs), masses_steps(log(), forced)[:last], log().y, MEASUREMENT)
-
-
-def block(*parts: np.ndarray) -> np.ndarray:
-    sizes = np.cumsum([0, *map(len, parts)])
-    whole = np.zeros((sizes[-1], sizes[-1]))
-    for part, start, end in zip(parts, sizes, sizes[1:], strict=False):
-        whole[start:end, start:end] = part
-    return whole
+    """The least squares of all rows up to the last one."""
+    steps = list((with_a_force if forced else masses_steps)(log().t, log().u))[:last]
+    cov = block_diag(FIRST_COV, np.diag(PUSH**2)) if forced else FIRST_COV
+    first = np.append(log().y[0], np.zeros(len(cov) - 2))
+    return least_squares(first, cov, steps, log().y, np.eye(2, len(cov)), MEASUREMENT)
 
 
 def linear(name: str, model: Lagrangian):
@@ -171,15 +101,12 @@ def test_without_a_model_each_joint_is_smoothed_by_itself():
     smoothed = smooth(JointKalman(std, time, noise, gate=None), log())
     rates = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1 / time]])
     density = np.diag([0.0, 0.0, 2 * std**2 / time])
-    steps = []
-    for h in np.diff(log().t):
-        whole = scipy.linalg.expm(h * np.block([[-rates, density], [np.zeros((3, 3)), rates.T]]))
-        transition = whole[3:, 3:].T
-        steps.append((transition, np.zeros(3), transition @ whole[:3, 3:]))
+    moves = (van_loan(rates, density, h) for h in np.diff(log().t))
+    steps = [(transition, np.zeros(3), added) for transition, added in moves]
     covs = np.diag([noise**2, (std * time) ** 2, std**2])
     for i in range(2):
         y = log().y[:, i : i + 1]
-        means, cov = least_squares(np.array([y[0, 0], 0.0, 0.0]), covs, steps, y, noise**2 * np.eye(1))
+        means, cov = least_squares(np.array([y[0, 0], 0.0, 0.0]), covs, steps, y, np.eye(1, 3), noise**2 * np.eye(1))
         np.testing.assert_allclose(smoothed.run.estimate[:, i::2], means[:, :2], rtol=0, atol=1e-8)
         np.testing.assert_allclose(smoothed.std[:, i::2], np.sqrt(np.einsum("tii->ti", cov)), rtol=1e-6)
 
@@ -199,13 +126,10 @@ def rod() -> Lagrangian:
     )
 
 
-def swing(rows: int = 40, noise: float = 0.02, seed: int = 3, speed: float | None = 0.5) -> Record:
-    """A noisy log of it, perturbed at every row; true positions and velocities are in `x`.
-
-    A first speed of None is drawn as the filters expect it.
-    """
-    rng, h = np.random.default_rng(seed), 1 / RATE
-    states = [np.array([1.2, 2.0 * rng.normal() if speed is None else speed])]
+def swing(rows: int = 40, noise: float = 0.02, speed: float = 0.5) -> Record:
+    """A noisy log of it, perturbed at every row; true positions and velocities are in `x`."""
+    rng, h = np.random.default_rng(3), 1 / RATE
+    states = [np.array([1.2, speed])]
     for _ in range(rows - 1):
         a = np.asarray(rod_step(states[-1], h))
         w = rng.normal(size=2)
@@ -217,15 +141,7 @@ def swing(rows: int = 40, noise: float = 0.02, seed: int = 3, speed: float | Non
 
 def rod_step(x: np.ndarray, h: float) -> np.ndarray:
     """One Runge–Kutta step, written a second time."""
-
-    def f(x):
-        return np.array([x[1], -20.0 * np.sin(x[0]) - 0.3 * x[1]])
-
-    a = f(x)
-    b = f(x + h / 2 * a)
-    c = f(x + h / 2 * b)
-    d = f(x + h * c)
-    return x + h / 6 * (a + 2 * b + 2 * c + d)
+    return rk4(lambda x: np.array([x[1], -20.0 * np.sin(x[0]) - 0.3 * x[1]]), x, h)
 
 
 def rod_filter(kind: str, noise: float = 0.02, **named):
@@ -398,77 +314,7 @@ def test_a_start_and_a_model_that_are_certain_leave_one_motion(kind):
     np.testing.assert_allclose(x[1:], moved, rtol=0, atol=2e-3)  # a motion of the model, to its linearisation
 
 
-RUNS = 200
-
-
-@pytest.mark.exhaustive
-def test_its_errors_are_as_large_as_it_says_and_smaller_than_those_of_the_filter():
-    """At the first, a middle and the last row of many runs at once, which are the same as one by one."""
-    records = [swing(seed=seed, speed=None) for seed in range(RUNS)]
-    observer = rod_filter("ekf")
-    t, u = (jnp.asarray(a) for a in records[0][:2])
-
-    @jax.jit
-    @jax.vmap
-    def all_at_once(y):
-        run, filtered, _, root = smoothed_arrays(observer, t, u, y)
-        return run.estimate, filtered.estimate, root
-
-    y = np.stack([r.y for r in records])
-    true = np.stack([r.x for r in records])
-    estimates, filtered, roots = map(np.asarray, all_at_once(jnp.asarray(y)))
-    alone = smooth(observer, records[7]).run.estimate
-    np.testing.assert_allclose(alone, estimates[7], rtol=0, atol=1e-11)
-    errors, before = estimates - true, filtered - true
-    for row in (5, 20, 39):
-        scaled = np.linalg.solve(roots[:, row], errors[:, row, :, None])
-        assert abs(np.mean(scaled**2) - 1) < 2.5 * (2 / (2 * RUNS)) ** 0.5
-    ratio = np.sqrt(np.mean(errors[:, 5:-5] ** 2, axis=(0, 1)) / np.mean(before[:, 5:-5] ** 2, axis=(0, 1)))
-    assert (ratio < [0.75, 0.75]).all()
-    assert (ratio > 0.4).all()
-
-
 # In other coordinates.
-
-
-def warped(z, a):
-    following = jnp.roll(z, -1)
-    return z + a * jnp.sin(following) + a / 3 * jnp.cos(2 * following)
-
-
-def sphere_pendulum() -> Lagrangian:
-    """A pendulum on a sphere, in its angles from the pole and around it."""
-    return Lagrangian(lambda q: jnp.diag(jnp.stack([jnp.ones(()), jnp.sin(q[0]) ** 2])), lambda q: 9.81 * jnp.cos(q[0]))
-
-
-CHARTS = {
-    "rod": (rod(), (0.3,), 0.35),
-    "sphere": (sphere_pendulum(), (1.1, 0.4), 0.15),
-}
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["rod", "sphere"])
-def test_in_other_coordinates_it_is_the_same(name):
-    """Noise is the same tensor, and readings are the same points; so are the motion and its standard deviation."""
-    model, start, size = CHARTS[name]
-    chart, n, rows = Parametric(warped, a=np.array(size)), len(start), 25
-    rng = np.random.default_rng(5)
-    z = np.array(start) + 0.2 * np.sin(np.outer(np.arange(rows) / 8, np.arange(1, n + 1)))
-    z += 0.01 * rng.normal(size=z.shape)
-    t, u = 0.02 * np.arange(rows), np.zeros((rows, n))
-    named = {"gate": None, "substeps": 3, "budget": Budget(newton=2, steps=8)}
-    there = smooth(IntrinsicKalman(in_chart(model, chart), 4.0, 1e-4, 4.0, **named), Record(t, u, z))
-    y = np.asarray(jax.vmap(chart)(jnp.asarray(z)))
-    here = smooth(IntrinsicKalman(model, 4.0, 1e-4, 4.0, **named), Record(t, u, y))
-    q, v = jnp.split(there.run.estimate, 2, axis=1)
-    seen = jax.vmap(chart)(q), jax.vmap(lambda q, v: chart_velocity(model.manifold, chart, q, v))(q, v)
-    np.testing.assert_allclose(jnp.concatenate(seen, axis=1), here.run.estimate, rtol=0, atol=1e-5)
-    slopes = np.asarray(jax.vmap(lambda q: jnp.kron(jnp.eye(2), chart_jacobian(model.manifold, chart, q)))(q))
-    roots = slopes @ np.asarray(there.root)
-    covs = [a @ np.swapaxes(a, 1, 2) for a in (roots, np.asarray(here.root))]
-    np.testing.assert_allclose(*covs, rtol=0, atol=1e-5 * np.abs(covs[1]).max())
-    assert np.abs(slopes - np.eye(2 * n)).max() > 0.1
 
 
 @pytest.mark.parametrize(
@@ -482,83 +328,6 @@ def test_in_other_coordinates_it_is_the_same(name):
 def test_what_cannot_be_smoothed_is_refused(observer, lag, words):
     with pytest.raises(ValueError, match=words):
         smooth(observer, swing(), lag=lag)
-
-
-# On curved spaces, with the truth drawn as the filter believes it is.
-
-TRIALS, STEPS, DT = 100, 60, 0.02
-
-
-def bodies() -> dict:
-    chain = pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.05, 0.05))
-    double = Lagrangian(chain.metric, chain.potential, dissipation=chain.dissipation)
-    body = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))
-    return {"double pendulum": (double, jnp.array([0.5, -0.8])), "body on SO(3)": (body, jnp.eye(3))}
-
-
-def drawn_motion(model, q0, key):
-    """A true motion, and what is measured of it: noise of unit variance in the metric, times its size."""
-    space, n = model.space, model.manifold.zero(q0).shape[0]
-
-    def drawn(q, key):
-        return jnp.linalg.cholesky(jnp.linalg.inv(space(q))) @ jax.random.normal(key, (n,))
-
-    def moved(q, step, v):
-        end = space.transport_along(q, step, v, Budget(newton=1, steps=2))
-        return Motion(end.q, end.w)
-
-    def measured(true, key):
-        return moved(true.q, 0.01 * drawn(true.q, key), true.v).q
-
-    def step(true, key):
-        a, b, c = jax.random.split(key, 3)
-        end = models.advance(model, 0.0, true, jnp.zeros(n), DT, 1)
-        w1, w2 = (0.3 * DT**0.5 * drawn(end.q, each) for each in (a, b))
-        end = moved(end.q, DT * (w1 / 2 + w2 / 12**0.5), end.v + w1)
-        return end, (end, measured(end, c))
-
-    first, second, rest = jax.random.split(key, 3)
-    start = Motion(q0, drawn(q0, first))
-    motions, y = jax.lax.scan(step, start, jax.random.split(rest, STEPS - 1))[1]
-    whole = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, motions)
-    return whole, jnp.concatenate([measured(start, second)[None], y])
-
-
-def trial(model, q0, lag, key):
-    """Squared errors (STEPS, 2) of q and v in the metric, of smoother and filter, and NEES (STEPS,)."""
-    space, n = model.space, model.manifold.zero(q0).shape[0]
-    true, y = drawn_motion(model, q0, key)
-    observer = IntrinsicKalman(model, 0.09, 1e-4, 1.0, gate=None, substeps=1)
-    done = smoothed_arrays(observer, jnp.asarray(DT * np.arange(STEPS)), jnp.zeros((STEPS, n)), y, lag)
-
-    def error(true, x):
-        q, v = x if isinstance(x, Motion) else jnp.split(x, 2)
-        shot = space.shoot(q, true.q, None, Budget(newton=1, steps=2))
-        back = space.transport_along(true.q, -shot.arrival, true.v, Budget(newton=1, steps=2))
-        return jnp.concatenate([shot.velocity, back.w - v])
-
-    def squares(q, error):
-        metric = space(q)
-        return jnp.stack([error[:n] @ metric @ error[:n], error[n:] @ metric @ error[n:]])
-
-    errors = [jax.vmap(error)(true, run.estimate) for run in (done.run, done.filtered)]
-    nees = jax.vmap(lambda e, root: e @ jnp.linalg.solve(root @ root.T, e))(errors[0], done.root)
-    return *(jax.vmap(squares)(true.q, each) for each in errors), nees / (2 * n)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("lag", [None, 8])
-@pytest.mark.parametrize("name", ["double pendulum", "body on SO(3)"])
-def test_on_curved_spaces_it_is_consistent_and_better_than_the_filter(name, lag):
-    """Measured: .59 and .58 of the filter's errors of q and v, .61 and .58 with the lag; .56 and .54 on SO(3)."""
-    model, q0 = bodies()[name]
-    keys = jax.random.split(jax.random.PRNGKey(0), TRIALS)
-    after, before, nees = map(np.asarray, jax.jit(jax.vmap(lambda key: trial(model, q0, lag, key)))(keys))
-    inner = slice(10, STEPS - 10)
-    ratio = np.sqrt(after[:, inner].mean((0, 1)) / before[:, inner].mean((0, 1)))
-    assert (ratio < 0.65).all()
-    assert (ratio > 0.45).all()
-    assert abs(nees[:, inner].mean() - 1) < 0.1
 
 
 @pytest.mark.long

@@ -1,56 +1,16 @@
-"""The unscented Kalman filter: the textbook's where all is linear, and against Monte Carlo where nothing is."""
+"""The unscented Kalman filter where nothing is linear: against the EKF, and against Monte Carlo."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import linalg
+from plants import MEASUREMENT, PROCESS, body, masses
 
 from covariant import models
 from covariant.geometry.lie import SO3
-from covariant.models import GroupSystem, Lagrangian, Motion
+from covariant.models import Lagrangian, Motion
 from covariant.observers import EKF, UKF, run
-from covariant.signals import Record, StepCode
-
-MASS = np.array([[2.0, 0.5], [0.5, 1.0]])
-STIFFNESS = np.array([[30.0, -10.0], [-10.0, 20.0]])
-PROCESS = np.array([[2.0, 0.4], [0.4, 1.0]])
-MEASUREMENT = 1e-4 * np.array([[1.0, 0.6], [0.6, 2.0]])
-MASSES = Lagrangian(lambda q: jnp.asarray(MASS), lambda q: q @ jnp.asarray(STIFFNESS) @ q / 2)
-
-
-def textbook(t, y):
-    """The Kalman filter of the two masses, from rest with a velocity known to .7; absent entries are left out."""
-    flow = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(MASS, STIFFNESS), np.zeros((2, 2))]])
-    x, cov, rows = np.append(y[0], [0.0, 0.0]), linalg.block_diag(MEASUREMENT, 0.49 * np.eye(2)), []
-    for dt, measured in zip(np.diff(t), y[1:], strict=True):
-        step = linalg.expm(flow * dt)
-        noise = np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], PROCESS)
-        x, cov = step @ x, step @ cov @ step.T + noise
-        seen = np.flatnonzero(np.isfinite(measured))
-        output = np.eye(4)[seen]
-        gain = cov @ output.T @ np.linalg.inv(output @ cov @ output.T + MEASUREMENT[np.ix_(seen, seen)])
-        x, cov = x + gain @ (measured[seen] - x[seen]), cov - gain @ output @ cov
-        rows.append(x)
-    return np.array(rows), cov
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("spread", [1.0, 0.6])
-def test_where_all_is_linear_it_is_the_kalman_filter(spread):
-    """At irregular stamps, with gaps of both positions, of one, of the other."""
-    rng = np.random.default_rng(0)
-    t = np.cumsum(rng.uniform(0.002, 0.01, 60))
-    y = 0.1 * np.cumsum(rng.normal(size=(60, 2)), 0)
-    y[20:25] = y[30:36, 0] = y[40:48:2, 1] = np.nan
-    observer = UKF(MASSES, PROCESS, MEASUREMENT, 0.7, substeps=16, spread=spread, gate=None)
-    done = run(observer, Record(t, np.zeros((60, 2)), y))
-    expected, cov = textbook(t, y)
-    np.testing.assert_allclose(done.estimate[1:], expected, rtol=0, atol=1e-10)
-    innovation_cov = np.asarray(done.info.innovation_cov[-1])
-    before = np.linalg.inv(np.linalg.inv(cov[:2, :2]) - np.linalg.inv(MEASUREMENT)) + MEASUREMENT
-    np.testing.assert_allclose(innovation_cov, before, rtol=1e-8)
-    np.testing.assert_array_equal(np.asarray(done.info.result)[20:25], StepCode.COASTED)
+from covariant.signals import Record
 
 
 def swings(count: int, dt: float):
@@ -90,17 +50,14 @@ def test_far_from_linear_it_is_nearer_than_the_ekf():
     assert error(UKF) < min(0.65, 0.8 * error(EKF))
 
 
-BODY = GroupSystem(SO3, jnp.diag(jnp.array([1.0, 2.0, 3.5])))
-
-
 @pytest.mark.exhaustive
 def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
     """A tumbling body of uncertain attitude and velocity, half a second later; the EKF's are further off."""
-    rng = np.random.default_rng(7)
+    rng, rigid = np.random.default_rng(7), body()
     root = np.sqrt(np.diag([0.02] * 3 + [0.5] * 3))
     q0, v0, u, dt = SO3.exp(jnp.array([0.3, -0.2, 0.4])), jnp.array([0.5, 2.0, -0.4]), jnp.zeros(3), jnp.asarray(0.5)
     still = jnp.zeros((3, 3)), 1e-4 * jnp.eye(3), 1.0, 4
-    ukf, ekf = UKF(BODY, *still), EKF(BODY, *still)
+    ukf, ekf = UKF(rigid, *still), EKF(rigid, *still)
 
     @jax.jit
     def both(errors):
@@ -109,7 +66,7 @@ def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
         linear = ekf.predict(ekf.init(q0)._replace(v=v0, cov=jnp.asarray(root**2)), u, dt)
 
         def seen(error):
-            q, v = models.advance(BODY, 0.0, Motion(SO3.retract(q0, error[:3]), v0 + error[3:]), u, dt, 4)
+            q, v = models.advance(rigid, 0.0, Motion(SO3.retract(q0, error[:3]), v0 + error[3:]), u, dt, 4)
             return [jnp.concatenate([SO3.local(state.q, q), v - state.v]) for state in (found, linear)]
 
         return (found, linear), jax.vmap(seen)(errors)
@@ -128,7 +85,7 @@ def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
 @pytest.mark.long
 def test_a_covariance_without_rank_stays_one():
     """Nothing is unknown of the velocity and nothing disturbs it: the model alone moves it, and numbers stay finite."""
-    observer = UKF(MASSES, np.zeros((2, 2)), MEASUREMENT, 0.0, substeps=16)
+    observer = UKF(masses(), np.zeros((2, 2)), MEASUREMENT, 0.0, substeps=16)
     t, y = 0.01 * np.arange(60.0), np.full((60, 2), 0.1)  # as many rows as above, the same program
     y[1:, 1] = np.nan
     done = run(observer, Record(t, np.zeros((60, 2)), y))
@@ -150,4 +107,4 @@ def test_angles_go_round():
 @pytest.mark.parametrize("wrong", [{"spread": 0.3}, {"process_cov": -np.eye(2)}, {"measurement_cov": np.zeros((2, 2))}])
 def test_what_is_no_covariance_is_refused(wrong):
     with pytest.raises(ValueError, match=f"UKF: {next(iter(wrong))} must"):
-        UKF(MASSES, **({"process_cov": PROCESS, "measurement_cov": MEASUREMENT} | wrong))
+        UKF(masses(), **({"process_cov": PROCESS, "measurement_cov": MEASUREMENT} | wrong))

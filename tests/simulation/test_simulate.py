@@ -9,7 +9,7 @@ import pytest
 
 from covariant import geometry
 from covariant._adaptive import solve
-from covariant.models import Lagrangian, ball_and_beam, energy, pendulum_chain
+from covariant.models import Lagrangian, ball_and_beam, duffing, energy, pendulum_chain
 from covariant.observers import AbstractFlowObserver, MechanicalState
 from covariant.simulation import hold, no_input, observe, simulate
 
@@ -95,12 +95,13 @@ def test_no_input_has_as_many_entries_as_the_model_takes():
 
 
 @pytest.mark.exhaustive
-def test_a_watched_machine_moves_as_it_does_alone():
+@pytest.mark.parametrize("model", [SPRING, duffing(0.0, 4.0, 0.0)], ids=["mechanical", "state space"])
+def test_a_watched_machine_moves_as_it_does_alone(model):
     t = jnp.linspace(0.0, 4.0, 17)
     x0, push = jnp.array([0.5, 0.0]), lambda s, x: jnp.sin(s)[None]
     start = Follower().init(jnp.zeros(1))
-    x, state = observe(SPRING, Follower(), x0, start, t, push, measure=lambda s, q: q + 3.0 * s)
-    np.testing.assert_allclose(x, simulate(SPRING, x0, t, push).x, rtol=0, atol=1e-8)
+    x, state = observe(model, Follower(), x0, start, t, push, measure=lambda s, q: q + 3.0 * s)
+    np.testing.assert_allclose(x, simulate(model, x0, t, push).x, rtol=0, atol=1e-8)
     # The observer got the input and the measurement of the same instant: q'' = u − 4q gives ∫q.
     np.testing.assert_allclose(state.v[:, 0], 1 - np.cos(t), rtol=0, atol=1e-9)
     np.testing.assert_allclose(state.t, t, rtol=0, atol=1e-9)
