@@ -14,7 +14,7 @@ Change = Callable[[dict], Any]
 
 def put(place: str, value: Any = MISSING) -> Change:
     """Put a value at a place such as `claims[0].square`: one made from the value there, or none at all."""
-    *path, last = (int(key) if key.isdigit() else key for key in re.findall(r"[^.[\]]+", place))
+    *path, last = (int(key) if re.fullmatch(r"-?\d+", key) else key for key in re.findall(r"[^.[\]]+", place))
 
     def change(document):
         target: Any = document
