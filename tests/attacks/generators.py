@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from systems import EFFORT, certified, rotation, wrapped
@@ -30,7 +29,6 @@ SHAPES: dict[str, Callable] = {
     "ramp": lambda xp, r: xp.clip(r, -1.0, 1.0),
     "half": lambda xp, r: xp.maximum(r, 0.0),
     "choice": lambda xp, r: xp.where(r > 0, r, 0.0),
-    "beyond": lambda xp, r: xp.maximum(r - 0.25, 0.0),
     "hat": lambda xp, r: xp.maximum(0.0, 1 - xp.abs(r)),
     "quadratic": lambda xp, r: r * xp.abs(r),
     "smooth": lambda xp, r: xp.arctan(r),
@@ -45,18 +43,13 @@ SHAPES: dict[str, Callable] = {
     "a root": lambda xp, r: xp.sqrt(r),
     "a power": lambda xp, r: r**1.5,
 }
-"""Functions of one number. The first six jump; of the next six the slope does; the last are not defined everywhere."""
+"""Functions of one number. The first six jump; of the next five the slope does; the last are not defined everywhere."""
 NAMES = list(SHAPES)
-JUMPS, KINKS, SMOOTH, PARTLY = NAMES[:6], NAMES[6:13], NAMES[12:16], NAMES[16:]
-
-
-def blind(shape: Callable) -> Callable:
-    """The same values, with a derivative of nought."""
-    return lambda xp, r: jax.lax.stop_gradient(shape(xp, r)) if xp is jnp else shape(xp, r)
+JUMPS, KINKS, SMOOTH, PARTLY = NAMES[:6], NAMES[6:12], NAMES[11:15], NAMES[15:]
 
 
 class Term(NamedTuple):
-    """`size · along · shape((place·features + speed·v − at) / width)`; `hidden` from derivatives or not."""
+    """`size · along · shape((place·features + speed·v − at) / width)`."""
 
     shape: str
     size: float
@@ -65,7 +58,6 @@ class Term(NamedTuple):
     place: tuple[float, ...]
     speed: tuple[float, ...]
     along: tuple[float, ...]
-    hidden: bool = False
 
     def inside(self, features, v):
         """What the shape is of."""
@@ -75,8 +67,7 @@ class Term(NamedTuple):
         return (whole - self.at) / self.width
 
     def __call__(self, xp, features, v):
-        shape = blind(SHAPES[self.shape]) if self.hidden else SHAPES[self.shape]
-        return xp.tensordot(xp.array(self.along), self.size * shape(xp, self.inside(features, v)), axes=0)
+        return xp.tensordot(xp.array(self.along), self.size * SHAPES[self.shape](xp, self.inside(features, v)), axes=0)
 
     @property
     def slope(self) -> float:
@@ -89,7 +80,7 @@ class Term(NamedTuple):
 class System(NamedTuple):
     """An observer on a region, and the friction of its model.
 
-    `space`: "line", "plane", "circle" (charts), "wheel" on SO(2) or "body" on SO(3).
+    `space`: "line", "plane", "circle" (charts), or "wheel" on SO(2).
     `harmless`: whether it was meant so.
     """
 
@@ -106,17 +97,15 @@ class System(NamedTuple):
 
     @property
     def n(self) -> int:
-        return {"plane": 2, "body": 3}.get(self.space, 1)
+        return 2 if self.space == "plane" else 1
 
     @property
     def on_group(self) -> bool:
-        return self.space in ("wheel", "body")
+        return self.space == "wheel"
 
     def features(self, xp, x):
         """What friction may see of the place: coordinates, or the first entries of the rotation matrix."""
-        if self.space == "wheel":
-            return xp.stack([1 - x[0, 0], x[1, 0]])
-        return xp.stack([1 - x[0, 0], x[1, 0], x[2, 1]]) if self.space == "body" else x
+        return xp.stack([1 - x[0, 0], x[1, 0]]) if self.on_group else x
 
     def friction(self, xp, x, v):
         total = -self.damping * v
@@ -133,8 +122,7 @@ class System(NamedTuple):
             return self.friction(jnp, x, v)
 
         if self.on_group:
-            group = lie.SO2 if self.space == "wheel" else lie.SO3
-            return Intrinsic(models.GroupSystem(group, np.eye(self.n), dissipation=friction), self.alpha, self.beta)
+            return Intrinsic(models.GroupSystem(lie.SO2, np.eye(1), dissipation=friction), self.alpha, self.beta)
         names = ("x", "y")[: self.n]
         stiffness = self.stiffness
         model = models.Lagrangian(
@@ -155,24 +143,6 @@ class System(NamedTuple):
 # What they really do.
 
 
-def turned(rotations, step):
-    """Rotations (3, 3, k) turned in the body by rotation vectors (3, k)."""
-    angle = np.sqrt((step**2).sum(axis=0)) + 1e-300
-    x, y, z = step / angle
-    zero = np.zeros_like(x)
-    hat = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    turn = np.eye(3)[:, :, None] + np.sin(angle) * hat + (1 - np.cos(angle)) * np.einsum("ijk,jlk->ilk", hat, hat)
-    return np.einsum("ijk,jlk->ilk", rotations, turn)
-
-
-def logarithm(rotations):
-    """Rotation vectors (3, k) of rotations, below half a turn."""
-    axis = np.array([rotations[i, j] - rotations[j, i] for i, j in ((2, 1), (0, 2), (1, 0))]) / 2
-    sine = np.sqrt((axis**2).sum(axis=0))
-    angle = np.arctan2(sine, (np.trace(rotations) - 1) / 2)
-    return axis * np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
-
-
 class Motions(NamedTuple):
     """True motions and estimates, and the input that each motion gets: "none", "hold" or "push" by column."""
 
@@ -190,11 +160,9 @@ class World:
         self.most = np.broadcast_to(np.asarray(system.bounds.get("input", 0.0), float), (system.n,))[:, None]
 
     def at(self, x):
-        return rotation(x[0]) if self.system.space == "wheel" else x
+        return rotation(x[0]) if self.system.on_group else x
 
     def offset(self, estimated, x):
-        if self.system.space == "body":
-            return logarithm(np.einsum("jik,jlk->ilk", x, estimated))
         off = estimated - x
         return wrapped(off) if self.system.space in ("wheel", "circle") else off
 
@@ -212,40 +180,22 @@ class World:
         rubbing = system.friction(np, self.at(s.estimated), s.speed)
         w = s.speed - system.alpha * off
         accelerated = known + measured + rubbing - system.beta * off
-        if system.space == "body":
-            accelerated = accelerated + self._turning(w, s.speed, off, known)
         return [s.v, w, pull + known + unknown + spring, accelerated]
 
-    def _turning(self, w, speed, off, known):
-        """On SO(3) with I = 1: B(x, y) = ½ x × y, and R(x, y)z = −¼ (x × y) × z."""
-        turn = -np.cross(w, speed, axis=0) / 2 - np.cross(off, known, axis=0) / 2
-        return turn - np.cross(np.cross(off, speed, axis=0), speed, axis=0) / 4
-
     def moved(self, s: Motions, h: float, d: list[np.ndarray]) -> Motions:
-        if self.system.space == "body":
-            return Motions(turned(s.x, h * d[0]), s.v + h * d[2], turned(s.estimated, h * d[1]), s.speed + h * d[3])
         return Motions(s.x + h * d[0], s.v + h * d[2], s.estimated + h * d[1], s.speed + h * d[3])
 
     def step(self, k: int, s: Motions, h: float) -> Motions:
-        """A step of the classical Runge–Kutta rule, on SO(3) of the midpoint rule."""
+        """A step of the classical Runge–Kutta rule."""
         a = self.change(k, s)
         b = self.change(k, self.moved(s, h / 2, a))
-        if self.system.space == "body":
-            return self.moved(s, h, b)
         c = self.change(k, self.moved(s, h / 2, b))
         d = self.change(k, self.moved(s, h, c))
         return self.moved(s, h, [(p + 2 * q + 2 * r + t) / 6 for p, q, r, t in zip(a, b, c, d, strict=True)])
 
     def distance(self, s: Motions) -> np.ndarray:
-        """Distances (k,) of estimates from the truth; on SO(3) a lower bound of them.
-
-        There |log(gᵀ ĝ)| and ||v̂| − |v|| change no faster than |ξ| and |ζ|, each of which a length bounds.
-        """
+        """Distances (k,) of estimates from the truth."""
         q, xi, zeta = self.system.q, self.offset(s.estimated, s.x), s.speed - s.v
-        if self.system.space == "body":
-            far = np.sqrt((q[0, 0] - q[0, 1] ** 2 / q[1, 1]) / 2 * (xi**2).sum(axis=0))
-            speeds = np.sqrt((s.speed**2).sum(axis=0)) - np.sqrt((s.v**2).sum(axis=0))
-            return np.maximum(far, np.sqrt((q[1, 1] - q[0, 1] ** 2 / q[0, 0]) / 2) * np.abs(speeds))
         squares = q[0, 0] * xi**2 + 2 * q[0, 1] * xi * zeta + q[1, 1] * zeta**2
         return np.sqrt(squares.sum(axis=0) / 2)
 
@@ -270,9 +220,7 @@ def starts(system: System, radius: float, rng, count: int = 192) -> Motions:
     n, bounds = system.n, system.bounds
     limit = np.broadcast_to(np.asarray(bounds["velocity"], float), (n,))[:, None]
     v = limit * np.clip(rng.uniform(-1.2, 1.2, (n, count)), -1, 1)
-    if system.space == "body":
-        x = turned(np.repeat(np.eye(3)[:, :, None], count, axis=2), rng.normal(size=(3, count)) * 2)
-    elif system.space == "wheel":
+    if system.on_group:
         x = rng.uniform(-np.pi, np.pi, (1, count))
     else:
         low, high = (np.broadcast_to(np.asarray(side, float), (n,))[:, None] for side in bounds["position"])
@@ -294,8 +242,7 @@ def starts(system: System, radius: float, rng, count: int = 192) -> Motions:
     root = np.linalg.cholesky(system.q / 2)
     both = np.einsum("ij,jnk->ink", np.linalg.inv(root).T, directions.reshape(2, n, count))
     both *= radius * rng.choice([1.0, 0.7, 1e-2, 1e-5], count) * (1 - 1e-9)
-    estimated = turned(x, both[0]) if system.space == "body" else x + both[0]
-    return Motions(x, v, estimated, v + both[1])
+    return Motions(x, v, x + both[0], v + both[1])
 
 
 def contradiction(system: System, found: ContractionCertificate, seed: int, drift: float = 0.0, **acting) -> float:
@@ -312,8 +259,7 @@ def contradiction(system: System, found: ContractionCertificate, seed: int, drif
     steep = system.damping + system.alpha + sum(t.slope for t in system.terms if t.shape not in JUMPS)
     steps = 500
     h = min(3 / system.alpha / steps, 0.3 / steep)
-    # Rotations that are a small distance apart are compared with that of the ball they began in.
-    first = np.full(count, found.radius) if system.space == "body" else world.distance(begin)
+    first = world.distance(begin)
     now, keeps, worst = begin, world.kept(begin) & world.resolved(begin), 0.0
     with np.errstate(all="ignore"):
         for k in range(steps):
@@ -356,14 +302,14 @@ def base(kind: str, space: str, rng, harmless: bool, terms: tuple[Term, ...] = (
     beta = alpha**2 * spread(rng, 0.3, 1.0)
     best = -2 * np.linalg.eigvals(np.array([[-alpha, 1], [-beta, 0]])).real.max()
     q = optimal_lyapunov(alpha, beta, best * rng.uniform(0.3, 0.8))
-    n = {"plane": 2, "body": 3}.get(space, 1)
+    n = 2 if space == "plane" else 1
     bounds: dict[str, Any] = {
-        "velocity": spread(rng, 0.3, 3) * (0.1 if space == "body" else 1.0),
+        "velocity": spread(rng, 0.3, 3),
         "error": spread(rng, 0.02, 0.5),
-        "input": spread(rng, 0.01, 10) * (0.01 if space == "body" else 1.0),
+        "input": spread(rng, 0.01, 10),
         "rate": best * rng.uniform(0.05, 0.25),
     }
-    if space not in ("wheel", "body"):
+    if space != "wheel":
         low = rng.uniform(-1.5, 0.5, n)
         bounds["position"] = (low, low + rng.uniform(0.2, 2, n))
     damping = spread(rng, 0.05, 2) if rng.random() < 0.8 else 0.0
@@ -374,21 +320,21 @@ def base(kind: str, space: str, rng, harmless: bool, terms: tuple[Term, ...] = (
 def combination(rng, space: str, n: int, of_place: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Weights of the features of the place and of the velocity: one velocity, or a mixture."""
     speed = np.eye(n)[rng.integers(n)] if rng.random() < 0.7 else rng.normal(size=n)
-    place = np.zeros({"wheel": 2, "body": 3}.get(space, n))
+    place = np.zeros(2 if space == "wheel" else n)
     if of_place:
         place[rng.integers(len(place))] = rng.normal()
         speed = speed * rng.integers(0, 2)
     return tuple(place), tuple(speed)
 
 
-def term(rng, system: System, shapes: list[str], size: float, *, of_place=False, hidden=False) -> Term:
+def term(rng, system: System, shapes: list[str], size: float, *, of_place=False) -> Term:
     """A term of one of the shapes; a positive size drives where a driven shape rises."""
     place, speed = combination(rng, system.space, system.n, of_place)
     velocity = float(system.bounds["velocity"])
     along = np.asarray(speed) if any(speed) else np.eye(system.n)[0]
     at = velocity * rng.choice([0.0, rng.uniform(-0.9, 0.9), 1.0]) if rng.random() < 0.8 else 0.0
     width = velocity * spread(rng, 0.02, 1)
-    return Term(str(rng.choice(shapes)), size * width, at, width, place, speed, tuple(along), hidden)
+    return Term(str(rng.choice(shapes)), size * width, at, width, place, speed, tuple(along))
 
 
 def discontinuity(rng, index: int) -> System:
@@ -398,7 +344,7 @@ def discontinuity(rng, index: int) -> System:
     if harmless:
         return system._replace(terms=(term(rng, system, SMOOTH, -spread(rng, 0.01, 1)),))
     size = rng.choice([-1, 1, 1]) * spread(rng, 1, 1e3)
-    made = term(rng, system, JUMPS, size, of_place=rng.random() < 0.3, hidden=rng.random() < 0.2)
+    made = term(rng, system, JUMPS, size, of_place=rng.random() < 0.3)
     return system._replace(terms=(made,))
 
 
@@ -408,7 +354,7 @@ def kink(rng, index: int) -> System:
     system = base("kink", str(rng.choice(["line", "line", "plane", "wheel"])), rng, harmless)
     shapes = ["ramp", "half", "quadratic"] if harmless else KINKS
     size = -spread(rng, 0.05, 3) if harmless else rng.choice([-1, 1]) * system.alpha * spread(rng, 0.05, 20)
-    made = term(rng, system, shapes, size, of_place=not harmless and rng.random() < 0.2, hidden=False)
+    made = term(rng, system, shapes, size, of_place=not harmless and rng.random() < 0.2)
     made = made._replace(width=max(made.width, 0.2 * float(system.bounds["velocity"]))) if harmless else made
     return system._replace(terms=(made,))
 
@@ -416,7 +362,7 @@ def kink(rng, index: int) -> System:
 def place(rng, index: int) -> System:
     """Friction by the place, on groups and in charts, or by the velocity alone."""
     harmless = index % 3 == 0
-    space = "body" if index % 12 == 5 else str(rng.choice(["wheel", "wheel", "line", "plane", "circle"]))
+    space = str(rng.choice(["wheel", "wheel", "line", "plane", "circle"]))
     system = base("place", space, rng, harmless)
     if harmless:
         return system._replace(terms=(term(rng, system, ["quadratic", "smooth"], -spread(rng, 0.05, 2)),))
@@ -427,8 +373,7 @@ def place(rng, index: int) -> System:
 def injectivity(rng, index: int) -> System:
     """Errors from small ones to more than a whole turn."""
     harmless = index % 2 == 0
-    space = "body" if index % 12 == 5 else str(rng.choice(["wheel", "circle"]))
-    system = base("injectivity", space, rng, harmless)
+    system = base("injectivity", str(rng.choice(["wheel", "circle"])), rng, harmless)
     error = rng.uniform(0.1, 3.1) if harmless else rng.choice([rng.uniform(3, 3.3), rng.uniform(3.1, 7)])
     return system._replace(bounds=system.bounds | {"error": float(error)})
 
@@ -445,28 +390,6 @@ def definedness(rng, index: int) -> System:
     return system._replace(terms=(made,))
 
 
-def borders(rng, index: int) -> System:
-    """Bounds of any size and with any last digit, and friction that drives just beyond them."""
-    harmless = index % 3 == 0
-    system = base("bounds", "line", rng, harmless)
-    bound = system.bounds | {"velocity": spread(rng, 1e-3, 1e3), "error": spread(rng, 1e-3, 10)}
-    if harmless:
-        return system._replace(bounds=bound)
-    middle, half = spread(rng, 1, 1e6) * rng.choice([-1, 1]), spread(rng, 0.1, 1)
-    bound |= {"position": (np.array([middle - half]), np.array([middle + half])), "velocity": spread(rng, 1e-4, 1)}
-    high = float(bound["position"][1][0])
-    error = bound["error"] = float(np.spacing(abs(high))) * spread(rng, 0.05, 1e3)
-    drive = Term("beyond", 100 * system.beta * error, high, error, (1.0,), (0.0,), (1.0,))
-    return system._replace(bounds=bound, terms=(drive,))
-
-
-def seen_from_the_border(system: System) -> System:
-    """The same system on a line, positions being counted from the upper bound, where there are digits enough."""
-    low, high = system.bounds["position"]
-    terms = tuple(term._replace(at=term.at - float(high[0]) * term.place[0]) for term in system.terms)
-    return system._replace(terms=terms, bounds=system.bounds | {"position": (low - high, high - high)})
-
-
 def noise(rng, index: int) -> System:
     """Springs under noise and unknown forces."""
     harmless = index % 3 == 0
@@ -481,15 +404,8 @@ def noise(rng, index: int) -> System:
     return system._replace(bounds=system.bounds | some)
 
 
-KINDS: dict[str, Callable[[np.random.Generator, int], System]] = {
-    "discontinuity": discontinuity,
-    "kink": kink,
-    "place": place,
-    "injectivity": injectivity,
-    "definedness": definedness,
-    "bounds": borders,
-    "noise": noise,
-}
+MAKERS = (discontinuity, kink, place, injectivity, definedness, noise)
+KINDS: dict[str, Callable[[np.random.Generator, int], System]] = {make.__name__: make for make in MAKERS}
 
 
 def draw(kind: str, index: int) -> System:
