@@ -18,7 +18,6 @@ from covariant.certificates import (
     conditioning,
     contraction_matrix,
     contraction_rate,
-    decay,
     error_bounds,
     error_matrix,
     error_system,
@@ -33,7 +32,6 @@ from covariant.certificates import (
     rate_of,
     rates_along,
     steady_distance,
-    tangent_metric,
     upper_distance,
 )
 from covariant.geometry import distance, hyperbolic
@@ -268,33 +266,6 @@ def test_tiny_distances_are_compared_to_what_solutions_are_computed_to():
     assert measured(last, last).holds
     assert measured(0.0, 4 * last).statement.verdict == "undecided"
     assert measured(4 * last, 4 * last).statement.verdict == "fails"
-
-
-@pytest.mark.exhaustive
-def test_theorem_two_measured():
-    """Pairs of estimates of one trajectory of the ball and beam: no distance falls more slowly than certified."""
-    model = models.ball_and_beam()
-    observer = Intrinsic(model, ALPHA, BETA)
-
-    def truth(t):
-        return jnp.stack([0.02 * jnp.cos(t), 0.1 * jnp.sin(t)])
-
-    def flow(t, x):
-        state = observer.init(x[:2])._replace(v=x[2:], t=t)
-        change = observer.flow(t, state, jnp.zeros(2)[:1], truth(t))
-        return jnp.concatenate([change.q, change.v])
-
-    metric = tangent_metric(model.metric, PAPER)
-    rng = np.random.default_rng(5)
-    start = np.array([0.02, 0.0, 0.0, 0.1])
-    x0 = jnp.asarray(start + 0.005 * rng.normal(size=(4, 4)))
-    x1 = jnp.asarray(start + 0.005 * rng.normal(size=(4, 4)))
-    found = decay(flow, metric, 0.35, x0, x1, jnp.linspace(0.0, 10.0, 6))
-    assert found.holds
-    assert found.slowest > 0.35
-    too_fast = decay(flow, metric, 2.0, x0, x1, jnp.linspace(0.0, 10.0, 6))
-    assert not too_fast.holds
-    assert isinstance(found, Decay)
 
 
 def test_bound_of_the_error_under_noise_against_simulation():

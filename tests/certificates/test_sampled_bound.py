@@ -14,8 +14,7 @@ import pytest
 from forging import MISSING, forged, put
 
 import covariant
-from covariant import Record, lowering, models
-from covariant._compile import compiler
+from covariant import lowering, models
 from covariant.certificates import (
     Bounded,
     ContractionCertificate,
@@ -27,7 +26,6 @@ from covariant.certificates import (
 )
 from covariant.certificates.base._radius_recursion import Recursion
 from covariant.certificates.checking import _check
-from covariant.engine import run_logs
 from covariant.observers import Delayed, Gated, Info, Intrinsic
 from covariant.signals import StepCode
 
@@ -563,48 +561,6 @@ def test_no_fault_makes_a_bound_of_a_shipped_certificate_false(name):
 
     plant = Plant(certificate.bounded(), certificate.given.noise, 0.0, length)
     never_false(plant, 200, 500)
-
-
-@pytest.mark.long
-def test_compiled_c_has_the_same_bounds_as_jax_in_logs_with_faults():
-    """30 000 rows with lost, missing, late, early, huge and wrong rows, in 300 logs that start from rest."""
-    speed = 0.3
-    observer = bounded(LOST_ONCE, missing_rows=True, longest_step=2 * AGES[0, 1] / SUBSTEPS)
-    observer = dataclasses.replace(observer, first_radius=observer.bound.within(NOISE, speed))
-    assert np.isfinite(observer.first_radius)
-
-    def row(x, key):
-        keys = jax.random.split(key, 5)
-        kind = jax.random.randint(keys[0], (), 0, 60)
-        dt = jax.random.uniform(keys[1], minval=INTERVAL[0], maxval=INTERVAL[1])
-        dt = jnp.select([kind == 1, kind == 2, kind == 3], [2 * dt, 1.4 * dt, dt / 9], dt)
-        u = jax.random.uniform(keys[2], (1,), minval=-0.5, maxval=0.5)
-        x = moved(x, u, dt)
-        noise = NOISE * jax.random.uniform(keys[3], (1,), minval=-1.0)
-        y: Any = x[:1] + noise + jnp.where(kind == 4, 0.5, 0.0)
-        y = jnp.select([kind == 5, kind == 6, kind == 7], [jnp.nan, 1e30, -1e12], y)
-        return x, (dt, jnp.where(kind == 8, 0.6, u), y, x)
-
-    def log(key):
-        first, rest = jax.random.split(key)
-        x = jax.random.uniform(first, (2,), minval=-1.0) * jnp.array([1.0, speed])
-        return x, jax.lax.scan(row, x, jax.random.split(rest, 100))[1]
-
-    starts, (dt, u, y, truth) = jax.jit(jax.vmap(log))(jax.random.split(jax.random.key(3), 300))
-    t = np.concatenate([np.zeros((300, 1)), np.cumsum(np.asarray(dt), axis=1)], axis=1)
-    y = np.concatenate([np.asarray(starts)[:, None, :1], np.asarray(y)], axis=1)
-    records = [Record(t[k], np.concatenate([np.asarray(u[k]), np.zeros((1, 1))]), y[k]) for k in range(300)]
-    known = 0
-    if compiler() is None:
-        pytest.skip("no C compiler")
-    in_c, in_jax = (run_logs(observer, records, engine=engine)[0] for engine in ("c", "jax"))
-    for k, (c, expected) in enumerate(zip(in_c, in_jax, strict=True)):
-        for one, other in zip(jax.tree.leaves(c.info), jax.tree.leaves(expected.info), strict=True):
-            assert np.allclose(one, other, rtol=1e-9, atol=1e-12, equal_nan=True)
-        limits = np.concatenate([c.info.position_bound, c.info.velocity_bound], axis=1)[-100:]
-        assert (np.abs(np.asarray(c.estimate)[-100:] - truth[k]) <= limits).all()
-        known += int(np.isfinite(limits).all(axis=1).sum())
-    assert 3000 < known < 29_000
 
 
 @pytest.mark.parametrize("change", ["corrects by what is lost", "no contradiction"])
