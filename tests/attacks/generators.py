@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from systems import EFFORT, certified, rotation, wrapped
+from systems import EFFORT, certified, wrapped
 
 from covariant import geometry, models
 from covariant.certificates import ContractionCertificate, optimal_lyapunov
-from covariant.geometry import lie
 from covariant.observers import Intrinsic
 
 SHAPES: dict[str, Callable] = {
@@ -49,7 +48,7 @@ JUMPS, KINKS, SMOOTH, PARTLY = NAMES[:6], NAMES[6:12], NAMES[11:15], NAMES[15:]
 
 
 class Term(NamedTuple):
-    """`size · along · shape((place·features + speed·v − at) / width)`."""
+    """`size · along · shape((place·x + speed·v − at) / width)`."""
 
     shape: str
     size: float
@@ -59,28 +58,27 @@ class Term(NamedTuple):
     speed: tuple[float, ...]
     along: tuple[float, ...]
 
-    def inside(self, features, v):
+    def inside(self, x, v):
         """What the shape is of."""
         whole = np.asarray(self.speed) @ v
         if any(self.place):
-            whole = whole + np.asarray(self.place) @ features
+            whole = whole + np.asarray(self.place) @ x
         return (whole - self.at) / self.width
 
-    def __call__(self, xp, features, v):
-        return xp.tensordot(xp.array(self.along), self.size * SHAPES[self.shape](xp, self.inside(features, v)), axes=0)
+    def __call__(self, xp, x, v):
+        return xp.tensordot(xp.array(self.along), self.size * SHAPES[self.shape](xp, self.inside(x, v)), axes=0)
 
     @property
     def slope(self) -> float:
         """How steep it is, at most, where it is not a jump."""
-        return (
-            abs(self.size / self.width) * (math.hypot(*self.place) + math.hypot(*self.speed)) * math.hypot(*self.along)
-        )
+        steep = math.hypot(*self.place) + math.hypot(*self.speed)
+        return abs(self.size / self.width) * steep * math.hypot(*self.along)
 
 
 class System(NamedTuple):
     """An observer on a region, and the friction of its model.
 
-    `space`: "line", "plane", "circle" (charts), or "wheel" on SO(2).
+    `space`: "line", "plane" or "circle"; groups are for `test_place.py` and `test_injectivity.py`.
     `harmless`: whether it was meant so.
     """
 
@@ -99,19 +97,8 @@ class System(NamedTuple):
     def n(self) -> int:
         return 2 if self.space == "plane" else 1
 
-    @property
-    def on_group(self) -> bool:
-        return self.space == "wheel"
-
-    def features(self, xp, x):
-        """What friction may see of the place: coordinates, or the first entries of the rotation matrix."""
-        return xp.stack([1 - x[0, 0], x[1, 0]]) if self.on_group else x
-
     def friction(self, xp, x, v):
-        total = -self.damping * v
-        for term in self.terms:
-            total = total + term(xp, self.features(xp, x) if any(term.place) else None, v)
-        return total
+        return sum((term(xp, x, v) for term in self.terms), -self.damping * v)
 
     def force(self, x):
         """The force of the springs, which the observer takes at the measured place."""
@@ -121,18 +108,9 @@ class System(NamedTuple):
         def friction(x, v):
             return self.friction(jnp, x, v)
 
-        if self.on_group:
-            return Intrinsic(models.GroupSystem(lie.SO2, np.eye(1), dissipation=friction), self.alpha, self.beta)
-        names = ("x", "y")[: self.n]
-        stiffness = self.stiffness
-        model = models.Lagrangian(
-            geometry.Euclidean(),
-            lambda q: -stiffness * jnp.sum(jnp.cos(q)),
-            None,
-            friction,
-            tuple(range(self.n)) if self.space == "circle" else (),
-            coordinates=names,
-        )
+        stiffness, circles = self.stiffness, (0,) if self.space == "circle" else ()
+        potential, names = lambda q: -stiffness * jnp.sum(jnp.cos(q)), ("x", "y")[: self.n]
+        model = models.Lagrangian(geometry.Euclidean(), potential, None, friction, circles, coordinates=names)
         return Intrinsic(model, self.alpha, self.beta)
 
     def certify(self, **more) -> ContractionCertificate | None:
@@ -159,17 +137,14 @@ class World:
         self.system, self.hold, self.push, self.noise, self.unknown = system, hold, push, noise, unknown
         self.most = np.broadcast_to(np.asarray(system.bounds.get("input", 0.0), float), (system.n,))[:, None]
 
-    def at(self, x):
-        return rotation(x[0]) if self.system.on_group else x
-
     def offset(self, estimated, x):
         off = estimated - x
-        return wrapped(off) if self.system.space in ("wheel", "circle") else off
+        return wrapped(off) if self.system.space == "circle" else off
 
     def change(self, k: int, s: Motions) -> list[np.ndarray]:
         """Velocities of true and estimated places, and accelerations, while the k-th noise acts."""
         system = self.system
-        pull = system.friction(np, self.at(s.x), s.v)
+        pull = system.friction(np, s.x, s.v)
         known = np.clip(np.where(self.hold, -pull, self.push), -self.most, self.most)
         unknown = 0.0 if self.unknown is None else self.unknown[k]
         spring = system.force(s.x) if system.stiffness else 0.0
@@ -177,7 +152,7 @@ class World:
         if self.noise is not None:
             off = off - self.noise[k]
             measured = system.force(s.x + self.noise[k]) if system.stiffness else 0.0
-        rubbing = system.friction(np, self.at(s.estimated), s.speed)
+        rubbing = system.friction(np, s.estimated, s.speed)
         w = s.speed - system.alpha * off
         accelerated = known + measured + rubbing - system.beta * off
         return [s.v, w, pull + known + unknown + spring, accelerated]
@@ -209,10 +184,8 @@ class World:
         """Whether the true motion is within its bounds."""
         bounds = self.system.bounds
         inside = (np.abs(s.v) <= np.reshape(bounds["velocity"], (-1, 1))).all(axis=0)
-        if not self.system.on_group:
-            low, high = (np.reshape(side, (-1, 1)) for side in bounds["position"])
-            inside &= ((s.x >= low) & (s.x <= high)).all(axis=0)
-        return inside
+        low, high = (np.reshape(side, (-1, 1)) for side in bounds["position"])
+        return inside & ((s.x >= low) & (s.x <= high)).all(axis=0)
 
 
 def starts(system: System, radius: float, rng, count: int = 192) -> Motions:
@@ -220,20 +193,16 @@ def starts(system: System, radius: float, rng, count: int = 192) -> Motions:
     n, bounds = system.n, system.bounds
     limit = np.broadcast_to(np.asarray(bounds["velocity"], float), (n,))[:, None]
     v = limit * np.clip(rng.uniform(-1.2, 1.2, (n, count)), -1, 1)
-    if system.on_group:
-        x = rng.uniform(-np.pi, np.pi, (1, count))
-    else:
-        low, high = (np.broadcast_to(np.asarray(side, float), (n,))[:, None] for side in bounds["position"])
-        x = low + (high - low) * np.clip(rng.uniform(-0.1, 1.1, (n, count)), 0, 1)
-        x[:, ::8] = high
+    low, high = (np.broadcast_to(np.asarray(side, float), (n,))[:, None] for side in bounds["position"])
+    x = low + (high - low) * np.clip(rng.uniform(-0.1, 1.1, (n, count)), 0, 1)
+    x[:, ::8] = high
     v[:, ::4] = 0.0
-    at = World(system, np.zeros(count, bool), np.zeros((n, count))).at(x)
     for term in system.terms:
         aimed = rng.random(count) < 0.6
         speed = np.reshape(term.speed, (-1, 1))
         if not speed.any():
             continue
-        miss = term.inside(system.features(np, at), v) * term.width
+        miss = term.inside(x, v) * term.width
         better = v - speed * miss / (speed**2).sum() + rng.choice([0.0, 1e-9, -1e-9], count)
         v = np.where(aimed & (np.abs(better) <= limit).all(axis=0), better, v)
     directions = rng.normal(size=(2 * n, count))
@@ -279,11 +248,8 @@ def is_defined(system: System, seed: int) -> bool:
     limit = np.reshape(system.bounds["velocity"], (-1, 1))
     v = limit * np.clip(rng.uniform(-1.3, 1.3, (n, count)), -1, 1)
     v[:, ::7] = 0.0
-    if system.space == "wheel":
-        x = rotation(rng.uniform(-np.pi, np.pi, count))
-    else:
-        low, high = (np.reshape(side, (-1, 1)) for side in system.bounds["position"])
-        x = low - error + (high - low + 2 * error) * np.clip(rng.uniform(-0.1, 1.1, (n, count)), 0, 1)
+    low, high = (np.reshape(side, (-1, 1)) for side in system.bounds["position"])
+    x = low - error + (high - low + 2 * error) * np.clip(rng.uniform(-0.1, 1.1, (n, count)), 0, 1)
     with np.errstate(all="ignore"):
         return bool(np.isfinite(system.friction(np, x, v)).all())
 
@@ -296,40 +262,32 @@ def spread(rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
 
-def base(kind: str, space: str, rng, harmless: bool, terms: tuple[Term, ...] = (), **more) -> System:
+def base(kind: str, space: str, rng, harmless: bool) -> System:
     """Random gains, and a region to which they suit."""
     alpha = spread(rng, 3, 60)
     beta = alpha**2 * spread(rng, 0.3, 1.0)
     best = -2 * np.linalg.eigvals(np.array([[-alpha, 1], [-beta, 0]])).real.max()
     q = optimal_lyapunov(alpha, beta, best * rng.uniform(0.3, 0.8))
+    bounds = {"velocity": spread(rng, 0.3, 3), "error": spread(rng, 0.02, 0.5), "input": spread(rng, 0.01, 10)}
     n = 2 if space == "plane" else 1
-    bounds: dict[str, Any] = {
-        "velocity": spread(rng, 0.3, 3),
-        "error": spread(rng, 0.02, 0.5),
-        "input": spread(rng, 0.01, 10),
-        "rate": best * rng.uniform(0.05, 0.25),
-    }
-    if space != "wheel":
-        low = rng.uniform(-1.5, 0.5, n)
-        bounds["position"] = (low, low + rng.uniform(0.2, 2, n))
+    low = rng.uniform(-1.5, 0.5, n)
+    region = {"rate": best * rng.uniform(0.05, 0.25), "position": (low, low + rng.uniform(0.2, 2, n))}
     damping = spread(rng, 0.05, 2) if rng.random() < 0.8 else 0.0
-    system = System(kind, space, damping, terms, alpha, beta, q, bounds, harmless)
-    return system._replace(**more)
+    return System(kind, space, damping, (), alpha, beta, q, bounds | region, harmless)
 
 
-def combination(rng, space: str, n: int, of_place: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Weights of the features of the place and of the velocity: one velocity, or a mixture."""
-    speed = np.eye(n)[rng.integers(n)] if rng.random() < 0.7 else rng.normal(size=n)
-    place = np.zeros(2 if space == "wheel" else n)
+def combination(rng, n: int, of_place: bool) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Weights of the place and of the velocity: one velocity, or a mixture."""
+    speed, place = np.eye(n)[rng.integers(n)] if rng.random() < 0.7 else rng.normal(size=n), np.zeros(n)
     if of_place:
-        place[rng.integers(len(place))] = rng.normal()
+        place[rng.integers(n)] = rng.normal()
         speed = speed * rng.integers(0, 2)
     return tuple(place), tuple(speed)
 
 
 def term(rng, system: System, shapes: list[str], size: float, *, of_place=False) -> Term:
     """A term of one of the shapes; a positive size drives where a driven shape rises."""
-    place, speed = combination(rng, system.space, system.n, of_place)
+    place, speed = combination(rng, system.n, of_place)
     velocity = float(system.bounds["velocity"])
     along = np.asarray(speed) if any(speed) else np.eye(system.n)[0]
     at = velocity * rng.choice([0.0, rng.uniform(-0.9, 0.9), 1.0]) if rng.random() < 0.8 else 0.0
@@ -340,7 +298,7 @@ def term(rng, system: System, shapes: list[str], size: float, *, of_place=False)
 def discontinuity(rng, index: int) -> System:
     """Jumps of either sign, of any size, or none."""
     harmless = index % 3 == 0
-    system = base("discontinuity", str(rng.choice(["line", "line", "plane", "wheel"])), rng, harmless)
+    system = base("discontinuity", str(rng.choice(["line", "line", "plane"])), rng, harmless)
     if harmless:
         return system._replace(terms=(term(rng, system, SMOOTH, -spread(rng, 0.01, 1)),))
     size = rng.choice([-1, 1, 1]) * spread(rng, 1, 1e3)
@@ -351,7 +309,7 @@ def discontinuity(rng, index: int) -> System:
 def kink(rng, index: int) -> System:
     """Kinks of either sign, from slopes that the gains can bear to steep ones."""
     harmless = index % 2 == 0
-    system = base("kink", str(rng.choice(["line", "line", "plane", "wheel"])), rng, harmless)
+    system = base("kink", str(rng.choice(["line", "line", "plane"])), rng, harmless)
     shapes = ["ramp", "half", "quadratic"] if harmless else KINKS
     size = -spread(rng, 0.05, 3) if harmless else rng.choice([-1, 1]) * system.alpha * spread(rng, 0.05, 20)
     made = term(rng, system, shapes, size, of_place=not harmless and rng.random() < 0.2)
@@ -360,10 +318,9 @@ def kink(rng, index: int) -> System:
 
 
 def place(rng, index: int) -> System:
-    """Friction by the place, on groups and in charts, or by the velocity alone."""
+    """Friction by the place, or by the velocity alone."""
     harmless = index % 3 == 0
-    space = str(rng.choice(["wheel", "wheel", "line", "plane", "circle"]))
-    system = base("place", space, rng, harmless)
+    system = base("place", str(rng.choice(["line", "plane", "circle"])), rng, harmless)
     if harmless:
         return system._replace(terms=(term(rng, system, ["quadratic", "smooth"], -spread(rng, 0.05, 2)),))
     made = term(rng, system, ["smooth", "wave", "straight", "abs"], system.alpha * spread(rng, 0.1, 50), of_place=True)
@@ -373,7 +330,7 @@ def place(rng, index: int) -> System:
 def injectivity(rng, index: int) -> System:
     """Errors from small ones to more than a whole turn."""
     harmless = index % 2 == 0
-    system = base("injectivity", str(rng.choice(["wheel", "circle"])), rng, harmless)
+    system = base("injectivity", "circle", rng, harmless)
     error = rng.uniform(0.1, 3.1) if harmless else rng.choice([rng.uniform(3, 3.3), rng.uniform(3.1, 7)])
     return system._replace(bounds=system.bounds | {"error": float(error)})
 
@@ -394,14 +351,12 @@ def noise(rng, index: int) -> System:
     """Springs under noise and unknown forces."""
     harmless = index % 3 == 0
     system = base("noise", "line", rng, harmless)
-    system = system._replace(
-        stiffness=0.0 if harmless else float(system.beta * spread(rng, 0.01, 10) * rng.choice([-1, 1]))
-    )
+    stiffness = 0.0 if harmless else float(system.beta * spread(rng, 0.01, 10) * rng.choice([-1, 1]))
     error = float(system.bounds["error"])
     some = {"noise": error * spread(rng, 1e-5, 1e-3 if harmless else 0.3), "disturbance": 0.0}
     if rng.random() < 0.5:
         some["disturbance"] = system.beta * error * spread(rng, 1e-5, 1e-3 if harmless else 0.3)
-    return system._replace(bounds=system.bounds | some)
+    return system._replace(bounds=system.bounds | some, stiffness=stiffness)
 
 
 MAKERS = (discontinuity, kink, place, injectivity, definedness, noise)
