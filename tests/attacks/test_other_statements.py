@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
+from systems import linear
 
 from covariant.certificates import (
     at_corners,
@@ -23,7 +24,6 @@ from covariant.certificates import (
     observer_gain,
     rate_of,
 )
-from covariant.certificates.base._error_system import ErrorSystem, Point
 from covariant.models import StateSpace
 from covariant.proofs import as_form, box
 
@@ -43,16 +43,6 @@ def random_metric(rng, n: int) -> np.ndarray:
     """Mostly positive definite; one in four has a negative direction."""
     a = rng.normal(size=(n, n))
     return a @ a.T + 0.1 * np.eye(n) - (rng.uniform() < 0.25) * 8 * np.diag(np.eye(n)[0])
-
-
-def linear(matrix, form) -> ErrorSystem:
-    """The system x' = A x with the constant metric P."""
-
-    def at(z):
-        metric = in_coordinates(lambda t, x: jnp.asarray(form))
-        return Point(lambda t, x: jnp.asarray(matrix) @ x + 0.0 * z[0], metric, jnp.zeros(len(matrix)))
-
-    return ErrorSystem(("d",), ("",), at)
 
 
 def holds_in_one_of(count: int, verdicts: list[str]) -> None:

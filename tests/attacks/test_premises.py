@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.experimental import io_callback
-from systems import line
+from systems import line, linear
 
 from covariant import models
 from covariant.certificates import (
@@ -173,16 +173,6 @@ def test_a_kink_in_other_variables_does_no_harm():
 
 
 # Cascades.
-
-
-def linear(matrix, form):
-    n = len(matrix)
-
-    def at(z):
-        metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form, float))
-        return Point(lambda t, x: jnp.asarray(matrix, float) @ x + 0.0 * z[0], metric, jnp.zeros(n))
-
-    return ErrorSystem(("d",), ("",), at)
 
 
 def coupled(plant=(-1.0, 1.0), error=(-1.0, 1.0), regions=((0.0, 1.0), (0.0, 1.0)), **options):

@@ -16,7 +16,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from covariant.geometry import Euclidean
-from covariant.lowering import lower, numbers
 from covariant.metrics import Equation
 from covariant.models import Lagrangian, Motion, StateSpace, ball_and_beam, free_body, marine, pendulum_chain
 from covariant.observers import (
@@ -302,16 +301,6 @@ def test_streams_may_be_mapped_and_stay_single():
     states, info = jax.vmap(lambda dt: stepped(moving(), jnp.ones(2), jnp.array([1.0]), dt))(dts)
     assert list(info.result) == [StepCode.OK, StepCode.STEP_REFUSED, StepCode.REPEATED, StepCode.STEP_REFUSED]
     np.testing.assert_array_equal(states.t, [2.1, 2.0, 2.0, 2.0])
-
-
-@pytest.mark.long
-def test_a_step_lowers_to_scalars_with_its_guard():
-    u, start = jnp.array([0.3, 0.1]), moving()
-    observer = Intrinsic(ONE, 4.0, 4.0, substeps=1)
-    lowered = lower(lambda y, dt: observer.step(start, u, y, dt), jnp.zeros(1), jnp.zeros(()))
-    for y, dt in ((1.2, 0.1), (np.inf, 0.1), (1.2, np.nan), (1.2, -1.0), (1.2, 0.0)):
-        found = numbers(lowered, np.array([y]), np.array(dt))
-        jax.tree.map(np.testing.assert_allclose, found, observer.step(start, u, jnp.array([y]), jnp.asarray(dt)))
 
 
 # Gains
