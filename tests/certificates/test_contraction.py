@@ -146,7 +146,7 @@ BAD_GAINS = {
     "lyapunov: beta must be a finite number; got": lambda bad: lyapunov(ALPHA, bad),
     "lyapunov: rate must be a finite number; got": lambda bad: lyapunov(ALPHA, BETA, bad),
     "conditioning: beta must be a positive number; got": lambda bad: conditioning(bad, PAPER),
-    "lyapunov: weight must be a positive number": lambda bad: lyapunov(ALPHA, BETA, 0.0, -bad),
+    "lyapunov: weight must be a positive number": lambda bad: lyapunov(ALPHA, BETA, 0.0, -1.0),
     "certify: alpha of the observer must be a finite number; got": lambda bad: certify(
         eqx.tree_at(lambda o: o.alpha, Intrinsic(models.ball_and_beam(), ALPHA, BETA), bad), **BOUNDS
     ),

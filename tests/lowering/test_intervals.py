@@ -658,32 +658,28 @@ def test_boxes_that_are_none_are_refused():
     assert enclose(graph, np.zeros((0, 2)), np.zeros((0, 2))).low.shape == (0, 1)
 
 
-def test_values_are_let_go_after_their_last_use():
-    class Value:
-        pass
+class Value:
+    """Something that an operation makes, of which the living are counted."""
 
     alive, most = weakref.WeakSet(), 0
 
-    def made(*arguments):
-        nonlocal most
-        value = Value()
-        alive.add(value)
-        most = max(most, len(alive))
-        return value
+    def __init__(self, *arguments):
+        self.alive.add(self)
+        Value.most = max(Value.most, len(self.alive))
 
+
+def test_values_are_let_go_after_their_last_use():
     def function(x):
         y = x[0]
         for k in range(100):
             y = jnp.sin(y) * x[1] + k
         return y, x[0]
 
-    graph = lower(function, jnp.zeros(2))
-    domain = dict.fromkeys(INTERVALS, made)
-    inputs = [made(), made()]
-    found = lowering.evaluate(graph, domain, inputs)
+    graph, inputs = lower(function, jnp.zeros(2)), [Value(), Value()]
+    found = lowering.evaluate(graph, dict.fromkeys(INTERVALS, Value), inputs)
     assert found[1] is inputs[0]
     assert len(graph.graph.nodes) > 300
-    assert most < 8
+    assert Value.most < 8
 
 
 @pytest.mark.parametrize("engine", ["numpy", "auto"])

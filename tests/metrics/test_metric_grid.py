@@ -149,3 +149,26 @@ def test_what_does_not_fit_is_refused(path, tmp_path):
     for load in (metrics.load_metric, metric_summary):
         with pytest.raises(ValueError, match=r"level\.zarr holds level and no metric of metrics\.metric_on_grid"):
             load(tmp_path / "level.zarr")
+
+
+def test_a_store_does_not_go_on_with_an_edited_model(tmp_path):
+    """One whose numbers are in the code alone, and which has the same name."""
+
+    def design(damping, **more):
+        names, table = {"coordinates": ("a", "b"), "units": ("", "")}, jnp.array([1.0, damping])
+        plant = models.StateSpace(lambda t, x, u: jnp.array([x[1], -table @ x]), lambda t, x, u: x[:1], **names)
+        grid = metrics.Grid(("a", "b"), ("", ""), low=(-1.0, -1.0), high=(1.0, 1.0), counts=(2, 2))
+        equation = metrics.Equation(rate=1.0)
+        return metrics.metric_on_grid(plant, equation, grid, tmp_path / "m.zarr", block=1, workers=1, **more)
+
+    def stop(done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        design(0.5, on_progress=stop)
+    for done_before in (False, True):
+        with pytest.raises(ValueError, match="holds another map: what is evaluated at a point was changed since"):
+            design(0.6)
+        if not done_before:
+            design(0.5)
