@@ -217,32 +217,35 @@ def test_a_stamp_that_nearly_repeats_after_a_lost_sample_corrects_nothing():
     assert float(info.radius) == float(plain[1].radius)
 
 
-def test_a_row_that_is_missing_is_not_one_that_is_empty():
+SAMPLE, LOST, GAP, MISSING_ROWS = (0.0, 0.011), (np.nan, 0.011), (0.0, 0.022), {"missing_rows": True}
+# The step that ran decides, whatever the ages are.
+SHORT = MISSING_ROWS | {"longest_step": 0.011 / SUBSTEPS}
+PREMISES: list[tuple[Recursion, dict, list, Premise]] = [
+    (LOST_ONCE, {}, [LOST, SAMPLE], Premise.HOLDS),
+    (LOST_ONCE, {}, [GAP], Premise.AGE),
+    (LOST_ONCE, MISSING_ROWS, [GAP], Premise.HOLDS),
+    (LOST_ONCE, MISSING_ROWS, [LOST, SAMPLE], Premise.HOLDS),
+    (LOST_ONCE, MISSING_ROWS, [(0.0, 0.033)], Premise.AGE),
+    (LOST_ONCE, SHORT, [GAP], Premise.PREDICTION),
+    (LOST_ONCE, SHORT, [(0.0, 0.0109)], Premise.HOLDS),
+    (PROVED, {}, [SAMPLE], Premise.HOLDS),
+    (PROVED, {"longest_step": 0.0}, [SAMPLE], Premise.PREDICTION),
+    (PROVED, {"substeps": None}, [SAMPLE], Premise.PREDICTION),
+    (PROVED, {"substeps": 3}, [SAMPLE], Premise.PREDICTION),
+]
+
+
+@pytest.mark.parametrize(("recursion", "changes", "samples", "premise"), PREMISES, ids=range(len(PREMISES)))
+def test_a_row_that_is_missing_is_not_one_that_is_empty_and_steps_are_those_of_the_proof(
+    recursion, changes, samples, premise
+):
     """One step over a gap has longer Runge–Kutta steps than those of a proof for empty rows."""
-    empty, missing = bounded(LOST_ONCE), bounded(LOST_ONCE, missing_rows=True)
-    gap = (0.0, 0.022)
-    assert after(empty, (np.nan, 0.011), (0.0, 0.011))[1].premise == Premise.HOLDS
-    assert after(empty, gap)[1].premise == Premise.AGE
-    assert after(missing, gap)[1].premise == Premise.HOLDS
-    assert after(missing, (np.nan, 0.011), (0.0, 0.011))[1].premise == Premise.HOLDS
-    assert after(missing, (0.0, 0.033))[1].premise == Premise.AGE
-    # The step that ran decides, whatever the ages are.
-    short = bounded(LOST_ONCE, missing_rows=True, longest_step=0.011 / SUBSTEPS)
-    assert after(short, gap)[1].premise == Premise.PREDICTION
-    assert after(short, (0.0, 0.0109))[1].premise == Premise.HOLDS
-
-
-def test_errors_of_predictions_that_are_not_proved_are_unknown():
-    sample = (0.0, 0.011)
-    assert after(bounded(), sample)[1].premise == Premise.HOLDS
-    changes: dict[str, Any]
-    for changes in ({"longest_step": 0.0}, {"substeps": None}, {"substeps": 3}):
-        assert after(bounded(**changes), sample)[1].premise == Premise.PREDICTION
+    assert after(bounded(recursion, **changes), *samples)[1].premise == premise
 
 
 def test_a_radius_of_zero_does_not_stay_zero():
     """The observer rounds, and its predictions are off by what their bound says."""
-    none: Recursion = PROVED._replace(noise=(0.0,), force=0.0, steps=0.0, error=0.0)
+    none = PROVED._replace(noise=(0.0,), force=0.0, steps=0.0, error=0.0)
     state, info = after(bounded(none), *5 * [(0.0, 0.011)], start=0.0)
     assert float(state.radius) == 0.0
     assert float(info.position_bound[0]) > 1e-10
@@ -255,7 +258,6 @@ def test_a_bound_stays_with_the_observer_that_it_is_about():
     assert dataclasses.replace(honest, first_radius=0.005).certified is plain
     gated = Gated(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
     assert dataclasses.replace(honest, observer=gated).bound is honest.bound
-    changes: dict[str, Any]
     for changes in ({"alpha": 1.0}, {"substeps": 1}, {"substeps": None}, {"coefficients": "estimated"}):
         with pytest.raises(ValueError, match="not the one of the certificate"):
             dataclasses.replace(honest, observer=dataclasses.replace(plain, **changes))
@@ -289,7 +291,6 @@ def test_wrong_first_errors_are_one_clear_line():
 
 
 def test_lost_samples_need_an_interval():
-    lost: dict[str, Any]
     for lost in ({"lost": 1}, {"lost_rows": "missing"}):
         with pytest.raises(ValueError, match="lost samples need interval"):
             certify(plain_pendulum(), **BOUNDS, **lost)
@@ -307,7 +308,7 @@ def test_no_wrapper_takes_the_steps_of_a_bound_apart():
 
 def test_a_bound_covers_the_rounding_of_large_angles():
     """After many turns doubles resolve less of an angle than the least bound at small ones."""
-    none: Recursion = PROVED._replace(noise=(0.0,), force=0.0, steps=0.0, error=0.0)
+    none = PROVED._replace(noise=(0.0,), force=0.0, steps=0.0, error=0.0)
     observer, turns = bounded(none), 2 * np.pi * 1e8
     fine = dataclasses.replace(plain_pendulum(), substeps=12)
 
