@@ -1,13 +1,11 @@
 """On a group a proof looks at the identity alone: what depends on the configuration must not slip through."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from systems import RATE, Case, Q, falsehood, line, on_any_circle, verdict, wheel
 
 from covariant import models
-from covariant.certificates import error_system
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
 
@@ -142,34 +140,3 @@ def test_friction_that_drives_at_some_place_is_never_proved(name):
     if name != "driven beyond the place of the truth":  # there the estimate has but a moment
         assert falsehood(case) > 1.2
     assert verdict(line(case.law), **case.bounds()) != "holds"
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("group", "options"), [(lie.SO2, {}), (lie.SO3, {}), (lie.SO3, {"order": 2, "curvature": False})], ids=str
-)
-def test_the_flow_that_is_proved_is_the_one_that_runs(group, options):
-    """In the chart g exp(θ) around an estimate g, at θ = 0 and to first order around it, anywhere on the group."""
-    n, rng = group.dimension, np.random.default_rng(4)
-    inertia = np.diag(rng.uniform(0.5, 2, n)) + 0.1
-    model = models.GroupSystem(group, inertia, dissipation=lambda g, v: -v * jnp.abs(v))
-    observer = Intrinsic(model, 3.0, 5.0, **options)
-    about = error_system(observer, Q)
-    g = group.exp(jnp.asarray(rng.normal(size=n)))
-
-    def runs(z, x):
-        v, error, force = jnp.split(z, 3)
-        theta, v = jnp.split(x, 2)
-        state = observer.init(g)._replace(q=g @ group.exp(theta), v=v)
-        change = observer.flow(jnp.zeros(()), state, force, g @ group.exp(-error))
-        return jnp.concatenate([group.right_jacobian_inverse(theta, change.q), change.v])
-
-    def proved(z, x):
-        return about.at(z).flow(jnp.zeros(()), x)
-
-    for _ in range(2):
-        z = jnp.asarray(rng.uniform(-1, 1, 3 * n))
-        x = jnp.concatenate([jnp.zeros(n), z[:n]])
-        np.testing.assert_allclose(proved(z, x), runs(z, x), atol=1e-12)
-        slopes = [jax.jacfwd(flow, argnums=1)(z, x) for flow in (proved, runs)]
-        np.testing.assert_allclose(*slopes, atol=1e-10)

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.integrate
 from forging import forged, put, together
 
 import covariant
@@ -25,7 +24,6 @@ from covariant.certificates.base._document import parse
 from covariant.certificates.base._radius_recursion import Recursion
 from covariant.certificates.checking import _check
 from covariant.geometry import lie
-from covariant.models import acceleration
 from covariant.observers import Geodesic, Intrinsic
 from covariant.proofs import Field
 from covariant.proofs.checker import TaylorEnclosure
@@ -276,50 +274,6 @@ def test_a_file_states_the_order_of_a_bound_of_steps_where_it_is_not_that_of_the
             PredictionClaim.read(Field("a file", "claims[5]", plain | {"order": wrong}), 0, setting)
     with pytest.raises(ValueError, match="order"):
         StartClaim.read(Field("a file", "claims[6]", {"kind": "start"} | plain | {"order": 1}), 0, setting)
-
-
-@pytest.fixture(scope="module")
-def rubbed():
-    """The certificate of a pendulum with dry friction, which needs many steps."""
-    recipe = {"system": "pendulum_chain", "parameters": RECIPE["parameters"] | {"coulomb": [0.1]}}
-    system = models.from_recipe(recipe)
-    assert isinstance(system, models.MechanicalSystem)
-    observer = Intrinsic(system, 10.0, 50.0, substeps=24)
-    return certify(observer, **BOUNDS, interval=(0.009, 0.011), recipe=recipe, checker="off")
-
-
-@pytest.mark.exhaustive
-def test_predictions_with_dry_friction_are_proved_and_checked(rubbed, tmp_path):
-    (claim,) = (claim for claim in rubbed.claims if claim.kind == "prediction")
-    assert claim.order < 4
-    assert 0 < rubbed.steady <= 0.26 * rubbed.radius
-    assert "assumed: predictions" not in str(rubbed.statement)
-    path = rubbed.save(tmp_path / "rubbed.json")
-    assert check(path).statement.proved
-    tighter = forge(path, tmp_path, put("claims[5].square", lambda s: s / 1e4))
-    with pytest.raises(ValueError, match=r"claims\[5\] is not shown"):
-        check(tighter)
-
-
-@pytest.mark.exhaustive
-def test_predictions_with_dry_friction_are_off_by_no_more_than_is_stated(rubbed):
-    """Against a method of eighth order with small tolerances, for motions through rest."""
-    (claim,) = (claim for claim in rubbed.claims if claim.kind == "prediction")
-    h, model = rubbed.sampling.oldest, rubbed.observer.model
-    bound = h * claim.defect(rubbed.sampling.longest_step)
-    rate = jax.jit(lambda x, u: jnp.concatenate([x[1:], acceleration(model, jnp.zeros(()), x[:1], x[1:], u)]))
-    step = jax.jit(
-        lambda x, u: rubbed.observer.predict(rubbed.observer.init(x[:1])._replace(v=x[1:]), u, jnp.asarray(h))
-    )
-    rng, worst = np.random.default_rng(8), 0.0
-    for _ in range(60):
-        x, u = np.array([rng.uniform(-3, 3), rng.uniform(-0.2, 0.2)]), np.array([rng.choice([-0.5, 0.5])])
-        solved = scipy.integrate.solve_ivp(lambda t, x, u=u: rate(x, u), (0, h), x, "DOP853", rtol=1e-11, atol=1e-12)
-        state, end = step(x, u), solved.y[:, -1]
-        metric = rubbed.error_system.at(jnp.zeros(7).at[-1].set(h)).metric(jnp.zeros(()), jnp.asarray(end))
-        off = np.concatenate([state.q, state.v]) - end
-        worst = max(worst, float(np.sqrt(off @ np.asarray(metric) @ off)))
-    assert 1e-5 * bound < worst < bound
 
 
 # What is not covered is refused by name.
