@@ -111,17 +111,6 @@ def test_a_factor_that_takes_the_whole_rate_is_named_and_no_steps_are_tried():
 
 
 @pytest.mark.exhaustive
-def test_lost_samples_are_covered(tmp_path):
-    observer = pendulum()
-    result = certify(observer, **BOUNDS, interval=(0.018, 0.02), lost=1, recipe=RECIPE, checker="off")
-    assert result.statement.verdict == "holds", result.statement
-    kinds = [claim.kind for claim in result.claims]
-    assert kinds == ["contraction", "reach", "reach", "correction", "correction", "missing", "prediction", "start"]
-    path = result.save(tmp_path / "lost.json")
-    assert check(path).statement.proved
-
-
-@pytest.mark.exhaustive
 def test_the_factor_that_runs_takes_no_more_than_is_subtracted(proved):
     """At random points the step that runs differs from the one that is proved by less than its bound."""
     claim, h = next(c for c in proved.claims if c.kind == "missing"), proved.sampling.oldest
