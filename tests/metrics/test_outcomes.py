@@ -175,21 +175,6 @@ def positive(rng, n, spread):
     return (q * 10.0 ** rng.uniform(-spread, spread, n)) @ q.T
 
 
-@pytest.mark.exhaustive
-@given(sizes, seeds)
-def test_distance_is_symmetric_and_invariant_under_congruence(n, seed):
-    rng = np.random.default_rng(seed)
-    a, b, c = (positive(rng, n, 1.0) for _ in range(3))
-    g = np.diag(10.0 ** rng.uniform(-2, 2, n)) @ np.linalg.qr(rng.normal(size=(n, n)))[0]
-    d = float(distance(a, b))
-    assert d == pytest.approx(float(distance(b, a)), rel=1e-9)
-    assert d == pytest.approx(float(distance(g.T @ a @ g, g.T @ b @ g)), rel=1e-6)
-    assert d == pytest.approx(float(distance(np.linalg.inv(a), np.linalg.inv(b))), rel=1e-8)
-    assert d <= float(distance(a, c)) + float(distance(c, b)) + 1e-12
-    assert float(distance(a, a)) < 1e-12
-    assert d == pytest.approx(np.sqrt((np.log(linalg.eigvalsh(b, a)) ** 2).sum()), rel=1e-9)
-
-
 @given(sizes, seeds)
 def test_distance_of_badly_scaled_matrices(n, seed):
     """States in mm and km, or A and rad/s: units spread the entries over many decades, and change no distance."""
@@ -197,7 +182,9 @@ def test_distance_of_badly_scaled_matrices(n, seed):
     a, b = (positive(rng, n, 1.0) for _ in range(2))
     unit = np.diag(10.0 ** rng.integers(-8, 9, n))
     exact = np.sqrt((np.log(linalg.eigvalsh(b, a)) ** 2).sum())
-    assert float(distance(unit @ a @ unit, unit @ b @ unit)) == pytest.approx(exact, rel=1e-8)
+    for one, other in ((a, b), (b, a)):
+        assert float(distance(unit @ one @ unit, unit @ other @ unit)) == pytest.approx(exact, rel=1e-8)
+    assert float(distance(a, a)) < 1e-12
 
 
 @pytest.mark.parametrize("wrong", [np.diag([1.0, -1.0]), np.diag([1.0, 0.0]), np.full((2, 2), np.nan)])
