@@ -26,6 +26,7 @@ from covariant.lowering import (
 )
 
 FLAGS = "-std=c99 -O1 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -ffp-contract=off"
+TYPES = {"double": np.float64, "float": np.float32}
 COMPILER = shutil.which("cc")
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler, `cc`")
 
@@ -44,17 +45,23 @@ def graph_of(write, inputs: int) -> Lowered:
     return Lowered(graph, ((inputs,),), tuple(outputs), (result,), jax.tree.structure(0))
 
 
+def load(text: str, folder, name: str, *flags: str) -> ctypes.CDLL:
+    """A library of a file of C that is compiled on its own, with all warnings as errors."""
+    (folder / f"{name}.c").write_text(text)
+    options = [*FLAGS.split(), *flags, "-fPIC", "-shared"]
+    subprocess.run([COMPILER, *options, f"{name}.c", "-o", f"{name}.so", "-lm"], cwd=folder, check=True)
+    return ctypes.CDLL(str(folder / f"{name}.so"))
+
+
 def compiled(lowered: Lowered, folder, real="double", **options):
     """The C function as one of NumPy arrays, and its text."""
     text = c_function(lowered, "f", real=real, **options)
     source = f"#include <math.h>\n{c_helpers(text.helpers, real)}\nvoid f(const {real} *x, {real} *y);\n{text.text}"
-    (folder / "f.c").write_text(source)
-    subprocess.run([COMPILER, *FLAGS.split(), "-fPIC", "-shared", "f.c", "-o", "f.so", "-lm"], cwd=folder, check=True)
-    library, dtype = ctypes.CDLL(str(folder / "f.so")), {"double": np.float64, "float": np.float32}[real]
+    library, dtype = load(source, folder, "f"), TYPES[real]
 
     def call(x):
         x, y = np.array(x, dtype), np.empty(len(lowered.outputs), dtype)
-        library.f(x.ctypes.data_as(ctypes.c_void_p), y.ctypes.data_as(ctypes.c_void_p))
+        library.f(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, y)))
         return y
 
     return call, source
@@ -62,13 +69,10 @@ def compiled(lowered: Lowered, folder, real="double", **options):
 
 def in_lanes(lowered: Lowered, folder, real="double", lanes=8, **options):
     """The C function in lanes, as one of rows in NumPy arrays."""
-    (folder / "lanes.c").write_text(c_rows(lowered, "rows", lanes, real, **options))
-    flags = [*FLAGS.split(), "-Wno-psabi", "-fPIC", "-shared"]
-    subprocess.run([COMPILER, *flags, "lanes.c", "-o", "lanes.so", "-lm"], cwd=folder, check=True)
-    library, dtype = ctypes.CDLL(str(folder / "lanes.so")), {"double": np.float64, "float": np.float32}[real]
+    library = load(c_rows(lowered, "rows", lanes, real, **options), folder, "lanes", "-Wno-psabi")
 
     def call(rows):
-        x, y = np.array(rows, dtype), np.empty((len(rows), len(lowered.outputs)), dtype)
+        x, y = np.array(rows, TYPES[real]), np.empty((len(rows), len(lowered.outputs)), TYPES[real])
         library.rows(*(a.ctypes.data_as(ctypes.c_void_p) for a in (x, y)), ctypes.c_longlong(len(x)))
         return y
 
@@ -130,7 +134,7 @@ def test_every_operation_is_that_of_numpy_at_its_edges_too(real, lanes, tmp_path
     else:
         one, _ = compiled(lowered, tmp_path, real)
         call = lambda rows: [one(row) for row in rows]  # noqa: E731
-    rng, dtype = np.random.default_rng(0), {"double": np.float64, "float": np.float32}[real]
+    rng, dtype = np.random.default_rng(0), TYPES[real]
     points = [*rng.normal(size=(40, 4)), *([a, b, 1.0, a] for a in EDGES for b in (0.0, 1.0, math.nan, -math.pi))]
     points = rng.permutation(np.array([*points, *([9.0 * a, a, a, a] for a in range(4))]))
     with np.errstate(all="ignore"):
@@ -239,7 +243,7 @@ def test_in_tables_it_is_the_same_to_the_bit(real, most, tmp_path):
     edges = [[a, b, 1.0] for a in EDGES for b in EDGES]
     points = np.array([*np.random.default_rng(2).normal(size=(200, 3)), *edges])
     with np.errstate(over="ignore"):
-        points = points.astype({"double": np.float64, "float": np.float32}[real])
+        points = points.astype(TYPES[real])
     for x in points:
         np.testing.assert_array_equal(straight(x), tables(x))
     finite = [np.isfinite(straight(x)).mean() for x in points[:200]]

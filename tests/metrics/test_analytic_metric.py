@@ -39,19 +39,6 @@ def printed():
     return sympy.Matrix([[p11, p21, p31], [p21, p22, p32], [p31, p32, a]])
 
 
-def residual(p):
-    """Left less right side of (15), symbolically."""
-    x = sympy.Matrix([X1, X2, X3])
-    f, h = sympy.Matrix([X2, -X3 * X1, 0]), sympy.Matrix([X1])
-    along = p.applyfunc(lambda entry: (sympy.Matrix([entry]).jacobian(x) @ f)[0])
-    a, dh = f.jacobian(x), h.jacobian(x)
-    return (along + p * a + a.T * p - dh.T * dh + LAMBDA * p).applyfunc(sympy.simplify)
-
-
-def test_printed_metric_solves_equation_15_in_every_entry():
-    assert residual(printed()) == sympy.zeros(3)
-
-
 def test_the_function_is_the_printed_metric():
     exact = np.vectorize(sympy.lambdify((LAMBDA, X1, X2, X3), printed(), "numpy"), signature="(),(),(),()->(i,j)")
     for rate in RATES:
