@@ -13,7 +13,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import geometry, models
-from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
+from covariant.certificates import (
+    ContractionCertificate,
+    ErrorSystem,
+    StateMetric,
+    certify,
+    in_coordinates,
+    optimal_lyapunov,
+)
+from covariant.certificates.base._error_system import Point
 from covariant.certificates.checking._checked import CHECKER
 from covariant.geometry import lie
 from covariant.lowering import LoweringError
@@ -135,6 +143,16 @@ def around(length: float, count: int = 16, q=Q):
     angle = 2 * np.pi * (np.arange(count) + 0.5) / count
     unit = np.stack([np.cos(angle), np.sin(angle)])
     return length * unit / size_of(*unit, q)
+
+
+def linear(matrix, form) -> ErrorSystem:
+    """The system x' = A x with the constant metric P."""
+
+    def at(z):
+        metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form, float))
+        return Point(lambda t, x: jnp.asarray(matrix, float) @ x + 0.0 * z[0], metric, jnp.zeros(len(matrix)))
+
+    return ErrorSystem(("d",), ("",), at)
 
 
 class Run(NamedTuple):

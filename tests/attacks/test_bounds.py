@@ -5,25 +5,20 @@ import warnings
 
 import numpy as np
 import pytest
-from systems import ALPHA, BETA, EFFORT, RATE, Case, Q, attempt, line, simulate, size_of, verdict, wheel
+from systems import ALPHA, BETA, Case, attempt, line, simulate, size_of, verdict, wheel
 
-from covariant.certificates import certify
-from covariant.observers import Intrinsic
 from covariant.proofs import box
 
 USUAL = Case(lambda xp, x, v: -v).bounds()
 OBSERVER = line(lambda xp, x, v: -v)
 
+# Velocities and metrics that are none are refused in `tests/certificates`, gains in `test_streams.py`.
 BAD = {
     "positions the wrong way round": {"position": (1.0, -1.0)},
     "position that is no number": {"position": (math.nan, 1.0)},
     "position without bound": {"position": (-math.inf, math.inf)},
     "one position without bound": {"position": (-1.0, math.inf)},
     "positions the wrong way round by a hair": {"position": (np.nextafter(0.1, 1), 0.1)},
-    "velocity of nought": {"velocity": 0.0},
-    "velocity below nought": {"velocity": -1.0},
-    "velocity that is no number": {"velocity": math.nan},
-    "velocity without bound": {"velocity": math.inf},
     "error of nought": {"error": 0.0},
     "error below nought": {"error": -0.1},
     "error that is no number": {"error": math.nan},
@@ -38,12 +33,6 @@ BAD = {
     "rate of nought": {"rate": 0.0},
     "rate below nought": {"rate": -2.0},
     "rate without bound": {"rate": math.inf},
-    "metric that is not positive": {"q": np.array([[1.0, 2.0], [2.0, 1.0]])},
-    "metric that is negative": {"q": -Q},
-    "metric of nothing": {"q": np.zeros((2, 2))},
-    "metric that is not symmetric": {"q": np.array([[1.0, 0.1], [0.3, 0.1]])},
-    "metric that is no number": {"q": np.full((2, 2), math.nan)},
-    "metric without bound": {"q": np.full((2, 2), math.inf)},
     "two positions for one": {"position": (np.zeros(2), np.ones(2))},
     "two errors for one": {"error": np.array([0.1, 0.2])},
 }
@@ -53,14 +42,6 @@ BAD = {
 def test_bad_bounds_are_refused(name):
     with np.errstate(all="ignore"):
         assert verdict(OBSERVER, **(USUAL | BAD[name])) in ("refused", "fails")
-
-
-@pytest.mark.parametrize(
-    ("alpha", "beta"), [(-1.0, 50.0), (10.0, -50.0), (math.nan, 50.0), (10.0, math.inf), (0.0, 0.0)]
-)
-def test_bad_gains_are_refused(alpha, beta):
-    with pytest.raises(ValueError, match="must be a positive, finite number"):
-        certify(Intrinsic(OBSERVER.model, alpha, beta), **USUAL, rate=RATE, q=Q, **EFFORT)
 
 
 @pytest.mark.parametrize(

@@ -61,45 +61,43 @@ def secret(v):
 
 secret.defvjp(lambda v: (secret(v), None), lambda _, g: (-g,))
 
-FALSE = {
-    "a step": (lambda q, v: -v + 50 * jnp.where(v > 0, 1.0, -1.0), "definedness of the observer"),
-    "a step at the border": (lambda q, v: -v + 50 * jnp.where(q >= 1.1, 1.0, -1.0), "definedness of the observer"),
-    "a sign": (lambda q, v: -v + 50 * jnp.sign(v), "definedness of the observer"),
-    "whole numbers": (lambda q, v: -v + 50 * jnp.floor(q), "definedness of the observer"),
-    "rounding": (lambda q, v: -v + 50 * jnp.round(q), "definedness of the observer"),
-    "no part of a root": (lambda q, v: -v + 0 * jnp.sqrt(q), "definedness of the observer"),
-    "no part of an inverse root": (lambda q, v: -v + 0 * jax.lax.rsqrt(q), "definedness of the observer"),
-    "no part of a logarithm": (lambda q, v: -v + 0 * jnp.log(1 + q), "definedness of the observer"),
-    "difference of quotients": (lambda q, v: -v + 1 / q - 1 / q, "definedness of the observer"),
-    "no part of an inverse square": (lambda q, v: -v + 0 * q**-2, "definedness of the observer"),
-    "no part of a real power": (lambda q, v: -v + 0 * q**1.5, "definedness of the observer"),
-    "no part of an angle": (lambda q, v: -v + 0 * jnp.arctan2(q, v - 2), "definedness of the observer"),
-    "no part of a tangent": (lambda q, v: -v + 0 * jnp.tan(q + 1), "definedness of the observer"),
-    "no part of an infinity": (lambda q, v: -v + 0 * jnp.where(q > -5, jnp.inf, 1.0), "definedness of the observer"),
-    "a driving kink": (lambda q, v: -v + 50 * jnp.maximum(v, 0.0), r"claims\[0\] is not shown"),
-    "a driving size": (lambda q, v: 25 * jnp.abs(v), r"claims\[0\] is not shown"),
-    "a driving clip": (lambda q, v: 50 * jnp.clip(v, -0.1, 0.1), r"claims\[0\] is not shown"),
-    "a stopped derivative": (lambda q, v: jax.lax.stop_gradient(51 * v) - v, r"claims\[0\] is not shown"),
-    "a declared derivative": (lambda q, v: braking(v), r"claims\[0\] is not shown"),
-    "a declared pullback": (lambda q, v: secret(v), r"claims\[0\] is not shown"),
+UNDEFINED, FALSE, SHORT = "definedness of the observer", r"claims\[0\] is not shown", "makes numbers shorter"
+LAWS = {
+    "a step": (lambda q, v: -v + 50 * jnp.where(v > 0, 1.0, -1.0), UNDEFINED),
+    "a step at the border": (lambda q, v: -v + 50 * jnp.where(q >= 1.1, 1.0, -1.0), UNDEFINED),
+    "a sign": (lambda q, v: -v + 50 * jnp.sign(v), UNDEFINED),
+    "whole numbers": (lambda q, v: -v + 50 * jnp.floor(q), UNDEFINED),
+    "rounding": (lambda q, v: -v + 50 * jnp.round(q), UNDEFINED),
+    "no part of a root": (lambda q, v: -v + 0 * jnp.sqrt(q), UNDEFINED),
+    "no part of an inverse root": (lambda q, v: -v + 0 * jax.lax.rsqrt(q), UNDEFINED),
+    "no part of a logarithm": (lambda q, v: -v + 0 * jnp.log(1 + q), UNDEFINED),
+    "difference of quotients": (lambda q, v: -v + 1 / q - 1 / q, UNDEFINED),
+    "no part of an inverse square": (lambda q, v: -v + 0 * q**-2, UNDEFINED),
+    "no part of a real power": (lambda q, v: -v + 0 * q**1.5, UNDEFINED),
+    "no part of an angle": (lambda q, v: -v + 0 * jnp.arctan2(q, v - 2), UNDEFINED),
+    "no part of a tangent": (lambda q, v: -v + 0 * jnp.tan(q + 1), UNDEFINED),
+    "no part of an infinity": (lambda q, v: -v + 0 * jnp.where(q > -5, jnp.inf, 1.0), UNDEFINED),
+    "a driving kink": (lambda q, v: -v + 50 * jnp.maximum(v, 0.0), FALSE),
+    "a driving size": (lambda q, v: 25 * jnp.abs(v), FALSE),
+    "a driving clip": (lambda q, v: 50 * jnp.clip(v, -0.1, 0.1), FALSE),
+    "a stopped derivative": (lambda q, v: jax.lax.stop_gradient(51 * v) - v, FALSE),
+    "a declared derivative": (lambda q, v: braking(v), FALSE),
+    "a declared pullback": (lambda q, v: secret(v), FALSE),
     "declared in a loop": (
         lambda q, v: jax.lax.scan(lambda c, _: (braking(c) / 50, None), 50 * v, None, length=2)[0],
-        r"claims\[0\] is not shown",
+        FALSE,
     ),
-    "fewer digits": (lambda q, v: -v.astype(jnp.float32).astype(float), "makes numbers shorter"),
-    "fewer bits": (
-        lambda q, v: -jax.lax.reduce_precision(v, exponent_bits=11, mantissa_bits=20),
-        "makes numbers shorter",
-    ),
-    "driven": (lambda q, v: 50 * v, r"claims\[0\] is not shown"),
+    "fewer digits": (lambda q, v: -v.astype(jnp.float32).astype(float), SHORT),
+    "fewer bits": (lambda q, v: -jax.lax.reduce_precision(v, exponent_bits=11, mantissa_bits=20), SHORT),
+    "driven": (lambda q, v: 50 * v, FALSE),
 }
 
 
 @pytest.mark.exhaustive("a step")
 @pytest.mark.long("a step at the border")
-@pytest.mark.parametrize("name", FALSE)
+@pytest.mark.parametrize("name", LAWS)
 def test_the_checker_sees_for_itself(harmless, monkeypatch, name):
-    dissipation, reason = FALSE[name]
+    dissipation, reason = LAWS[name]
     monkeypatch.setattr(_check, "DEPTH", 2)
     monkeypatch.setattr(_check, "DEEPEST", 12)
     every = _check._jobs
@@ -152,15 +150,14 @@ def test_noise_and_its_slopes_are_checked(tmp_path, monkeypatch):
     path = noisy.save(tmp_path / "noisy.json")
     assert check(path, model=soft).leaves
     monkeypatch.setattr(_check, "DEEPEST", 12)
-    steep = line(lambda q, v: -v, force=lambda t, q, u: u + jnp.sin(60 * q))
-    with pytest.raises(ValueError, match="bound of the force's slopes is not shown"):
-        shown_as(path, steep, monkeypatch)
-    hidden = line(lambda q, v: -v, force=lambda t, q, u: u + jax.lax.stop_gradient(jnp.sin(60 * q)))
-    with pytest.raises(ValueError, match="bound of the force's slopes is not shown"):
-        shown_as(path, hidden, monkeypatch)
-    jumping = line(lambda q, v: -v, force=lambda t, q, u: u + jnp.where(q > 0, 1.0, -1.0))
-    with pytest.raises(ValueError, match="smoothness of the force is not shown"):
-        shown_as(path, jumping, monkeypatch)
+    slopes, jumps = "bound of the force's slopes is not shown", "smoothness of the force is not shown"
+    for force, reason in (
+        (lambda q: jnp.sin(60 * q), slopes),
+        (lambda q: jax.lax.stop_gradient(jnp.sin(60 * q)), slopes),
+        (lambda q: jnp.where(q > 0, 1.0, -1.0), jumps),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            shown_as(path, line(lambda q, v: -v, force=lambda t, q, u, f=force: u + f(q)), monkeypatch)
 
 
 @pytest.mark.exhaustive

@@ -10,26 +10,18 @@ from covariant.proofs import _enclosure, box
 
 LINE = box(x=(-1.0, 1.0))
 
+# Each operation by itself is tried in `tests/lowering/test_conditions.py`.
 UNDEFINED = {
     "zero times a root": lambda xp, x: 1 + 0 * xp.sqrt(x),
     "a root less itself": lambda xp, x: 1 + xp.sqrt(x) - xp.sqrt(x),
     "a root to the power nought": lambda xp, x: xp.sqrt(x) ** 0,
     "zero times an inverse": lambda xp, x: 1 + 0 * (1 / x),
-    "an inverse less itself": lambda xp, x: 1 + 1 / x - 1 / x,
     "zero over itself": lambda xp, x: 1 + 0 * (x / x),
     "a quotient with itself": lambda xp, x: x / x,
-    "a quotient and back": lambda xp, x: 1 + (x / x - 1),
     "sum taken back": lambda xp, x: 1 + ((1 / x + 3) - 3) * 0,
     "difference taken back": lambda xp, x: 1 + (1 / x - (1 / x - 1)) * 0 + (xp.log(x) + 1) - xp.log(x),
     "zero times a logarithm": lambda xp, x: 1 + 0 * xp.log(x),
-    "zero times log1p": lambda xp, x: 1 + 0 * xp.log1p(2 * x),
-    "zero times asin": lambda xp, x: 1 + 0 * xp.arcsin(2 * x),
-    "zero times acos": lambda xp, x: 1 + 0 * xp.arccos(2 * x),
-    "zero times acosh": lambda xp, x: 1 + 0 * xp.arccosh(x + 1),
-    "zero times atanh": lambda xp, x: 1 + 0 * xp.arctanh(x * 1.5),
     "zero times a tangent": lambda xp, x: 1 + 0 * xp.tan(2 * x),
-    "zero times a broken power": lambda xp, x: 1 + 0 * x**1.5,
-    "zero times a negative power": lambda xp, x: 1 + 0 * x**-2.0,
     "zero times a negative root": lambda xp, x: 1 + 0 * (x * x) ** -0.5,
     "a chosen half": lambda xp, x: xp.where(x * x >= 0, 1.0, 2.0) + 0 * xp.sqrt(x),
     "not a number, chosen never but once": lambda xp, x: xp.where(x == 0.25, xp.nan, 1.0),

@@ -73,20 +73,20 @@ def on(group, error) -> str:
     return verdict(Intrinsic(model, ALPHA, BETA), **bounds)
 
 
-@pytest.mark.parametrize(
-    ("group", "error"),
-    [
-        (lie.SO3, 1.9),
-        (lie.SO3, np.array([3.1, 0.2, 0.5])),
-        (lie.SO3, 3.2),
-        (lie.SE2, np.array([0.1, 0.1, 3.2])),
-        (lie.SE2, 3.2),
-        (lie.SE3, np.array([0.1, 0.1, 0.1, 1.9, 1.9, 1.9])),
-        (lie.Product((lie.SO2, lie.SO2)), np.array([0.1, 3.2])),
-        (lie.Product((lie.SO2, lie.SO2)), np.array([3.2, 0.1])),
-    ],
-    ids=["SO3 corner", "SO3 long corner", "SO3", "SE2", "SE2 all", "SE3 corner", "second", "first"],
-)
+PAIR = lie.Product((lie.SO2, lie.SO2))
+CORNERS = {
+    "SO3 corner": (lie.SO3, 1.9),
+    "SO3 long corner": (lie.SO3, np.array([3.1, 0.2, 0.5])),
+    "SO3": (lie.SO3, 3.2),
+    "SE2": (lie.SE2, np.array([0.1, 0.1, 3.2])),
+    "SE2 all": (lie.SE2, 3.2),
+    "SE3 corner": (lie.SE3, np.array([0.1, 0.1, 0.1, 1.9, 1.9, 1.9])),
+    "second": (PAIR, np.array([0.1, 3.2])),
+    "first": (PAIR, np.array([3.2, 0.1])),
+}
+
+
+@pytest.mark.parametrize(("group", "error"), CORNERS.values(), ids=CORNERS)
 def test_corners_beyond_half_a_turn_are_never_proved(group, error):
     """|ω| of (1.9, 1.9, 1.9) is 3.29, though each entry is well below π."""
     assert on(group, error) != "holds"
@@ -94,7 +94,7 @@ def test_corners_beyond_half_a_turn_are_never_proved(group, error):
 
 @pytest.mark.exhaustive
 def test_a_product_of_small_errors_is_proved():
-    assert on(lie.Product((lie.SO2, lie.SO2)), 0.3) == "holds"
+    assert on(PAIR, 0.3) == "holds"
 
 
 def test_geodesic_errors_beyond_half_a_turn_are_never_proved():

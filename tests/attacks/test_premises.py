@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.experimental import io_callback
-from systems import line
+from systems import line, linear
 
 from covariant import models
 from covariant.certificates import (
@@ -175,16 +175,6 @@ def test_a_kink_in_other_variables_does_no_harm():
 # Cascades.
 
 
-def linear(matrix, form):
-    n = len(matrix)
-
-    def at(z):
-        metric: StateMetric = in_coordinates(lambda t, x: jnp.asarray(form, float))
-        return Point(lambda t, x: jnp.asarray(matrix, float) @ x + 0.0 * z[0], metric, jnp.zeros(n))
-
-    return ErrorSystem(("d",), ("",), at)
-
-
 def coupled(plant=(-1.0, 1.0), error=(-1.0, 1.0), regions=((0.0, 1.0), (0.0, 1.0)), **options):
     """Scalar systems e' = a e with V = ½ p e², x̃' = b x̃ with m x̃², coupled by b = x̃."""
     systems = [linear([[rate]], [[form]]) for rate, form in (plant, error)]
@@ -318,18 +308,23 @@ def test_outputs_that_follow_from_others_see_fewer_directions(name):
     assert detectability_rate(system, flat, jnp.asarray(at[0])) == -np.inf
 
 
-def test_a_metric_that_is_none_and_no_points_are_refused():
-    system = outputs(lambda x: x[:1])
-    with pytest.raises(ValueError, match=r"the metric is not positive definite at \(0, 0\)"):
-        observability(system, lambda x: jnp.diag(jnp.array([1.0, -1.0])), np.zeros((1, 2)))
-    with pytest.raises(ValueError, match="at least one"):
-        observability(system, flat, np.zeros((0, 2)))
-    with pytest.raises(ValueError, match=r"the metric is not positive definite at \(0, 0\)"):
-        observability(outputs(lambda x: x), lambda x: jnp.full((2, 2), jnp.nan), np.zeros((1, 2)))
-    with pytest.raises(ValueError, match="the points must be finite"):
-        observability(system, flat, np.array([[np.nan, 0.0]]))
-    with pytest.raises(ValueError, match="the 3 outputs see only 2 directions"):
-        observability(outputs(lambda x: jnp.stack([x[0], x[1], x[0] + x[1]])), flat, np.zeros((1, 2)))
+NO_METRIC = r"the metric is not positive definite at \(0, 0\)"
+THREE = outputs(lambda x: jnp.stack([x[0], x[1], x[0] + x[1]]))
+
+
+@pytest.mark.parametrize(
+    ("system", "metric", "points", "message"),
+    [
+        (outputs(lambda x: x[:1]), lambda x: jnp.diag(jnp.array([1.0, -1.0])), np.zeros((1, 2)), NO_METRIC),
+        (outputs(lambda x: x), lambda x: jnp.full((2, 2), jnp.nan), np.zeros((1, 2)), NO_METRIC),
+        (outputs(lambda x: x[:1]), flat, np.zeros((0, 2)), "at least one"),
+        (outputs(lambda x: x[:1]), flat, np.array([[np.nan, 0.0]]), "the points must be finite"),
+        (THREE, flat, np.zeros((1, 2)), "the 3 outputs see only 2 directions"),
+    ],
+)
+def test_a_metric_that_is_none_and_no_points_are_refused(system, metric, points, message):
+    with pytest.raises(ValueError, match=message):
+        observability(system, metric, points)
 
 
 def test_the_sentence_says_that_states_were_sampled():

@@ -58,28 +58,28 @@ def four_bar():
 REGION = {"position": (np.full(3, -1.0), np.full(3, 1.0)), "velocity": 1.0, "error": 0.1}
 NAMED = {"crank": (0.0, 1.0), "coupler": (-1.0, 0.0), "rocker": (1.0, 2.0)}
 STATES = NAMED | {f"{name}_dot": (-1.0, 1.0) for name in NAMED}
+GAINS = {"alpha": 4.0, "beta": 8.0}
+VERB = {**GAINS, "velocity": 1.0, "error": 0.1, "region": NAMED}
+
+
+def observer(model, kind=observers.Intrinsic):
+    return kind(model, **GAINS)
+
+
 ENTRIES = {
-    "certify": lambda model: certificates.certify(observers.Intrinsic(model, 4.0, 8.0), **REGION),
-    "certify, sampled": lambda model: certificates.certify(
-        observers.Intrinsic(model, 4.0, 8.0), interval=(0.01, 0.01), **REGION
-    ),
+    "certify": lambda model: certificates.certify(observer(model), **REGION),
+    "certify, sampled": lambda model: certificates.certify(observer(model), interval=(0.01, 0.01), **REGION),
     "certify_distance": lambda model: certificates.certify_distance(
-        observers.ImplicitGeodesic(model, 4.0, 8.0), interval=0.01, **REGION
+        observer(model, observers.ImplicitGeodesic), interval=0.01, **REGION
     ),
-    "error_system": lambda model: certificates.error_system(observers.Intrinsic(model, 4.0, 8.0), np.eye(2)),
-    "error_system of the exact observer": lambda model: certificates.error_system(
-        observers.Geodesic(model, 4.0, 8.0), np.eye(2)
-    ),
+    "error_system": lambda model: certificates.error_system(observer(model), np.eye(2)),
+    "error_system, exact": lambda model: certificates.error_system(observer(model, observers.Geodesic), np.eye(2)),
     "sampled_system": lambda model: certificates.sampled_system(
-        observers.Intrinsic(model, 4.0, 8.0), np.eye(2), certificates.Sampling(np.array([0.01, 0.01]))
+        observer(model), np.eye(2), certificates.Sampling(np.array([0.01, 0.01]))
     ),
     "tangent_metric": lambda model: certificates.tangent_metric(model.space, np.eye(2)),
-    "verb certify": lambda model: covariant.certify(
-        model, alpha=4.0, beta=8.0, velocity=1.0, error=0.1, region=NAMED, checker="off"
-    ),
-    "verb certify, find": lambda model: covariant.certify(
-        model, alpha=4.0, beta=8.0, velocity=1.0, error=0.1, region=NAMED, find="error"
-    ),
+    "verb certify": lambda model: covariant.certify(model, **VERB, checker="off"),
+    "verb certify, find": lambda model: covariant.certify(model, **VERB, find="error"),
     "reduced_order": lambda model: certificates.reduced_order(models.state_space(model), rate=0.1),
     "verb reduced order": lambda model: workflow.design_reduced_order(model, rate=0.1, region=STATES),
     "verb metric": lambda model: workflow.design_metric(model, "unwritten.zarr", grid=4, region=STATES, rate=1.0),
@@ -158,12 +158,7 @@ def test_in_the_angle_of_its_crank_the_observer_of_a_loop_is_the_same_to_first_o
 def test_in_the_angle_of_its_crank_it_is_certified():
     certificate = certificates.certify(
         observers.Intrinsic(reduced(), 20.0, 200.0),
-        position=([0.98], [1.02]),
-        velocity=0.5,
-        error=0.02,
-        input=0.005,
-        rate=2.0,
-        checker="off",
+        **{"position": ([0.98], [1.02]), "velocity": 0.5, "error": 0.02, "input": 0.005, "rate": 2.0, "checker": "off"},
     )
     assert certificate.statement.proved
     assert certificate.radius > 2e-4

@@ -1,12 +1,12 @@
 """Friction in joints as variables of a proof in continuous time: its force and its slope, beside the velocity."""
 
 import functools
-import json
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from forging import forged, put
 
 from covariant import models
 from covariant.certificates import certify, check, error_system, optimal_lyapunov
@@ -17,7 +17,6 @@ from covariant.certificates.proving._joint_bounds import friction_bounds, has_dr
 from covariant.lowering import numbers
 from covariant.models import Lagrangian, MechanicalSystem
 from covariant.observers import Intrinsic
-from covariant.proofs import digest
 
 Q = optimal_lyapunov(10.0, 50.0, 3.0)
 DRY = {
@@ -30,6 +29,9 @@ def two_links(**friction):
     return models.pendulum_chain(mass=(0.6, 0.4), length=(0.3, 0.2), inertia=(0.05, 0.02), **friction)
 
 
+BOUNDS = {"velocity": 2.0, "error": 0.05, "position": (-3.0, 3.0), "input": 0.1, "q": Q, "rate": 1.0}
+
+
 def pendulum():
     model = models.from_recipe(DRY)
     assert isinstance(model, MechanicalSystem)
@@ -38,8 +40,7 @@ def pendulum():
 
 @pytest.fixture(scope="module")
 def proved():
-    observer = pendulum()
-    return certify(observer, velocity=2.0, error=0.05, position=(-3.0, 3.0), input=0.1, q=Q, rate=1.0, recipe=DRY)
+    return certify(pendulum(), **BOUNDS, recipe=DRY)
 
 
 @pytest.mark.long
@@ -102,52 +103,33 @@ def test_a_pendulum_with_dry_friction_needs_few_boxes(proved):
     assert any("slopes of friction stay within" in premise.text for premise in proved.statement.hypotheses)
 
 
-def test_friction_without_bounds_is_a_function_of_the_velocity(monkeypatch):
-    def unbounded(model, speed):
-        raise ValueError("no bound")
-
-    monkeypatch.setattr(_certify, "friction_bounds", unbounded)
-    observer = pendulum()
-    found = certify(
-        observer, velocity=2.0, error=0.05, position=(-3.0, 3.0), input=0.1, q=Q, rate=1.0, boxes=200, checker="off"
-    )
-    assert found.kinds[-1] == "force"
-    assert found.statement.verdict != "fails"
+def unbounded(model, speed):
+    raise ValueError("no bound")
 
 
-@pytest.mark.long
-def test_friction_that_is_none_of_the_model_refutes_nothing(monkeypatch):
-    """Slopes of any sign refute contraction; those of the model do not."""
-    wide = np.array([[-1.0], [1.0]]), np.array([[-100.0], [100.0]])
-    monkeypatch.setattr(_certify, "friction_bounds", lambda model, speed: wide)
-    observer = pendulum()
-    found = certify(
-        observer, velocity=2.0, error=0.05, position=(-3.0, 3.0), input=0.1, q=Q, rate=1.0, boxes=200, checker="off"
-    )
+@pytest.mark.long("slopes of any sign")
+@pytest.mark.parametrize(
+    "bounds",
+    [unbounded, lambda model, speed: (np.array([[-1.0], [1.0]]), np.array([[-100.0], [100.0]]))],
+    ids=["no bounds", "slopes of any sign"],
+)
+def test_friction_without_bounds_of_its_own_is_a_function_of_the_velocity(bounds, monkeypatch):
+    """Slopes that are none of the model refute nothing."""
+    monkeypatch.setattr(_certify, "friction_bounds", bounds)
+    found = certify(pendulum(), **BOUNDS, boxes=200, checker="off")
     assert found.statement.verdict != "fails"
     assert found.kinds[-1] == "force"
 
 
-def end(side, index, number):
-    def change(document):
-        document["box"][side][index] = number
-
-    return change
-
-
-def shorter(document):
-    for side in ("low", "high"):
-        document["box"][side] = document["box"][side][:4]
-
-
+FRICTION = "the bound of the friction"
 FORGERIES = {
-    "friction": (end("high", 4, 0.07), "the bound of the friction is not shown"),
-    "slope": (end("high", 5, 1.0), "the bound of the friction's slopes is not shown"),
-    "least slope": (end("low", 5, 0.1), "the bound of the friction's slopes is not shown"),
-    "no friction": (shorter, r"graph: it must be|levels|letters"),
-    "one variable": (lambda d: [d["box"][side].pop() for side in ("low", "high")], "bounds of 4 or 6 variables"),
-    "coulomb": (lambda d: d["recipe"]["parameters"].update(coulomb=[0.06]), "the bound of the friction is not shown"),
-    "rate": (lambda d: d.update(rate=6.0), r"claims\[0\] is not shown"),
+    "friction": (put("box.high[4]", 0.07), f"{FRICTION} is not shown"),
+    "slope": (put("box.high[5]", 1.0), f"{FRICTION}'s slopes is not shown"),
+    "least slope": (put("box.low[5]", 0.1), f"{FRICTION}'s slopes is not shown"),
+    "no friction": (put("box", lambda box: {side: box[side][:4] for side in box}), r"graph: it must be|levels|letters"),
+    "one variable": (put("box", lambda box: {side: box[side][:5] for side in box}), "bounds of 4 or 6 variables"),
+    "coulomb": (put("recipe.parameters.coulomb", [0.06]), f"{FRICTION} is not shown"),
+    "rate": (put("rate", 6.0), r"claims\[0\] is not shown"),
 }
 
 
@@ -157,12 +139,8 @@ FORGERIES = {
 def test_a_forged_file_is_refused(proved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]
     monkeypatch.setattr(_check, "DEPTH", 6 if "claims" in reason else 1)
-    document = json.loads(proved.save(tmp_path / "proved.json").read_text(encoding="utf-8"))
-    change(document)
-    document["digest"] = digest({key: value for key, value in document.items() if key != "digest"})
-    (tmp_path / "forged.json").write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(ValueError, match=reason):
-        check(tmp_path / "forged.json")
+        check(forged(proved.save(tmp_path / "proved.json"), tmp_path, change))
 
 
 @pytest.mark.exhaustive

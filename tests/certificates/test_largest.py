@@ -76,14 +76,17 @@ def test_bad_requests_are_refused(options, words):
         largest(proved_up_to(1.0, []), **({"first": 1.0} | options))
 
 
-def test_bad_searches_of_the_verb_are_refused():
-    gains = {"alpha": 10.0, "beta": 50.0}
-    with pytest.raises(ValueError, match="find: choose one of error, rate, interval; got 'radius'"):
-        covariant.certify("oscillator", find="radius", **gains, **REGION)
-    with pytest.raises(ValueError, match="find: give rate, with which the search for the largest begins"):
-        covariant.certify("oscillator", find="rate", **gains, **REGION)
-    with pytest.raises(ValueError, match="find: give interval"):
-        covariant.certify("oscillator", find="interval", **gains, **REGION)
+@pytest.mark.parametrize(
+    ("find", "words"),
+    [
+        ("radius", "choose one of error, rate, interval; got 'radius'"),
+        ("rate", "give rate, with which the search for the largest begins"),
+        ("interval", "give interval"),
+    ],
+)
+def test_bad_searches_of_the_verb_are_refused(find, words):
+    with pytest.raises(ValueError, match=f"find: {words}"):
+        covariant.certify("oscillator", find=find, alpha=10.0, beta=50.0, **REGION)
 
 
 @pytest.mark.long

@@ -155,21 +155,12 @@ def test_a_state_that_shows_nothing_is_named():
 
 
 @pytest.mark.exhaustive
-def test_a_wrong_injection_is_not_proved(monkeypatch, designed):
-    """With the sign of L, or the rows of the outputs, mutated nothing holds."""
-    design = designed("unknown_frequency")
-    monkeypatch.setattr(_reduced_order, "_solved", lambda *_: (-design.injection, design.metric))
-    rate, bounds = BOXES["unknown_frequency"]
+@pytest.mark.parametrize(("name", "sign", "rate"), [("unknown_frequency", -1, 0.1), ("lorenz", 1, 30.0)])
+def test_a_wrong_injection_and_a_rate_that_is_too_high_are_not_proved(name, sign, rate, monkeypatch, designed):
+    design = designed(name)
+    monkeypatch.setattr(_reduced_order, "_solved", lambda *_: (sign * design.injection, design.metric))
     with pytest.raises(ValueError, match="after 8 counterexamples there is still one"):
-        reduced_order(design.model, rate, **bounds)
-
-
-@pytest.mark.exhaustive
-def test_a_rate_that_is_too_high_is_not_proved(monkeypatch, designed):
-    design = designed("lorenz")
-    monkeypatch.setattr(_reduced_order, "_solved", lambda *_: (design.injection, design.metric))
-    with pytest.raises(ValueError, match="after 8 counterexamples there is still one"):
-        reduced_order(design.model, 30.0)
+        reduced_order(design.model, rate, **BOXES[name][1])
 
 
 @pytest.mark.parametrize(
@@ -201,13 +192,13 @@ def test_what_has_no_such_design_is_refused(change, words):
 
 
 def test_an_observer_that_does_not_fit_its_model_is_refused():
-    duffing = models.duffing()
-    with pytest.raises(ValueError, match="start has 3 entries"):
-        ReducedOrder(duffing, jnp.ones((2, 1)), jnp.zeros(3))
-    with pytest.raises(ValueError, match="direction must have a row for each of 2 states"):
-        ReducedOrder(duffing, jnp.ones((1, 2)), jnp.zeros(2))
-    with pytest.raises(ValueError, match="finite"):
-        ReducedOrder(duffing, jnp.full((2, 1), jnp.nan), jnp.zeros(2))
+    for direction, start, message in (
+        (jnp.ones((2, 1)), 3, "start has 3 entries"),
+        (jnp.ones((1, 2)), 2, "direction must have a row for each of 2 states"),
+        (jnp.full((2, 1), jnp.nan), 2, "finite"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ReducedOrder(models.duffing(), direction, jnp.zeros(start))
 
 
 @pytest.mark.exhaustive

@@ -140,31 +140,6 @@ def test_an_equal_observer_is_compiled_once():
     same(found, [run(rest[-1], parts((100,))[0], ("result",))])
 
 
-@pytest.mark.exhaustive
-@needs_compiler
-def test_another_number_compiles_nothing_and_another_zero_something():
-    """One call after another, as in a loop over gains and masses."""
-    [log] = parts((100,))
-
-    def chain(*coulomb):
-        return [models.pendulum_chain(m, viscous=(0.1, 0.2), coulomb=coulomb) for m in ((1.1, 0.7), (1.3, 0.6))]
-
-    masses, without = chain(0.05, 0.02), chain(0.05, 0.0)[0]
-    makers = [
-        lambda model, k: observers.Intrinsic(model, 10.0 + k, 100.0),
-        lambda model, k: observers.EKF(model, (1.0 + k) * jnp.eye(2), 1e-4 * jnp.eye(2)),
-    ]
-    for make in makers:
-        counts = []
-        for model, k in ((masses[0], 0.0), (masses[0], 1.0), (masses[1], 1.0), (without, 1.0)):
-            observer = make(model, k)
-            done, engine = run_log(observer, log, engine="c")
-            assert engine == "c"
-            same([done], [run(observer, log)])
-            counts.append(_prepared.cache_info().misses)
-        assert counts[0] == counts[1] == counts[2] == counts[3] - 1
-
-
 MODEL_FILE = """
 system = "pendulum_chain"
 parameters = {{mass = [{mass}], length = [{length}], viscous = [0.1]}}

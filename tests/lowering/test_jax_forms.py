@@ -3,6 +3,8 @@
 The tests hold for each supported release of JAX: a primitive that a release does not have is left out there.
 """
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -127,32 +129,18 @@ def test_a_scan_tells_its_constants_its_carry_and_its_direction():
 # Equations as another release of JAX may write them.
 
 
-def equation(primitive: core.Primitive, avals: int, results: int = 1, **parameters) -> "Jaxpr":
-    aval = ShapedArray((3,), jnp.zeros(1).dtype)
-    return Jaxpr([Raw(primitive, parameters, [Atom(aval)] * avals, [Atom(aval)] * results, None)])
+def equation(primitive: core.Primitive, avals: int, results: int = 1, **parameters) -> SimpleNamespace:
+    """A jaxpr of one equation."""
+    atom = SimpleNamespace(aval=ShapedArray((3,), jnp.zeros(1).dtype))
+    variables = {"invars": [atom] * avals, "outvars": [atom] * results}
+    return SimpleNamespace(
+        eqns=[SimpleNamespace(primitive=primitive, params=parameters, source_info=None, **variables)]
+    )
 
 
-class Atom:
-    def __init__(self, aval):
-        self.aval = aval
-
-
-class Raw:
-    def __init__(self, *fields):
-        self.primitive, self.params, self.invars, self.outvars, self.source_info = fields
-
-
-class Jaxpr:
-    def __init__(self, eqns):
-        self.eqns = eqns
-
-
-class Leaves:
-    def __init__(self, *sizes):
-        self.sizes = sizes
-
-    def unpack(self):
-        return [[None] * size for size in self.sizes]
+def leaves(*sizes):
+    """A tree as a later release has it in a scan."""
+    return SimpleNamespace(unpack=lambda: [[None] * size for size in sizes])
 
 
 BODY = jax.make_jaxpr(lambda a, b, c: (a + b, c))(*[jnp.ones(3)] * 3)
@@ -164,7 +152,7 @@ LOOP = {"jaxpr": BODY, "length": 4, "reverse": False, "unroll": 1}
     "parameters",
     [
         {"num_consts": 1, "num_carry": 1, "linear": (False,) * 3, "_split_transpose": False},
-        {"ft_in": Leaves(1, 1, 1), "ft_out": Leaves(1, 1)},
+        {"ft_in": leaves(1, 1, 1), "ft_out": leaves(1, 1)},
     ],
 )
 def test_a_scan_is_read_in_the_forms_of_all_releases(parameters):
@@ -181,9 +169,9 @@ def test_a_scan_is_read_in_the_forms_of_all_releases(parameters):
         ({"num_consts": 1, "num_carry": 1, "skip": 2}, "skip"),
         ({"num_consts": 1, "num_carry": 4}, "jaxpr"),
         ({"ft_in": 3, "ft_out": 2}, "ft_in"),
-        ({"ft_in": Leaves(1, 1), "ft_out": Leaves(1, 1)}, "ft_in"),
-        ({"ft_in": Leaves(1, 1, 1), "ft_out": Leaves(2, 0)}, "ft_out"),
-        ({"ft_in": Leaves(1, 1, 3), "ft_out": Leaves(1, 1)}, "jaxpr"),
+        ({"ft_in": leaves(1, 1), "ft_out": leaves(1, 1)}, "ft_in"),
+        ({"ft_in": leaves(1, 1, 1), "ft_out": leaves(2, 0)}, "ft_out"),
+        ({"ft_in": leaves(1, 1, 3), "ft_out": leaves(1, 1)}, "jaxpr"),
     ],
 )
 def test_a_scan_in_no_known_form_is_refused_by_its_parameter(parameters, named):

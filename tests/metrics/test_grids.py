@@ -129,17 +129,12 @@ def test_the_dataset_says_what_it_holds_and_where_it_comes_from(whole):
     assert len(found.attrs["digest"]) == 64
 
 
-def test_one_worker_writes_the_bytes_of_many(whole, tmp_path):
-    path = map_grid(observables, GRID, tmp_path / "map.zarr", block=BLOCK, workers=1, **SETTINGS)
-    check_values(path, GRID)
-    assert chunks(path) == chunks(whole)
-
-
-def test_worker_processes_write_the_bytes_of_threads(whole, cluster, tmp_path):
+@pytest.mark.parametrize("where", ["one worker", "processes"])
+def test_whoever_works_writes_the_bytes_of_many_threads(where, whole, request, tmp_path):
     path, seen = tmp_path / "map.zarr", []
-    map_grid(
-        observables, GRID, path, block=BLOCK, scheduler=cluster, on_progress=lambda *p: seen.append(p[0]), **SETTINGS
-    )
+    crew: Any = {"workers": 1} if where == "one worker" else {"scheduler": request.getfixturevalue("cluster")}
+    map_grid(observables, GRID, path, block=BLOCK, on_progress=lambda *p: seen.append(p[0]), **crew, **SETTINGS)
+    check_values(path, GRID)
     assert chunks(path) == chunks(whole)
     assert seen == sorted(seen)
     assert (seen[0], seen[-1]) == (0, GRID.size)

@@ -1,7 +1,5 @@
 """Metrics over a grid: a store holds what the solver gives at each point, and says where it comes from."""
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -156,29 +154,21 @@ def test_what_does_not_fit_is_refused(path, tmp_path):
 def test_a_store_does_not_go_on_with_an_edited_model(tmp_path):
     """One whose numbers are in the code alone, and which has the same name."""
 
-    def plant(damping):
-        table = jnp.array([1.0, damping])
-        return models.StateSpace(
-            lambda t, x, u: jnp.array([x[1], -table @ x]), lambda t, x, u: x[:1], coordinates=("a", "b"), units=("", "")
-        )
+    def design(damping, **more):
+        names, table = {"coordinates": ("a", "b"), "units": ("", "")}, jnp.array([1.0, damping])
+        plant = models.StateSpace(lambda t, x, u: jnp.array([x[1], -table @ x]), lambda t, x, u: x[:1], **names)
+        grid = metrics.Grid(("a", "b"), ("", ""), low=(-1.0, -1.0), high=(1.0, 1.0), counts=(2, 2))
+        equation = metrics.Equation(rate=1.0)
+        return metrics.metric_on_grid(plant, equation, grid, tmp_path / "m.zarr", block=1, workers=1, **more)
 
     def stop(done, total):
         if done:
             raise KeyboardInterrupt
 
-    grid = metrics.Grid(("a", "b"), ("", ""), low=(-1.0, -1.0), high=(1.0, 1.0), counts=(2, 2))
-    design = functools.partial(
-        metrics.metric_on_grid,
-        equation=metrics.Equation(rate=1.0),
-        grid=grid,
-        path=tmp_path / "m.zarr",
-        block=1,
-        workers=1,
-    )
     with pytest.raises(KeyboardInterrupt):
-        design(plant(0.5), on_progress=stop)
-    with pytest.raises(ValueError, match=r"m\.zarr holds another map: what is evaluated at a point was changed since"):
-        design(plant(0.6))
-    design(plant(0.5))
-    with pytest.raises(ValueError, match="what is evaluated at a point was changed"):
-        design(plant(0.6))
+        design(0.5, on_progress=stop)
+    for done_before in (False, True):
+        with pytest.raises(ValueError, match="holds another map: what is evaluated at a point was changed since"):
+            design(0.6)
+        if not done_before:
+            design(0.5)

@@ -8,7 +8,6 @@ from hypothesis import given, strategies as st
 from scipy import linalg
 
 from covariant import models
-from covariant._integrate import rk8
 from covariant.metrics import (
     Equation,
     RiccatiMetric,
@@ -75,36 +74,26 @@ def test_a_past_that_leaves_the_domain_starts_at_its_border(answers):
     assert jnp.abs(passage.x[0]).max() > 2.0 - 1e-5
 
 
-@pytest.mark.exhaustive
-def test_a_batch_is_the_loop(answers):
-    equation, all_found = answers
-    alone = metric_at(OSCILLATOR, equation, jnp.array([0.5, 1.2, 0.8]), domain=BOX, max_steps=500)
-    batched = all_found["good"]
-    assert alone.result == batched.result
-    assert spd_distance(alone.metric, batched.metric) < alone.error_bound
-    # The lengths of adaptive steps follow the last digit of the error they estimate.
-    np.testing.assert_allclose(alone.horizon, batched.horizon, rtol=2e-3)
-    np.testing.assert_allclose(alone.error_bound, batched.error_bound, rtol=0.2)
-    np.testing.assert_allclose(alone.reconstructibility, batched.reconstructibility, rtol=1e-5)
+# a' = −a³ began at infinity half a second before a = 1; b stayed where it is, and both are seen.
+HALF_INFINITE = StateSpace(
+    lambda t, x, u: jnp.stack([-(x[0] ** 3), 0 * x[1]]), lambda t, x, u: x, coordinates=("a", "b")
+)
 
 
 @pytest.mark.exhaustive
-def test_a_solution_that_came_from_infinity_has_escaped():
-    """Outside its limit cycle van der Pol's oscillator came from infinity in finite time."""
-    at = jax.jit(jax.vmap(lambda x: metric_at(OTHER, Equation(process_cov=jnp.eye(2)), x, max_steps=500)))
-    found = at(jnp.array([[3.0, 0.0], [1.0, 0.5]]))
-    np.testing.assert_array_equal(found.result, [StepCode.ESCAPED, StepCode.OK])
-    assert np.isfinite(found.metric).all()
-    assert 1.0 < found.horizon[0] < 1.5
-
-
-@pytest.mark.exhaustive
-def test_one_coordinate_that_came_from_infinity_is_enough():
-    """a' = −a³ began at infinity half a second before a = 1; b stayed where it is, and both are seen."""
-    model = StateSpace(lambda t, x, u: jnp.stack([-(x[0] ** 3), 0 * x[1]]), lambda t, x, u: x, coordinates=("a", "b"))
-    found = jax.jit(lambda x: metric_at(model, Equation(1.0), x, max_steps=500))(jnp.array([1.0, 0.5]))
+@pytest.mark.parametrize(
+    ("model", "equation", "x", "horizon"),
+    [
+        (OTHER, Equation(process_cov=jnp.eye(2)), [3.0, 0.0], (1.0, 1.5)),
+        (HALF_INFINITE, Equation(1.0), [1.0, 0.5], (0.4995, 0.5005)),
+    ],
+    ids=["outside a limit cycle", "one coordinate"],
+)
+def test_a_solution_that_came_from_infinity_has_escaped(model, equation, x, horizon):
+    found = jax.jit(lambda x: metric_at(model, equation, x, max_steps=500))(jnp.array(x))
     assert found.result == StepCode.ESCAPED
-    assert found.horizon == pytest.approx(0.5, rel=1e-3)
+    assert np.isfinite(found.metric).all()
+    assert horizon[0] < found.horizon < horizon[1]
 
 
 @pytest.mark.exhaustive
@@ -186,21 +175,6 @@ def positive(rng, n, spread):
     return (q * 10.0 ** rng.uniform(-spread, spread, n)) @ q.T
 
 
-@pytest.mark.exhaustive
-@given(sizes, seeds)
-def test_distance_is_symmetric_and_invariant_under_congruence(n, seed):
-    rng = np.random.default_rng(seed)
-    a, b, c = (positive(rng, n, 1.0) for _ in range(3))
-    g = np.diag(10.0 ** rng.uniform(-2, 2, n)) @ np.linalg.qr(rng.normal(size=(n, n)))[0]
-    d = float(distance(a, b))
-    assert d == pytest.approx(float(distance(b, a)), rel=1e-9)
-    assert d == pytest.approx(float(distance(g.T @ a @ g, g.T @ b @ g)), rel=1e-6)
-    assert d == pytest.approx(float(distance(np.linalg.inv(a), np.linalg.inv(b))), rel=1e-8)
-    assert d <= float(distance(a, c)) + float(distance(c, b)) + 1e-12
-    assert float(distance(a, a)) < 1e-12
-    assert d == pytest.approx(np.sqrt((np.log(linalg.eigvalsh(b, a)) ** 2).sum()), rel=1e-9)
-
-
 @given(sizes, seeds)
 def test_distance_of_badly_scaled_matrices(n, seed):
     """States in mm and km, or A and rad/s: units spread the entries over many decades, and change no distance."""
@@ -208,7 +182,9 @@ def test_distance_of_badly_scaled_matrices(n, seed):
     a, b = (positive(rng, n, 1.0) for _ in range(2))
     unit = np.diag(10.0 ** rng.integers(-8, 9, n))
     exact = np.sqrt((np.log(linalg.eigvalsh(b, a)) ** 2).sum())
-    assert float(distance(unit @ a @ unit, unit @ b @ unit)) == pytest.approx(exact, rel=1e-8)
+    for one, other in ((a, b), (b, a)):
+        assert float(distance(unit @ one @ unit, unit @ other @ unit)) == pytest.approx(exact, rel=1e-8)
+    assert float(distance(a, a)) < 1e-12
 
 
 @pytest.mark.parametrize("wrong", [np.diag([1.0, -1.0]), np.diag([1.0, 0.0]), np.full((2, 2), np.nan)])
@@ -227,25 +203,10 @@ def test_reconstructibility_is_one_for_independent_and_zero_for_unseen_direction
 
 
 @pytest.mark.exhaustive
-def test_gramian_is_the_quadrature_and_the_flows_sensitivity():
+def test_the_gramian_of_the_oscillator_is_its_quadrature():
     x, length = jnp.array([0.5, 1.2, 0.8]), 3.0
     found = gramian(OSCILLATOR, x, length)
     np.testing.assert_allclose(found, quadrature(x, 0.0, length), rtol=1e-9, atol=1e-11)
-    # Trapezoids over finite differences of outputs along the motion backward.
-    moments = np.linspace(0.0, length, 601)
-
-    @jax.jit
-    @jax.vmap
-    def outputs(x):
-        def back(x, _):
-            return rk8(lambda s, y: -OSCILLATOR.f(s, y, NONE), ZERO, x, length / 600), x[0]
-
-        return jax.lax.scan(back, x, length=601)[1]
-
-    steps = 1e-5 * np.eye(3)
-    slopes = np.asarray(outputs(x[None] + steps) - outputs(x[None] - steps)) / 2e-5
-    expected = np.trapezoid(slopes[:, None] * slopes[None], moments, axis=-1)
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
 
 
 def chain(n, extra=lambda x: 0.0 * x[0]):
