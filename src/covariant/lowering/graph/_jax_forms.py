@@ -459,7 +459,8 @@ REPLACED: dict[str, Callable[..., Any]] = {
 
 
 def _replacement(equation: JaxprEquation) -> Call:
-    key = tuple(sorted(equation.params.items()))
+    # Parameters are lists in JAX 0.6, and the key of the cache has to be hashable.
+    key = tuple((name, tuple(v) if isinstance(v, list) else v) for name, v in sorted(equation.params.items()))
     avals = tuple((atom.aval.shape, atom.aval.dtype) for atom in equation.invars)
     try:
         return _make_replacement(equation.name, key, avals)
