@@ -7,7 +7,7 @@ in 0.9 and any jaxpr from 0.11 on; stacking arrays is a concatenation in 0.9 and
 Newer primitives are replaced by older ones (`REPLACED`), with the rounding of JAX. What is left and has no rule is
 expanded by JAX, where JAX can do so (`expanded`); everything else is refused by its name.
 
-Tested with JAX 0.9.2, 0.11.1, 0.11.2, 0.12.0 and 0.12.0.1.
+Tested with JAX 0.7.2, 0.9.2, 0.11.1, 0.11.2, 0.12.0 and 0.12.0.1.
 """
 
 import functools
