@@ -69,11 +69,11 @@ long: env
 exhaustive: env bench
 	$(BIN)/pytest $(PARALLEL) $(EVERY_FILE) --exhaustive -m exhaustive
 
-# On Python 3.12 and 3.13 as well, where they are here, with the newest packages; .venv has the oldest.
+# With the lowest packages on Python 3.11, and the newest on 3.12 and 3.13, where they are here; .venv lies between.
 matrix: test
 	$(BIN)/python tools/matrix.py
 
-# Of those tests, the ones that depend on versions most, on the newest Python: .venv is the other end of the range.
+# Of those tests, the ones that depend on versions most, at both ends: the lowest packages, and the newest Python.
 matrix-short: env
 	$(BIN)/python tools/matrix.py --short
 

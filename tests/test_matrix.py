@@ -2,9 +2,12 @@
 
 import subprocess
 import sys
+import tomllib
+from itertools import chain
 
 import matrix
 import pytest
+from packaging.requirements import Requirement
 
 
 def script(path, line):
@@ -26,10 +29,10 @@ def machine(tmp_path, monkeypatch):
 
 def test_a_version_that_is_not_here_is_left_out_and_said(machine, capsys):
     assert matrix.main([]) == 0
-    missing = [f"Python {version} is not here: nothing was run on it\n" for version in ("3.12", "3.13")]
+    missing = [f"Python {version} is not here: nothing was run on it\n" for version in ("3.11", "3.12", "3.13")]
     assert capsys.readouterr().out == "".join(missing)
     assert matrix.main(["--short"]) == 0
-    assert capsys.readouterr().out == missing[1]
+    assert capsys.readouterr().out == missing[0] + missing[2]
 
 
 def test_a_name_on_the_path_that_does_not_run_is_passed_over_for_the_newest_of_pyenv(machine):
@@ -45,7 +48,7 @@ def test_a_name_on_the_path_that_does_not_run_is_passed_over_for_the_newest_of_p
 
 
 def test_a_command_that_fails_is_named_and_the_others_run(machine, monkeypatch, capfd):
-    monkeypatch.setattr(matrix, "interpreter", {"3.12": sys.executable, "3.13": None}.get)
+    monkeypatch.setattr(matrix, "interpreter", {"3.12": sys.executable}.get)
     monkeypatch.setattr(matrix, "INSTALL", ("-c", "print('installed')"))
     monkeypatch.setattr(
         matrix, "ALL", ("python -c print(1+1)", "python -c raise(SystemExit(3))", "python -c print(2+3)")
@@ -68,9 +71,29 @@ def test_an_environment_is_made_once_and_again_when_the_requirements_change(mach
 
     monkeypatch.setattr(subprocess, "run", run)
     folder = matrix.environment("3.12", "python3.12")
-    assert calls == [["python3.12", "-m", "venv", str(folder)], [str(folder / "bin/python"), *matrix.INSTALL]]
+    install = [str(folder / "bin/python"), *matrix.INSTALL, "-c", str(folder / "floors.txt")]
+    assert calls == [["python3.12", "-m", "venv", str(folder)], install]
+    assert not (folder / "floors.txt").read_text()
     matrix.environment("3.12", "python3.12")
     assert len(calls) == 2
     (folder / "ready").unlink()
     matrix.environment("3.12", "python3.12")
     assert len(calls) == 4
+
+
+def test_the_lowest_environment_pins_each_requirement_to_its_lowest_version(machine, monkeypatch):
+    (machine / "pyproject.toml").write_text(
+        '[project]\ndependencies = ["jax>=0.7,!=0.10.*,<2", "plain"]\n'
+        '[project.optional-dependencies]\nlogs = ["dask[distributed]>=2024.8"]\nall = ["covariant[logs]"]\n'
+    )
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: (machine / ".venv-3.11-lowest").mkdir(exist_ok=True))
+    folder = matrix.environment(matrix.LOWEST, "python3.11")
+    assert (folder / "floors.txt").read_text() == "dask==2024.8\njax==0.7\n"
+
+
+def test_every_requirement_of_a_user_has_a_lowest_version_that_is_tested():
+    pinned = {line.partition("==")[0] for line in matrix.floors().splitlines()}
+    project = tomllib.loads((matrix.ROOT / "pyproject.toml").read_text())["project"]
+    extras = {name: each for name, each in project["optional-dependencies"].items() if name not in ("dev", "docs")}
+    needed = {Requirement(text).name for text in chain(project["dependencies"], *extras.values())}
+    assert needed - {"covariant"} == pinned

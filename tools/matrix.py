@@ -1,10 +1,13 @@
-"""Run the tests on other versions of Python, with the newest packages that pyproject.toml allows.
+"""Run the tests with the lowest and the newest packages that pyproject.toml allows, and on other versions of Python.
 
-The environment `.venv` has the oldest: those of constraints.txt. Each other version has its own, such as `.venv-3.12`,
-and one that is not on this machine is left out, with a line that says so.
+The environment `.venv` lies between them: it has the versions of constraints.txt. On Python 3.11 each requirement has
+the lowest version that pyproject.toml allows, on 3.12 and 3.13 the newest. Each has its own environment, such as
+`.venv-3.12`; a version of Python that is not on this machine is left out, with a line that says so.
 
-    python tools/matrix.py            # those of `make test`, on Python 3.12 and 3.13
-    python tools/matrix.py --short    # forms of jaxprs, a certificate, the README, the demo; the newest version only
+    python tools/matrix.py            # the tests of `make test` and the gallery
+    python tools/matrix.py --short    # forms of jaxprs, a certificate, the README, the demo; lowest and newest only
+
+Each environment also resolves `.[all]` with LeRobot, whose requirements have narrow bounds, and installs nothing.
 """
 
 import argparse
@@ -12,17 +15,22 @@ import os
 import shlex
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
+from packaging.requirements import Requirement
+
 ROOT = Path(__file__).parents[1]
-VERSIONS = ("3.12", "3.13")
+LOWEST = "3.11-lowest"
+ENVIRONMENTS = (LOWEST, "3.12", "3.13")
 INSTALL = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--upgrade", "-e", ".[dev]")
-ALL = (
-    "pytest -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0 -m 'not long'",
-    "python gallery/run_all.py",
-)
+RESOLVE = "python -m pip install --dry-run --ignore-installed --quiet --disable-pip-version-check .[all] lerobot"
+TESTS = "pytest -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0"
+ALL = (RESOLVE, TESTS, "python gallery/run_all.py")
 SHORT = (
+    RESOLVE,
     "pytest -n 2 --dist loadgroup tests/lowering/test_jax_forms.py tests/lowering/test_lowering.py",
     "covariant certify --check examples/certificates/ball_and_beam.json",
     "pytest tests/pages/test_examples.py -k README.md",
@@ -50,35 +58,45 @@ def interpreter(version: str) -> str | None:
     return None
 
 
-def environment(version: str, python: str) -> Path:
-    """The environment of a version, made or brought up to date where pyproject.toml is newer."""
-    folder = ROOT / f".venv-{version}"
-    ready = folder / "ready"
+def floors() -> str:
+    """Constraints that pin every requirement of pyproject.toml that has a lowest version to that version."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    requirements = map(Requirement, chain(project["dependencies"], *project["optional-dependencies"].values()))
+    lowest = {(each.name, bound.version) for each in requirements for bound in each.specifier if bound.operator == ">="}
+    return "".join(f"{name}=={version}\n" for name, version in sorted(lowest))
+
+
+def environment(name: str, python: str) -> Path:
+    """The environment of a name, made or brought up to date where pyproject.toml is newer."""
+    folder = ROOT / f".venv-{name}"
+    ready, constraints = folder / "ready", folder / "floors.txt"
     if not ready.exists() or ready.stat().st_mtime < (ROOT / "pyproject.toml").stat().st_mtime:
         subprocess.run([python, "-m", "venv", folder], check=True)
-        subprocess.run([folder / "bin/python", *INSTALL], check=True, cwd=ROOT)
+        constraints.write_text(floors() if name == LOWEST else "", encoding="utf-8")
+        subprocess.run([folder / "bin/python", *INSTALL, "-c", constraints], check=True, cwd=ROOT)
         ready.touch()
     return folder
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the commands on every version that is here; the result is 1 where one of them fails."""
+    """Run the commands in every environment whose Python is here; the result is 1 if one of them fails."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--short", action="store_true", help="only the tests that depend on versions most")
     short = parser.parse_args(arguments).short
-    commands, versions = (SHORT, VERSIONS[-1:]) if short else (ALL, VERSIONS)
+    commands, names = (SHORT, (LOWEST, ENVIRONMENTS[-1])) if short else (ALL, ENVIRONMENTS)
     failed = []
-    for version in versions:
+    for name in names:
+        version = name.partition("-")[0]
         python = interpreter(version)
         if python is None:
             print(f"Python {version} is not here: nothing was run on it", flush=True)
             continue
-        folder = environment(version, python)
+        folder = environment(name, python)
         for command in commands:
             program, *words = shlex.split(command.format(environment=folder.name))
-            print(f"Python {version}: {program} {' '.join(words)}", flush=True)
+            print(f"Python {name}: {program} {' '.join(words)}", flush=True)
             if subprocess.run([folder / "bin" / program, *words], cwd=ROOT, check=False).returncode:
-                failed.append(f"Python {version}: {program} {' '.join(words)}")
+                failed.append(f"Python {name}: {program} {' '.join(words)}")
     print(*(f"FAILED {what}" for what in failed), sep="\n", end="\n" if failed else "")
     return bool(failed)
 

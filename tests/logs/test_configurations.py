@@ -11,7 +11,7 @@ WXYZ, XYZW = ("qw", "qx", "qy", "qz"), ("qx", "qy", "qz", "qw")
 MATRIX = tuple(f"r{i}{j}" for i in "123" for j in "123")
 POSITION = ("px", "py", "pz")
 T = np.arange(8.0)
-TURNS = Rotation.random(8, rng=3)
+TURNS = Rotation.from_quat(np.random.default_rng(3).normal(size=(8, 4)))
 PLACES = np.random.default_rng(4).normal(size=(8, 3))
 CELLS = dict(zip(XYZW, TURNS.as_quat().T, strict=True)) | dict(zip(POSITION, PLACES.T, strict=True))
 CELLS |= dict(zip(MATRIX, TURNS.as_matrix().reshape(-1, 9).T, strict=True)) | {"heading": 2 * T, "wheel": 9 * T}
@@ -63,7 +63,7 @@ def test_angles_are_turns_of_the_plane(read):
 
 def test_attitudes_after_the_first_are_matrices_of_their_own(read):
     """A pose, a ball joint and a coordinate: each missing by itself."""
-    second = Rotation.random(8, rng=5)
+    second = Rotation.from_quat(np.random.default_rng(5).normal(size=(8, 4)))
     names = ("bw", "bx", "by", "bz")
     cells = dict(zip(names[1:] + names[:1], second.as_quat().T, strict=True))
     cells["by"] = np.where(T == 3, np.nan, cells["by"])

@@ -77,13 +77,19 @@ def write_rerun(
             style = line or rr.SeriesLines(widths=curve.width, **look)
             recording.log(entity, style, static=True)
             recording.send_columns(entity, times, rr.Scalars.columns(scalars=np.asarray(curve.values, float)))
-        starts = [rr.TimeColumn("t", duration=list(results))]
-        recording.send_columns("result", starts, rr.StateChange.columns(state=list(results.values())))
+        starts, names = [rr.TimeColumn("t", duration=list(results))], list(results.values())
+        changes = rr.StateChange.columns(state=names) if _is_recent(rr) else rr.TextLog.columns(text=names)
+        recording.send_columns("result", starts, changes)
         for body in bodies:
             _send_body(rr, recording, body, [rr.TimeColumn("t", duration=body_times)])
         recording.flush()
         recording.disconnect()
     partial.replace(path)
+
+
+def _is_recent(rr: Any) -> bool:
+    """Whether Rerun has lanes of states. Older releases get messages instead, and choose the place of the eye."""
+    return hasattr(rr, "StateChange")
 
 
 def _rgba(color: str) -> int:
@@ -97,7 +103,8 @@ def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> N
     if body.label:
         joint = rr.Points3D([body.joint], radii=1.5 * RADIUS, labels=[body.label], colors=_rgba("#FFFFFF"))
         recording.log(f"{entity}/joint", joint, static=True)
-    recording.log(entity, rr.TransformAxes3D(AXES), static=True)
+    axes = rr.Arrows3D(vectors=AXES * np.eye(3), colors=255 * np.eye(3, dtype=np.uint8))
+    recording.log(f"{entity}/axes", axes, static=True)
     columns = rr.Transform3D.columns(translation=body.poses[:, :3, 3], mat3x3=body.poses[:, :3, :3])
     recording.send_columns(entity, times, columns)
 
@@ -112,13 +119,15 @@ def _arrangement(rr: Any, curves: Sequence[PlottedCurve], bodies: Sequence[Movin
     few = max(map(len, views.values())) <= MOST_ROWS_OF_VIEWS
     columns = [(rrb.Vertical if few else rrb.Grid)(*each, name=quantity) for quantity, each in views.items()]
     plots = rrb.Horizontal(*columns) if few else rrb.Tabs(*columns)
-    results = rrb.StateTimelineView(origin="/result", name="result of each sample")
+    lanes = rrb.StateTimelineView if _is_recent(rr) else rrb.TextLogView
+    results = lanes(origin="/result", name="result of each sample")
     right = rrb.Vertical(plots, results, row_shares=[5, 1])
     if not bodies:
         return rrb.Blueprint(right, collapse_panels=True)
     places = np.concatenate([_places(body) for body in bodies])
     middle, size = (places.min(0) + places.max(0)) / 2, np.ptp(places, axis=0).max() + 10 * RADIUS
-    eye = rrb.EyeControls3D(position=middle + size * np.array([1.3, 0.9, 0.4]), look_target=middle, eye_up=[0, 0, 1])
+    place = {"position": middle + size * np.array([1.3, 0.9, 0.4]), "look_target": middle, "eye_up": [0, 0, 1]}
+    eye = rrb.EyeControls3D(**place) if _is_recent(rr) else None
     robot = rrb.Spatial3DView(origin="/robot", name="robot", eye_controls=eye)
     return rrb.Blueprint(rrb.Horizontal(robot, right, column_shares=[1, 2]), collapse_panels=True)
 

@@ -7,7 +7,7 @@ in 0.9 and any jaxpr from 0.11 on; stacking arrays is a concatenation in 0.9 and
 Newer primitives are replaced by older ones (`REPLACED`), with the rounding of JAX. What is left and has no rule is
 expanded by JAX, where JAX can do so (`expanded`); everything else is refused by its name.
 
-Tested with JAX 0.9.2, 0.11.1, 0.11.2, 0.12.0 and 0.12.0.1.
+Tested with JAX 0.7.2, 0.9.2, 0.11.1, 0.11.2, 0.12.0 and 0.12.0.1.
 """
 
 import functools
@@ -459,7 +459,8 @@ REPLACED: dict[str, Callable[..., Any]] = {
 
 
 def _replacement(equation: JaxprEquation) -> Call:
-    key = tuple(sorted(equation.params.items()))
+    # Parameters are lists in JAX 0.6, and the key of the cache has to be hashable.
+    key = tuple((name, tuple(v) if isinstance(v, list) else v) for name, v in sorted(equation.params.items()))
     avals = tuple((atom.aval.shape, atom.aval.dtype) for atom in equation.invars)
     try:
         return _make_replacement(equation.name, key, avals)
