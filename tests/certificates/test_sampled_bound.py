@@ -63,7 +63,8 @@ def plain_pendulum():
 def bound_of(recursion=PROVED, missing_rows=False, **changes):
     longest = float(recursion.ages[-1 if missing_rows else 0, 1])
     numbers = {"substeps": SUBSTEPS, "longest_step": longest / SUBSTEPS * (1 + 1e-15)} | changes
-    return SampledBound(recursion, RADIUS, REACH, START, *REGION, missing_rows=missing_rows, circles=(True,), **numbers)
+    rest = {"missing_rows": missing_rows, "circles": (True,)} | numbers
+    return SampledBound(plain_pendulum(), recursion, RADIUS, REACH, START, *REGION, **rest)
 
 
 def bounded(recursion=PROVED, observer=None, first=0.01, **changes):
@@ -143,7 +144,7 @@ def starting(observer, q, v, radius):
 @jax.jit
 def parts(bound, log):
     """Errors over their bounds (runs, steps, 2), and the premises."""
-    observer = Bounded(plain_pendulum(), bound)
+    observer = Bounded(bound.certified, bound)
     weights = jnp.asarray(bound.start)
 
     def one(log):
@@ -357,7 +358,7 @@ def test_a_radius_of_zero_does_not_stay_zero():
 
 def test_a_bound_stays_with_the_observer_that_it_is_about():
     plain, honest = plain_pendulum(), bounded()
-    assert dataclasses.replace(honest, first_radius=0.005).certified is plain
+    assert dataclasses.replace(honest, first_radius=0.005).bound.certified is plain
     gated = Gated(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
     assert dataclasses.replace(honest, observer=gated).bound is honest.bound
     changes: dict[str, Any]
@@ -371,7 +372,7 @@ def test_a_bound_stays_with_the_observer_that_it_is_about():
     nudged = Nudged(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
     for other in (nudged, pendulum()):
         with pytest.raises(ValueError, match="not the one of the certificate"):
-            dataclasses.replace(honest, observer=other)
+            Bounded(other, honest.bound, 0.005)
 
     @jax.jit
     def with_gain(alpha):
@@ -474,7 +475,7 @@ def test_a_tube_that_is_left_and_a_part_of_a_measurement_are_premises():
     flat = models.Lagrangian(lambda q: jnp.eye(2), lambda q: 0.0 * q[0], coordinates=("x", "y"))
     two = Intrinsic(flat, 10.0, 50.0, substeps=SUBSTEPS)
     region = np.array([[-3.0] * 2, [3.0] * 2]), np.ones(2), np.zeros((2, 2)), np.full(2, NOISE)
-    bound = SampledBound(PROVED, RADIUS, np.ones(4), np.ones(4), *region, SUBSTEPS, 0.011, False, (False,) * 2)
+    bound = SampledBound(two, PROVED, RADIUS, np.ones(4), np.ones(4), *region, SUBSTEPS, 0.011, False, (False,) * 2)
     rest = jnp.zeros(2), jnp.zeros(2)
 
     def premise(observer, y):

@@ -9,12 +9,13 @@ systems, Automatica 34(6); Theorem 2 of Aghannan & Rouchon 2003.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from covariant._domains import ABOVE_ZERO, FINITE, KNOWN, check_numbers
 from covariant._errors import InputError
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Scalar, Vector
@@ -161,7 +162,13 @@ def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
     return product + product.T + change
 
 
-def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x: Vector) -> Scalar:
+@check_numbers
+def contraction_rate(
+    flow: Flow,
+    metric: StateMetric | StateMatrix,
+    t: Annotated[Scalar, FINITE],
+    x: Annotated[Vector, FINITE],
+) -> Annotated[Scalar, KNOWN]:
     """Compute the largest λ at (t, x) with `FᵀM + Ṁ + MF ≤ −λM`.
 
     Distances between solutions decrease at least as `e^(−λt/2)` if λ is a lower bound of the rate along the geodesics
@@ -189,7 +196,10 @@ def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x
     return -jnp.linalg.eigvalsh(whiten(metric.gram(t, x), contraction_matrix(flow, metric, t, x)))[-1]
 
 
-def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
+@check_numbers
+def log_norm(
+    matrix: Annotated[Matrix, FINITE], order: Annotated[float | int, ABOVE_ZERO] = 2
+) -> Annotated[Scalar, KNOWN]:
     """Compute the logarithmic norm μ of a Jacobian for the vector norm ℓ1, ℓ2 or ℓ∞: `|δx|' ≤ μ |δx|`.
 
     A quick test: if μ is negative everywhere on a convex set, the flow contracts in that norm.
@@ -224,9 +234,13 @@ def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
     return jnp.max(diagonal + jnp.sum(sizes, axis=0) - jnp.abs(diagonal))
 
 
+@check_numbers
 def rates_along(
-    flow: Flow, metric: StateMetric | StateMatrix, t: Float[Array, "T"], x: Float[Array, "T n"]
-) -> Float[Array, "T"]:
+    flow: Flow,
+    metric: StateMetric | StateMatrix,
+    t: Annotated[Float[Array, "T"], FINITE],
+    x: Annotated[Float[Array, "T n"], FINITE],
+) -> Annotated[Float[Array, "T"], KNOWN]:
     """Compute `contraction_rate` at each stamp of a trajectory.
 
     Args:

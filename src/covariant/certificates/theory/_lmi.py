@@ -7,11 +7,12 @@ and 7: quadratic stability of a polytope of systems, and the change of variable 
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from covariant._domains import FINITE, Finite, NotNegative, check_numbers
 from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant._typing import Numbers
@@ -48,7 +49,8 @@ class MetricDesign(NamedTuple):
     statement: Statement
 
 
-def common_metric(jacobians: Numbers, rate: float) -> MetricDesign:
+@check_numbers
+def common_metric(jacobians: Annotated[Numbers, FINITE], rate: Finite) -> MetricDesign:
     """Find the best conditioned metric M with `FᵀM + MF ≤ −rate M` for every Jacobian F, so for all in their hull.
 
     Args:
@@ -73,7 +75,14 @@ def common_metric(jacobians: Numbers, rate: float) -> MetricDesign:
     return _design(f, np.zeros((len(f), 0, f.shape[1])), rate, 0.0)
 
 
-def observer_gain(jacobians: Numbers, outputs: Numbers, rate: float, *, effort: float = 1e-3) -> MetricDesign:
+@check_numbers
+def observer_gain(
+    jacobians: Annotated[Numbers, FINITE],
+    outputs: Annotated[Numbers, FINITE],
+    rate: Finite,
+    *,
+    effort: NotNegative = 1e-3,
+) -> MetricDesign:
     """Find K and M with `(F − KH)ᵀM + M(F − KH) ≤ −rate M` for all pairs of Jacobians F and H.
 
     They minimise the condition number of M plus `effort` times the norm of MK. The result holds for all pairs in the
@@ -113,14 +122,10 @@ def _stack(name: str, matrices: Numbers, beside: np.ndarray | None) -> np.ndarra
     if wrong:
         needed = "(k, n, n)" if beside is None else f"({beside.shape[0]}, p, {beside.shape[2]})"
         raise InputError(f"{name} must have the shape {needed}; it has {np.shape(matrices)}")
-    if not np.isfinite(stack).all():
-        raise InputError(f"{name} must be finite")
     return stack
 
 
 def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricDesign:
-    if not math.isfinite(rate):
-        raise InputError(f"the rate must be a finite number; got {rate}")
     slack = SLACK * max(abs(rate), *(float(np.linalg.norm(each, 2)) for each in f))
     # First at a slightly higher rate, so that the statement at `rate` survives the solver's rounding.
     solution = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
