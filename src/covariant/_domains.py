@@ -139,8 +139,8 @@ def check_numbers(function: Function) -> Function:
             if not domain.has(value):
                 what = name.removeprefix("return.").replace("return", "the result")
                 raise InputError(
-                    f"{function.__name__}: {what} must {domain.words}, and is {_on_one_line(value)}; give arguments that "
-                    "belong together as the documentation states"
+                    f"{function.__name__}: {what} must {domain.words}, and is {_on_one_line(value)}; give "
+                    "arguments that belong together, as the documentation states"
                 )
         return result
 

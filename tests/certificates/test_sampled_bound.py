@@ -60,11 +60,11 @@ def plain_pendulum():
     return Intrinsic(swing, 10.0, 50.0, substeps=SUBSTEPS)
 
 
-def bound_of(recursion=PROVED, missing_rows=False, **changes):
+def bound_of(recursion=PROVED, missing_rows=False, certified=None, **changes):
     longest = float(recursion.ages[-1 if missing_rows else 0, 1])
     numbers = {"substeps": SUBSTEPS, "longest_step": longest / SUBSTEPS * (1 + 1e-15)} | changes
     rest = {"missing_rows": missing_rows, "circles": (True,)} | numbers
-    return SampledBound(plain_pendulum(), recursion, RADIUS, REACH, START, *REGION, **rest)
+    return SampledBound(certified or plain_pendulum(), recursion, RADIUS, REACH, START, *REGION, **rest)
 
 
 def bounded(recursion=PROVED, observer=None, first=0.01, **changes):
@@ -731,7 +731,7 @@ def test_one_long_step_over_missing_rows_is_less_exact_than_its_bound():
     loose = PROVED._replace(ages=np.array([[0.00999, 0.3]]), noise=(0.0,), force=0.0, steps=0.0, error=0.0)
     start, truth = (jnp.array([0.5]), jnp.array([2.0])), moved(jnp.array([0.5, 2.0]), jnp.zeros(1), jnp.asarray(0.25))
     for longest, known in ((0.3, True), (0.012, False)):
-        observer = bounded(loose, rough, substeps=1, longest_step=longest, missing_rows=True)
+        observer = bounded(loose, rough, certified=rough, substeps=1, longest_step=longest, missing_rows=True)
         state, info = observer.step(starting(observer, *start, 1e-9), jnp.zeros(1), jnp.full(1, jnp.nan), 0.25)
         beyond = np.abs(np.asarray(observer.estimate(state) - truth))[1] > np.asarray(info.velocity_bound[0])
         assert beyond == known

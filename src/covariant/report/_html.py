@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._files import utf8
 from covariant._templates import fill, template
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
@@ -52,7 +53,7 @@ def write_html(report: EstimateReport, path: str | os.PathLike[str]) -> Path:
         >>> write_html(report, "pendulum.html").name
         'pendulum.html'
     """
-    return write_all({Path(path): page(report).encode()})[0]
+    return write_all({Path(path): utf8(page(report))})[0]
 
 
 def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
@@ -78,7 +79,7 @@ def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[P
         >>> [path.name for path in write_report(report, "pendulum.html")]
         ['pendulum.html', 'pendulum_velocity.png']
     """
-    files = {Path(path): page(report).encode()}
+    files = {Path(path): utf8(page(report))}
     return write_all(files | draw_png(report, Path(path).with_suffix("")))
 
 
@@ -207,7 +208,7 @@ def _library(source: Callable[[], str]) -> str:
 
 def _pack_text(name: str, text: str) -> str:
     """An element with a text for `unpack` in page.js: compressed, in base 85 without the character that opens a tag."""
-    squeezed = gzip.compress(text.encode(), mtime=0)  # no time stamp: equal texts give equal bytes
+    squeezed = gzip.compress(utf8(text), mtime=0)  # no time stamp: equal texts give equal bytes
     # The alphabet of base 85 has "<" and no comma, so that the page can put it back.
     letters = base64.b85encode(squeezed, pad=True).decode().replace("<", ",")
     return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'

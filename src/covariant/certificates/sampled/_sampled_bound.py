@@ -158,9 +158,10 @@ class SampledBound(eqx.Module):
         >>> from covariant.certificates.base._radius_recursion import Recursion
         >>> observer = observers.Intrinsic(models.oscillator(), 10.0, 40.0, substeps=1)
         >>> recursion = Recursion(2.0, 0.0, (1e-6,), 0.0, 0.0, 0.0, np.array([[0.01, 0.02]]))
+        >>> about = observer, recursion
         >>> region = np.array([[-3.0], [3.0]]), np.array([4.0]), np.array([[-1.0], [1.0]]), np.zeros(1)
         >>> bound = SampledBound(
-        ...     observer, recursion, 0.1, np.array([1.0, 10.0]), np.array([2.0, 0.02]), *region, 1, 0.01, False, (False,)
+        ...     *about, 0.1, np.array([1.0, 10.0]), np.array([2.0, 0.02]), *region, 1, 0.01, False, (False,)
         ... )
         >>> round(bound.within(0.01, 0.1), 4), bound.within(0.1, 0.1)
         (0.02, inf)
@@ -325,8 +326,8 @@ class Bounded(AbstractWrapper):
         first_radius: bound of the distance between truth and estimate after `init`; ∞ if it is unknown.
 
     Raises:
-        ValueError: `observer` does not take the steps of `bound.certified`, or `first_radius` is negative. `init` and `step`
-            raise it for numbers that are not doubles.
+        ValueError: `observer` does not take the steps of `bound.certified`, or `first_radius` is negative. `init` and
+            `step` raise it for numbers that are not doubles.
 
     Example:
         An oscillator whose speed is at most 0.4 m/s when the observer starts from rest:
