@@ -156,7 +156,7 @@ def test_gain_from_vertices_is_proved_on_the_whole_polytope():
 
 
 def test_designs_that_cannot_be_are_refused():
-    with pytest.raises(ValueError, match="no constant metric makes all 1 Jacobians contract at 3 1/s; lower the rate"):
+    with pytest.raises(ValueError, match="no constant metric makes 1 Jacobian contract at 3 1/s; lower the rate"):
         common_metric(-np.eye(2), 3.0)
     with pytest.raises(ValueError, match=r"outputs must have the shape \(1, p, 2\)"):
         observer_gain(-np.eye(2), np.ones((1, 3)), 1.0)

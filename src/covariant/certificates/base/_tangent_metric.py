@@ -204,7 +204,8 @@ def optimal_lyapunov(alpha: Annotated[Number, FINITE], beta: Annotated[Number, F
     return matrices[np.argmin(_conditions(beta, matrices))]
 
 
-def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
+@check_numbers
+def tangent_metric(metric: MatrixField, q: Annotated[TwoByTwo, FINITE]) -> StateMetric:
     """Build the metric on states x = (q, v) from a metric on configurations and a matrix Q, in the frame (ξ, ζ).
 
     Args:

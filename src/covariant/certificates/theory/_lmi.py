@@ -131,7 +131,7 @@ def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricD
     solution = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
     if solution is None:
         raise InputError(
-            f"no constant metric makes all {len(f)} Jacobians contract at {rate:g} 1/s; lower the rate or the set"
+            f"no constant metric makes {_count_jacobians(f, h)[1]} contract at {rate:g} 1/s; lower the rate or the set"
         )
     m, k, conditioning = solution
     return MetricDesign(m, k, conditioning, _statement(m, k, f, h, rate))
@@ -149,7 +149,7 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
         if not is_definite(form):
             wrong.append(i)
     worst = wrong[0] if wrong else int(np.argmin(margins))
-    pair = "Jacobian" if not k.size else "pair of Jacobians"
+    pair, counted = _count_jacobians(f, h)
     hypotheses = (
         Hypothesis(
             "M is symmetric and positive definite, in rational arithmetic",
@@ -158,7 +158,7 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
             float(np.linalg.eigvalsh(m)[0]),
         ),
         Hypothesis(
-            f"squared lengths shrink faster than that for each of the {len(f)} {pair}s, in rational arithmetic",
+            f"squared lengths shrink faster than that for {counted}, in rational arithmetic",
             "proved",
             "undecided" if wrong else "holds",
             margins[worst],
@@ -166,9 +166,15 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
         ),
         Hypothesis("the Jacobians of the system are among those given, or in their hull", "assumed"),
     )
-    data = (f"M = {m.tolist()}", *([f"K = {k.tolist()}"] if k.size else []), f"{len(f)} {pair}s of {len(m)} states")
+    data = (f"M = {m.tolist()}", *([f"K = {k.tolist()}"] if k.size else []), f"{counted}, states: {len(m)}")
     claim = f"squared lengths in the constant metric M shrink at {rate:g} 1/s or faster"
-    return Statement(claim, data, hypotheses, margins[worst], f"the hull of {len(f)} {pair}s")
+    return Statement(claim, data, hypotheses, margins[worst], f"the hull of {counted}")
+
+
+def _count_jacobians(f: np.ndarray, h: np.ndarray) -> tuple[str, str]:
+    """What one of the matrices, or pairs of them, is called, and how many there are."""
+    one, many = ("pair of Jacobians", "pairs of Jacobians") if h.size else ("Jacobian", "Jacobians")
+    return one, f"{len(f)} {many if len(f) > 1 else one}"
 
 
 def rational(matrix: np.ndarray) -> np.ndarray:

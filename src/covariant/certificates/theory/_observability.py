@@ -277,6 +277,8 @@ class _Sampled(NamedTuple):
 
     @property
     def domain(self) -> str:
+        if len(self.points) == 1:
+            return f"the state {_text(self.points[0])}"
         return f"{len(self.points)} states between {_text(self.points.min(0))} and {_text(self.points.max(0))}"
 
     @property
@@ -360,8 +362,8 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
         k = int(dependent.argmax())
         rank = int((sizes[k] > DEPENDENT * sizes[k, 0]).sum())
         raise InputError(
-            f"observability: the {outputs} outputs see only {rank} directions at {_text(points[k])}; leave out "
-            "outputs that follow from others"
+            f"observability: dh has rank {rank} at {_text(points[k])}, below the number of outputs, {outputs}; leave "
+            "out outputs that follow from others"
         )
     if not (least > 0).all():  # NaN is no metric either
         raise InputError(f"the metric is not positive definite at {_text(points[int((~(least > 0)).argmax())])}")
