@@ -326,7 +326,7 @@ def test_a_metric_that_is_none_and_no_points_are_refused():
         observability(system, flat, np.zeros((0, 2)))
     with pytest.raises(ValueError, match=r"the metric is not positive definite at \(0, 0\)"):
         observability(outputs(lambda x: x), lambda x: jnp.full((2, 2), jnp.nan), np.zeros((1, 2)))
-    with pytest.raises(ValueError, match="the points must be finite"):
+    with pytest.raises(ValueError, match="points must be a finite number"):
         observability(system, flat, np.array([[np.nan, 0.0]]))
     with pytest.raises(ValueError, match=r"dh has rank 2 .* below the number of outputs, 3"):
         observability(outputs(lambda x: jnp.stack([x[0], x[1], x[0] + x[1]])), flat, np.zeros((1, 2)))

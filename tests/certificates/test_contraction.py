@@ -156,9 +156,9 @@ def test_gains_that_are_no_numbers_are_refused_in_one_line():
             lyapunov(ALPHA, bad)
         with pytest.raises(ValueError, match=r"^lyapunov: rate must be a finite number; got .*$"):
             lyapunov(ALPHA, BETA, bad)
-        with pytest.raises(ValueError, match=r"^conditioning: beta must be a positive number; got .*$"):
+        with pytest.raises(ValueError, match=r"^conditioning: beta must be a positive, finite number; got .*$"):
             conditioning(bad, PAPER)
-    with pytest.raises(ValueError, match="weight must be a positive number"):
+    with pytest.raises(ValueError, match="weight must be a positive, finite number"):
         lyapunov(ALPHA, BETA, 0.0, -1.0)
     spoiled = eqx.tree_at(lambda o: o.alpha, Intrinsic(models.ball_and_beam(), ALPHA, BETA), np.nan)
     with pytest.raises(ValueError, match=r"^certify: alpha of the observer must be a finite number; got nan$"):
@@ -325,7 +325,7 @@ def test_bound_of_the_error_under_noise_against_simulation():
     # A constant error is the simplest of all noises: it moves the estimate by itself.
     steady = np.linalg.solve(a, -push)
     assert (np.abs(steady) <= error_bounds(ALPHA, BETA, PAPER, rate_of(ALPHA, BETA, PAPER), 1.0, 0.0)).all()
-    with pytest.raises(ValueError, match="positive rate"):
+    with pytest.raises(ValueError, match="rate must be a positive, finite number"):
         steady_distance(0.0, 1.0)
 
 

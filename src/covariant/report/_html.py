@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._errors import printable
 from covariant._files import utf8
 from covariant._templates import fill, template
 from covariant.report._condensed import condensed
@@ -93,7 +94,7 @@ def page(report: EstimateReport) -> str:
     panels = condensed(panels)
     sections, figures = _sections(report, panels, styled)
     words = {
-        "TITLE": escape(report.title),
+        "TITLE": escape(printable(report.title)),
         "STYLE": template("report", "page.css"),
         "VERDICT": verdict_html(report.headline, report.warnings),
         "FACTS": facts_html(report.facts) + _code(report),
@@ -174,7 +175,7 @@ LONG = 60
 def facts_html(facts: Mapping[str, str]) -> str:
     """What was computed, from what, and how."""
     lines = "".join(
-        f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(text)}</dd></div>"
+        f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(printable(text))}</dd></div>"
         for name, text in sorted(facts.items(), key=lambda fact: len(fact[1]) > LONG)
     )
     return f'<dl class="facts">{lines}</dl>\n' if lines else ""
