@@ -65,7 +65,7 @@ def test_every_name_is_offered():
     assert set(dir(covariant)) == set(covariant.__all__)
     for name in covariant.__all__:
         assert getattr(covariant, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'robots'; it has .*Record"):
+    with pytest.raises(AttributeError, match=r"no attribute 'robots'; it has .*Record"):
         _ = covariant.robots  # pyright: ignore[reportAttributeAccessIssue]
 
 

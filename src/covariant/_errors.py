@@ -1,4 +1,27 @@
-"""Error of input that the library refuses."""
+"""Error of input that the library refuses, and names of files as they are shown."""
+
+import os
+
+
+def printable(text: str, keep: str = "\n\t") -> str:
+    r"""A text in which every character that cannot be shown is its escape.
+
+    These are control characters, marks that turn the direction of what follows, and what stands in Python for a byte of
+    a file name that is not UTF-8, which no table and no page can hold.
+
+    Example:
+        >>> from covariant._errors import printable
+        >>> print(printable("run\x1b[2J\udcff.csv"))
+        run\x1b[2J\udcff.csv
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else ascii(c)[1:-1] for c in text)
+
+
+def file_name(path: str | os.PathLike[str]) -> str:
+    """A path as one printable line, as it is written in tables, pages and messages."""
+    return printable(os.fspath(path), keep="")
 
 
 class InputError(ValueError):
@@ -8,7 +31,8 @@ class InputError(ValueError):
     is an `InputError`; any other exception that leaves a function is a bug. The command line prints an `InputError` as
     one line with exit code 2, and anything else with its traceback.
 
-    It is a `ValueError`, so that one `except` catches it with those of NumPy and JAX.
+    It is a `ValueError`, so that one `except` catches it with those of NumPy and JAX. Its message is `printable`, since
+    names of files and cells of logs are a part of it.
 
     Attributes:
         exit_code: Exit code of a command that ends with this error.
@@ -23,6 +47,9 @@ class InputError(ValueError):
     """
 
     exit_code = 2
+
+    def __init__(self, *details: object):
+        super().__init__(*(printable(each) if isinstance(each, str) else each for each in details))
 
 
 class MissingPackageError(InputError, ImportError):

@@ -35,6 +35,11 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
     return path
 
 
+def utf8(text: str) -> bytes:
+    """Encode a text that may name files; a byte of a name that is not UTF-8 is written as its escape."""
+    return text.encode("utf-8", "backslashreplace")
+
+
 def write_together(files: Mapping[Path, bytes]) -> None:
     """Write all files to the disk before any replaces an old one; each replacement is atomic."""
     with contextlib.ExitStack() as stack:

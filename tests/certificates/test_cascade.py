@@ -158,7 +158,7 @@ PLANE = models.StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates
         (lambda: virtual(Contracting(NAMELESS, jnp.eye(1), jnp.zeros(1)), np.eye(1)), "states need names"),
         (
             lambda: common_metric(-np.eye(2), 3.0),
-            "no constant metric makes all 1 Jacobians contract at 3 1/s; lower the",
+            "no constant metric makes 1 Jacobian contract at 3 1/s; lower the rate",
         ),
         (lambda: observer_gain(-np.eye(2), np.ones((1, 3)), 1.0), r"outputs must have the shape \(1, p, 2\)"),
         (lambda: contracting_gain(PLANE, [[1.0]], 1.0), r"states must have the shape \(k, 2\)"),

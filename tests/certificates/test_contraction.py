@@ -143,8 +143,8 @@ BAD_GAINS = {
     "rate_of: alpha must be a finite number; got": lambda bad: rate_of(bad, BETA, PAPER),
     "lyapunov: beta must be a finite number; got": lambda bad: lyapunov(ALPHA, bad),
     "lyapunov: rate must be a finite number; got": lambda bad: lyapunov(ALPHA, BETA, bad),
-    "conditioning: beta must be a positive number; got": lambda bad: conditioning(bad, PAPER),
-    "lyapunov: weight must be a positive number": lambda bad: lyapunov(ALPHA, BETA, 0.0, -1.0),
+    "conditioning: beta must be a positive, finite number; got": lambda bad: conditioning(bad, PAPER),
+    "lyapunov: weight must be a positive, finite number": lambda bad: lyapunov(ALPHA, BETA, 0.0, -1.0),
     "certify: alpha of the observer must be a finite number; got": lambda bad: certify(
         eqx.tree_at(lambda o: o.alpha, Intrinsic(models.ball_and_beam(), ALPHA, BETA), bad), **BOUNDS
     ),
@@ -288,7 +288,7 @@ def test_bound_of_the_error_under_noise_against_simulation():
     # A constant error is the simplest of all noises: it moves the estimate by itself.
     steady = np.linalg.solve(a, -push)
     assert (np.abs(steady) <= error_bounds(ALPHA, BETA, PAPER, rate_of(ALPHA, BETA, PAPER), 1.0, 0.0)).all()
-    with pytest.raises(ValueError, match="positive rate"):
+    with pytest.raises(ValueError, match="rate must be a positive, finite number"):
         steady_distance(0.0, 1.0)
 
 

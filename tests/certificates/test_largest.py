@@ -68,7 +68,7 @@ def test_values_that_are_refused_are_attempts_and_a_bad_first_value_is_an_error(
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [({"first": 0.0}, "positive number"), ({"runs": 0}, "runs must be"), ({"step": 1.0}, "step must be")],
+    [({"first": 0.0}, "first must be"), ({"runs": 0}, "runs must be"), ({"step": 1.0}, "step must be")],
     ids=str,
 )
 def test_bad_requests_are_refused(options, words):

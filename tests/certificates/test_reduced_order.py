@@ -166,7 +166,7 @@ def test_a_wrong_injection_and_a_rate_that_is_too_high_are_not_proved(name, sign
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"rate": 0.0}, "rate must be a positive number"),
+        ({"rate": 0.0}, "rate must be a positive, finite number"),
         ({"box": [(0.0, 1.0)]}, "box must have bounds for each of 2 states"),
         ({"box": [(1.0, 0.0), (0.0, 1.0)]}, "bounds must be finite, the lower one first"),
         ({"inputs": [(0.0, 1.0)] * 2}, "inputs must have bounds for each of 1; got 2"),

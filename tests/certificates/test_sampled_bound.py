@@ -57,10 +57,11 @@ def plain_pendulum():
     return Intrinsic(swing, 10.0, 50.0, substeps=SUBSTEPS)
 
 
-def bound_of(recursion=PROVED, missing_rows=False, **changes):
+def bound_of(recursion=PROVED, missing_rows=False, certified=None, **changes):
     longest = float(recursion.ages[-1 if missing_rows else 0, 1])
     numbers = {"substeps": SUBSTEPS, "longest_step": longest / SUBSTEPS * (1 + 1e-15)} | changes
-    return SampledBound(recursion, RADIUS, REACH, START, *REGION, missing_rows=missing_rows, circles=(True,), **numbers)
+    rest = {"missing_rows": missing_rows, "circles": (True,)} | numbers
+    return SampledBound(certified or plain_pendulum(), recursion, RADIUS, REACH, START, *REGION, **rest)
 
 
 def bounded(recursion=PROVED, observer=None, first=0.01, **changes):
@@ -255,7 +256,7 @@ def test_a_radius_of_zero_does_not_stay_zero():
 
 def test_a_bound_stays_with_the_observer_that_it_is_about():
     plain, honest = plain_pendulum(), bounded()
-    assert dataclasses.replace(honest, first_radius=0.005).certified is plain
+    assert dataclasses.replace(honest, first_radius=0.005).bound.certified is plain
     gated = Gated(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
     assert dataclasses.replace(honest, observer=gated).bound is honest.bound
     for changes in ({"alpha": 1.0}, {"substeps": 1}, {"substeps": None}, {"coefficients": "estimated"}):
@@ -268,7 +269,7 @@ def test_a_bound_stays_with_the_observer_that_it_is_about():
     nudged = Nudged(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
     for other in (nudged, pendulum()):
         with pytest.raises(ValueError, match="not the one of the certificate"):
-            dataclasses.replace(honest, observer=other)
+            Bounded(other, honest.bound, 0.005)
 
     @jax.jit
     def with_gain(alpha):
@@ -370,7 +371,7 @@ def test_a_tube_that_is_left_and_a_part_of_a_measurement_are_premises():
     flat = models.Lagrangian(lambda q: jnp.eye(2), lambda q: 0.0 * q[0], coordinates=("x", "y"))
     two = Intrinsic(flat, 10.0, 50.0, substeps=SUBSTEPS)
     region = np.array([[-3.0] * 2, [3.0] * 2]), np.ones(2), np.zeros((2, 2)), np.full(2, NOISE)
-    bound = SampledBound(PROVED, RADIUS, np.ones(4), np.ones(4), *region, SUBSTEPS, 0.011, False, (False,) * 2)
+    bound = SampledBound(two, PROVED, RADIUS, np.ones(4), np.ones(4), *region, SUBSTEPS, 0.011, False, (False,) * 2)
     rest = jnp.zeros(2), jnp.zeros(2)
 
     def premise(observer, y):
@@ -594,7 +595,7 @@ def test_one_long_step_over_missing_rows_is_less_exact_than_its_bound():
     loose = PROVED._replace(ages=np.array([[0.00999, 0.3]]), noise=(0.0,), force=0.0, steps=0.0, error=0.0)
     start, truth = (jnp.array([0.5]), jnp.array([2.0])), moved(jnp.array([0.5, 2.0]), jnp.zeros(1), jnp.asarray(0.25))
     for longest, known in ((0.3, True), (0.012, False)):
-        observer = bounded(loose, rough, substeps=1, longest_step=longest, missing_rows=True)
+        observer = bounded(loose, rough, certified=rough, substeps=1, longest_step=longest, missing_rows=True)
         state, info = observer.step(starting(observer, *start, 1e-9), jnp.zeros(1), jnp.full(1, jnp.nan), 0.25)
         beyond = np.abs(np.asarray(observer.estimate(state) - truth))[1] > np.asarray(info.velocity_bound[0])
         assert beyond == known

@@ -12,9 +12,10 @@ import pytest
 
 import covariant
 from covariant import engine, models, observers
+from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant.certificates import JumpGrowth, dwell_time, jump_growth
-from covariant.geometry import Metric
+from covariant.geometry import Euclidean, Leaf, Metric
 from covariant.signals import Record, StepCode
 from covariant.simulation import simulate_contacts
 
@@ -264,14 +265,44 @@ def test_feet_land_one_by_one():
 
 
 def test_the_condition_is_sufficient_alone():
-    assert dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.2, 0.1).short == "holds (sampled)"
-    assert dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.01, 0.01).verdict == "undecided"
-    assert (
-        len([h for h in dwell_time(JumpGrowth(1.2, 1.1), 20.0, 200.0, 0.2, 0.1).hypotheses if h.evidence == "assumed"])
-        == 4
-    )
-    with pytest.raises(ValueError, match=r"beta must be more than alpha²/4 = 100 1/s²; got 90"):
-        dwell_time(JumpGrowth(1.2, 1.1), 20.0, 90.0, 0.2, 0.1)
+    growth = JumpGrowth(1.2, 1.1, 20.0, 200.0)
+    assert dwell_time(growth, 0.2, 0.1).short == "holds (sampled)"
+    assert dwell_time(growth, 0.01, 0.01).verdict == "undecided"
+    assert len([h for h in dwell_time(growth, 0.2, 0.1).hypotheses if h.evidence == "assumed"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"beta": 90.0}, "beta must be more than alpha²/4 = 100 1/s²; got 90"),
+        ({"alpha": 1e200, "beta": 1e300}, "beta must be more than alpha²/4 = inf"),
+        ({"alpha": np.array([20.0, 19.0])}, r"factors must be of one pair of gains; alpha is \[19.0, 20.0\]"),
+        ({"touch_down": np.array([1.0, np.nan])}, "growth.touch_down must be a finite number, 1 or more"),
+        ({"touch_down": 0.1}, "growth.touch_down must be"),
+        ({"lift_off": np.zeros(0)}, "growth.lift_off must be"),
+        ({"alpha": -20.0}, "growth.alpha must be a positive, finite number; got -20.0"),
+    ],
+)
+def test_a_statement_on_jumps_is_about_the_gains_of_its_evidence(change, message):
+    with pytest.raises(InputError, match=message):
+        dwell_time(JumpGrowth(1.2, 1.1, 20.0, 200.0)._replace(**change), 0.2, 0.1)
+
+
+def test_growth_is_right_or_refused():
+    """Off the leaf, and with real poles; what is traced cannot be refused, and is NaN, which no statement takes."""
+    leaf, v = Leaf(Euclidean(), lambda x: (x @ x - 4.0)[None] / 2, jnp.array([2.0, 0.0])), jnp.array([1.0, 2.0])
+    for q, alpha, beta, message in (
+        ([3.0, 0.0], 20.0, 200.0, r"the constraint of the leaf at q must be zero within 1e-06; got \[2.5\]"),
+        ([2.0, 0.0], 20.0, 90.0, "beta must be more than alpha²/4 = 100"),
+        ([2.0, 0.0], 20.0, 100.0, "beta must be more than alpha²/4 = 100"),
+    ):
+        with pytest.raises(InputError, match=message):
+            jump_growth(leaf, jnp.array(q), v, alpha, beta)
+        traced = jax.jit(lambda *a: jump_growth(leaf, *a))(jnp.array(q), v, alpha, beta)
+        assert not np.isfinite(np.array(traced[:2])).any()
+        with pytest.raises(InputError):
+            dwell_time(traced, 0.2, 0.1)
+    assert jump_growth(Leaf(Euclidean(), lambda x: x[:1], jnp.zeros(2)), jnp.zeros(2), v, 0.3, 7.0)[:2] == (1.0, 1.0)
 
 
 def test_what_has_no_jump_is_refused_by_name():

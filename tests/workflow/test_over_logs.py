@@ -1,6 +1,8 @@
 """Verbs over many logs: each its row or its reason, resumed by content; and what the rows say together."""
 
+import csv
 import json
+import os
 import re
 import shutil
 import sys
@@ -11,6 +13,7 @@ import pytest
 
 import covariant
 from covariant import workflow
+from covariant._errors import file_name
 from covariant.cli import main
 from covariant.workflow._among_logs import LogRow, among_logs
 from covariant.workflow._model_output import model_hash
@@ -46,6 +49,65 @@ def test_each_log_has_its_row_or_its_reason_and_the_rest_is_done(logs, tmp_path,
     assert {name for name, row in rows.items() if "failed" in row} == {"broken.csv", "folder"}
     assert all("\n" not in reason for reason in result["failed"].values())
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"cases", "check.csv", "check.html"}
+
+
+@pytest.fixture
+def in_folder(tmp_path, monkeypatch):
+    """An empty working folder, from which names are relative and begin as the files do."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def is_shown(text):
+    return all(character.isprintable() or character in "\n\t" for character in text)
+
+
+def test_names_of_files_are_text_in_tables_pages_and_messages(in_folder, monkeypatch, capsys):
+    """None ends the run, is a formula in a spreadsheet, a command to a terminal, or a line of its own."""
+    names = [
+        b"b\xff.csv",
+        b"=1+1.csv",
+        b"+1.csv",
+        b"-1.csv",
+        b"@a.csv",
+        b"=d/c.csv",
+        b"n\nFAILED x.csv",
+        b"\x1b[2J.csv",
+    ]
+    names = [os.fsdecode(name) for name in (*names, "\u202evsc.exe.csv".encode(), "ö [bold] <b>.csv".encode())]
+    Path("=d").mkdir()
+    for name in names:
+        Path(name).write_text("far,second\n1,2\n3,4\n")
+    asked = ["check", "oscillator", "--out", "out", "--workers", "1", "--", *names]
+    monkeypatch.setattr(sys, "argv", ["covariant", *asked])
+    with pytest.raises(SystemExit) as done:
+        main()
+    assert done.value.code == 1
+    with open("out/check.csv", encoding="utf-8", newline="") as table:
+        rows = list(csv.DictReader(table))
+    assert [row["log"].removeprefix("'") for row in rows] == list(map(file_name, names))
+    cells = [cell for row in rows for cell in row.values()]
+    assert not any(cell.startswith(("=", "+", "-", "@", "\t", "\r")) for cell in cells)
+    assert all("There are: far, second" in row["failed"] for row in rows)
+    printed = "".join(capsys.readouterr())
+    assert all(map(is_shown, [printed, *cells, Path("out/check.html").read_text(encoding="utf-8")]))
+    assert "\nFAILED x" not in printed
+
+
+def test_a_link_shows_nothing_of_the_file_that_it_leads_to(in_folder):
+    for folder in ("logs", "private"):
+        Path(folder).mkdir()
+        Path(folder, "log.csv").write_text("SECRET:x:0:0\n")
+    Path("logs/file.csv").symlink_to("../private/log.csv")
+    Path("logs/folder").symlink_to("../private")
+    logs = ["logs/log.csv", "logs/file.csv", "logs/folder/log.csv"]
+    result = workflow.over_logs("check", "oscillator", logs, out="out")
+    assert ["SECRET" in result.failed[log] for log in logs] == [True, False, False]
+    Path("logs/log.csv").write_text("far,second\n1,2\n")
+    result = workflow.over_logs("check", "oscillator", logs, out="out")
+    written = [path.read_text(encoding="utf-8") for path in Path("out").iterdir() if path.is_file()]
+    assert len(written) == 2
+    assert not any("SECRET" in text for text in (str(result), *written))
 
 
 @pytest.mark.long

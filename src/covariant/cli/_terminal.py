@@ -8,6 +8,8 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from covariant._errors import printable
+
 STYLES = {
     r"^\s*(WRONG|FAILS|fails|Refused)\b|^covariant:": "bold red",
     r"^\s*(OK|PROVED|Verified|holds \(proved\))": "bold green",
@@ -23,6 +25,7 @@ LEAST = 20
 
 def say(text: str, file: Any = None) -> None:
     """Print text to a file, by default standard output; unless it is a terminal, every line stays as it is."""
+    text = printable(text)
     file = sys.stdout if file is None else file
     if not file.isatty():
         print(text, file=file, flush=True)

@@ -17,6 +17,7 @@ from ._functions import (
 from ._geodesics import Budget as Budget, Shot as Shot, Transported as Transported
 from ._interpolated import Interpolated as Interpolated
 from ._leaf import Leaf as Leaf
+from ._leaf_rows import CLOSED as CLOSED
 from ._manifold import (
     AbstractManifold as AbstractManifold,
     Coordinates as Coordinates,

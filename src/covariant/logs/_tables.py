@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._errors import file_name
 from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 from covariant.signals import Record
@@ -47,7 +48,7 @@ class LogSource(NamedTuple):
 
 
 def source_name(log: Any) -> str:
-    """Name of a log in messages: its path, or "table", "dataset" or "record" for one in memory.
+    """Name of a log in messages and tables: its path as it is shown, or "table", "dataset" or "record" in memory.
 
     Args:
         log: A path, data frame, dataset or `Record`.
@@ -61,7 +62,7 @@ def source_name(log: Any) -> str:
         'run7.csv'
     """
     if isinstance(log, (str, PathLike)):
-        return str(Path(log))
+        return file_name(Path(log))
     if isinstance(log, Record):
         return "record"
     return "dataset" if _is_dataset(log) else "table"

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from covariant._errors import InputError
+from covariant._errors import InputError, file_name
 
 MOST_BYTES, MOST_VALUES, DEEPEST = 64 * 2**20, 2_000_000, 8
 """Largest size of a file [bytes], number of values in it, and depth of nesting, all checked before it is parsed."""
@@ -58,11 +58,6 @@ def read_file(path: str | Path) -> bytes:
     if len(content) > MOST_BYTES:
         raise InputError(f"{file} is larger than a certificate may be, {MOST_BYTES >> 20} MiB; {REMEDY}")
     return content
-
-
-def file_name(path: str | Path) -> str:
-    """A path as one printable line, for messages."""
-    return str(path) if str(path).isprintable() else ascii(str(path))
 
 
 def parse_file(path: str | Path, content: bytes) -> "Field":
@@ -186,7 +181,7 @@ class Field(NamedTuple):
         ('rate', -1.5)
         >>> field.positive()
         Traceback (most recent call last):
-        covariant._errors.InputError: claims.json: rate must be a positive number; found -1.5; ask for the file as it was saved, ...
+        covariant._errors.InputError: claims.json: rate must be a positive number; found -1.5; ...
     """
 
     file: str

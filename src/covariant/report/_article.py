@@ -7,7 +7,8 @@ from html import escape
 from pathlib import Path
 from types import MappingProxyType
 
-from covariant._files import write_atomically
+from covariant._errors import printable
+from covariant._files import utf8, write_atomically
 from covariant._templates import fill, template
 from covariant.report._html import facts_html, table_html, verdict_html
 
@@ -49,9 +50,9 @@ def write_article(
     for block in blocks:
         heading = block[2:] if isinstance(block, str) and block.startswith("# ") else heading
         parts.append(block_html(block, heading))
-    words = {"TITLE": escape(title), "STYLE": template("report", "page.css"), "BLOCKS": parts}
+    words = {"TITLE": escape(printable(title)), "STYLE": template("report", "page.css"), "BLOCKS": parts}
     page = fill("report", "article.html", words)
-    return write_atomically(path, lambda file: file.write(page.encode()))
+    return write_atomically(path, lambda file: file.write(utf8(page)))
 
 
 def block_html(block: Block, heading: str) -> str:

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from covariant._files import write_together
+from covariant._errors import printable
+from covariant._files import utf8, write_together
 from covariant._templates import fill, template
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
@@ -53,7 +54,7 @@ def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[P
         >>> [path.name for path in write_report(report, "pendulum.html")]
         ['pendulum.html', 'pendulum_velocity.png']
     """
-    files = {Path(path): page(report).encode()}
+    files = {Path(path): utf8(page(report))}
     files |= draw_png(report, Path(path).with_suffix(""))
     write_together(files)
     return list(files)
@@ -69,7 +70,7 @@ def page(report: EstimateReport) -> str:
     panels = condensed(panels)
     sections, figures = _sections(report, panels, styled)
     words = {
-        "TITLE": escape(report.title),
+        "TITLE": escape(printable(report.title)),
         "STYLE": template("report", "page.css"),
         "VERDICT": verdict_html(report.headline, report.warnings),
         "FACTS": facts_html(report.facts) + _code(report),
@@ -150,7 +151,7 @@ LONG = 60
 def facts_html(facts: Mapping[str, str]) -> str:
     """What was computed, from what, and how."""
     lines = "".join(
-        f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(text)}</dd></div>"
+        f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(printable(text))}</dd></div>"
         for name, text in sorted(facts.items(), key=lambda fact: len(fact[1]) > LONG)
     )
     return f'<dl class="facts">{lines}</dl>\n' if lines else ""
@@ -184,7 +185,7 @@ def _library(source: Callable[[], str]) -> str:
 
 def _pack_text(name: str, text: str) -> str:
     """An element with a text for `unpack` in page.js: compressed, in base 85 without the character that opens a tag."""
-    squeezed = gzip.compress(text.encode(), mtime=0)  # no time stamp: equal texts give equal bytes
+    squeezed = gzip.compress(utf8(text), mtime=0)  # no time stamp: equal texts give equal bytes
     # The alphabet of base 85 has "<" and no comma, so that the page can put it back.
     letters = base64.b85encode(squeezed, pad=True).decode().replace("<", ",")
     return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'

@@ -10,7 +10,7 @@ from typing import Any
 
 from covariant import logs, models
 from covariant._errors import InputError
-from covariant._files import write_together
+from covariant._files import utf8, write_together
 from covariant._templates import fill
 from covariant.calibration import Draft, draft
 from covariant.models import Overrides
@@ -218,7 +218,7 @@ class InitResult(AbstractResult):
         # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
             raise InputError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
-        write_together({file: text.encode() for file, text in texts.items()})
+        write_together({file: utf8(text) for file, text in texts.items()})
         # A draft that cannot be loaded fails here, and not in the command after it.
         models.load(str(path))
         return path

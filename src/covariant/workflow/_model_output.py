@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from covariant._errors import InputError
+from covariant._files import utf8
 from covariant.models.robots import ROBOTS
 from covariant.workflow._outputs import check_output
 
@@ -197,7 +198,7 @@ def write_models(
             check_model_output(model, path, overwrite, urdf=True)
             texts[urdf[0]] = urdf[1].encode()
         _check_unchanged(path, sources)
-        texts[path] = (head + models.rewrite(model_text(model, sources), content)).encode()
+        texts[path] = utf8(head + models.rewrite(model_text(model, sources), content))
     # All files or none, also on a full disk: otherwise the old model file would refer to a robot with new inertias.
     write_together(texts)
 

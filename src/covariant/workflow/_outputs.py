@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from covariant._errors import InputError
-from covariant._files import write_atomically
+from covariant._files import utf8, write_atomically
 from covariant._optional import load_optional
 
 FIGURES = (".png", ".pdf", ".svg")
 """Suffixes of figures."""
 TABLES = (".csv", ".txt", ".tsv", ".parquet")
 """Suffixes of tables that are no log."""
+FORMULAS = tuple("=+-@＝＋－＠")
+"""What a cell begins with that a spreadsheet computes."""
 
 
 def check_output(
@@ -75,10 +77,19 @@ def has_columns(path: Path, names: Iterable[str]) -> bool:
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> Path:
-    """Write columns as a table of text, whole or not at all; a number that is not known (NaN) is left empty."""
+    """Write columns as a table of text, whole or not at all; a number that is not known (NaN) is left empty.
+
+    A text that a spreadsheet would compute, such as the name "=1+1.csv", gets an apostrophe, by which it stays a text.
+    """
+
+    def cell(value: Any) -> Any:
+        if isinstance(value, str):
+            return f"'{value}" if value.lstrip()[:1] in FORMULAS else value
+        return "" if isinstance(value, float) and math.isnan(value) else value
+
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(columns)
     for row in zip(*(column.tolist() for column in columns.values()), strict=True):
-        rows.writerow("" if isinstance(value, float) and math.isnan(value) else value for value in row)
-    return write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+        rows.writerow(map(cell, row))
+    return write_atomically(path, lambda file: file.write(utf8(text.getvalue())))

@@ -20,7 +20,7 @@ import numpy as np
 
 from covariant import models, workflow
 from covariant._cases import CaseTable, Crew, content_hash, run_chunks
-from covariant._errors import InputError
+from covariant._errors import InputError, file_name, printable
 from covariant.logs import source_name
 from covariant.workflow._among_logs import IDLE, Among, LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
@@ -38,6 +38,8 @@ LEAST_COST = 2e6
 """Bytes of logs that are a chunk at least."""
 ON_PAGE = 1000
 """Rows of the page at most: a browser is slow with more."""
+LINKED = "a link to a file that could not be used; give the file itself to see why"
+"""Why a log failed that is a link."""
 WRITE_EVERY = 1.0
 """Seconds from one file of rows to the next: what is lost when the run is killed, and files are slow."""
 
@@ -151,7 +153,10 @@ def over_logs(
     for row in rows.values():
         row.pop("saved", None)
     result = LogsResult(
-        verb, str(model), [LogRow(case.name, rows[case.key]) for case in cases], None if out is None else Path(out)
+        verb,
+        file_name(str(model)),
+        [LogRow(case.name, rows[case.key]) for case in cases],
+        None if out is None else Path(out),
     )
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
@@ -175,27 +180,44 @@ def each_log(verb: Verb) -> Verb:
 
 
 class _Case(NamedTuple):
-    """A log, its name, the hash of all that its row depends on, its file to write, and its size [bytes]."""
+    """A log with its row.
+
+    Attributes:
+        log: The log.
+        name: Its name.
+        key: Hash of all that its row depends on.
+        path: Its file to write.
+        cost: Its size [bytes].
+        linked: Whether it is reached by a link, below the folder that all logs have in common.
+    """
 
     log: Any
     name: str
     key: str
     path: Path | None
     cost: float
+    linked: bool
 
 
 def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, settings: Any) -> list[_Case]:
     versions = {name: importlib.metadata.version(name) for name in ("covariant", "jax", "numpy")}
     whole = [verb, str(model), model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
-    cases = []
+    cases, places = [], [os.path.abspath(Path(log).parent) for log in logs if isinstance(log, str | os.PathLike)]
+    common = Path(os.path.commonpath(places) if places else ".")
     with ThreadPoolExecutor() as pool:  # neither reading nor hashing holds the lock of the interpreter
         contents = list(pool.map(_content, logs))
     for k, (log, (content, cost)) in enumerate(zip(logs, contents, strict=True)):
         name = source_name(log) if isinstance(log, str | os.PathLike) else f"{source_name(log)} {k + 1}"
         unique = name if folder is None or name != source_name(log) else _file_name(Path(log), folder)
         path = folder / f"{unique}{FILES[verb]}" if folder is not None and FILES[verb] else None
-        cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost))
+        linked = isinstance(log, str | os.PathLike) and _is_linked(Path(log), common)
+        cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost, linked))
     return cases
+
+
+def _is_linked(log: Path, common: Path) -> bool:
+    log = Path(os.path.abspath(log))
+    return any(part.is_symlink() for part in (log, *log.parents) if common in part.parents)
 
 
 def _file_name(log: Path, folder: Path) -> str:
@@ -203,7 +225,7 @@ def _file_name(log: Path, folder: Path) -> str:
     log = Path(os.path.abspath(log))
     # From the folder, so that logs and folder that are moved together keep their names.
     place = os.path.relpath(log, folder) if log.drive == folder.drive else str(log)
-    return f"{log.parent.name}_{log.stem}_{content_hash(place)[:8]}"
+    return file_name(f"{log.parent.name}_{log.stem}_{content_hash(place)[:8]}")
 
 
 def _content(log: Any) -> tuple[str, float]:
@@ -273,7 +295,8 @@ class _Work(NamedTuple):
             _remove_earlier(case.path)
             kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
-            return {"failed": reason}
+            # The reason may quote the file, and with a link that is one which is not meant to be shown with the logs.
+            return {"failed": LINKED if case.linked else printable(reason, keep="")}
         return row
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from covariant import models
 from covariant._errors import InputError
-from covariant._files import write_together
+from covariant._files import utf8, write_together
 from covariant.workflow._outputs import check_output
 from covariant.workflow._result import AbstractResult
 
@@ -42,7 +42,7 @@ def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFi
     about = [f"Written by covariant export from {Path(label).name}, for steps of {step:.6g} s."]
     about.append(HEAD_NOTES[out.suffix])
     text, left_out = models.robots.robot_text(out.suffix, parameters.pop("path"), step, about, **parameters)
-    write_together({out: text.encode()})
+    write_together({out: utf8(text)})
     return RobotFileResult(label, out, FORMATS[out.suffix], left_out)
 
 

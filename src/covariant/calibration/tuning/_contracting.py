@@ -1,9 +1,12 @@
 """Constant output-injection gains that make a copy of the plant contracting."""
 
+from typing import Annotated
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._domains import FINITE, Finite, NotNegative, check_numbers
 from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates import MetricDesign, observer_gain
@@ -12,14 +15,15 @@ from covariant.lowering import jacobian
 from covariant.models import StateSpace
 
 
+@check_numbers
 def contracting_gain(
     model: StateSpace,
-    states: Numbers,
-    rate: float,
+    states: Annotated[Numbers, FINITE],
+    rate: Finite,
     *,
-    inputs: Numbers | None = None,
-    t: float = 0.0,
-    effort: float = 1e-3,
+    inputs: Annotated[Numbers, FINITE] | None = None,
+    t: Finite = 0.0,
+    effort: NotNegative = 1e-3,
 ) -> MetricDesign:
     """Constant gain K and metric M for `observers.Contracting`, from Jacobians of the model at chosen states.
 

@@ -102,7 +102,7 @@ from ._recipe import (
     check_replacement as check_replacement,
     is_same_observer as is_same_observer,
 )
-from ._region import Bounds as Bounds, Region as Region, amount as amount, positive as positive, region_of as region_of
+from ._region import SPEED as SPEED, Bounds as Bounds, Region as Region, amount as amount, region_of as region_of
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
 from ._smoothness import ANALYTIC as ANALYTIC, show_no_jumps as show_no_jumps
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of

@@ -9,11 +9,12 @@ systems, Automatica 34(6); Theorem 2 of Aghannan & Rouchon 2003.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from covariant._domains import ABOVE_ZERO, FINITE, KNOWN, check_numbers
 from covariant._errors import InputError
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Scalar, Vector
@@ -160,7 +161,13 @@ def lengths(gram: Matrix, change: Matrix, jacobian: Matrix) -> Matrix:
     return product + product.T + change
 
 
-def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x: Vector) -> Scalar:
+@check_numbers
+def contraction_rate(
+    flow: Flow,
+    metric: StateMetric | StateMatrix,
+    t: Annotated[Scalar, FINITE],
+    x: Annotated[Vector, FINITE],
+) -> Annotated[Scalar, KNOWN]:
     """Compute the largest λ at (t, x) with `FᵀM + Ṁ + MF ≤ −λM`.
 
     Distances between solutions decrease at least as `e^(−λt/2)` if λ is a lower bound of the rate along the geodesics
@@ -188,7 +195,10 @@ def contraction_rate(flow: Flow, metric: StateMetric | StateMatrix, t: Scalar, x
     return -jnp.linalg.eigvalsh(whiten(metric.gram(t, x), contraction_matrix(flow, metric, t, x)))[-1]
 
 
-def log_norm(matrix: Matrix, order: float | int = 2) -> Scalar:
+@check_numbers
+def log_norm(
+    matrix: Annotated[Matrix, FINITE], order: Annotated[float | int, ABOVE_ZERO] = 2
+) -> Annotated[Scalar, KNOWN]:
     """Compute the logarithmic norm μ of a Jacobian for the vector norm ℓ1, ℓ2 or ℓ∞: `|δx|' ≤ μ |δx|`.
 
     A quick test: if μ is negative everywhere on a convex set, the flow contracts in that norm.

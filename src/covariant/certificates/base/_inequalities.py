@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._domains import Finite, check_numbers
 from covariant._linalg import solve
 from covariant._typing import Vector
 from covariant.certificates.base._box import first_velocity
@@ -20,7 +21,8 @@ from covariant.certificates.base._error_system import ErrorSystem, corrections, 
 from covariant.proofs import Form, as_form, derivative_form
 
 
-def contraction(error_system: ErrorSystem, rate: float) -> Form:
+@check_numbers
+def contraction(error_system: ErrorSystem, rate: Finite) -> Form:
     """Build the matrix `−(F_ΘᵀN + Ṅ + N F_Θ) − rate N`, whose positive definiteness is contraction.
 
     Use it with `proofs.prove` for a proof by hand, where neither `certify` nor `cascade` fits. Everywhere that the

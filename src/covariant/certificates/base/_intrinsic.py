@@ -12,13 +12,14 @@ flow with a friction within these bounds is then covered, so that no box has to 
 import dataclasses
 import functools
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._domains import FINITE, check_numbers
 from covariant._errors import InputError
 from covariant._typing import Vector
 from covariant.certificates.base._contraction import StateMetric
@@ -40,7 +41,8 @@ OBSERVER_KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
 """The observers that there are certificates for, by their name in a file."""
 
 
-def error_system(observer: Intrinsics, q: TwoByTwo, joint_friction: bool = False) -> ErrorSystem:
+@check_numbers
+def error_system(observer: Intrinsics, q: Annotated[TwoByTwo, FINITE], joint_friction: bool = False) -> ErrorSystem:
     """Describe an intrinsic observer on any region, with a metric on states, for `contraction`, `prove` and `falsify`.
 
     Args:

@@ -4,15 +4,18 @@ Source: Lohmiller & Slotine 1998, section 3.7 (robustness). For white noise see 
 """
 
 import math
+from typing import Annotated
 
 import numpy as np
 
+from covariant._domains import FINITE, NotNegative, Positive, check_numbers
 from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.certificates.base._tangent_metric import TwoByTwo, check_q, rate_of
 
 
-def steady_distance(rate: float, disturbance: float) -> float:
+@check_numbers
+def steady_distance(rate: Positive, disturbance: NotNegative) -> float:
     """Compute the largest final distance between solutions of a contracting flow and of a disturbed one: `2 D / λ`.
 
     Args:
@@ -30,13 +33,18 @@ def steady_distance(rate: float, disturbance: float) -> float:
         >>> steady_distance(rate=4.0, disturbance=0.1)
         0.05
     """
-    if not rate > 0:
-        raise InputError(f"a bound needs a positive rate; got {rate:g}")
     # d' ≤ −(λ/2) d + D comes to rest at d = 2D/λ.
     return 2 * disturbance / rate
 
 
-def noise_disturbance(alpha: Number, beta: Number, q: TwoByTwo, noise: float, slope: float) -> float:
+@check_numbers
+def noise_disturbance(
+    alpha: Annotated[Number, FINITE],
+    beta: Annotated[Number, FINITE],
+    q: TwoByTwo,
+    noise: NotNegative,
+    slope: NotNegative,
+) -> float:
     """Compute the length, in the metric of q, of the term that a measurement error adds to the observer's flow.
 
     To first order an error b adds `αb` to q̂' and `βb` to ∇v̂, a vector of length `|b| √½(aα² + 2cαβ + bβ²)`. Since
@@ -66,8 +74,14 @@ def noise_disturbance(alpha: Number, beta: Number, q: TwoByTwo, noise: float, sl
     return noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2))
 
 
+@check_numbers
 def error_bounds(
-    alpha: Number, beta: Number, q: TwoByTwo, rate: float, noise: float, slope: float
+    alpha: Annotated[Number, FINITE],
+    beta: Annotated[Number, FINITE],
+    q: TwoByTwo,
+    rate: Positive,
+    noise: NotNegative,
+    slope: NotNegative,
 ) -> tuple[float, float]:
     """Bound the steady errors |ξ| and |ζ| for measurement errors no longer than `noise`.
 
@@ -97,9 +111,6 @@ def error_bounds(
         >>> position > 0 and velocity > 0
         True
     """
-    for name, value in (("slope", slope), ("noise", noise)):
-        if not (math.isfinite(value) and value >= 0):
-            raise InputError(f"error_bounds: {name} must be a finite number, zero or more; got {value!r}")
     fastest = rate_of(alpha, beta, q)
     # The tolerance accepts a rate that `rate_of` returned, in spite of rounding.
     if rate > fastest * (1 + 1e-9):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from covariant._domains import POSITIVE
 from covariant._errors import InputError
 from covariant.certificates.base._force_bounds import force_reads_time
 from covariant.geometry.lie import SO2, SO3
@@ -16,26 +17,15 @@ from covariant.proofs import Box, check_box
 Bounds = tuple[ArrayLike, ArrayLike]
 
 
-def positive(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """Check bounds that must be positive."""
-    bounds = _amounts(name, value, n)
-    if not (np.isfinite(bounds).all() and (bounds > 0).all()):
-        raise InputError(
-            f"certify: {name} must be a positive, finite bound; got {bounds.tolist()}. No contraction holds at all "
-            "speeds and errors, so there is no certificate without such a bound"
-        )
-    return bounds
+SPEED = POSITIVE._replace(
+    words="be a positive, finite bound",
+    why="No contraction holds at all speeds and errors, so there is no certificate without such a bound",
+)
+"""Bounds without which there is no certificate."""
 
 
 def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """Check bounds that may be zero; arguments and result are those of `positive`."""
-    bounds = _amounts(name, value, n)
-    if not (np.isfinite(bounds).all() and (bounds >= 0).all()):
-        raise InputError(f"certify: {name} must be a finite bound, zero or more; got {bounds.tolist()}")
-    return bounds
-
-
-def _amounts(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+    """Convert one bound, or one each, to `n` of them."""
     amounts = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
     if amounts.shape != (n,):
         raise InputError(f"certify: {name} needs one number, or {n} of them; got {amounts.size}")

@@ -8,13 +8,14 @@ Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt
 
 import contextlib
 import math
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._domains import FINITE, POSITIVE, Finite, Positive, check_numbers
 from covariant._errors import InputError
 from covariant._typing import MatrixField, Number, Numbers
 from covariant.certificates.base._contraction import StateMetric
@@ -24,7 +25,8 @@ from covariant.geometry import as_space
 TwoByTwo = Float[np.ndarray, "2 2"]
 
 
-def error_matrix(alpha: Number, beta: Number) -> TwoByTwo:
+@check_numbers
+def error_matrix(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE]) -> TwoByTwo:
     """Return the matrix A of the error law ξ' = ζ − αξ, ζ' = −βξ of a small error in a parallel frame, equation (10).
 
     Args:
@@ -42,7 +44,10 @@ def error_matrix(alpha: Number, beta: Number) -> TwoByTwo:
     return np.array([[-alpha, 1.0], [-beta, 0.0]])
 
 
-def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0) -> TwoByTwo:
+@check_numbers
+def lyapunov(
+    alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE], rate: Finite = 0.0, weight: Positive = 1.0
+) -> TwoByTwo:
     """Solve `AᵀQ + QA + rate Q = −diag(1, weight)` for Q, where A is `error_matrix(alpha, beta)`.
 
     With rate 0 and weight 1, the defaults, Q is the metric of the paper.
@@ -69,9 +74,6 @@ def lyapunov(alpha: Number, beta: Number, rate: float = 0.0, weight: float = 1.0
         >>> lyapunov(1.0, 1.0).round(6).tolist()
         [[1.0, -0.5], [-0.5, 1.5]]
     """
-    _check_finite("lyapunov", alpha=alpha, beta=beta, rate=rate, weight=weight)
-    if weight <= 0:
-        raise InputError(f"lyapunov: weight must be a positive number; got {weight:g}")
     return _solutions(alpha, beta, rate, np.array([weight]))[0]
 
 
@@ -101,7 +103,8 @@ def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -
     )
 
 
-def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
+@check_numbers
+def rate_of(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE], q: Numbers) -> float:
     """Compute the largest λ with `AᵀQ + QA ≤ −λQ`: the rate of squared lengths at q̂ = q.
 
     Args:
@@ -120,7 +123,6 @@ def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
         >>> round(rate_of(1.0, 1.0, lyapunov(1.0, 1.0)), 4)
         0.5528
     """
-    _check_finite("rate_of", alpha=alpha, beta=beta)
     q = check_q("rate_of", q)
     a = error_matrix(alpha, beta)
     # With Q = LLᵀ, the eigenvalues of L⁻¹(AᵀQ + QA)L⁻ᵀ are those relative to Q; the largest one decides.
@@ -128,7 +130,8 @@ def rate_of(alpha: Number, beta: Number, q: Numbers) -> float:
     return float(-np.linalg.eigvalsh(half @ (a.T @ q + q @ a) @ half.T)[-1])
 
 
-def conditioning(beta: Number, q: Numbers) -> float:
+@check_numbers
+def conditioning(beta: Annotated[Number, POSITIVE], q: Numbers) -> float:
     """Compute the condition number of Q, with velocities in units of √β times those of positions.
 
     With these units it is dimensionless.
@@ -148,8 +151,6 @@ def conditioning(beta: Number, q: Numbers) -> float:
         >>> round(conditioning(4.0, [[4.0, 0.0], [0.0, 1.0]]), 6)
         1.0
     """
-    if not 0 < beta < math.inf:
-        raise InputError(f"conditioning: beta must be a positive number; got {beta:g}")
     return float(_conditions(beta, check_q("conditioning", q)[None])[0])
 
 
@@ -175,13 +176,8 @@ def check_q(whose: str, q: Any) -> TwoByTwo:
     raise InputError(f"{whose}: q must be a symmetric positive definite matrix (2, 2) of finite numbers; got {shown}")
 
 
-def _check_finite(whose: str, **arguments: Number) -> None:
-    for name, value in arguments.items():
-        if not math.isfinite(value):
-            raise InputError(f"{whose}: {name} must be a finite number; got {value:g}")
-
-
-def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:
+@check_numbers
+def optimal_lyapunov(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE], rate: Finite) -> TwoByTwo:
     """Find the best conditioned matrix of `lyapunov` for a rate, over a grid of weights.
 
     Args:
@@ -208,7 +204,8 @@ def optimal_lyapunov(alpha: Number, beta: Number, rate: float) -> TwoByTwo:
     return matrices[np.argmin(_conditions(beta, matrices))]
 
 
-def tangent_metric(metric: MatrixField, q: TwoByTwo) -> StateMetric:
+@check_numbers
+def tangent_metric(metric: MatrixField, q: Annotated[TwoByTwo, FINITE]) -> StateMetric:
     """Build the metric on states x = (q, v) from a metric on configurations and a matrix Q, in the frame (ξ, ζ).
 
     Args:

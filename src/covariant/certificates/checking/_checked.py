@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from covariant._domains import Count, check_numbers
 from covariant._errors import InputError
 from covariant.certificates.base import Document, Hypothesis, Resolved, Statement, contraction_statement
 from covariant.certificates.checking._check import Shown, show, show_found
@@ -38,11 +39,12 @@ class Checked(NamedTuple):
     model_given: bool = False
 
 
+@check_numbers
 def check(
     source: str | Path | Document,
     *,
     model: Any = None,
-    processes: int = 1,
+    processes: Count = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Checked:
     """Check a saved certificate: that its claims hold, and that its statement follows from them.

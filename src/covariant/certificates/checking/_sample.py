@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
+from covariant._domains import Count, Whole, check_numbers
 from covariant._optional import load_optional
 from covariant.certificates.base import (
     FORMS,
@@ -50,7 +50,8 @@ class Sampled(NamedTuple):
     seconds: float
 
 
-def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, *, model: Any = None) -> Sampled:
+@check_numbers
+def check_sample(source: str | Path | Document, count: Count = 20, seed: Whole = 0, *, model: Any = None) -> Sampled:
     """Check random leaves of a saved certificate, drawn from all its claims, in ball arithmetic with many digits.
 
     Balls bound derivatives operation by operation, which needs small boxes. A leaf with more than `MOST_DERIVED`
@@ -71,8 +72,6 @@ def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0, 
         ImportError: python-flint is missing.
     """
     start = time.monotonic()
-    if count < 1:
-        raise InputError(f"check_sample: count must be 1 or more, since nothing is confirmed otherwise; got {count}")
     flint = load_optional("flint", use="checking in balls needs python-flint, imported as", extra="balls")
     document = source if isinstance(source, Document) else parse(source)
     resolved, claims = follows(document, model), document.claims

@@ -19,15 +19,17 @@ import math
 import time
 import typing
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from covariant._domains import NOT_NEGATIVE, SPAN, Count, Interval, Positive, check_numbers
 from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import (
+    SPEED,
     UNPROVED,
     AbstractClaim,
     Bounds,
@@ -56,7 +58,6 @@ from covariant.certificates.base import (
     force_slopes,
     need_doubles,
     observer_document,
-    positive,
     reach_squares,
     region_of,
     squared_widths,
@@ -69,6 +70,7 @@ from covariant.certificates.proving._contraction_certificate import ContractionC
 from covariant.certificates.proving._joint_bounds import friction_bounds, has_dry_friction, joint_bounds
 from covariant.certificates.proving._rates import metric_and_rates
 from covariant.certificates.sampled import (
+    LOST,
     LostRows,
     check_sampling,
     force_claim,
@@ -90,25 +92,26 @@ WIDENINGS = 8
 """How often a bound that a counterexample refutes is tried again with a larger square."""
 
 
+@check_numbers
 def certify(
     observer: Intrinsics,
     *,
-    velocity: ArrayLike,
-    error: ArrayLike,
+    velocity: Annotated[ArrayLike, SPEED],
+    error: Annotated[ArrayLike, SPEED],
     position: Bounds | None = None,
     input: Bounds | ArrayLike = 0.0,
-    times: tuple[float, float] | None = None,
-    rate: float | None = None,
+    times: Interval | None = None,
+    rate: Positive | None = None,
     q: Numbers | None = None,
-    noise: ArrayLike = 0.0,
-    disturbance: ArrayLike = 0.0,
-    interval: tuple[float, float] | None = None,
-    lost: int = 0,
+    noise: Annotated[ArrayLike, NOT_NEGATIVE] = 0.0,
+    disturbance: Annotated[ArrayLike, NOT_NEGATIVE] = 0.0,
+    interval: Annotated[tuple[float, float], SPAN] | None = None,
+    lost: Annotated[int, LOST] = 0,
     lost_rows: LostRows = "empty",
     recipe: dict[str, Any] | None = None,
-    boxes: int = MOST_BOXES,
-    seconds: float | None = None,
-    processes: int = 1,
+    boxes: Count = MOST_BOXES,
+    seconds: Positive | None = None,
+    processes: Count = 1,
     checker: CheckerName = "auto",
     progress: Callable[[str, float, int], None] | None = None,
 ) -> ContractionCertificate:
@@ -258,7 +261,7 @@ def _check_assumptions(
     observer: Intrinsics, velocity: ArrayLike, error: ArrayLike, noise: ArrayLike, disturbance: ArrayLike
 ) -> _Assumed:
     n = len(observer.model.coordinates or observer.model.velocities)
-    speeds, errors = positive("velocity", velocity, n), positive("error", error, n)
+    speeds, errors = amount("velocity", velocity, n), amount("error", error, n)
     assumed = _Assumed(speeds, errors, amount("noise", noise, n), amount("disturbance", disturbance, n))
     if not (assumed.noise < errors).all():
         raise InputError(

@@ -222,6 +222,7 @@ class ContractionCertificate(NamedTuple):
         squares, factors = reach_squares(self.claims), select(self.claims, StartClaim)
         model, n = self.observer.model, len(self.velocity)
         bound = SampledBound(
+            self.observer,
             Recursion.of(self.sampling, self.q, self.rate, self.given, self.claims),
             self.radius,
             np.sqrt(squares) * (1 + ROUND),
@@ -242,7 +243,7 @@ class ContractionCertificate(NamedTuple):
             first = bound.known(float(radius))
         else:
             raise InputError(f"bounded: give a radius ≥ 0, or bounds of position and velocity; got the radius {radius}")
-        return Bounded(self.observer if observer is None else observer, bound, first, self.observer)
+        return Bounded(self.observer if observer is None else observer, bound, first)
 
     @property
     def kinds(self) -> tuple[str, ...]:

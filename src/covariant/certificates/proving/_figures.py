@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._domains import Count, check_numbers
 from covariant.certificates.base import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 from covariant.proofs import OPEN, PROVED, leaves
@@ -106,7 +107,8 @@ def projection(certificate: ContractionCertificate) -> Projection:
     )
 
 
-def trade_off(certificate: ContractionCertificate, count: int = 40) -> TradeOff:
+@check_numbers
+def trade_off(certificate: ContractionCertificate, count: Count = 40) -> TradeOff:
     """Compute the rates that the gains of a certificate's observer allow, and the best condition number for each.
 
     Args:

@@ -2,8 +2,11 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
+import numpy as np
+
+from covariant._domains import POSITIVE, Count, NotNegative, Positive, check_numbers
 from covariant._errors import InputError
 from covariant.certificates.base import Verdict
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
@@ -12,6 +15,9 @@ RUNS = 10
 """Largest number of certificates that a search tries."""
 STEP = 1.05
 """Ratio of neighbouring values at which a search ends."""
+
+
+RATIO = POSITIVE._replace(words="be a finite number above 1", contains=lambda a: np.isfinite(a) & (a > 1))
 
 
 class Attempt(NamedTuple):
@@ -68,13 +74,14 @@ class Largest(NamedTuple):
         return min((a.value for a in self.attempts if a.verdict != "holds"), default=None)
 
 
+@check_numbers
 def largest(
     prove: Callable[[float], ContractionCertificate],
-    first: float,
+    first: Positive,
     *,
-    least: float = 0.0,
-    runs: int = RUNS,
-    step: float = STEP,
+    least: NotNegative = 0.0,
+    runs: Count = RUNS,
+    step: Annotated[float, RATIO] = STEP,
 ) -> Largest:
     """Search for the largest value for which a certificate holds: doubling or halving, then bisection of logarithms.
 
@@ -110,12 +117,8 @@ def largest(
         >>> found.certificate.rate == found.value
         True
     """
-    if not (math.isfinite(first) and first > 0 and first >= least):
-        raise InputError(f"largest: the first value must be a positive number, {least:g} or more; got {first!r}")
-    if runs < 1:
-        raise InputError(f"largest: runs must be 1 or more; got {runs!r}")
-    if not step > 1:
-        raise InputError(f"largest: step must be above 1; got {step!r}")
+    if first < least:
+        raise InputError(f"largest: the first value must be {least:g} or more; got {first!r}")
     best, attempts, value = prove(first), [], first
     attempts.append(_attempt(value, best))
     while len(attempts) < runs:

@@ -1,10 +1,8 @@
 """The metric and the rate that `certify` proves by default."""
 
-import math
-
 import numpy as np
 
-from covariant._errors import InputError
+from covariant._domains import FINITE, POSITIVE
 from covariant._typing import Numbers
 from covariant.certificates.base import Intrinsics, TwoByTwo, check_q, error_matrix, optimal_lyapunov, rate_of
 
@@ -15,13 +13,11 @@ def metric_and_rates(
     """Choose the metric and the rate to prove."""
     alpha, beta = float(observer.alpha), float(observer.beta)
     for name, gain in (("alpha", alpha), ("beta", beta)):
-        if not math.isfinite(gain):
-            raise InputError(f"certify: {name} of the observer must be a finite number; got {gain:g}")
+        FINITE.check("certify", f"{name} of the observer", gain)
     best = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     matrix = optimal_lyapunov(alpha, beta, best * 2 / 3) if q is None else check_q("certify", q)
     default = best / 10 if sampled else rate_of(alpha, beta, matrix) / 2
     target = default if rate is None else float(rate)
-    if not (math.isfinite(target) and target > 0):
-        raise InputError(f"certify: the rate must be a positive number; got {target:g}")
+    POSITIVE.check("certify", "the rate", target)
     # Fast rates forget noise sooner, and leave fewer metrics to choose from: in between is the smallest bound.
     return matrix, target, *((2 * target, 4 * target, 6 * target) if sampled and noisy and rate is None else ())

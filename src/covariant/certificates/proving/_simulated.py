@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._domains import Count, Positive, Whole, check_numbers
 from covariant._errors import InputError
 from covariant.certificates.base import error_matrix
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
@@ -95,14 +96,15 @@ class Trajectories(NamedTuple):
     distances: Decay
 
 
+@check_numbers
 def follow_estimates(
     certificate: ContractionCertificate,
-    count: int = 100,
+    count: Count = 100,
     *,
-    stamps: int = 25,
-    seed: int = 0,
-    rtol: float = 1e-10,
-    atol: float = 1e-13,
+    stamps: Count = 25,
+    seed: Whole = 0,
+    rtol: Positive = 1e-10,
+    atol: Positive = 1e-13,
 ) -> Followed:
     """Simulate motions in the region of a certificate, each with an estimate from the border of the proved ball.
 
@@ -147,8 +149,9 @@ def follow_estimates(
     return Followed(t, low, high, radius * np.exp(-certificate.decay * (t - first)), certificate.rate)
 
 
+@check_numbers
 def trajectories(
-    certificate: ContractionCertificate, *, count: int = 5, stamps: int = 160, seed: int = 0
+    certificate: ContractionCertificate, *, count: Count = 5, stamps: Count = 160, seed: Whole = 0
 ) -> Trajectories:
     """Simulate the model inside the region of a proved certificate, and estimates from the border of its tube.
 

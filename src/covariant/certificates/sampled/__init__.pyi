@@ -13,6 +13,7 @@ from ._sampled_bound import (
     SampledBound as SampledBound,
 )
 from ._sampled_claims import (
+    LOST as LOST,
     LostRows as LostRows,
     check_interval as check_interval,
     check_sampling as check_sampling,

@@ -134,9 +134,10 @@ class BoundedInfo(NamedTuple):
 
 
 class SampledBound(eqx.Module):
-    """The numbers of a certificate from which `Bounded` computes its bound.
+    """The observer and the numbers of a certificate from which `Bounded` computes its bound.
 
     Attributes:
+        certified: the observer that the bound is about.
         recursion: constants of the recursion.
         radius: ε of the certificate.
         reach: bounds (2n,) of each position and velocity error at a distance of 1.
@@ -152,17 +153,21 @@ class SampledBound(eqx.Module):
 
     Example:
         >>> import numpy as np
+        >>> from covariant import models, observers
         >>> from covariant.certificates import SampledBound
         >>> from covariant.certificates.base._radius_recursion import Recursion
+        >>> observer = observers.Intrinsic(models.oscillator(), 10.0, 40.0, substeps=1)
         >>> recursion = Recursion(2.0, 0.0, (1e-6,), 0.0, 0.0, 0.0, np.array([[0.01, 0.02]]))
+        >>> about = observer, recursion
         >>> region = np.array([[-3.0], [3.0]]), np.array([4.0]), np.array([[-1.0], [1.0]]), np.zeros(1)
         >>> bound = SampledBound(
-        ...     recursion, 0.1, np.array([1.0, 10.0]), np.array([2.0, 0.02]), *region, 1, 0.01, False, (False,)
+        ...     *about, 0.1, np.array([1.0, 10.0]), np.array([2.0, 0.02]), *region, 1, 0.01, False, (False,)
         ... )
         >>> round(bound.within(0.01, 0.1), 4), bound.within(0.1, 0.1)
         (0.02, inf)
     """
 
+    certified: Any
     recursion: Recursion
     radius: float
     reach: Float[np.ndarray, "two_n"]
@@ -317,13 +322,12 @@ class Bounded(AbstractWrapper):
 
     Attributes:
         observer: the certified observer, or that observer behind a gate, in doubles.
-        bound: the numbers of the certificate.
+        bound: the observer and the numbers of the certificate.
         first_radius: bound of the distance between truth and estimate after `init`; ∞ if it is unknown.
-        certified: the observer that the bound is about; by default `observer` without its gate.
 
     Raises:
-        ValueError: `observer` does not take the steps of `certified`, or `first_radius` is negative. `init` and `step`
-            raise it for numbers that are not doubles.
+        ValueError: `observer` does not take the steps of `bound.certified`, or `first_radius` is negative. `init` and
+            `step` raise it for numbers that are not doubles.
 
     Example:
         An oscillator whose speed is at most 0.4 m/s when the observer starts from rest:
@@ -347,14 +351,9 @@ class Bounded(AbstractWrapper):
     observer: Any
     bound: SampledBound
     first_radius: float = np.inf
-    certified: Any = None
-
-    def __post_init__(self):
-        if self.certified is None:
-            self.certified = without_gate(self.observer)
 
     def __check_init__(self):
-        if not runs(self.observer, self.certified):
+        if not runs(self.observer, self.bound.certified):
             raise InputError(
                 "bounded: the observer is not the one of the certificate, nor that one behind a gate; certify it"
             )

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from covariant._domains import SPAN, Domain
 from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import (
@@ -71,6 +72,10 @@ ENOUGH = 0.5
 """Margin of a metric without shear, as a fraction of the rate, below which one with shear is tried as well."""
 
 
+LOST = Domain(f"be a whole number from 0 to {MOST_LOST}", lambda a: (a >= 0) & (a <= MOST_LOST), whole=True)
+"""Numbers of samples that may be lost in a row."""
+
+
 def check_sampling(
     observer: Intrinsics,
     interval: tuple[float, float],
@@ -95,19 +100,11 @@ def check_sampling(
 
 def check_interval(interval: tuple[float, float], lost: int, lost_rows: LostRows) -> tuple[float, float]:
     """Check the times between samples, and return the shortest and the longest [s]."""
-    try:
-        shortest, longest = (float(h) for h in interval)
-    except (TypeError, ValueError):
-        raise InputError(f"certify: interval needs two times [s]; got {interval!r}") from None
-    if not 0 < shortest <= longest < math.inf:
-        raise InputError(
-            f"certify: interval must be positive times [s], the shorter one first; got {shortest:g} and {longest:g}"
-        )
-    if not isinstance(lost, int | np.integer) or not 0 <= lost <= MOST_LOST:
-        raise InputError(f"certify: lost must be a whole number from 0 to {MOST_LOST}; got {lost}")
+    SPAN.check("certify", "interval", interval)
+    LOST.check("certify", "lost", lost)
     if lost_rows not in LOST_ROWS:
         raise InputError(f"certify: lost_rows must be one of {', '.join(LOST_ROWS)}; got {lost_rows!r}")
-    return shortest, longest
+    return float(interval[0]), float(interval[1])
 
 
 def sampled_claims(

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._domains import Count, Positive, Whole, check_numbers
 from covariant._errors import InputError
 from covariant.certificates.base import (
     ErrorSystem,
@@ -75,7 +76,8 @@ class Constants(NamedTuple):
         """Whether V_con and V_obs are positive definite; otherwise their decay says nothing about the errors."""
         return self.c1 > 0 and self.m1 > 0
 
-    def with_mass(self, factor: float) -> "Constants":
+    @check_numbers
+    def with_mass(self, factor: Positive) -> "Constants":
         """Convert the constants to a unit of mass in which V_con, an energy, has another numerical value.
 
         Args:
@@ -196,6 +198,7 @@ class CascadeCertificate(NamedTuple):
         return "\n".join([*lines, "hypotheses:", *list_of(self.statement.hypotheses), f"over {self.statement.domain}"])
 
 
+@check_numbers
 def cascade(
     controller: tuple[ErrorSystem, Box],
     observer: tuple[ErrorSystem, Box],
@@ -203,10 +206,10 @@ def cascade(
     *,
     units: tuple[Sequence[str], Sequence[str]] | None = None,
     proved: bool = False,
-    attempts: int = 20_000,
-    starts: int = 64,
-    boxes: int = MOST_BOXES,
-    seed: int = 0,
+    attempts: Count = 20_000,
+    starts: Whole = 64,
+    boxes: Count = MOST_BOXES,
+    seed: Whole = 0,
 ) -> CascadeCertificate:
     """Compute the constants of Theorem 3 over a set, and the verdicts of both conditions.
 

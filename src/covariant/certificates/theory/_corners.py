@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from covariant._domains import Count, check_numbers
 from covariant.certificates.base import Hypothesis, Statement
 from covariant.proofs import MOST_BOXES, Box, Form, Proof, blocks, prove_at_corners
 
@@ -34,7 +35,8 @@ class Corners(NamedTuple):
         return sum(proof.boxes for proof in self.proofs)
 
 
-def at_corners(matrix: Form, domain: Box, affine: Sequence[str], claim: str, *, boxes: int = MOST_BOXES) -> Corners:
+@check_numbers
+def at_corners(matrix: Form, domain: Box, affine: Sequence[str], claim: str, *, boxes: Count = MOST_BOXES) -> Corners:
     """Prove that a symmetric matrix that is affine in some variables is positive definite on a box.
 
     Args:

@@ -5,7 +5,7 @@ nowhere has a length above one, since it changes by no more than the distance. I
 coordinates, and the length of its differential is bounded over a box that no shorter curve leaves.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._adaptive import solve
+from covariant._domains import FINITE, KNOWN, Finite, check_numbers
 from covariant._errors import InputError
 from covariant._linalg import solve as solve_linear
 from covariant._typing import Scalar, Vector
@@ -28,7 +29,10 @@ SAMPLES = 3
 MOST_SAMPLES = 729
 
 
-def upper_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Scalar:
+@check_numbers
+def upper_distance(
+    metric: StateMetric, t: Annotated[Scalar, FINITE], x0: Annotated[Vector, FINITE], x1: Annotated[Vector, FINITE]
+) -> Annotated[Scalar, KNOWN]:
     """Compute the length of the straight line in coordinates from x0 to x1: an upper bound of the distance.
 
     Args:
@@ -50,14 +54,17 @@ def upper_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Sc
 
     def speed(s):
         at = x0 + s * step
-        components = metric.coframe(t, at) @ step
-        return jnp.sqrt(components @ metric.gram(t, at) @ components)
+        # NaN where N is not positive definite, so that it measures no length.
+        return jnp.linalg.norm(jnp.linalg.cholesky(metric.gram(t, at)).T @ metric.coframe(t, at) @ step)
 
     # Gauss and Legendre's rule with 12 points is exact for degree 23; the speed along a short line is smooth.
     return jnp.asarray(WEIGHTS, x0.dtype) @ jax.vmap(speed)(jnp.asarray(NODES, x0.dtype))
 
 
-def lower_distance(metric: StateMetric, t: Scalar, x0: Vector, x1: Vector) -> Scalar:
+@check_numbers
+def lower_distance(
+    metric: StateMetric, t: Annotated[Scalar, FINITE], x0: Annotated[Vector, FINITE], x1: Annotated[Vector, FINITE]
+) -> Annotated[Scalar, KNOWN]:
     """Compute a lower bound of the distance from x0 to x1, which approaches it to second order in their difference.
 
     The maxima over boxes are taken at corners, faces and middles; they are not proved.
@@ -179,13 +186,14 @@ class Decay(NamedTuple):
         return float((2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[-1] - self.t[0])).min())
 
 
+@check_numbers
 def decay(
     flow: Flow,
     metric: StateMetric,
-    rate: float,
-    x0: Float[Array, "k n"],
-    x1: Float[Array, "k n"],
-    t: Float[Array, "T"],
+    rate: Finite,
+    x0: Annotated[Float[Array, "k n"], FINITE],
+    x1: Annotated[Float[Array, "k n"], FINITE],
+    t: Annotated[Float[Array, "T"], FINITE],
 ) -> Decay:
     """Follow pairs of solutions, and measure their distances at the stamps t.
 
@@ -220,11 +228,9 @@ def decay(
     if stamps.ndim != 1 or len(stamps) < 2 or not (np.diff(stamps) > 0).all():
         raise InputError("decay needs at least two stamps t [s], each later than the one before")
     check_rounding(stamps, jnp.asarray(t).dtype)
-    if not np.isfinite(rate):
-        raise InputError(f"decay: the rate must be a finite number; got {rate}")
     low, high, least = (np.asarray(a) for a in _bound_distances(flow, metric, x0, x1, t))
-    if np.isfinite(high).all() and not (least > 0).all():
-        k = int((~(least > 0).all(axis=1)).argmax())
+    if (degenerate := (least <= 0).any(axis=1)).any():
+        k = int(degenerate.argmax())
         raise InputError(
             f"decay: the metric is not positive definite along pair {k + 1}, so that it measures no distance"
         )

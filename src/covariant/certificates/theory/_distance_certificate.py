@@ -15,17 +15,19 @@ Source: an addition; do Carmo 1992, Riemannian Geometry, chapter 13, for Klingen
 import itertools
 import math
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from covariant._domains import NOT_NEGATIVE, Count, NotNegative, Positive, check_numbers
 from covariant._errors import InputError
 from covariant.certificates.base import (
     ANALYTIC,
     PERIODIC,
+    SPEED,
     Bounds,
     Hypothesis,
     Statement,
@@ -35,7 +37,6 @@ from covariant.certificates.base import (
     lowered_christoffel,
     need_doubles,
     need_known,
-    positive,
     region_of,
 )
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
@@ -92,17 +93,18 @@ class DistanceCertificate(NamedTuple):
     proofs: dict[str, Proof]
 
 
+@check_numbers
 def certify_distance(
     observer: ImplicitGeodesic,
     *,
-    interval: float,
+    interval: Positive,
     position: Bounds,
-    velocity: ArrayLike,
-    error: ArrayLike,
-    velocity_error: float | None = None,
+    velocity: Annotated[ArrayLike, SPEED],
+    error: Annotated[ArrayLike, NOT_NEGATIVE],
+    velocity_error: NotNegative | None = None,
     input: Bounds | ArrayLike = 0.0,
     recipe: dict[str, Any] | None = None,
-    boxes: int = MOST_BOXES,
+    boxes: Count = MOST_BOXES,
 ) -> DistanceCertificate:
     """Prove that the distance of the estimate from the truth falls from sample to sample, from large errors.
 
@@ -152,7 +154,7 @@ def certify_distance(
     _need_no_friction(model)
     check_recipe(model, recipe)
     region = region_of(model, position, input, None)
-    speeds, errors = positive("velocity", velocity, 2), amount("error", error, 2)
+    speeds, errors = amount("velocity", velocity, 2), amount("error", error, 2)
     if velocity_error == 0 and not errors.any():
         raise InputError(
             "certify_distance: error and velocity_error are both 0, so that no error is there to fall; give one of them"

@@ -16,17 +16,19 @@ so that errors vanish where `α/2 (flight + stance) > ln F_td + ln F_lo`. This i
 others, of contacts that are found rather than known, or of feet that slip.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from covariant._domains import FACTOR, FINITE, POSITIVE, Domain, Positive, check_numbers
 from covariant._errors import InputError
 from covariant._typing import Number, Vector
 from covariant.certificates.base import Hypothesis, Statement
-from covariant.geometry import Leaf
+from covariant.geometry import CLOSED, Leaf
 
 ASSUMED = (
     "the times of all contacts are known, and the estimate jumps at the same instants as the motion",
@@ -35,26 +37,39 @@ ASSUMED = (
     "positions are measured in continuous time and without noise, and the model is exact",
 )
 """What the inequality rests on beside the numbers."""
+ON_LEAF = Domain(f"be zero within {CLOSED:g}", lambda gap: abs(gap) < CLOSED)
+"""Values of a constraint on its leaf."""
 
 
 class JumpGrowth(NamedTuple):
-    """Largest factors by which jumps enlarge a small error.
+    """Largest factors by which jumps enlarge a small error, with the gains for which they are computed.
 
     Attributes:
         touch_down: Factor F_td of a touch-down.
         lift_off: Factor F_lo of a lift-off.
+        alpha: Gain α [1/s] of the observer.
+        beta: Gain β [1/s²].
 
     Example:
         >>> from covariant.certificates import JumpGrowth
-        >>> JumpGrowth(touch_down=1.02, lift_off=1.01).lift_off
+        >>> JumpGrowth(touch_down=1.02, lift_off=1.01, alpha=20.0, beta=200.0).lift_off
         1.01
     """
 
-    touch_down: Float[Array, "*k"] | float
-    lift_off: Float[Array, "*k"] | float
+    touch_down: Annotated[Float[Array, "*k"] | float, FACTOR]
+    lift_off: Annotated[Float[Array, "*k"] | float, FACTOR]
+    alpha: Annotated[Float[Array, "*k"] | float, POSITIVE]
+    beta: Annotated[Float[Array, "*k"] | float, POSITIVE]
 
 
-def jump_growth(leaf: Leaf, q: Array, v: Vector, alpha: Number, beta: Number) -> JumpGrowth:
+@check_numbers
+def jump_growth(
+    leaf: Leaf,
+    q: Annotated[Array, FINITE],
+    v: Annotated[Vector, FINITE],
+    alpha: Annotated[Number, POSITIVE],
+    beta: Annotated[Number, POSITIVE],
+) -> JumpGrowth:
     """Factors by which the jumps between the air and a leaf enlarge a small error of an observer.
 
     Args:
@@ -65,7 +80,11 @@ def jump_growth(leaf: Leaf, q: Array, v: Vector, alpha: Number, beta: Number) ->
         beta: Gain β [1/s²], more than α²/4.
 
     Returns:
-        The factors: of a touch-down with the velocity v, and of a lift-off with its part along the leaf.
+        The factors: of a touch-down with the velocity v, and of a lift-off with its part along the leaf. They are NaN
+        where arguments that are traced, and cannot be refused, are outside of their domain.
+
+    Raises:
+        ValueError: q is not on the leaf, or β is not more than α²/4: with real poles this length does not fall at once.
 
     Example:
         A mass on a rod of 2 m. Before the rod holds, it moves outwards at 1 m/s and along at 2 m/s:
@@ -76,8 +95,11 @@ def jump_growth(leaf: Leaf, q: Array, v: Vector, alpha: Number, beta: Number) ->
         >>> circle = Leaf(Euclidean(), lambda x: (x @ x - 4.0)[None] / 2, jnp.array([2.0, 0.0]))
         >>> growth = jump_growth(circle, circle.assembly, jnp.array([1.0, 2.0]), 20.0, 200.0)
         >>> [round(float(factor), 4) for factor in growth]
-        [1.0253, 1.005]
+        [1.0253, 1.005, 20.0, 200.0]
     """
+    _check_poles("jump_growth", alpha, beta)
+    gap = leaf.constraint(q)
+    ON_LEAF.check("jump_growth", "the constraint of the leaf at q", gap)
     axes = jnp.eye(v.shape[0], dtype=v.dtype)
     tangent = leaf.projected(q, v)
     # In orthonormal components w, with a = L⁻ᵀw for g = L Lᵀ, operators are matrices whose norms are those meant.
@@ -94,20 +116,23 @@ def jump_growth(leaf: Leaf, q: Array, v: Vector, alpha: Number, beta: Number) ->
         return half.T @ jnp.array([[1.0, 0.0], [0.0, 1.0]]).at[1, 0].set(s) @ jnp.linalg.inv(half.T)
 
     touch_down = jnp.max(jnp.linalg.norm(jax.vmap(stretched)(values), 2, axis=(1, 2)))
-    lift_off = jnp.sqrt(1 + jnp.linalg.norm(bend, 2) ** 2 / (beta - alpha**2 / 4))
-    return JumpGrowth(touch_down, lift_off)
+    # β − α²/4 = det Q, from the same factor of Q: NaN in both where Q is not positive definite.
+    lift_off = jnp.sqrt(1 + (jnp.linalg.norm(bend, 2) / (half[0, 0] * half[1, 1])) ** 2)
+    on_leaf = jnp.all(ON_LEAF.contains(gap))
+    # A factor is never below 1 but by rounding, since the maps have the determinant 1.
+    return JumpGrowth(*(jnp.where(on_leaf, jnp.maximum(f, 1.0), jnp.nan) for f in (touch_down, lift_off)), alpha, beta)
 
 
-def dwell_time(growth: JumpGrowth, alpha: float, beta: float, flight: float, stance: float) -> Statement:
+@check_numbers
+def dwell_time(growth: JumpGrowth, flight: Positive, stance: Positive) -> Statement:
     """Whether small errors of an observer vanish over a cycle of flight and stance, by the dwell-time inequality.
 
     The condition is sufficient alone, so that the verdict is never "fails". It is of small errors, and of contacts that
-    are known: read its assumptions.
+    are known: read its assumptions. The gains are those of the factors.
 
     Args:
-        growth: Factors at the touch-downs and lift-offs that were looked at; the largest of each count.
-        alpha: Gain α [1/s] of the observer.
-        beta: Gain β [1/s²].
+        growth: Factors at the touch-downs and lift-offs that were looked at, from `jump_growth` with one pair of gains;
+            the largest of each count.
         flight: Shortest flight [s].
         stance: Shortest stance [s].
 
@@ -115,18 +140,23 @@ def dwell_time(growth: JumpGrowth, alpha: float, beta: float, flight: float, sta
         The statement; its margin is `α/2 (flight + stance) − ln F_td − ln F_lo`.
 
     Raises:
-        ValueError: β is not more than α²/4: with real poles this length does not fall at once.
+        ValueError: A number is not of its domain, the factors are of several pairs of gains, or β is not more than
+            α²/4.
 
     Example:
         >>> from covariant.certificates import JumpGrowth, dwell_time
-        >>> statement = dwell_time(JumpGrowth(1.02, 1.01), 20.0, 200.0, flight=0.2, stance=0.1)
+        >>> statement = dwell_time(JumpGrowth(1.02, 1.01, 20.0, 200.0), flight=0.2, stance=0.1)
         >>> statement.short, round(statement.margin, 2)
         ('holds (sampled)', 2.97)
     """
-    if not 0 < alpha**2 / 4 < beta:
-        raise InputError(f"dwell_time: beta must be more than alpha²/4 = {alpha**2 / 4:g} 1/s²; got {beta:g}")
+    for name in ("alpha", "beta"):
+        if len(several := np.unique(getattr(growth, name))) != 1:
+            raise InputError(f"dwell_time: the factors must be of one pair of gains; {name} is {several.tolist()}")
+    alpha, beta = (float(np.ravel(gain)[0]) for gain in (growth.alpha, growth.beta))
+    _check_poles("dwell_time", alpha, beta)
     worst = np.max(growth.touch_down), np.max(growth.lift_off)
     gained = alpha / 2 * (flight + stance)
+    FINITE.check("dwell_time", "α/2 (flight + stance)", gained)
     margin = float(gained - np.log(worst).sum())
     condition = Hypothesis(
         f"α/2 (flight + stance) = {gained:.4g} is more than ln F_td + ln F_lo = {gained - margin:.4g}",
@@ -134,7 +164,7 @@ def dwell_time(growth: JumpGrowth, alpha: float, beta: float, flight: float, sta
         "holds" if margin > 0 else "undecided",
         margin,
     )
-    count = np.size(growth.touch_down)
+    count = max(np.size(growth.touch_down), np.size(growth.lift_off))
     return Statement(
         "small errors of position and velocity shrink over each cycle of flight and stance",
         (f"alpha = {alpha:g} 1/s, beta = {beta:g} 1/s²", f"flight {flight:g} s, stance {stance:g} s at least"),
@@ -142,3 +172,11 @@ def dwell_time(growth: JumpGrowth, alpha: float, beta: float, flight: float, sta
         margin,
         f"{count} events that were looked at" if count > 1 else "the event that was looked at",
     )
+
+
+def _check_poles(whose: str, alpha: Number, beta: Number) -> None:
+    """Raise `InputError` where the poles are real, for which the length does not fall at once."""
+    # Not alpha**2, which overflows with an error.
+    traced = isinstance(alpha, Tracer) or isinstance(beta, Tracer)
+    if not traced and not beta > (least := alpha / 2 * (alpha / 2)):
+        raise InputError(f"{whose}: beta must be more than alpha²/4 = {least:g} 1/s²; got {beta:g}")

@@ -4,13 +4,13 @@ Source: Riedmiller & Braun 1993, A direct adaptive method for faster backpropaga
 International Conference on Neural Networks, for the descent.
 """
 
-import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from covariant._domains import Count, Finite, Whole, check_numbers
 from covariant._errors import InputError
 from covariant.certificates.base import ErrorSystem, Hypothesis, Statement, length_change, need_steady
 from covariant.lowering import Lowered, expand, numbers
@@ -23,8 +23,15 @@ GROWTH = 1.2
 """Growth of the step of a variable while its slope keeps its sign; where the sign changes, the step is halved."""
 
 
+@check_numbers
 def falsify(
-    error_system: ErrorSystem, domain: Box, rate: float, *, attempts: int = 20_000, starts: int = 64, seed: int = 0
+    error_system: ErrorSystem,
+    domain: Box,
+    rate: Finite,
+    *,
+    attempts: Count = 20_000,
+    starts: Whole = 64,
+    seed: Whole = 0,
 ) -> Statement:
     """Search for a point of the region that contracts more slowly than a rate.
 
@@ -59,12 +66,6 @@ def falsify(
         ('holds (sampled)', 4.0)
     """
     check_box(domain)
-    # Without a single point the verdict would be "holds".
-    if attempts < 1 or starts < 0 or math.isnan(rate):
-        raise InputError(
-            "falsify: attempts must be 1 or more, starts 0 or more, and the rate a number; got "
-            f"{attempts}, {starts}, {rate}"
-        )
     if not (domain.low < domain.high).any():
         raise InputError("falsify: the domain is a single point; give bounds that differ")
     need_steady("falsify", error_system, domain)

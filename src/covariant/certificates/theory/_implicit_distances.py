@@ -33,10 +33,10 @@ Source: an addition. Sanfelice & Praly 2015, section I, for distances in place o
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
-from covariant._errors import InputError
-from covariant.certificates.theory._implicit_limits import check_limits, weight_of
+from covariant._domains import ABOVE_ZERO, Interval, NotNegative, Positive, Share, check_numbers
+from covariant.certificates.theory._implicit_limits import weight_of
 
 
 class DistanceBounds(NamedTuple):
@@ -58,13 +58,13 @@ class DistanceBounds(NamedTuple):
         True
     """
 
-    speed: float
-    error: float
-    velocity_error: float
-    stiffness: tuple[float, float]
-    curvature: tuple[float, float] = (0.0, 0.0)
-    riemann: float | None = None
-    injectivity: float = math.inf
+    speed: NotNegative
+    error: NotNegative
+    velocity_error: NotNegative
+    stiffness: Interval
+    curvature: Interval = (0.0, 0.0)
+    riemann: NotNegative | None = None
+    injectivity: Annotated[float, ABOVE_ZERO] = math.inf
 
 
 class DistanceDecay(NamedTuple):
@@ -103,7 +103,8 @@ SLACK = 1e-9
 """Relative width of the interval around the weight that has to map into itself."""
 
 
-def distance_decay(h: float, part: float, sigma: float, bounds: DistanceBounds) -> DistanceDecay:
+@check_numbers
+def distance_decay(h: Positive, part: Share, sigma: Positive, bounds: DistanceBounds) -> DistanceDecay:
     """Rate at which the distance from the truth is proved to fall from sample to sample on a curved space.
 
     Unlike `proved_decay` with `curved`, it is about the distance between the estimate and the truth, and not about the
@@ -135,7 +136,6 @@ def distance_decay(h: float, part: float, sigma: float, bounds: DistanceBounds) 
         >>> decay.rate > 0 > lengths.rate
         True
     """
-    _check(h, part, sigma, bounds)
 
     def fastest(before: float, rounds: int) -> DistanceDecay:
         """The largest rate with a weight m₀, by bisection: all conditions are harder at higher rates."""
@@ -201,14 +201,3 @@ def contracted(part: float, x: float) -> tuple[float, float]:
     # cos rest − cos x as a product, which does not cancel.
     difference = 2 * math.sin((x + rest) / 2) * math.sin((x - rest) / 2)
     return math.sin(rest) / math.sin(x), 2 * difference / (x * math.sin(x))
-
-
-def _check(h: float, part: float, sigma: float, bounds: DistanceBounds) -> None:
-    check_limits("distance_decay", sigma, *bounds.stiffness, 0.0, (0.0, 0.0), h)
-    sizes = bounds.speed, bounds.error, bounds.velocity_error, bounds.riemann or 0.0
-    numbers = all(math.isfinite(size) and size >= 0 for size in sizes) and all(map(math.isfinite, bounds.curvature))
-    if not (numbers and bounds.curvature[0] <= bounds.curvature[1] and bounds.injectivity > 0 and 0 < part <= 1):
-        raise InputError(
-            "distance_decay: needs finite speeds, errors and riemann, zero or more, finite curvatures in order, a "
-            f"positive injectivity, and a part in (0, 1]; got {bounds} and part = {part}"
-        )

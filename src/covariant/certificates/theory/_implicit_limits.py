@@ -25,11 +25,19 @@ Source: an addition. Simpson-Porco & Bullo 2014, Contraction theory on Riemannia
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from covariant._domains import INTERVAL, Finite, NotNegative, Positive, check_numbers
 from covariant._errors import InputError
+
+Damping = Annotated[
+    tuple[float, float],
+    INTERVAL._replace(
+        words="be two finite numbers ≤ 0, the lower one first", contains=lambda a: INTERVAL.contains(a) and a[1] <= 0
+    ),
+]
 
 
 class CurvedErrors(NamedTuple):
@@ -47,10 +55,10 @@ class CurvedErrors(NamedTuple):
         0.2
     """
 
-    distance: float
-    curvature: float
-    riemann: float
-    speed: float
+    distance: NotNegative
+    curvature: Finite
+    riemann: NotNegative
+    speed: NotNegative
 
 
 class PartLimits(NamedTuple):
@@ -198,8 +206,13 @@ def weight_of(sigma: float, rate: float, k: Sequence[float], f: Sequence[float] 
     return _Weight(tuple(tops), tuple(max(corners, key=lambda c: c.square(m)) for m in inner))
 
 
+@check_numbers
 def longest_interval(
-    sigma: float, k_minus: float, k_plus: float, rate: float = 0.0, friction: tuple[float, float] = (0.0, 0.0)
+    sigma: Positive,
+    k_minus: Finite,
+    k_plus: Finite,
+    rate: NotNegative = 0.0,
+    friction: Damping = (0.0, 0.0),
 ) -> float:
     """Sampling interval below which some gain α makes the error fall at a rate, for any α above it.
 
@@ -225,17 +238,18 @@ def longest_interval(
         >>> longest_interval(sigma=4.0, k_minus=0.0, k_plus=0.0)
         0.5
     """
-    check_limits("longest_interval", sigma, k_minus, k_plus, rate, friction)
+    _check_order("longest_interval", sigma, k_minus, k_plus, rate)
     return weight_of(sigma, rate, (k_minus, k_plus), friction).longest()
 
 
+@check_numbers
 def part_limits(
-    h: float,
-    sigma: float,
-    k_minus: float,
-    k_plus: float,
-    rate: float = 0.0,
-    friction: tuple[float, float] = (0.0, 0.0),
+    h: Positive,
+    sigma: Positive,
+    k_minus: Finite,
+    k_plus: Finite,
+    rate: NotNegative = 0.0,
+    friction: Damping = (0.0, 0.0),
 ) -> PartLimits:
     """Parts θ of the error that samples may take away so that the error falls at a rate, for n = 1 or a flat metric.
 
@@ -266,7 +280,7 @@ def part_limits(
         >>> round(limits.before * limits.after, 4), round(limits.least, 6)
         (256.0, 0.333333)
     """
-    check_limits("part_limits", sigma, k_minus, k_plus, rate, friction, h)
+    _check_order("part_limits", sigma, k_minus, k_plus, rate)
     weight = weight_of(sigma, rate, (k_minus, k_plus), friction)
     if h >= weight.longest():
         raise InputError(
@@ -278,13 +292,14 @@ def part_limits(
     return PartLimits(least, 2 - least, before, after)
 
 
+@check_numbers
 def proved_decay(
-    h: float,
-    part: float,
-    sigma: float,
-    k_minus: float,
-    k_plus: float,
-    friction: tuple[float, float] = (0.0, 0.0),
+    h: Positive,
+    part: NotNegative,
+    sigma: Positive,
+    k_minus: Finite,
+    k_plus: Finite,
+    friction: Damping = (0.0, 0.0),
     curved: CurvedErrors | None = None,
 ) -> ProvedDecay:
     """Rate at which the error is proved to fall from sample to sample.
@@ -316,7 +331,7 @@ def proved_decay(
         >>> 0 < bent.rate < flat.rate
         True
     """
-    check_limits("proved_decay", sigma, k_minus, k_plus, 0.0, friction, h)
+    _check_order("proved_decay", sigma, k_minus, k_plus, 0.0)
     left, added = (abs(1 - part), 0.0) if curved is None else _correction(part, sigma, curved)
 
     def decay(rho: float) -> ProvedDecay:
@@ -339,13 +354,14 @@ def proved_decay(
     return max(tried[best], decay(float(refined.x)))
 
 
+@check_numbers
 def implicit_gains(
-    h: float,
-    sigma: float,
-    k_minus: float,
-    k_plus: float,
-    rate: float | None = None,
-    friction: tuple[float, float] = (0.0, 0.0),
+    h: Positive,
+    sigma: Positive,
+    k_minus: Finite,
+    k_plus: Finite,
+    rate: NotNegative | None = None,
+    friction: Damping = (0.0, 0.0),
 ) -> ImplicitGains:
     """The least gains of `ImplicitGeodesic` that prove a rate of the error, for n = 1 or a flat metric.
 
@@ -376,7 +392,7 @@ def implicit_gains(
         >>> round(proved_decay(0.05, gains.part, 6.0, -9.81, 9.81).rate, 4)
         0.5
     """
-    check_limits("implicit_gains", sigma, k_minus, k_plus, 0.0 if rate is None else rate, friction, h)
+    _check_order("implicit_gains", sigma, k_minus, k_plus, rate or 0.0)
     longest = longest_interval(sigma, k_minus, k_plus, 0.0, friction)
     if rate is None and h < longest:
         rate = _fastest(h, sigma, k_minus, k_plus, friction) / 2
@@ -441,14 +457,10 @@ def _correction(part: float, sigma: float, errors: CurvedErrors) -> tuple[float,
     return math.sin(rest) / sine, riemann * d * (speed * first + sigma * d * second)
 
 
-def check_limits(
-    whose: str, sigma: float, k_minus: float, k_plus: float, rate: float, friction: tuple[float, float], h: float = 1.0
-) -> None:
-    """Raise `ValueError` in the name of a function where its numbers are out of range."""
-    numbers = (sigma, k_minus, k_plus, rate, *friction, h)
-    fine = np.isfinite(numbers).all() and h > 0 and 0 <= rate < sigma
-    if not (fine and k_minus <= k_plus and friction[0] <= friction[1] <= 0):
+def _check_order(whose: str, sigma: float, k_minus: float, k_plus: float, rate: float) -> None:
+    """Raise `InputError` in the name of a function where its numbers contradict each other."""
+    if not (rate < sigma and k_minus <= k_plus):
         raise InputError(
-            f"{whose}: needs finite numbers, h > 0, 0 ≤ rate < sigma, k_minus ≤ k_plus and friction (low, high) ≤ 0; "
-            f"got h = {h}, sigma = {sigma}, rate = {rate}, k = ({k_minus}, {k_plus}), friction = {friction}"
+            f"{whose}: needs rate < sigma and k_minus ≤ k_plus; got rate = {rate}, sigma = {sigma}, "
+            f"k_minus = {k_minus}, k_plus = {k_plus}"
         )

@@ -7,11 +7,12 @@ and 7: quadratic stability of a polytope of systems, and the change of variable 
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from covariant._domains import FINITE, Finite, NotNegative, check_numbers
 from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant._typing import Numbers
@@ -48,7 +49,8 @@ class MetricDesign(NamedTuple):
     statement: Statement
 
 
-def common_metric(jacobians: Numbers, rate: float) -> MetricDesign:
+@check_numbers
+def common_metric(jacobians: Annotated[Numbers, FINITE], rate: Finite) -> MetricDesign:
     """Find the best conditioned metric M with `FᵀM + MF ≤ −rate M` for every Jacobian F, so for all in their hull.
 
     Args:
@@ -73,7 +75,14 @@ def common_metric(jacobians: Numbers, rate: float) -> MetricDesign:
     return _design(f, np.zeros((len(f), 0, f.shape[1])), rate, 0.0)
 
 
-def observer_gain(jacobians: Numbers, outputs: Numbers, rate: float, *, effort: float = 1e-3) -> MetricDesign:
+@check_numbers
+def observer_gain(
+    jacobians: Annotated[Numbers, FINITE],
+    outputs: Annotated[Numbers, FINITE],
+    rate: Finite,
+    *,
+    effort: NotNegative = 1e-3,
+) -> MetricDesign:
     """Find K and M with `(F − KH)ᵀM + M(F − KH) ≤ −rate M` for all pairs of Jacobians F and H.
 
     They minimise the condition number of M plus `effort` times the norm of MK. The result holds for all pairs in the
@@ -113,20 +122,16 @@ def _stack(name: str, matrices: Numbers, beside: np.ndarray | None) -> np.ndarra
     if wrong:
         needed = "(k, n, n)" if beside is None else f"({beside.shape[0]}, p, {beside.shape[2]})"
         raise InputError(f"{name} must have the shape {needed}; it has {np.shape(matrices)}")
-    if not np.isfinite(stack).all():
-        raise InputError(f"{name} must be finite")
     return stack
 
 
 def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricDesign:
-    if not math.isfinite(rate):
-        raise InputError(f"the rate must be a finite number; got {rate}")
     slack = SLACK * max(abs(rate), *(float(np.linalg.norm(each, 2)) for each in f))
     # First at a slightly higher rate, so that the statement at `rate` survives the solver's rounding.
     solution = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
     if solution is None:
         raise InputError(
-            f"no constant metric makes all {len(f)} Jacobians contract at {rate:g} 1/s; lower the rate or the set"
+            f"no constant metric makes {_count_jacobians(f, h)[1]} contract at {rate:g} 1/s; lower the rate or the set"
         )
     m, k, conditioning = solution
     return MetricDesign(m, k, conditioning, _statement(m, k, f, h, rate))
@@ -144,7 +149,7 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
         if not is_definite(form):
             wrong.append(i)
     worst = wrong[0] if wrong else int(np.argmin(margins))
-    pair = "Jacobian" if not k.size else "pair of Jacobians"
+    pair, counted = _count_jacobians(f, h)
     hypotheses = (
         Hypothesis(
             "M is symmetric and positive definite, in rational arithmetic",
@@ -153,7 +158,7 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
             float(np.linalg.eigvalsh(m)[0]),
         ),
         Hypothesis(
-            f"squared lengths shrink faster than that for each of the {len(f)} {pair}s, in rational arithmetic",
+            f"squared lengths shrink faster than that for {counted}, in rational arithmetic",
             "proved",
             "undecided" if wrong else "holds",
             margins[worst],
@@ -161,9 +166,15 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
         ),
         Hypothesis("the Jacobians of the system are among those given, or in their hull", "assumed"),
     )
-    data = (f"M = {m.tolist()}", *([f"K = {k.tolist()}"] if k.size else []), f"{len(f)} {pair}s of {len(m)} states")
+    data = (f"M = {m.tolist()}", *([f"K = {k.tolist()}"] if k.size else []), f"{counted}, states: {len(m)}")
     claim = f"squared lengths in the constant metric M shrink at {rate:g} 1/s or faster"
-    return Statement(claim, data, hypotheses, margins[worst], f"the hull of {len(f)} {pair}s")
+    return Statement(claim, data, hypotheses, margins[worst], f"the hull of {counted}")
+
+
+def _count_jacobians(f: np.ndarray, h: np.ndarray) -> tuple[str, str]:
+    """What one of the matrices, or pairs of them, is called, and how many there are."""
+    one, many = ("pair of Jacobians", "pairs of Jacobians") if h.size else ("Jacobian", "Jacobians")
+    return one, f"{len(f)} {many if len(f) > 1 else one}"
 
 
 def rational(matrix: np.ndarray) -> np.ndarray:

@@ -3,10 +3,13 @@
 Source: Jouffroy & Fossen 2004, equations (97)–(102).
 """
 
+from typing import Annotated
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from covariant._domains import FINITE, check_numbers
 from covariant._linalg import solve, solve_square
 from covariant._typing import Numbers
 from covariant.certificates.base import ErrorSystem, Point, in_coordinates
@@ -119,7 +122,8 @@ def feedthrough(controller: Backstepping) -> Coupling:
     return jacobians
 
 
-def crossed_metric(craft: Craft, k2: Numbers, cross: Numbers) -> OutputMetric:
+@check_numbers
+def crossed_metric(craft: Craft, k2: Annotated[Numbers, FINITE], cross: Annotated[Numbers, FINITE]) -> OutputMetric:
     """Build the metric `[[K2, −JN], [−(JN)ᵀ, M]]` on (η, ν), with a cross term N.
 
     With N = 0 it is that of the observer's Lyapunov function, in which quadratic drag gives no rate at rest.

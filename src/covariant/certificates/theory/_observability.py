@@ -10,7 +10,7 @@ Riemannian metric (Part I), IEEE TAC 57(7).
 """
 
 import contextlib
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._domains import FINITE, KNOWN, Finite, check_numbers
 from covariant._errors import InputError
 from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
@@ -77,7 +78,13 @@ class Observability(NamedTuple):
         return f"local, and from any distance for a large enough gain, {where}"
 
 
-def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Scalar:
+@check_numbers
+def detectability_rate(
+    model: StateSpace,
+    metric: MatrixField,
+    x: Annotated[Vector, FINITE],
+    u: Annotated[Float[Array, "m"], FINITE] | None = None,
+) -> Annotated[Scalar, KNOWN]:
     """Compute the largest q with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds at x for some ρ [1/s].
 
     This is differential detectability: q is the least rate at which f contracts the squared length of vectors in the
@@ -114,9 +121,13 @@ def detectability_rate(model: StateSpace, metric: MatrixField, x: Vector, u: Flo
     return jax.lax.select(independent, rate, jnp.full_like(rate, -jnp.inf))
 
 
+@check_numbers
 def bending(
-    model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None
-) -> tuple[Scalar, Vector]:
+    model: StateSpace,
+    metric: MatrixField,
+    x: Annotated[Vector, FINITE],
+    u: Annotated[Float[Array, "m"], FINITE] | None = None,
+) -> tuple[Annotated[Scalar, KNOWN], Vector]:
     """Compute the curvature of the level set of the output through x in the metric.
 
     It is the largest principal curvature |II(v, v)|. The second fundamental form II is the component of
@@ -174,13 +185,14 @@ def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None)
     return jnp.abs(values).reshape(-1)[best], scale * jnp.max(sizes), direction
 
 
+@check_numbers
 def observability(
     model: StateSpace,
     metric: MatrixField,
-    points: Float[np.ndarray, "k n"],
+    points: Annotated[Float[np.ndarray, "k n"], FINITE],
     *,
-    u: Float[Array, "m"] | None = None,
-    rate: float = 0.0,
+    u: Annotated[Float[Array, "m"], FINITE] | None = None,
+    rate: Finite = 0.0,
     budget: Budget = Budget(),
 ) -> Observability:
     """Test at given states two conditions for a metric to make an observer converge: locally, and from any distance.
@@ -222,8 +234,6 @@ def observability(
     points = np.asarray(points, float)
     if points.ndim != 2 or not len(points):
         raise InputError(f"observability needs states `points` (k, n), at least one; got {points.shape}")
-    if not np.isfinite(points).all():
-        raise InputError("observability: the points must be finite numbers")
     _check_premises(model, metric, points, u)
     sampled = _sample_conditions(model, metric, points, u)
     premises = (
@@ -267,6 +277,8 @@ class _Sampled(NamedTuple):
 
     @property
     def domain(self) -> str:
+        if len(self.points) == 1:
+            return f"the state {_text(self.points[0])}"
         return f"{len(self.points)} states between {_text(self.points.min(0))} and {_text(self.points.max(0))}"
 
     @property
@@ -350,8 +362,8 @@ def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, 
         k = int(dependent.argmax())
         rank = int((sizes[k] > DEPENDENT * sizes[k, 0]).sum())
         raise InputError(
-            f"observability: the {outputs} outputs see only {rank} directions at {_text(points[k])}; leave out "
-            "outputs that follow from others"
+            f"observability: dh has rank {rank} at {_text(points[k])}, below the number of outputs, {outputs}; leave "
+            "out outputs that follow from others"
         )
     if not (least > 0).all():  # NaN is no metric either
         raise InputError(f"the metric is not positive definite at {_text(points[int((~(least > 0)).argmax())])}")

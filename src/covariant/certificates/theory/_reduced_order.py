@@ -22,13 +22,14 @@ with a Riemannian metric, parts I and II, IEEE TAC 57(7) and 61(10); own derivat
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from covariant._domains import FINITE, Count, NotNegative, Positive, check_numbers
 from covariant._errors import InputError
 from covariant.certificates.base import Hypothesis, Statement
 from covariant.certificates.theory._lmi import observer_gain
@@ -93,15 +94,16 @@ class ReducedOrderDesign(NamedTuple):
         return both
 
 
+@check_numbers
 def reduced_order(
     model: StateSpace,
-    rate: float,
+    rate: Positive,
     *,
-    box: Sequence[tuple[float, float]] | None = None,
-    inputs: Sequence[tuple[float, float]] | None = None,
-    effort: float = 1e-3,
+    box: Annotated[Sequence[tuple[float, float]], FINITE] | None = None,
+    inputs: Annotated[Sequence[tuple[float, float]], FINITE] | None = None,
+    effort: NotNegative = 1e-3,
     full: bool = False,
-    boxes: int = MOST_BOXES,
+    boxes: Count = MOST_BOXES,
 ) -> ReducedOrderDesign:
     """Design an observer that converges from any distance, and prove that it does. Needs `covariant[lmi]`.
 
@@ -134,8 +136,6 @@ def reduced_order(
         >>> certificates.reduced_order(frequency, rate=0.1, box=seen).statement.short
         'holds (proved)'
     """
-    if not (math.isfinite(rate) and rate > 0):
-        raise InputError(f"reduced_order: rate must be a positive number; got {rate}")
     split = _Split.of(model, box, inputs)
     # What the inequality depends on, and whether f is defined and without jumps, has the values as its source.
     used = split.used()

@@ -22,7 +22,7 @@ Everything that wraps an observer, such as a gate or a buffer for late sensors, 
 
 import abc
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -32,6 +32,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
+from covariant._domains import FINITE_ENTRIES, NOT_NEGATIVE, POSITIVE
 from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Code, Number, Scalar, Vector
@@ -495,8 +496,7 @@ def as_gain(value: Any) -> Any:
 def check_positive(whose: str, **gains: Any) -> None:
     """Check that gains are positive, finite numbers; a traced gain has no value to check."""
     for name, gain in gains.items():
-        if not _satisfies(gain, lambda a: np.isfinite(a) & (a > 0)):
-            raise InputError(f"{whose}: {name} must be a positive, finite number; got {_on_one_line(gain)}")
+        POSITIVE.check(whose, name, gain)
 
 
 def check_free(whose: str, model: MechanicalSystem) -> None:
@@ -511,8 +511,7 @@ def check_free(whose: str, model: MechanicalSystem) -> None:
 def check_not_negative(whose: str, **gains: Any) -> None:
     """Check that gains are finite numbers ≥ 0; a traced gain has no value to check."""
     for name, gain in gains.items():
-        if not _satisfies(gain, lambda a: np.isfinite(a) & (a >= 0)):
-            raise InputError(f"{whose}: {name} must be a finite number, 0 or more; got {_on_one_line(gain)}")
+        NOT_NEGATIVE.check(whose, name, gain)
 
 
 def check_whole(whose: str, observer: Any) -> None:
@@ -528,8 +527,7 @@ def check_whole(whose: str, observer: Any) -> None:
 def check_finite(whose: str, **given: Any) -> None:
     """Check that arrays have finite entries; a traced array has no values to check."""
     for name, array in given.items():
-        if not _satisfies(array, np.isfinite):
-            raise InputError(f"{whose}: {name} must have finite entries; got {_on_one_line(array)}")
+        FINITE_ENTRIES.check(whose, name, array)
 
 
 def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np.inf) -> np.ndarray:
@@ -543,19 +541,6 @@ def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np
         many = {1: "one number", 3: "one number or three"}.get(count, f"one number or {count}")
         raise InputError(f"{whose}: {what} must be {many}, {kind}; got {value}")
     return numbers
-
-
-def _satisfies(value: Any, condition: Callable[[np.ndarray], Any]) -> bool:
-    if isinstance(value, Tracer):
-        return True
-    try:
-        return bool(np.all(condition(np.asarray(value, float))))
-    except (TypeError, ValueError):  # not numbers
-        return False
-
-
-def _on_one_line(value: Any) -> str:
-    return " ".join(str(np.asarray(value)).split())
 
 
 def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
