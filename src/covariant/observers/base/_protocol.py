@@ -34,7 +34,7 @@ from jaxtyping import Array, Float, Inexact
 
 from covariant._errors import InputError
 from covariant._functional import Functional
-from covariant._typing import Code, Number, Scalar, Vector
+from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
 from covariant.signals import Record, Run, StepCode, check_rounding, largest_measurement
 
@@ -196,6 +196,8 @@ class AbstractObserver(Functional):
         - For dt = 0 the state is returned unchanged: `REPEATED`. A subnormal dt, which processors may take for zero, is
           zero.
         - For a dt that is negative or not finite the state is returned unchanged too: `STEP_REFUSED`.
+        - A state that is `lost`, as after an input of 1e200, is replaced by a new start at the measurement, if that is
+          complete, and otherwise by the state before, so that every state is finite: `NOT_FINITE`.
 
         A subclass leaves it as it is, unless it makes the step of another observer under another input.
 
@@ -217,13 +219,33 @@ class AbstractObserver(Functional):
         # A refused step is computed with dt = 0 and u = 0, so that an invalid number cannot reach `info.result` either.
         told = _with_missing_input(state, u)
         advanced, info = self.advance(told, jnp.where(advances, valid_u, 0.0), measured, jnp.where(advances, dt, 0.0))
+        # Every branch is computed, so that the program has none.
+        lost = self.lost(advanced, info)
+        fresh = _alike(_started(self, measured, _time(advanced)), advanced)
+        started = lost & _all_finite(self.estimate(fresh))
         new_state = jax.tree.map(
-            lambda new, old: jnp.where(advances, new, old), _with_last_input(advanced, state, valid_u), state
+            lambda new, start, old: jnp.where(advances & ~lost, new, jnp.where(advances & started, start, old)),
+            _with_last_input(advanced, state, valid_u),
+            fresh,
+            state,
         )
         # A larger code is worse: see `StepCode`.
-        result = jnp.maximum(info.result, _input_fault(u, too_large, dt).astype(info.result.dtype))
+        code = jnp.where(lost, int(StepCode.NOT_FINITE), info.result).astype(info.result.dtype)
+        result = jnp.maximum(code, _input_fault(u, too_large, dt).astype(code.dtype))
         ran = valid_u, measured, jnp.where(advances, dt, 0.0)
         return self.reported(state, new_state, info._replace(result=result), *ran)
+
+    def lost(self, state: Any, info: Any) -> Flag:
+        """Whether a state after `advance` has left the finite numbers, so that no later measurement corrects it.
+
+        Args:
+            state: State after the step.
+            info: The info of the step.
+
+        Returns:
+            True where the step has the result `NOT_FINITE`, or the estimate is not all finite.
+        """
+        return (info.result == int(StepCode.NOT_FINITE)) | ~_all_finite(self.estimate(state))
 
     def reported(
         self, before: Any, after: Any, info: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
@@ -589,6 +611,30 @@ def time_since_measurement(state: Any) -> Scalar:
 def step_length(state: Any) -> Scalar:
     """Length [s] of the prediction that led to a predicted state, for observers whose correction depends on it."""
     return state.dt
+
+
+def _all_finite(tree: Any) -> Flag:
+    """Whether all numbers of a tree of arrays are finite."""
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
+
+
+@eqx.filter_jit  # compiled, `init` raises nothing for a measurement that is no start
+def _started(observer: AbstractObserver, y: Array, t: Scalar) -> Any:
+    return observer.init(y, t)
+
+
+def _time(state: Any) -> Scalar | float:
+    """Latest time [s] in a state, or in one within it; 0 where there is none."""
+    if "t" in state._fields:
+        return jnp.ravel(state.t)[-1]
+    return _time(state.inner) if "inner" in state._fields else 0.0
+
+
+def _alike(fresh: Any, state: Any) -> Any:
+    """A new start in the form of a state, which may have been written by hand, with fewer fields."""
+    there = [name for name in state._fields if getattr(state, name) is not None]
+    filled = state._replace(**{name: getattr(fresh, name) for name in there})
+    return jax.tree.map(lambda new, old: jnp.asarray(new, jnp.result_type(old)), filled, state)
 
 
 def still(stored: LastInput | Scalar) -> Any:
