@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._door import BINARY_LOG, MOST_ROWS, STORE, bounded, check_file
+from covariant._errors import InputError
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
@@ -419,9 +421,12 @@ def _columns_and_table(
 def _legible(name: str, log: Any) -> Iterator[None]:
     pa = pyarrow()
     try:
-        yield
+        with bounded(name):
+            yield
     except LogError:
         raise
+    except InputError as error:
+        raise LogError(str(error)) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         what = "a table"
         if isinstance(log, (str, PathLike)):
@@ -439,16 +444,18 @@ def _open_source(name: str, log: Any) -> LogSource:
     ending = kind(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    # A pipe that nobody writes to, or a device, would be read for ever.
-    if not (path.is_file() or path.is_dir()):
-        raise LogError(f"{path}: is no file; write what it delivers to one, and give its path")
+    for part in path.iterdir() if path.is_dir() else [path]:
+        if not part.is_dir():
+            check_file(part, STORE if part.suffix == ".yaml" else BINARY_LOG)
     if ending == "bag":
         names = bag_columns(path)
         shown = [name for name, shortest in names.items() if shortest]
         return LogSource(list(names), shown, lambda *asked: pyarrow().table(read_bag(path, *asked)))
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
-            schema = file.schema_arrow
+            schema, rows = file.schema_arrow, file.metadata.num_rows
+        if rows > MOST_ROWS:
+            raise LogError(f"{path}: it has {rows} rows, more than {MOST_ROWS}; cut it into several logs")
         names, types = list(schema.names), pyarrow().types
         lists = [
             field.name

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from covariant._door import BINARY_LOG, check_file
 from covariant._errors import InputError
 from covariant._files import write_atomically
 from covariant._optional import load_optional
@@ -62,6 +63,7 @@ def has_columns(path: Path, names: Iterable[str]) -> bool:
     Messages of ROS are never taken for one, since those of a robot have the same names.
     """
     try:
+        check_file(path, BINARY_LOG)  # a pipe may never end
         if path.suffix == ".parquet":
             return load_optional("pyarrow.parquet", use="reading Parquet needs", extra="logs").read_schema(
                 path

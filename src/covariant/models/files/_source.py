@@ -16,6 +16,7 @@ from typing import Any, Union, get_args, get_origin
 import jax
 import numpy as np
 
+from covariant._door import MOST_COORDINATES
 from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant._typing import Number
@@ -99,6 +100,9 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
     Numbers of arrays, such as those being fitted, and parameters that the function does not take are not converted.
     """
     declared, converted = inspect.signature(factory).parameters, dict(parameters)
+    for key, value in parameters.items():
+        if isinstance(value, list) and len(value) > MOST_COORDINATES:
+            raise InputError(f"parameter {key} of {name} lists {len(value)} numbers; {MOST_COORDINATES} are the most")
     for key in converted.keys() & declared.keys():
         kind = declared[key].annotation
         try:

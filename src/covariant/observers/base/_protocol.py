@@ -619,11 +619,11 @@ def _all_finite(tree: Any) -> Flag:
 
 
 @eqx.filter_jit  # compiled, `init` raises nothing for a measurement that is no start
-def _started(observer: AbstractObserver, y: Array, t: Scalar) -> Any:
+def _started(observer: AbstractObserver, y: Array, t: Number) -> Any:
     return observer.init(y, t)
 
 
-def _time(state: Any) -> Scalar | float:
+def _time(state: Any) -> Number:
     """Latest time [s] in a state, or in one within it; 0 where there is none."""
     if "t" in state._fields:
         return jnp.ravel(state.t)[-1]
