@@ -21,8 +21,8 @@ SOURCE = ROOT / "src" / "covariant"
 
 PLAN = (
     "_errors _door _rooms _files _programs _compile _typing _gauss_markov _functional _templates _optional _cases "
-    "_numbers _names signals scoring _linalg _integrate _adaptive lowering logs geometry models metrics observers simulation "
-    "proofs certificates calibration codegen engine report papers workflow cli"
+    "_numbers _names signals scoring _linalg _integrate _adaptive lowering logs geometry models metrics observers "
+    "simulation proofs certificates calibration codegen engine report papers workflow cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
