@@ -17,6 +17,7 @@ from covariant.certificates import audit
 from covariant.codegen import (
     Facts,
     Program,
+    check_export,
     check_export_name,
     check_wasm_compiler,
     export_name,
@@ -148,6 +149,7 @@ def export(
     unit = out.suffix == ".fmu"
     limit = math.inf if flash is None else above_zero("flash", flash)
     above_zero("rate", rate)
+    check_export(out, overwrite)
     gains = gain_pair(alpha, beta)
     _check(unit, real, fmi, flash, step_per_sensor, python, wasm, ros2)
     if name is not None:  # before the work

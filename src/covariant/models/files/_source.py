@@ -69,8 +69,8 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
     if folder is not None and not _lies_in(where, folder):
         if not _declared(spec):
             raise InputError(
-                f"module {where!r} is not in the folder of the file that names it, and no installed package declares it "
-                f"by an entry point of {ENTRY_POINTS!r}; put it there, under a name that no other module has"
+                f"module {where!r} is not in the folder of the file that names it, and no installed package declares "
+                f"it by an entry point of {ENTRY_POINTS!r}; put it there, under a name that no other module has"
             )
         folder = None
     beside = os.getcwd() if folder is None else str(folder.resolve())
@@ -89,7 +89,8 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
 
 
 ENTRY_POINTS = "covariant.models"
-"""Group of entry points by which an installed package declares models: `module:attribute`, or a module for all in it."""
+"""Group of entry points by which an installed package declares models: `module:attribute`, or a module with all in it.
+"""
 
 
 def _declared(spec: str) -> bool:
