@@ -139,7 +139,7 @@ def _named(path: object, kind: FileKind) -> Iterator[None]:
         raise InputError(f"{_printed(path)}: is no path ({error}); give the path of {kind.what}") from error
 
 
-def check_count(count: float, most: int, what: str) -> None:
+def check_count(count: int | float, most: int, what: str) -> None:
     """Refuse a robot with too many parts."""
     if count > most:
         raise InputError(f"it has {count:g} {what}, more than {most}; keep the part whose state is estimated")

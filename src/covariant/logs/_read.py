@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._door import BINARY_LOG, MOST_ROWS, STORE, bounded, check_file
+from covariant._door import bounded
 from covariant._errors import InputError
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
-from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, kind, pyarrow
+from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, check_log, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._entries import by_entries
 from covariant.logs._episodes import episodes_fault
@@ -423,8 +423,6 @@ def _legible(name: str, log: Any) -> Iterator[None]:
     try:
         with bounded(name):
             yield
-    except LogError:
-        raise
     except InputError as error:
         raise LogError(str(error)) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
@@ -444,18 +442,15 @@ def _open_source(name: str, log: Any) -> LogSource:
     ending = kind(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    for part in path.iterdir() if path.is_dir() else [path]:
-        if not part.is_dir():
-            check_file(part, STORE if part.suffix == ".yaml" else BINARY_LOG)
+    check_log(path)
     if ending == "bag":
         names = bag_columns(path)
         shown = [name for name, shortest in names.items() if shortest]
         return LogSource(list(names), shown, lambda *asked: pyarrow().table(read_bag(path, *asked)))
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
-            schema, rows = file.schema_arrow, file.metadata.num_rows
-        if rows > MOST_ROWS:
-            raise LogError(f"{path}: it has {rows} rows, more than {MOST_ROWS}; cut it into several logs")
+            schema = file.schema_arrow
+            check_log(path, file.metadata.num_rows)
         names, types = list(schema.names), pyarrow().types
         lists = [
             field.name

@@ -36,6 +36,7 @@ from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
+from covariant.observers.base._restart import all_finite, started
 from covariant.signals import Record, Run, StepCode, check_rounding, largest_measurement
 
 LastInput = Float[Array, "m"] | None
@@ -221,14 +222,13 @@ class AbstractObserver(Functional):
         advanced, info = self.advance(told, jnp.where(advances, valid_u, 0.0), measured, jnp.where(advances, dt, 0.0))
         # Every branch is computed, so that the program has none.
         lost = self.lost(advanced, info)
-        fresh = _alike(_started(self, measured, _time(advanced)), advanced)
-        started = lost & _all_finite(self.estimate(fresh))
-        new_state = jax.tree.map(
-            lambda new, start, old: jnp.where(advances & ~lost, new, jnp.where(advances & started, start, old)),
-            _with_last_input(advanced, state, valid_u),
-            fresh,
-            state,
-        )
+        fresh = started(self.init, advanced, measured)
+        usable = all_finite(self.estimate(fresh))
+
+        def select(new: Array, start: Array, old: Array) -> Array:
+            return jnp.where(advances, jnp.where(lost, jnp.where(usable, start, old), new), old)
+
+        new_state = jax.tree.map(select, _with_last_input(advanced, state, valid_u), fresh, state)
         # A larger code is worse: see `StepCode`.
         code = jnp.where(lost, int(StepCode.NOT_FINITE), info.result).astype(info.result.dtype)
         result = jnp.maximum(code, _input_fault(u, too_large, dt).astype(code.dtype))
@@ -245,7 +245,7 @@ class AbstractObserver(Functional):
         Returns:
             True where the step has the result `NOT_FINITE`, or the estimate is not all finite.
         """
-        return (info.result == int(StepCode.NOT_FINITE)) | ~_all_finite(self.estimate(state))
+        return (info.result == int(StepCode.NOT_FINITE)) | ~all_finite(self.estimate(state))
 
     def reported(
         self, before: Any, after: Any, info: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
@@ -611,30 +611,6 @@ def time_since_measurement(state: Any) -> Scalar:
 def step_length(state: Any) -> Scalar:
     """Length [s] of the prediction that led to a predicted state, for observers whose correction depends on it."""
     return state.dt
-
-
-def _all_finite(tree: Any) -> Flag:
-    """Whether all numbers of a tree of arrays are finite."""
-    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
-
-
-@eqx.filter_jit  # compiled, `init` raises nothing for a measurement that is no start
-def _started(observer: AbstractObserver, y: Array, t: Number) -> Any:
-    return observer.init(y, t)
-
-
-def _time(state: Any) -> Number:
-    """Latest time [s] in a state, or in one within it; 0 where there is none."""
-    if "t" in state._fields:
-        return jnp.ravel(state.t)[-1]
-    return _time(state.inner) if "inner" in state._fields else 0.0
-
-
-def _alike(fresh: Any, state: Any) -> Any:
-    """A new start in the form of a state, which may have been written by hand, with fewer fields."""
-    there = [name for name in state._fields if getattr(state, name) is not None]
-    filled = state._replace(**{name: getattr(fresh, name) for name in there})
-    return jax.tree.map(lambda new, old: jnp.asarray(new, jnp.result_type(old)), filled, state)
 
 
 def still(stored: LastInput | Scalar) -> Any:
