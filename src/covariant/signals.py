@@ -74,7 +74,7 @@ _MESSAGES = {
     StepCode.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
     StepCode.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
     StepCode.STEP_REFUSED: "the step in time is negative or not finite: the state was left as it was; mend the stamps",
-    StepCode.NOT_FINITE: "the state left the finite numbers: the estimate started anew; look at inputs, gains and steps",
+    StepCode.NOT_FINITE: "the state left the finite numbers: the estimate starts anew; mend inputs, gains or steps",
 }
 
 

@@ -180,7 +180,7 @@ def kind(path: Path) -> str:
 
 
 def check_log(path: Path, rows: int = 0) -> None:
-    """Refuse a log with too many rows, or whose files are no regular ones: a pipe or a device would be read for ever."""
+    """Refuse a log with too many rows, or with a file that is no regular one, as a pipe would be read for ever."""
     for part in path.iterdir() if path.is_dir() else [path]:
         if not part.is_dir():
             check_file(part, STORE if part.suffix == ".yaml" else BINARY_LOG)

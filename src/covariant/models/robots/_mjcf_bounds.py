@@ -55,7 +55,7 @@ def _product(entry: Element, keys: Iterable[str]) -> float:
     """Product of the numbers of attributes, 1 where there are none; MuJoCo refuses what is no number."""
     numbers = [number for key in keys for number in entry.get(key, "").split()]
     try:
-        product = math.prod(max(float(number), 1.0) for number in numbers)
+        product = math.prod((max(float(number), 1.0) for number in numbers), start=1.0)
     except ValueError:
         return 1.0
     return product if product == product else math.inf
