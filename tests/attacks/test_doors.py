@@ -84,7 +84,7 @@ MODELS: dict[str, tuple[str, str | bytes | int | Path, str]] = {
     "100 moving links": ("urdf", urdf(101, "continuous"), "has 100 joints that move, more than 80"),
     "many tags": ("urdf", f"<robot>{'<a/>' * 30_000}</robot>", "has 30001 entries, more than 20000"),
     "deep tags": ("urdf", "<robot>" + "<a>" * 10_000, "not readable XML"),
-    "copies": ("xml", mjcf(f'<replicate count="1000000">{BODY}</replicate>'), "bodies or more, with copies"),
+    XX
     "copies of copies": (
         "xml",
         mjcf(f'<replicate count="30"><replicate count="30">{BODY}</replicate></replicate>'),
@@ -302,6 +302,7 @@ def test_an_input_that_leads_beyond_the_finite_numbers_is_survived(observer, eng
     model = models.oscillator()
     own = Doubling() if observer == "user's own" else observers.Intrinsic(model, 20.0, 200.0, substeps=1)
     stream = Stream(own, np.zeros(1), 100.0, inputs=1, engine=engine)
+    x = np.zeros(2)
     for k in range(120):
         fault = k < 40 and k % 4 == 2
         x = stream.step(0.01 * k, [np.nan if fault and k % 8 == 2 else 0.3], [INPUTS[k // 4] if fault else 0.0])
@@ -325,7 +326,7 @@ class Doubling(observers.AbstractObserver):
         return Position(state.q + dt * u * 1e300)
 
     def correct(self, state, u, y):
-        innovation = jnp.where(jnp.isnan(y), 0.0, y - state.q)
+        innovation = jnp.nan_to_num(y - state.q)
         return Position(state.q + innovation / 2), observers.Info(innovation, innovation[0], jnp.asarray(0))
 
     def estimate(self, state):

@@ -230,8 +230,8 @@ class AbstractObserver(Functional):
 
         new_state = jax.tree.map(select, _with_last_input(advanced, state, valid_u), fresh, state)
         # A larger code is worse: see `StepCode`.
-        code = jnp.where(lost, int(StepCode.NOT_FINITE), info.result).astype(info.result.dtype)
-        result = jnp.maximum(code, _input_fault(u, too_large, dt).astype(code.dtype))
+        fault = jnp.maximum(_input_fault(u, too_large, dt), lost * int(StepCode.NOT_FINITE))
+        result = jnp.maximum(info.result, fault.astype(info.result.dtype))
         ran = valid_u, measured, jnp.where(advances, dt, 0.0)
         return self.reported(state, new_state, info._replace(result=result), *ran)
 
