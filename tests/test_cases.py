@@ -89,7 +89,7 @@ def test_the_newest_row_of_a_case_counts(tmp_path):
         table = CaseTable(tmp_path / str(others))
         for age, value in ((100, "old"), (0, "new")):
             table.write({"case": {"value": value}} | {f"{value}{k}": {} for k in range(others)})
-            for part in table.folder.glob("*.json"):
+            for part in table.folder.glob("*.rows"):
                 if age:
                     os.utime(part, (time.time() - age, time.time() - age))
         assert table.rows()["case"] == {"value": "new"}

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from covariant._errors import InputError
-from covariant._files import write_atomically
+from covariant._files import read_sealed, write_sealed
 from covariant._optional import load_optional
 
 optional = functools.partial(load_optional, use="many cases need", extra="scale")
@@ -161,19 +161,22 @@ def content_hash(value: Any) -> str:
 
 
 class CaseTable(NamedTuple):
-    """Rows of finished cases in a folder, each under the hash of its case; a file of them has some, or is not there."""
+    """Rows of finished cases in a folder, each under the hash of its case.
+
+    A file of them is sealed: one that was cut, emptied or edited counts as absent, and its cases are computed again.
+    """
 
     folder: Path
+    suffix: str = ".rows"
 
     def rows(self) -> dict[str, dict[str, Any]]:
         """Rows of all finished cases, by the hash of the case."""
         # The newest last, as a case may have been computed again.
-        files = sorted(self.folder.glob("*.json"), key=lambda part: part.stat().st_mtime_ns)
-        parts = (json.loads(part.read_bytes()) for part in files)
+        files = sorted(self.folder.glob(f"*{self.suffix}"), key=lambda part: part.lstat().st_mtime_ns)
+        parts = (json.loads(read_sealed(part) or b"{}") for part in files)
         return {case: row for part in parts for case, row in part.items()}
 
     def write(self, rows: Mapping[str, Mapping[str, Any]]) -> None:
         """Write rows, all or none."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(rows).encode()
-        write_atomically(self.folder / f"{content_hash(list(rows))[:32]}.json", lambda file: file.write(text))
+        write_sealed(self.folder / f"{content_hash(list(rows))[:32]}{self.suffix}", json.dumps(rows).encode())

@@ -83,7 +83,7 @@ def write_sealed(path: Path, content: bytes) -> None:
 def read_sealed(path: Path) -> bytes | None:
     """Read a file that `write_sealed` wrote under this name; None if there is none, or it was changed."""
     try:
-        sealed = path.read_bytes()
+        sealed = path.read_bytes() if path.is_file() else b""  # a pipe may never end
     except OSError:
         return None
     seal, content = sealed[:SEAL], sealed[SEAL:]

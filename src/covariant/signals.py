@@ -23,7 +23,7 @@ class StepCode(enum.IntEnum):
     """Outcome of a numerical step, stored in `info.result`; zero is good, and a larger code is worse.
 
     The codes stand in arrays, so that a compiled step never raises an error. `StepCode(int(code)).message` is the text
-    of one. Codes up to `TOO_LATE` are normal in operation; `NOT_FINITE` means that the estimate is lost.
+    of one. Codes up to `TOO_LATE` are normal in operation; `NOT_FINITE` means that the estimate was lost.
 
     Example:
         >>> from covariant import StepCode
@@ -74,7 +74,7 @@ _MESSAGES = {
     StepCode.NOT_CONVERGED: "the geodesic to the measurement was not found: allow more Newton iterations or steps",
     StepCode.CONJUGATE_POINT: "the geodesic found passes a conjugate point and is not the shortest one",
     StepCode.STEP_REFUSED: "the step in time is negative or not finite: the state was left as it was; mend the stamps",
-    StepCode.NOT_FINITE: "the state is not finite: lower the gains or the step",
+    StepCode.NOT_FINITE: "the state left the finite numbers: the estimate starts anew; mend inputs, gains or steps",
 }
 
 

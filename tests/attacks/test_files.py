@@ -15,11 +15,12 @@ from forging import MISSING, forged, mended, put, together
 from jax.experimental.compilation_cache import compilation_cache
 
 from covariant import models
+from covariant._door import CERTIFICATE
 from covariant.certificates import ContractionCertificate, check, parse
 from covariant.certificates.checking._check import follows
 from covariant.cli import main
 from covariant.models.files import _systems
-from covariant.proofs._file import MOST_BYTES, MOST_VALUES
+from covariant.proofs._file import MOST_VALUES
 
 SHIPPED = Path(__file__).parents[2] / "examples/certificates"
 BEAM = (SHIPPED / "ball_and_beam.json").read_text(encoding="utf-8")
@@ -233,11 +234,11 @@ def test_numbers_without_bounds_are_refused_by_their_key(digits, tmp_path):
 
 
 def test_what_is_no_file_is_refused(tmp_path):
-    both(tmp_path / "nowhere.json", "does not exist; give the path")
+    both(tmp_path / "nowhere.json", "No such file or directory; give the path of a saved certificate")
     (tmp_path / "folder.json").mkdir()
-    both(tmp_path / "folder.json", "is no file; give the path")
+    both(tmp_path / "folder.json", "is a folder; give the path")
     os.mkfifo(tmp_path / "pipe.json")
-    both(tmp_path / "pipe.json", "is no file; give the path")
+    both(tmp_path / "pipe.json", "is no file; write what it delivers")
     (tmp_path / "loop.json").symlink_to(tmp_path / "loop.json")
     both(tmp_path / "loop.json", "loop.json")
     both(tmp_path / ("long" * 100 + ".json"), "long")
@@ -251,14 +252,14 @@ def test_a_file_that_may_not_be_read_is_refused(tmp_path, monkeypatch):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "open", forbidden)
-    refused(lambda: check(path), path, "cannot be read: Permission denied; give the path")
-    refused(lambda: ContractionCertificate.load(path), path, "cannot be read: Permission denied; give the path")
+    refused(lambda: check(path), path, "Permission denied; give the path")
+    refused(lambda: ContractionCertificate.load(path), path, "Permission denied; give the path")
 
 
 def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
     path = tmp_path / "large.json"
     with path.open("wb") as file:
-        file.truncate(MOST_BYTES + 1)
+        file.truncate(CERTIFICATE.most_bytes + 1)
     both(path, "larger than a certificate may be, 64 MiB")
 
 

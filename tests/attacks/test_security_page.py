@@ -57,10 +57,12 @@ def test_files_and_tests_that_the_page_names_exist():
 
 
 def test_the_library_unpickles_only_what_its_own_cluster_sends():
-    """No other reader of pickles, no lookup of entry points, and no network in the source."""
+    """No other reader of pickles, no other lookup of entry points, and no network in the source."""
     readers = r"pickle\.loads?\(|allow_pickle|entry_points\(|\burllib\b|(import|from) socket\b|\bsocket\.|np\.load\("
     for path in (ROOT / "src" / "covariant").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
+        if path.name == "_source.py":  # for the models that installed packages declare
+            text = text.replace("entry_points(group=ENTRY_POINTS)", "", 1)
         if path.name == "_cases.py":  # it sends functions to processes, which it starts, and to a cluster
             text = text.replace("pickle.loads(pickled)", "", 1)
         assert not re.search(readers, text), path

@@ -163,10 +163,12 @@ def test_gains_that_blow_up_are_reported_and_raise_nothing(with_gains, pendulum,
     x = pendulum.truth(regular, X0)
     unstable = eqx.tree_at(lambda o: o.alpha, with_gains, jnp.array(-1e4))
     followed = follow(unstable, regular, x[:, :1])
-    result = codes(followed.info)
-    assert result[-1] == StepCode.NOT_FINITE
-    lost = ~(np.abs(followed.x[:, :1]) < 1 / np.finfo(float).eps).all(1) | ~np.isfinite(followed.x).all(1)
-    np.testing.assert_array_equal(result == StepCode.NOT_FINITE, lost)
+    lost = codes(followed.info) == StepCode.NOT_FINITE
+    assert 2 < lost.sum() < len(lost) / 2
+    # Each time it starts anew, at rest at the reading.
+    np.testing.assert_array_equal(followed.x[lost, 0], x[1:][lost, 0])
+    np.testing.assert_array_equal(followed.x[lost, 1], 0.0)
+    assert np.isfinite(followed.x).all()
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(1e6, 1e12), (1e200, 1e200), (1.0, 1e300)])

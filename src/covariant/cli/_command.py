@@ -13,7 +13,7 @@ from covariant.cli._console import progress_bar, show
 from covariant.cli._options import COLUMNS, FLAG, TEXT, Kind, Option, flags_of, in_options, of_verb
 from covariant.cli._signature import signature
 from covariant.cli._terminal import say
-from covariant.workflow import check_output
+from covariant.workflow import check_output, columns_of
 
 OVER_LOGS = (
     Option("workers", Kind(int), "Of many logs: processes, as many as processors by default.", None, ("--workers",)),
@@ -39,7 +39,8 @@ class Command:
         run: What calls the verb and shows the result; gets an `Invocation` and the values of `own`.
         exit_code: The exit code of a result; a result that is false there gives 0.
         note: What the help says beside the first paragraph of the verb's docstring.
-        again: Whether the result itself tells if a file that exists is of an earlier run, and replaces that unasked.
+        again: Whether a table with these columns may be of an earlier run, which is replaced unasked; the result itself
+            compares its columns in the end. By default none is.
         over_logs: Whether it goes over many logs, each by itself, where `--out` is a folder.
     """
 
@@ -53,7 +54,7 @@ class Command:
     run: Callable[..., Any] = lambda call, **places: call.show(call(), **places)
     exit_code: Callable[[Any], int] = lambda result: 0
     note: str = ""
-    again: bool = False
+    again: Callable[[list[str]], bool] = lambda columns: False
     over_logs: bool = False
 
     @property
@@ -78,7 +79,7 @@ class Command:
                 if self.verb != "fit":
                     read["log"] = read["log"][0]
             for option in self.own:
-                overwrite = self.again or option.name != "out" or own.get("overwrite", True)
+                overwrite = option.name != "out" or own.get("overwrite", True) or self._is_of_earlier_run(own, read)
                 if option.suffixes:
                     check_output(own[option.name], *option.suffixes, log=read.get("log"), overwrite=overwrite)
             given = {name: value for name, value in read.items() if value is not None}
@@ -90,6 +91,13 @@ class Command:
         except InputError as error:
             error.args = (in_options(str(error), flags),)
             raise
+
+    def _is_of_earlier_run(self, own: dict[str, Any], read: dict[str, Any]) -> bool:
+        """Whether the file to write may be of an earlier run: a table, and not one as the log is."""
+        columns = None if own["out"] is None else columns_of(own["out"])
+        log = read.get("log")
+        is_log = isinstance(log, Path) and columns_of(log) == columns
+        return columns is not None and self.again(columns) and not is_log
 
     def _is_folder(self, out: Path | None, logs: list[Path]) -> bool:
         """Whether each log is computed by itself."""

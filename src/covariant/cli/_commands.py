@@ -73,6 +73,11 @@ def _certify(
     return call.show(result, None if result.wrong else out, report, figure=figure)
 
 
+def _is_estimate(columns: list[str]) -> bool:
+    """Whether a table may be one of estimates, whose first column is the time."""
+    return columns[:1] == ["t"]
+
+
 def _to_store(call: Invocation, **places: Any) -> Any:
     check_output(call.values["store"], ".zarr", store=True)
     return call.show(call(), **places)
@@ -172,7 +177,8 @@ COMMANDS = (
         "docs/your-log.md",
         own=(ESTIMATE, REPORT, RERUN, OVERWRITE),
         changes=LISTED | {"log": EACH},
-        again=True,
+        run=_estimate,
+        again=_is_estimate,
         over_logs=True,
     ),
     Command(
@@ -182,7 +188,7 @@ COMMANDS = (
         "docs/smoothing.md",
         own=(ESTIMATE, REPORT, RERUN, OVERWRITE),
         changes={"log": EACH},
-        again=True,
+        again=_is_estimate,
         over_logs=True,
     ),
     Command(
@@ -200,7 +206,7 @@ COMMANDS = (
         "docs/robots.md",
         own=(_output("Log to write", *WRITTEN, needed=True), OVERWRITE),
         note="The log has the true state beside the measurements.",
-        again=True,
+        again=lambda columns: any(name.startswith("true_") for name in columns),
     ),
     Command(
         "design_excitation",

@@ -18,6 +18,6 @@ from ._ros_package import ros_files as ros_files
 from ._source import Source as Source, write_source as write_source
 from ._vectors import ROWS as ROWS, Vectors as Vectors, vectors as vectors
 from ._wasm import check_wasm_compiler as check_wasm_compiler, wasm_files as wasm_files
-from ._write import export_texts as export_texts, write_folder as write_folder
+from ._write import check_export as check_export, export_texts as export_texts, write_folder as write_folder
 
 __all__ = ["Program", "closed_loop", "fmu", "program", "write_fmu", "write_source"]

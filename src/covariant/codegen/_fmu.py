@@ -18,11 +18,11 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from covariant._compile import NO_COMPILER, built, compiler_command
-from covariant._errors import InputError
 from covariant._files import write_atomically, zipped
 from covariant._templates import Words, fill, template
 from covariant.codegen._program import Program
 from covariant.codegen._source import common_words, entries, write_source
+from covariant.codegen._write import check_export
 from covariant.lowering import c_number
 from covariant.signals import StepCode
 
@@ -187,10 +187,7 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
         >>> zipfile.ZipFile("speed.fmu").namelist()
         ['modelDescription.xml']
     """
-    if path.is_dir() or (path.exists() and not overwrite):
-        raise InputError(f"{path}: there is one already; name a new one, or replace a file by `overwrite=True`")
-    if not path.resolve().parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.resolve().parent}; make it first")
+    check_export(path, overwrite)
     write_atomically(path, lambda file: file.write(zipped(unit.files)))
 
 

@@ -92,6 +92,32 @@ _ROS = """| `ros2/PACKAGE` | ROS 2, a node in Python: `colcon build`, `ros2 laun
 """Rows of the README on files that are written on demand."""
 
 
+def check_export(path: Path, overwrite: bool = False) -> None:
+    """Check that a folder, or a unit where the path ends in .fmu, may be written, before anything is computed.
+
+    Args:
+        path: The folder, or the file of the unit.
+        overwrite: Whether files that exist may be replaced.
+
+    Raises:
+        ValueError: As for `write_folder` and `write_fmu`.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from covariant.codegen import check_export
+        >>> check_export(Path("new"))
+    """
+    unit = path.suffix == ".fmu"
+    if unit and (path.is_dir() or (path.exists() and not overwrite)):
+        raise InputError(f"{path}: there is one already; name a new one, or replace a file by `overwrite=True`")
+    if path.exists() and not (unit or path.is_dir()):
+        raise InputError(f"{path}: this is a file; name a folder")
+    if path.is_dir() and any(path.iterdir()) and not overwrite:
+        raise InputError(f"{path}: the folder is not empty; name a new one, or replace its files by `overwrite=True`")
+    if not path.resolve().parent.is_dir():
+        raise InputError(f"{path}: there is no folder {path.resolve().parent}; make it first")
+
+
 def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool = False) -> list[Path]:
     """Write files into a folder. A new folder appears with all of its files or not at all.
 
@@ -117,12 +143,7 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
         Traceback (most recent call last):
         covariant._errors.InputError: exported: the folder is not empty; name a new one, or ...
     """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: this is a file; name a folder")
-    if folder.exists() and any(folder.iterdir()) and not overwrite:
-        raise InputError(f"{folder}: the folder is not empty; name a new one, or replace its files by `overwrite=True`")
-    if not folder.resolve().parent.is_dir():
-        raise InputError(f"{folder}: there is no folder {folder.resolve().parent}; make it first")
+    check_export(folder, overwrite)
     contents = {path: file.encode() if isinstance(file, str) else file for path, file in files.items()}
     if folder.exists():
         for path in contents:

@@ -181,9 +181,7 @@ class Stream:
             return self._give(t, self._out_of_turn(t, dt))
         self._t, self._back = t, 0
         code = self._advance(dt)
-        if code == NOT_FINITE:
-            self._started = False
-            self._counts["restarts"] += 1
+        self._counts["restarts"] += code == NOT_FINITE
         self._results[code] += 1
         self._last = code
         x = self._copy() if self._shape is None else self._motion()

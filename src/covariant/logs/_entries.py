@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from covariant._door import STORE, bounded, read_bytes
 from covariant.logs._columns import pyarrow
 from covariant.logs._tables import LogSource
 
@@ -69,8 +70,8 @@ def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:
     """What a data set calls the entries of its columns, by `observation.state[0]`; empty where it does not say."""
     for place in _INFO:
         # A file beside the log that is something else, or broken, is no fault of the log.
-        with contextlib.suppress(OSError, ValueError, AttributeError, KeyError, TypeError):
-            features = json.loads((path.parent / place).read_text(encoding="utf-8"))["features"]
+        with contextlib.suppress(ValueError, AttributeError, KeyError, TypeError), bounded(place):
+            features = json.loads(read_bytes(path.parent / place, STORE))["features"]
             return {
                 f"{name}[{k}]": text
                 for name, length in lengths.items()

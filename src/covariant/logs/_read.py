@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._door import bounded
+from covariant._errors import InputError
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
-from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, kind, pyarrow
+from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, check_log, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._entries import by_entries
 from covariant.logs._episodes import episodes_fault
@@ -419,9 +421,10 @@ def _columns_and_table(
 def _legible(name: str, log: Any) -> Iterator[None]:
     pa = pyarrow()
     try:
-        yield
-    except LogError:
-        raise
+        with bounded(name):
+            yield
+    except InputError as error:
+        raise LogError(str(error)) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         what = "a table"
         if isinstance(log, (str, PathLike)):
@@ -439,9 +442,7 @@ def _open_source(name: str, log: Any) -> LogSource:
     ending = kind(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    # A pipe that nobody writes to, or a device, would be read for ever.
-    if not (path.is_file() or path.is_dir()):
-        raise LogError(f"{path}: is no file; write what it delivers to one, and give its path")
+    check_log(path)
     if ending == "bag":
         names = bag_columns(path)
         shown = [name for name, shortest in names.items() if shortest]
@@ -449,6 +450,7 @@ def _open_source(name: str, log: Any) -> LogSource:
     if ending == ".parquet":
         with pyarrow().parquet.ParquetFile(path) as file:
             schema = file.schema_arrow
+            check_log(path, file.metadata.num_rows)
         names, types = list(schema.names), pyarrow().types
         lists = [
             field.name

@@ -6,11 +6,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from covariant._door import MOST_COLUMNS, TEXT_LOG, read_bytes
 from covariant._numbers import DECIMAL, NUMBER
 from covariant.logs._columns import LogError
 
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "strokes", " ": "spaces"}
 """Delimiters of cells, the least ambiguous first, and their names; any number of spaces is one."""
+LONGEST_LINE = 2**20
+"""Longest line [bytes] of header and sample."""
 SAMPLE = 30
 """Number of rows by which the delimiter is chosen."""
 _NOTHING = re.compile(rb"^[ \t]*(?:[#%][^\n]*)?(?:\n|\Z)", re.MULTILINE)
@@ -41,15 +44,19 @@ class Sheet(NamedTuple):
 
 def sheet(path: Path) -> Sheet:
     """Read a text file, and detect its delimiter and header."""
-    text = _unix(path.read_bytes())
+    text = _unix(read_bytes(path, TEXT_LOG))
     remark = _remark(text)
     text = _NOTHING.sub(b"", text)
     first, _, rows = text.partition(b"\n")
     if not first.strip(b" \t"):
         raise LogError(f"{path}: the file is empty; its first line must name the columns")
+    if max(map(len, (first, *rows.split(b"\n", SAMPLE)[:SAMPLE]))) > LONGEST_LINE:
+        raise LogError(f"{path}: a line is longer than {LONGEST_LINE >> 20} MiB; put each row on its own line")
     lines = [first.decode(), *(line.decode() for line in rows.split(b"\n", SAMPLE)[:SAMPLE] if line)]
     delimiter = next((d for d in DELIMITERS if _agrees(_split_cells(path, lines, d))), None) or _of_header(lines[0])
     header, *sample = _split_cells(path, lines, delimiter)
+    if len(header) > MOST_COLUMNS:
+        raise LogError(f"{path}: it has {len(header)} columns, more than {MOST_COLUMNS}; keep those of the machine")
     first_line = ""
     if remark and all(is_number(cell) for cell in header if cell):  # as numpy.savetxt writes its header
         names = _split_cells(path, [remark.replace(",", " ") if delimiter == " " else remark], delimiter)[0]

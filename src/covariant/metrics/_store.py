@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from covariant._cases import content_hash, optional
+from covariant._door import STORE, bounded, check_file
 from covariant._errors import InputError
 from covariant._files import attended, sweep, temporary
 from covariant.metrics._grid import Blocks, Grid
@@ -81,8 +82,10 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     flagged = math.prod(counts) if attributes["complete"] else len(_chunks(path / DONE, len(counts)))
     missing = math.prod(counts) - len(written(path, len(counts)))
     if missing > math.prod(counts) - flagged or (complete and not attributes["complete"]):
+        empty = next((chunk for chunk in path.glob("*/c/**/*") if chunk.is_file() and not chunk.stat().st_size), None)
         raise InputError(
-            f"{path} is not complete: {missing} of {math.prod(counts)} blocks are missing; run its map_grid again"
+            f"{path} is not complete: {missing} of {math.prod(counts)} blocks are missing"
+            f"{'' if empty is None else f', {empty} is empty'}; run its map_grid again"
         )
     dataset = optional("xarray").open_zarr(path, consolidated=False, chunks="auto", decode_cf=False)
     done, dataset = dataset[DONE], dataset[list(attributes["variables"])]
@@ -165,8 +168,9 @@ def _chunks(array: Path, n: int) -> set[tuple[int, ...]]:
     """List the indices of the existing chunks of an array of n axes."""
     # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
     chunks = (array / "c").glob("/".join("*" * n))
-    # A name that is no number is a file that a writer has not moved to its place yet.
-    return {tuple(map(int, chunk.parts[-n:])) for chunk in chunks if chunk.name.isdecimal()}
+    # A name that is no number is a file that a writer has not moved to its place yet; an empty one was damaged.
+    whole = (chunk for chunk in chunks if chunk.name.isdecimal() and chunk.stat().st_size)
+    return {tuple(map(int, chunk.parts[-n:])) for chunk in whole}
 
 
 def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]) -> None:
@@ -218,7 +222,9 @@ def _fill(store: Any, settings: dict[str, Any], blocks: Blocks) -> None:
 
 def _attributes(path: Path) -> dict[str, Any]:
     attributes: dict[str, Any] = {}
-    with contextlib.suppress(OSError, ValueError):
+    with contextlib.suppress(OSError, ValueError), bounded(path):
+        for part in (path / "zarr.json", *path.glob("*/zarr.json")):
+            check_file(part, STORE)
         attributes = optional("zarr").open_group(str(path), mode="r").attrs.asdict()
     if attributes.get("format") != FORMAT:
         raise InputError(f"{path} is not a map made by map_grid; give another path")

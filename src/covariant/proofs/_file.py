@@ -14,10 +14,11 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from covariant._door import CERTIFICATE, read_bytes
 from covariant._errors import InputError, file_name
 
-MOST_BYTES, MOST_VALUES, DEEPEST = 64 * 2**20, 2_000_000, 8
-"""Largest size of a file [bytes], number of values in it, and depth of nesting, all checked before it is parsed."""
+MOST_VALUES, DEEPEST = 2_000_000, 8
+"""Largest number of values in a file, and depth of nesting, checked before it is parsed."""
 CHUNK = 2**20
 """Number of bytes that are examined at once."""
 LARGEST = 1e150
@@ -44,20 +45,7 @@ def read_file(path: str | Path) -> bytes:
         >>> read_file("claims.json")
         b'[1, 2]'
     """
-    file = file_name(path)
-    try:
-        if not Path(path).is_file():  # a pipe or a device may never end
-            missing = "is no file" if Path(path).exists() else "does not exist"
-            raise InputError(f"{file} {missing}; give the path of a saved certificate")
-        with Path(path).open("rb") as opened:
-            # One byte more than allowed shows that a file is too large, without reading all of it.
-            content = opened.read(MOST_BYTES + 1)
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise InputError(f"{file} cannot be read: {reason}; give the path of a saved certificate") from error
-    if len(content) > MOST_BYTES:
-        raise InputError(f"{file} is larger than a certificate may be, {MOST_BYTES >> 20} MiB; {REMEDY}")
-    return content
+    return read_bytes(path, CERTIFICATE)
 
 
 def parse_file(path: str | Path, content: bytes) -> "Field":

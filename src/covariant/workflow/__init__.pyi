@@ -18,7 +18,7 @@ from ._inputs import MisfitError as MisfitError
 from ._metric import MetricResult as MetricResult, design_metric as design_metric
 from ._model_output import check_model_output as check_model_output
 from ._outcome import Pushes as Pushes
-from ._outputs import FIGURES as FIGURES, TABLES as TABLES, check_output as check_output
+from ._outputs import FIGURES as FIGURES, TABLES as TABLES, check_output as check_output, columns_of as columns_of
 from ._over_logs import LogsResult as LogsResult, over_logs as over_logs
 from ._progress import Progress as Progress
 from ._reduced_order import ReducedOrderResult as ReducedOrderResult, design_reduced_order as design_reduced_order

@@ -3,7 +3,6 @@
 import json
 import re
 import shlex
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from covariant import logs, models
+from covariant._door import parse_toml
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
 from covariant.observers import on_legs
@@ -108,7 +108,7 @@ def _settings(line: str) -> dict[str, Any]:
     for part in line.split("; "):
         match = _SETTING.match(part)
         if match is not None:
-            settings[f"{match[1]}.{match[2]}"] = tomllib.loads(f"x = {match[3]}")["x"]
+            settings[f"{match[1]}.{match[2]}"] = parse_toml(f"x = {match[3]}")["x"]
     return settings
 
 

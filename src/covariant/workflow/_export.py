@@ -15,6 +15,7 @@ from covariant._errors import InputError
 from covariant.codegen import (
     Facts,
     Program,
+    check_export,
     check_export_name,
     check_wasm_compiler,
     export_name,
@@ -138,6 +139,7 @@ def export(
         return write_robot(export, arguments)
     unit = out.suffix == ".fmu"
     above_zero("rate", rate)
+    check_export(out, overwrite)
     gains = gain_pair(alpha, beta)
     _check(unit, real, fmi, step_per_sensor, python, wasm, ros2)
     if name is not None:  # before the work

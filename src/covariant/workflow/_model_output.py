@@ -9,12 +9,12 @@ import modulefinder
 import os
 import re
 import sys
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from covariant._door import MESH, MODEL, ROBOT, parse_toml, read_bytes, read_toml
 from covariant._errors import InputError
 from covariant._files import utf8
 from covariant.models.robots import ROBOTS
@@ -80,9 +80,10 @@ def _robot_file(spec: str) -> Path | None:
     if not spec.endswith(".toml"):
         return Path(spec)
     try:
-        stated = tomllib.loads(Path(spec).read_text(encoding="utf-8")).get("parameters", {}).get("path")
-    except (OSError, ValueError):
+        parameters = read_toml(spec, MODEL).get("parameters")
+    except InputError:
         return None
+    stated = parameters.get("path") if isinstance(parameters, dict) else None
     return Path(spec).parent / stated if isinstance(stated, str) else None
 
 
@@ -101,7 +102,7 @@ def read_sources(model: Any) -> dict[Path, bytes]:
         return {}
     spec = os.fspath(model)
     paths = (Path(spec) if spec.endswith(".toml") else None, _robot_file(spec))
-    return {path: path.read_bytes() for path in paths if path is not None and path.is_file()}
+    return {path: read_bytes(path, ROBOT) for path in paths if path is not None and path.is_file()}
 
 
 def model_hash(model: Any) -> list[str]:
@@ -113,7 +114,7 @@ def model_hash(model: Any) -> list[str]:
             contents |= _named_files(path, content)
         if path.suffix == ".toml":
             with contextlib.suppress(ValueError):  # which others say
-                spec, folder = str(tomllib.loads(content.decode()).get("system", "")), path.parent
+                spec, folder = str(parse_toml(content.decode()).get("system", "")), path.parent
     return [hashlib.sha256(content).hexdigest() for content in contents.values()] + code_hash(spec, folder)
 
 
@@ -124,7 +125,7 @@ def _named_files(path: Path, content: bytes, seen: frozenset[Path] = frozenset()
     for name, folder in itertools.product(re.findall(r'\bfile\s*=\s*"([^"]*)"', text), folders):
         part = path.parent / folder / name
         if part.is_file() and part not in seen:
-            found[part] = part.read_bytes()
+            found[part] = read_bytes(part, MESH)
             if part.suffix == ".xml":
                 found |= _named_files(part, found[part], seen | {part})
     return found
@@ -211,7 +212,7 @@ def model_text(model: str | os.PathLike[str], sources: Mapping[Path, bytes] = Ma
     if not spec.endswith(".toml"):
         return f'system = "{spec}"\n'
     content = sources.get(Path(spec))
-    with io.BytesIO(Path(spec).read_bytes() if content is None else content) as file:
+    with io.BytesIO(read_bytes(spec, MODEL) if content is None else content) as file:
         return io.TextIOWrapper(file, encoding="utf-8").read()  # as `read_text`, with the line ends of Windows
 
 

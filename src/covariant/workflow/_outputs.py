@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from covariant._door import BINARY_LOG, check_file
 from covariant._errors import InputError
 from covariant._files import utf8, write_atomically
 from covariant._optional import load_optional
@@ -49,6 +50,8 @@ def check_output(
         raise InputError(f"{path}: the file to write must end in {' or '.join(suffixes)}")
     if path.is_dir() and not store:
         raise InputError(f"{path}: there is a folder of this name, and it is not replaced; give another name")
+    if store and path.exists() and not (path / "zarr.json").is_file():
+        raise InputError(f"{path}: this is no store to go on with, and it is not replaced; give another name")
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; make it first")
     # `samefile` and not equality: a link or another spelling of the path is the log too.
@@ -59,21 +62,38 @@ def check_output(
 
 
 def has_columns(path: Path, names: Iterable[str]) -> bool:
-    """Whether a file is a table of exactly these columns, as an earlier run of the same command wrote it.
+    """Whether a file is a table of exactly these columns, as an earlier run of the same command wrote it."""
+    return (columns := columns_of(path)) is not None and columns == list(names)
 
-    Messages of ROS are never taken for one, since those of a robot have the same names.
+
+def columns_of(path: Path) -> list[str] | None:
+    """Names of the columns of a table, read without its rows.
+
+    Messages of ROS are never taken for a table, since those of a robot have the same names.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The names in order; None where the file is no table, or cannot be read.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from covariant import workflow
+        >>> _ = Path("table.csv").write_text("t,v1\\n0,1\\n")
+        >>> workflow.columns_of(Path("table.csv"))
+        ['t', 'v1']
     """
     try:
+        check_file(path, BINARY_LOG)  # a pipe may never end
         if path.suffix == ".parquet":
-            return load_optional("pyarrow.parquet", use="reading Parquet needs", extra="logs").read_schema(
-                path
-            ).names == list(names)
+            return load_optional("pyarrow.parquet", use="reading Parquet needs", extra="logs").read_schema(path).names
         if path.suffix in (".csv", ".txt", ".tsv"):
             with path.open(encoding="utf-8", newline="") as file:
-                return next(csv.reader(file, delimiter="\t" if path.suffix == ".tsv" else ","), []) == list(names)
+                return next(csv.reader(file, delimiter="\t" if path.suffix == ".tsv" else ","), [])
     except (OSError, ValueError, csv.Error):
         pass
-    return False
+    return None
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> Path:

@@ -5,7 +5,6 @@ import itertools
 import json
 import math
 import operator
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from covariant._door import STUDY, read_toml
 from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.metrics import Grid
@@ -192,11 +192,7 @@ class Study(NamedTuple):
 
 def read_study(path: Path) -> Study:
     """Read the file of a study."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from error
-    return parse_study(content, str(path), path.parent)
+    return parse_study(read_toml(path, STUDY), str(path), path.parent)
 
 
 def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = Path()) -> Study:

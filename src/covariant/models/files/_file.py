@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from covariant._door import MODEL, parse_toml, read_text
 from covariant._errors import InputError
 from covariant.models.files import _source, _toml
 from covariant.models.files._check import check_metric
@@ -210,7 +211,7 @@ def _document(spec: str) -> dict[str, Any]:
     if spec.endswith(ROBOT_FILES) or spec in ROBOTS:
         return {"system": "robot", "parameters": {"path": spec}}
     if is_file(spec):
-        return _relative_to_file(Path(spec), _toml.parse(text(Path(spec))))
+        return _relative_to_file(Path(spec), parse_toml(text(Path(spec))))
     if ":" in spec:
         return {}
     if spec not in SYSTEMS:
@@ -234,10 +235,7 @@ def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
 
 def text(path: Path) -> str:
     """Read a model file in UTF-8."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{error.strerror or error}; give the path of a model file") from error
+    return read_text(path, MODEL)
 
 
 def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:

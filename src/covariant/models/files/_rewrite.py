@@ -4,6 +4,7 @@ import json
 import re
 from typing import Any
 
+from covariant._door import parse_toml
 from covariant._errors import InputError
 from covariant.models.files import _toml
 
@@ -36,7 +37,7 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
         [design]
         damping = 0.5  # of the error
     """
-    before = _toml.parse(text)
+    before = parse_toml(text)
     stated = _tables(before, text)
     for table, values in _tables(content, text).items():
         old = stated.get(table, {})
@@ -46,8 +47,8 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
             if key not in old or old[key] != value:
                 text = _replace_value(text, table, key, value, old.get(key))
     try:
-        after = _toml.parse(text)
-    except ValueError:  # a table written as parameters.mass = 1 has become two
+        after = parse_toml(text)
+    except InputError:  # a table written as parameters.mass = 1 has become two
         after = before
     wrong = next((table for table in content if after.get(table) != content[table]), None)
     if wrong is not None:
@@ -103,8 +104,8 @@ def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None)
 def _is_value(text: str) -> bool:
     """Whether a text is a value of TOML, and not the words of a remark."""
     try:
-        return bool(_toml.parse(f"key = {text}"))
-    except ValueError:
+        return bool(parse_toml(f"key = {text}"))
+    except InputError:
         return False
 
 

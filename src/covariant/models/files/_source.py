@@ -8,6 +8,8 @@ import os
 import reprlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from importlib.machinery import PathFinder
+from importlib.metadata import entry_points
 from inspect import Parameter as Argument
 from pathlib import Path
 from types import UnionType
@@ -16,6 +18,7 @@ from typing import Any, Union, get_args, get_origin
 import jax
 import numpy as np
 
+from covariant._door import MOST_COORDINATES
 from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant._typing import Number
@@ -57,8 +60,19 @@ def _function(name: str) -> Callable[..., Model]:
 
 
 def attribute(spec: str, folder: Path | None = None) -> Any:
-    """Import the object that `module:attribute` names, from a folder (by default the current one) or from anywhere."""
+    """Import the object that `module:attribute` names.
+
+    A file that names it gives its `folder`: then it is a module in there, or one that a package declares by an entry
+    point. Otherwise somebody typed it, and it may be any module, also one in the current folder.
+    """
     where, _, name = spec.partition(":")
+    if folder is not None and not _lies_in(where, folder):
+        if not _declared(spec):
+            raise InputError(
+                f"module {where!r} is not in the folder of the file that names it, and no installed package declares "
+                f"it by an entry point of {ENTRY_POINTS!r}; put it there, under a name that no other module has"
+            )
+        folder = None
     beside = os.getcwd() if folder is None else str(folder.resolve())
     if ("" not in sys.path or folder is not None) and beside not in sys.path:
         sys.path.insert(0, beside)  # as `python -m` does; it stays, since the module may import others later
@@ -72,6 +86,27 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
     if name not in vars(module):
         refuse_unknown(f"attribute of module {where!r}", name, [key for key in vars(module) if key[0] != "_"])
     return vars(module)[name]
+
+
+ENTRY_POINTS = "covariant.models"
+"""Group of entry points by which an installed package declares models: `module:attribute`, or a module with all in it.
+"""
+
+
+def _declared(spec: str) -> bool:
+    """Whether an installed package declares a `module:attribute` as a model."""
+    return any(each.value in (spec, spec.partition(":")[0]) for each in entry_points(group=ENTRY_POINTS))
+
+
+def _lies_in(where: str, folder: Path) -> bool:
+    """Whether a module lies in a folder, and no other code would be imported in its place."""
+    top = where.partition(".")[0]
+    found = PathFinder.find_spec(top, [str(folder.resolve())]) if top.isidentifier() else None
+    # A folder without `__init__.py`, or a module of Python, would stand for installed code that is loaded already.
+    if found is None or found.origin is None or top in sys.stdlib_module_names:
+        return False
+    loaded = getattr(sys.modules.get(top), "__file__", None)
+    return loaded is None or not found.submodule_search_locations or Path(loaded).resolve() == Path(found.origin)
 
 
 _imported: dict[str, tuple[Path, int]] = {}
@@ -99,6 +134,9 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
     Numbers of arrays, such as those being fitted, and parameters that the function does not take are not converted.
     """
     declared, converted = inspect.signature(factory).parameters, dict(parameters)
+    for key, value in parameters.items():
+        if isinstance(value, list) and len(value) > MOST_COORDINATES:
+            raise InputError(f"parameter {key} of {name} lists {len(value)} numbers; {MOST_COORDINATES} are the most")
     for key in converted.keys() & declared.keys():
         kind = declared[key].annotation
         try:

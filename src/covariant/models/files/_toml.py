@@ -2,10 +2,11 @@
 
 import math
 import re
-import tomllib
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from covariant._door import parse_toml
 from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.logs import ATTITUDES, Columns, unit_factor
@@ -49,14 +50,6 @@ _PASSING_FORCE = {"external_force_std", "external_force_time"}
 """Keys of a force that is forgotten over time; both or none must be given."""
 
 
-def parse(text: str) -> dict[str, Any]:
-    """Parse a TOML document; the message of a `ValueError` names the line of the first mistake."""
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"not a TOML document: {error}") from error
-
-
 def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
     """Replace values of a document, which is changed and returned."""
     for text, key, value in _pairs(overrides):
@@ -98,9 +91,9 @@ def _value(text: str, value: str) -> Any:
         raise InputError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
     try:
         # The parser of the file, so that a value means the same in both places.
-        return tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError as error:
-        reason = str(error).split(" (at ")[0]
+        return parse_toml(f"value = {value}")["value"]
+    except InputError as error:
+        reason = str(error).removeprefix("not a TOML document: ").split(" (at ")[0]
         raise InputError(f"override {text!r}: the value is not TOML ({reason}); text needs quotes") from error
 
 
@@ -113,6 +106,19 @@ def check_layout(document: dict[str, Any]) -> None:
         if table in _OF_TABLE:
             for key in content:
                 refuse_unknown(f"key of [{table}]", key, _OF_TABLE[table])
+        else:  # the numbers of the others are checked against the ranges of their keys
+            _check_finite(table, content)
+
+
+def _check_finite(key: str, value: Any) -> None:
+    """Check that all numbers of a table are finite."""
+    for name, entry in value.items() if isinstance(value, dict) else ():
+        _check_finite(f"{key}.{name}", entry)
+    for k, entry in enumerate(value if isinstance(value, list) else ()):
+        _check_finite(f"{key}[{k}]", entry)
+    # An integer of TOML has as many digits as it likes.
+    if isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
+        raise InputError(f"{key} must be a finite number; got {value if isinstance(value, float) else 'a larger one'}")
 
 
 def columns(document: dict[str, Any]) -> dict[str, Any]:

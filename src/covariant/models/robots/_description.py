@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._door import MOST_COORDINATES, MOST_LINKS, check_count
 from covariant._errors import InputError
 from covariant.models._parameters import namespace
 
@@ -415,6 +416,9 @@ def limits_in_doubt(joint: Joint) -> list[str]:
 
 def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:
     """The root, and each joint after the one that carries it; raises `ValueError` where the links are no tree."""
+    moving = sum(joint.kind != "fixed" for joint in joints)
+    check_count(len(links), MOST_LINKS, "links")
+    check_count(moving, MOST_COORDINATES, "joints that move")
     carrier: dict[str, Joint] = {}
     for joint in joints:
         for end in (joint.parent, joint.child):

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from covariant._door import bounded
 from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
@@ -11,8 +12,9 @@ from covariant.models.robots._against_mujoco import refuse_difference
 from covariant.models.robots._assemble import assemble
 from covariant.models.robots._changes import changed
 from covariant.models.robots._description import Description, FrictionLaw, Joint
-from covariant.models.robots._library import ROBOTS, located
+from covariant.models.robots._library import located
 from covariant.models.robots._mjcf import read_mjcf
+from covariant.models.robots._mjcf_bounds import check_bounds
 from covariant.models.robots._urdf import read_urdf
 from covariant.models.robots._xml import parse
 
@@ -47,12 +49,9 @@ def _read(path: str | Path, motor_torques: bool) -> tuple[Description, Any]:
     """The description of a robot, and MuJoCo's model of it where the file is MJCF, else None."""
     try:
         return _read_file(located(path), motor_torques)
-    except OSError as error:
-        raise InputError(
-            f"{path}: {error.strerror or error}; give the path of a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
-        ) from error
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
+    except ValueError as error:  # of the door it names the file already
+        text = str(error)
+        raise InputError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from error
 
 
 def _read_file(path: Path, motor_torques: bool) -> tuple[Description, Any]:
@@ -62,7 +61,9 @@ def _read_file(path: Path, motor_torques: bool) -> tuple[Description, Any]:
             raise InputError(
                 "motor_torques is for URDF; an MJCF file's motors have their gear: leave motor_torques out"
             )
-        return read_mjcf(path)
+        check_bounds(path, outermost)
+        with bounded(path):
+            return read_mjcf(path)
     if outermost.tag != "robot":
         raise InputError(f"a robot's file begins with <robot> (URDF) or <mujoco> (MJCF); found <{outermost.tag}>")
     return read_urdf(outermost, path.stem, motor_torques), None

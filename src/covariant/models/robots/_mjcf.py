@@ -5,6 +5,7 @@ Entries that would change the motion and are not supported are refused by name; 
 are counted as ignored. `_against_mujoco` compares the forces of both afterwards, for the entries that this file misses.
 """
 
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -123,8 +124,13 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
 
 
 def _refuse(read: _Reader) -> None:
-    """Raise `ValueError` for the first entry that changes the motion and is not supported."""
+    """Raise `ValueError` for the first entry that changes the motion and is not supported, or is not finite."""
     model = read.model
+    for field in filter(re.compile("(body|jnt|dof|actuator|eq)_|qpos").match, dir(model)):
+        if not np.isfinite(np.asarray(getattr(model, field), float)).all():
+            raise InputError(f"a number of {field.replace('_', ' ', 1)} is not finite; write finite numbers")
+    if not np.isfinite(model.opt.gravity).all():
+        raise InputError("gravity is not finite; write finite numbers")
     if model.opt.density or model.opt.viscosity:
         raise InputError("<option> has a fluid (density, viscosity), which is not supported; set both to 0")
     if model.nflex:

@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from covariant._door import MOST_LINKS, check_count
 from covariant._errors import InputError
 from covariant.models.robots._description import (
     NO_INERTIA,
@@ -36,6 +37,8 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
     used, ignored, doubts = Counter(), Counter(), []
     links: dict[str, BodyInertia] = {}
     joints: list[Joint] = []
+    for tag in ("link", "joint"):
+        check_count(len(robot.findall(tag)), MOST_LINKS, f"{tag}s")
     for entry in robot:
         tag = name_of(entry)  # without a namespace: Drake has joints in one
         if tag == "transmission":

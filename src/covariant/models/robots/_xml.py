@@ -7,18 +7,20 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from covariant._door import MOST_ENTRIES, ROBOT, check_count, read_bytes
 from covariant._errors import InputError
 
 
 def parse(path: Path) -> Element:
     """Outermost tag of an XML file; raises `ValueError` where it declares document types or entities."""
-    data = path.read_bytes()
+    data = read_bytes(path, ROBOT)
     # UTF-16 has NUL bytes between letters, and would hide the words that are searched for below.
     if b"\0" in data:
         raise InputError("is not text in UTF-8; save it as such")
     # Entities can grow exponentially (billion laughs) or name files to read.
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise InputError("declares a document type or entities, which a robot description has no need of; remove them")
+    check_count(data.count(b"<") - data.count(b"</"), MOST_ENTRIES, "entries")
     try:
         return ElementTree.fromstring(data)
     except ElementTree.ParseError as error:

@@ -35,8 +35,9 @@ from jaxtyping import Array, Float, Inexact
 from covariant._domains import FINITE_ENTRIES, NOT_NEGATIVE, POSITIVE
 from covariant._errors import InputError
 from covariant._functional import Functional
-from covariant._typing import Code, Number, Scalar, Vector
+from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
+from covariant.observers.base._restart import all_finite, started
 from covariant.signals import Record, Run, StepCode, check_rounding, largest_measurement
 
 LastInput = Float[Array, "m"] | None
@@ -197,6 +198,8 @@ class AbstractObserver(Functional):
         - For dt = 0 the state is returned unchanged: `REPEATED`. A subnormal dt, which processors may take for zero, is
           zero.
         - For a dt that is negative or not finite the state is returned unchanged too: `STEP_REFUSED`.
+        - A state that is `lost`, as after an input of 1e200, is replaced by a new start at the measurement, if that is
+          complete, and otherwise by the state before, so that every state is finite: `NOT_FINITE`.
 
         A subclass leaves it as it is, unless it makes the step of another observer under another input.
 
@@ -218,13 +221,32 @@ class AbstractObserver(Functional):
         # A refused step is computed with dt = 0 and u = 0, so that an invalid number cannot reach `info.result` either.
         told = _with_missing_input(state, u)
         advanced, info = self.advance(told, jnp.where(advances, valid_u, 0.0), measured, jnp.where(advances, dt, 0.0))
-        new_state = jax.tree.map(
-            lambda new, old: jnp.where(advances, new, old), _with_last_input(advanced, state, valid_u), state
-        )
+        # Every branch is computed, so that the program has none.
+        lost = self.lost(advanced, info)
+        fresh = started(self.init, advanced, measured)
+        usable = all_finite(self.estimate(fresh))
+
+        def select(new: Array, start: Array, old: Array) -> Array:
+            return jnp.where(advances, jnp.where(lost, jnp.where(usable, start, old), new), old)
+
+        new_state = jax.tree.map(select, _with_last_input(advanced, state, valid_u), fresh, state)
         # A larger code is worse: see `StepCode`.
-        result = jnp.maximum(info.result, _input_fault(u, too_large, dt).astype(info.result.dtype))
+        fault = jnp.maximum(_input_fault(u, too_large, dt), lost * int(StepCode.NOT_FINITE))
+        result = jnp.maximum(info.result, fault.astype(info.result.dtype))
         ran = valid_u, measured, jnp.where(advances, dt, 0.0)
         return self.reported(state, new_state, info._replace(result=result), *ran)
+
+    def lost(self, state: Any, info: Any) -> Flag:
+        """Whether a state after `advance` has left the finite numbers, so that no later measurement corrects it.
+
+        Args:
+            state: State after the step.
+            info: The info of the step.
+
+        Returns:
+            True where the step has the result `NOT_FINITE`, or the estimate is not all finite.
+        """
+        return (info.result == int(StepCode.NOT_FINITE)) | ~all_finite(self.estimate(state))
 
     def reported(
         self, before: Any, after: Any, info: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar

@@ -151,6 +151,9 @@ class Recorder(AbstractWrapper):
         # A step of no length is the first row, or one that lengthens the last block: it is no step.
         return new, StepInfo(info, step._replace(restarted=step.restarted | (dt == 0)), info.result)
 
+    def lost(self, state: Any, info: StepInfo) -> Flag:
+        return self.observer.lost(state, info.info)
+
     def estimate(self, state: Any) -> Any:
         return state
 
