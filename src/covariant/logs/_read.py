@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
@@ -117,7 +118,7 @@ def read(
     for text in columns.units.get("t", ()):
         try:
             check_unit(text, "s")
-        except ValueError as error:
+        except InputError as error:
             raise LogError(f"{name}: units of t: {error}") from error
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
@@ -388,7 +389,7 @@ def _check_record(name: str, record: Record, columns: Columns, missing_inputs: b
         return record.check(start, missing_inputs=missing_inputs)
     except StampError as error:
         raise ClockError(f"{name}: {error}", record) from error
-    except ValueError as error:
+    except InputError as error:
         raise LogError(f"{name}: {error}") from error
 
 

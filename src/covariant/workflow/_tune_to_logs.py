@@ -82,9 +82,10 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
             "progress": report,
             "runs": runs,
             "window": _window(jobs[0], loaded[0]),
+            "names": [Path(job.log_name).name for job in jobs],
         }
         tuning = tune(loaded[0].model, records, velocities, **options)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     progress("done", 1.0)
     tables = _tables(file, tuning, loaded[0].rate)

@@ -135,7 +135,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
         with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find
             return _build(name, factory, parameters).model
     except Exception as error:  # parameters from a file may make a system fail in any way
-        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error
 
 
@@ -236,6 +236,8 @@ def text(path: Path) -> str:
     """Read a model file in UTF-8."""
     try:
         return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"is no text in UTF-8 ({error}); give the path of a model file") from error
     except OSError as error:
         raise InputError(f"{error.strerror or error}; give the path of a model file") from error
 

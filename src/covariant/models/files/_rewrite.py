@@ -47,7 +47,7 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
                 text = _replace_value(text, table, key, value, old.get(key))
     try:
         after = _toml.parse(text)
-    except ValueError:  # a table written as parameters.mass = 1 has become two
+    except InputError:  # a table written as parameters.mass = 1 has become two
         after = before
     wrong = next((table for table in content if after.get(table) != content[table]), None)
     if wrong is not None:
@@ -104,7 +104,7 @@ def _is_value(text: str) -> bool:
     """Whether a text is a value of TOML, and not the words of a remark."""
     try:
         return bool(_toml.parse(f"key = {text}"))
-    except ValueError:
+    except InputError:
         return False
 
 

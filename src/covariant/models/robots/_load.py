@@ -51,7 +51,7 @@ def _read(path: str | Path, motor_torques: bool) -> tuple[Description, Any]:
         raise InputError(
             f"{path}: {error.strerror or error}; give the path of a URDF or MJCF file, or one of {', '.join(ROBOTS)}"
         ) from error
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
@@ -158,7 +158,7 @@ def load(
     robot = described(path, actuated, dry_friction=dry_friction, motor_torques=motor_torques, **numbers)
     try:
         return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
@@ -176,7 +176,7 @@ def described(
         if engine is not None:
             refuse_difference(engine, robot, actuated)
         robot = changed(robot, **numbers)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return robot if dry_friction else robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))
 
