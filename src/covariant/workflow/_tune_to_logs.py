@@ -16,7 +16,7 @@ from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
-from covariant.workflow._model_output import check_read_once
+from covariant.workflow._model_output import advice, check_read_once
 from covariant.workflow._outcome import drive, rounded
 from covariant.workflow._pages import estimate_report
 from covariant.workflow._progress import Progress
@@ -214,7 +214,11 @@ def _details(
             "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
         },
         "notes": notes(tuning, units),
-        "warning": warning(tuning, np.atleast_1d(np.equal(delay, np.max(delay)))),
+        "warning": warning(
+            tuning,
+            np.atleast_1d(np.equal(delay, np.max(delay))),
+            advice(jobs[0].model, fit="run `covariant fit`") or "look for what it lacks by `covariant check`",
+        ),
     }
 
 
@@ -268,10 +272,9 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
+def warning(found: Tuning, as_logged: np.ndarray | bool = True, remedy: str = "run `covariant fit`") -> str | None:
     """Warn in one line of a model that is no better than none, or does not explain the innovations."""
     gains, kalman = found.after.relative
-    remedy = "run `covariant fit`"
     name, free = found.model_free or ("", np.inf)
     without = f"{name}, which knows none, has a velocity error of {_percent(free)}"
     if min(gains, kalman) >= free:
