@@ -8,6 +8,7 @@ import covariant
 from covariant import workflow
 from covariant.workflow import FitResult
 from covariant.workflow._inputs import Job, load
+from covariant.workflow._model_output import advice
 from covariant.workflow._placeholders import placeholder_sentence, placeholders
 
 T = np.arange(0.0, 4.0, 0.01)

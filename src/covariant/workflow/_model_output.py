@@ -221,9 +221,8 @@ def advice(model: Any, **by_verb: str) -> str:
     text = ""
     with contextlib.suppress(OSError):  # a result may be shown when its file is gone
         text = model_text(model) if str(model).endswith(".toml") else ""
-    return ", ".join(
-        sentence for verb, sentence in by_verb.items() if verb not in WRITTEN_BY or WRITTEN_BY[verb] not in text
-    )
+    done = {verb for verb, head in WRITTEN_BY.items() if head in text}
+    return ", ".join(sentence for verb, sentence in by_verb.items() if verb not in done)
 
 
 def urdf_beside(content: dict[str, Any], path: Path) -> Path | None:

@@ -59,8 +59,8 @@ def tuning_logs(
         )
         raise InputError(
             f"{'is' if len(logs) == 1 else 'are'} too short to tune on: of the first two thirds {least[0]} rows count, "
-            f"and {least[1]} of the rest, where {FEWEST_ROWS} of each are needed; the start of a log, in which an observer "
-            f"settles, never counts. {each}"
+            f"and {least[1]} of the rest, where {FEWEST_ROWS} of each are needed; the start of a log, in which an "
+            f"observer settles, never counts. {each}"
         )
     usable = [log for log, each in zip(logs, counts, strict=True) if each.all()]
     _refuse_rest(model, usable)
