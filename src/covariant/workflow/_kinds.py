@@ -349,7 +349,7 @@ class InStates(AbstractKind):
     def first_motion(self) -> tuple[str, list[float]]:
         # Off the middle of the box in which the model is valid, where it has one.
         box = self.model.box or ((0.0, 4 / 3),) * self.file.dimension
-        return "q0", [low + 0.75 * (high - low) for low, high in box]
+        return "q0", [float(low + 0.75 * (high - low)) for low, high in box]
 
     def truth(self, layout: logs.Columns, y: np.ndarray, x: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         return {}, dict(zip(self.model.coordinates, x.T, strict=True))

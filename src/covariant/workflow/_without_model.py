@@ -94,8 +94,10 @@ def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> Without
     judged = reference.scored & ~tuned_on & np.isfinite(reference.v).all(1) & np.isfinite(velocity).all(1)
     holes = loaded.holes
     judged &= True if holes is None else ~holes.concerned
+    if trial is None or judged.sum() < FEWEST:
+        return None
     size = np.sqrt(np.mean(reference.v[judged] ** 2, axis=0))
-    if trial is None or judged.sum() < FEWEST or not size.all():
+    if not size.all():
         return None
     sheet = log_sheet(loaded.file, loaded)
     names = [entry.name for entry in REGISTRY if issubclass(entry.observer, AbstractLinearFilter)]
