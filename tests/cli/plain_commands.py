@@ -8,7 +8,8 @@ import itertools
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -209,6 +210,8 @@ WITHOUT_LOGS = {
 }
 """The verbs of the page of all commands, by name, with what stands for machine, logs and numbers of the machine."""
 NO_LOG = "no log"
+SLOW, QUICK = ("compare", "tune"), ("multiarm_single.toml", "tank:two_levels")
+"""Verbs that run many observers, and machines on which these take seconds."""
 
 
 def every_case() -> list[tuple[str, str, str]]:
@@ -217,20 +220,27 @@ def every_case() -> list[tuple[str, str, str]]:
     return with_logs + [(verb, machine, NO_LOG) for verb in WITHOUT_LOGS for machine in MACHINES]
 
 
-def cover(*kinds: Sequence[str]) -> list[tuple[str, ...]]:
-    """Cases in which any value of one kind meets any value of another: a pairwise covering array, always the same.
+def cover(verbs: Iterable[str], logs: Sequence[str], machines: Callable[[str], Sequence[str]]) -> list[tuple[str, ...]]:
+    """Cases in which each verb meets each log, always the same, each with the machine that then meets most.
 
-    Each case takes, greedily, values with the most pairs that no case before it has.
+    Each machine counts the pairs with this verb and this log that no case before has; of equal ones, the one that was
+    taken least is taken. All pairs of three kinds would need as many cases as there are machines and logs.
     """
-    places = list(itertools.combinations(range(len(kinds)), 2))
-    left = {(i, j, a, b) for i, j in places for a in kinds[i] for b in kinds[j]}
-    rows = list(itertools.product(*kinds))
+    met: Counter[tuple[str, str]] = Counter()
     cases = []
-    while left:
-        best = max(rows, key=lambda row: sum((i, j, row[i], row[j]) in left for i, j in places))
-        left -= {(i, j, best[i], best[j]) for i, j in places}
-        cases.append(best)
+    for log, verb in itertools.product(logs, verbs):
+        machine = min(machines(verb), key=lambda m: (bool(met[verb, m]) + bool(met[m, log]), met[m, ""]))
+        met.update([(verb, machine), (machine, log), (machine, "")])
+        cases.append((verb, machine, log))
     return cases
+
+
+def few_cases() -> list[tuple[str, ...]]:
+    """Cases that together take minutes: each verb with each log, or with two machines where it reads no log."""
+    return [
+        *cover(FROM_LOGS, [*LOGS], lambda verb: QUICK if verb in SLOW else [*MACHINES]),
+        *((verb, machine, NO_LOG) for verb, machine, _ in cover(WITHOUT_LOGS, "ab", lambda _: [*MACHINES])),
+    ]
 
 
 def write_machines(folder: Path) -> None:
