@@ -28,10 +28,11 @@ FILES = 4
 
 
 class Machine(NamedTuple):
-    """Parameters to fit, and how the machine moves in a log: options of `simulate`."""
+    """Parameters to fit, the motion in a log as arguments of `simulate`, and numbers that the model file lacks."""
 
     parameters: str
     motion: dict
+    numbers: tuple[str, ...] = ()
 
 
 PENDULUM = Machine("com,inertia", {"q0": [1.0], "amplitude": [0.5]})
@@ -48,11 +49,19 @@ MACHINES = {
     "so101.toml": Machine("servo", {"amplitude": [0.3] * 5}),
     "xl330.toml": Machine("servo", {"amplitude": [0.5, 0.0]}),
     "chain.toml": Machine("mass,viscous", {"q0": [0.5, 0.2, 0.1], "amplitude": [0.5, 0.2, 0.1]}),
-    "cart.toml": Machine("mass", {"q0": [0.0, 0.4], "amplitude": [1.0, 0.0]}),
+    "cart.toml": Machine("friction", {"q0": [0.0, 0.4], "amplitude": [1.0, 0.0]}),
     "top.toml": Machine("inertia", {"v0": [0.5, 1.0, 2.0], "amplitude": [0.1] * 3}),
     "ship.toml": Machine("mass", {"amplitude": [1.0, 0.5, 0.2]}),
-    "tank:two_levels": Machine("outflow", {"q0": [1.0, 0.5], "amplitude": [0.3]}),
-    "arm.urdf": Machine("mass", {"q0": [0.5, 0.3], "amplitude": [0.5, 0.2]}),
+    "tank:two_levels": Machine(
+        "outflow",
+        {"q0": [1.0, 0.5], "amplitude": [0.3]},
+        ("measurement.std=1e-3", "uncertainty.process=[0.01,0.01]", "initial.std=1.0"),
+    ),
+    "arm.urdf": Machine(
+        "friction",
+        {"q0": [0.5, 0.3], "amplitude": [0.5, 0.2]},
+        ("measurement.std=1e-3", "uncertainty.acceleration=0.5"),
+    ),
 }
 """All machines by what a command is given: the examples, and small ones that these lines write."""
 WRITTEN = {
@@ -276,6 +285,8 @@ def run_case(verb: str, machine: str, log: str, capsys) -> Ended:
     words["{parameters}"] = [MACHINES[machine].parameters]
     words["{push}"] = [",".join(["0.1"] * models.load(machine).dimension)] if verb == "push" else []
     command = [each for word in (FROM_LOGS | WITHOUT_LOGS)[verb] for each in words.get(word, [word])]
+    if log != NO_LOG and verb != "init":
+        command += [word for number in MACHINES[machine].numbers for word in ("--set", number)]
     if len(words["{log}"]) > 1 and command[0] in OVER_LOGS:  # in this process, where warnings are errors
         command = [word.removesuffix(".csv") if word.startswith("out/") else word for word in command]
         command += ["--workers", "1"]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant._errors import InputError
-from covariant.calibration.diagnosis import outliers
+from covariant.calibration.diagnosis import ROUNDING, outliers
 from covariant.calibration.identification import FITTED
 from covariant.models import MechanicalSystem
 from covariant.observers import IntrinsicForce, run
@@ -18,8 +18,6 @@ MOST_ROWS = 8000
 """Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""
 FEWEST_ROWS = 100
 """Least number of rows in each part of all logs."""
-NOISE_FREE = 1e-9
-"""Innovations, as a part of the motion, below which no sensor read them: a turn in 32 bits has a rounding of 1e-10."""
 Runs = Callable[[Sequence[IntrinsicForce], Sequence[Record]], Sequence[Run]]
 """Runs each of several observers over each of several records, and returns estimates and innovations."""
 
@@ -108,7 +106,7 @@ def refuse_noise_free(size: Float[np.ndarray, "n"], logs: Sequence[TuningLog]) -
     """Raise `InputError` where innovations of the size (n,) are rounding errors, as those of a simulation are."""
     y = _readings(logs)
     relative = float(np.max(size)) / float(np.nanmax(y) - np.nanmin(y))
-    if relative < NOISE_FREE:
+    if relative < ROUNDING:
         raise InputError(
             f"the model predicts each reading up to {relative:.1g} of the motion, as in a simulation without noise: "
             "such a log tells neither noise nor gains. Give a log of the machine, or simulate one with noise"
