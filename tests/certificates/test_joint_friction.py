@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.certificates import certify, check, error_system, optimal_lyapunov
 from covariant.certificates.base._inequalities import contraction
 from covariant.certificates.checking import _check
@@ -104,7 +105,7 @@ def test_a_pendulum_with_dry_friction_needs_few_boxes(proved):
 
 def test_friction_without_bounds_is_a_function_of_the_velocity(monkeypatch):
     def unbounded(model, speed):
-        raise ValueError("no bound")
+        raise InputError("no bound")
 
     monkeypatch.setattr(_certify, "friction_bounds", unbounded)
     observer = pendulum()
