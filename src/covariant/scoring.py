@@ -112,7 +112,10 @@ def _coefficients(t, y, at, half, order, wanted: slice):
         for fit in _fits(t[rows], at[stamps], half, order):
             weights = fit.weights[fit.same, wanted]
             for k, positions in enumerate(seen):
-                part[fit.at, :, k] = np.einsum("kcw,kw->kc", weights, positions.take(fit.rows))
+                # From the first position: the velocity of what stands still is zero, and no rounding error.
+                part[fit.at, :, k] = np.einsum("kcw,kw->kc", weights, (positions - positions[0]).take(fit.rows))
+                if not wanted.start:
+                    part[fit.at, 0, k] += positions[0]
         result[np.ix_(stamps, range(result.shape[1]), columns)] = part
     return result
 

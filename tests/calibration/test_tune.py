@@ -4,9 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from covariant._errors import InputError
 from covariant.calibration import DataSheet, NoiseLevels, gains, tune
 from covariant.calibration.identification._error_model import error_model, kalman
-from covariant.calibration.tuning._tuning_log import prepared
+from covariant.calibration.tuning._tuning_log import prepared, tuning_logs
 from covariant.models import Lagrangian, Parametric
 from covariant.observers import Intrinsic, IntrinsicForce, IntrinsicKalman, external_force, run
 from covariant.signals import Record
@@ -169,6 +170,35 @@ def test_a_log_that_is_too_short_is_refused(log):
     short = Record(*(np.asarray(a[:150]) for a in record[:3]))
     with pytest.raises(ValueError, match="too short to tune on"):
         tune(MODEL, [short], [v[:150]])
+
+
+STILL = np.zeros((400, 1))
+T = np.arange(400) / RATE
+
+
+@pytest.mark.parametrize(
+    ("positions", "names", "reason"),
+    [
+        ([STILL + 0.3], ["log.csv"], "nothing moves in the logs"),
+        ([np.cos(STIFFNESS**0.5 * T)[:, None]], ["log.csv"], "as in a simulation without noise"),
+        ([STILL[:121]] * 2, ["a.csv", "b.csv"], "b.csv of 121 rows has"),
+    ],
+)
+def test_a_log_that_tells_no_noise_is_refused_with_the_reason(positions, names, reason):
+    records = [Record(T[: len(q)], np.zeros((len(q), 1)), q) for q in positions]
+    with pytest.raises(InputError, match=reason):
+        tune(MODEL, records, [np.gradient(q, 1 / RATE, axis=0) for q in positions], names=names)
+
+
+def test_the_rows_of_all_logs_together_are_enough():
+    """121 rows each; a log of 2 rows, which has none that count, is left out."""
+    records = [Record(T[:121], np.zeros((121, 1)), np.sin(T[:121])[:, None])] * 5
+    records += [Record(T[:2], np.zeros((2, 1)), np.zeros((2, 1)))]
+    names = [f"{k}.csv" for k in range(6)]
+    kept = tuning_logs(MODEL, records, [np.asarray(record.y) for record in records], names)
+    assert len(kept) == 5
+    with pytest.raises(InputError, match=r"0\.csv of 121 rows has"):
+        tuning_logs(MODEL, records[:2], [np.asarray(record.y) for record in records[:2]], names[:2])
 
 
 def test_rows_in_holes_and_soon_after_them_are_not_judged(log):

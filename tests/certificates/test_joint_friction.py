@@ -9,6 +9,7 @@ import pytest
 from forging import forged, put
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.certificates import certify, check, error_system, optimal_lyapunov
 from covariant.certificates.base._inequalities import contraction
 from covariant.certificates.checking import _check
@@ -104,7 +105,7 @@ def test_a_pendulum_with_dry_friction_needs_few_boxes(proved):
 
 
 def unbounded(model, speed):
-    raise ValueError("no bound")
+    raise InputError("no bound")
 
 
 @pytest.mark.long("slopes of any sign")

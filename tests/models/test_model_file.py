@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.logs import Columns
 from covariant.models import Lagrangian
+from covariant.models.files import _source
 from covariant.models.files._check import check_metric
 from covariant.models.files._load import load
 from covariant.models.files._model_file import ModelError, ModelFile
@@ -313,6 +315,17 @@ def test_a_module_gives_a_model_file(folder, attribute):
 )
 def test_names_what_is_wrong_with_a_spec(folder, spec, words):
     assert words in fault(spec)
+
+
+def test_a_bug_in_a_system_of_the_library_is_no_fault_of_its_parameters(monkeypatch):
+    def broken():
+        raise ValueError("min() iterable argument is empty")
+
+    for module, kind in (("covariant.models.systems", ValueError), ("my_models", InputError)):
+        broken.__module__ = module
+        with pytest.raises(ValueError, match="is empty") as caught:
+            _source.call("broken", broken, {})
+        assert type(caught.value) is kind
 
 
 @pytest.mark.parametrize(

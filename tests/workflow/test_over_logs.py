@@ -110,6 +110,27 @@ def test_a_link_shows_nothing_of_the_file_that_it_leads_to(in_folder):
     assert not any("SECRET" in text for text in (str(result), *written))
 
 
+def test_a_bug_with_one_log_is_shown_as_one_and_the_others_go_on(logs, monkeypatch, capsys):
+    estimate = workflow.estimate
+
+    def fails(model, log, **settings):
+        if str(log).endswith("log1.csv"):
+            raise ValueError("min() iterable argument is empty")
+        return estimate(model, log, **settings)
+
+    monkeypatch.setattr(workflow, "estimate", fails)
+    asked = ["estimate", "oscillator", *map(str, logs[2:4]), str(logs[1]), "--alpha", "40", "--beta", "800"]
+    monkeypatch.setattr(sys, "argv", ["covariant", *asked, "--workers", "1", "--json"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    out, error = capsys.readouterr()
+    assert left.value.code == 70
+    assert set(json.loads(out)["failed"]) == {str(logs[1]), str(logs[3])}
+    assert "Traceback" in error
+    assert "in fails" in error
+    assert "is a bug of covariant" in error
+
+
 @pytest.mark.long
 def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path):
     names = []

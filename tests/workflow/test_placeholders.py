@@ -8,6 +8,7 @@ import covariant
 from covariant import workflow
 from covariant.workflow import FitResult
 from covariant.workflow._inputs import Job, load
+from covariant.workflow._model_output import advice
 from covariant.workflow._placeholders import placeholder_sentence, placeholders
 
 T = np.arange(0.0, 4.0, 0.01)
@@ -81,3 +82,18 @@ def test_what_a_fit_determines_is_no_placeholder_any_more(tmp_path):
     result = covariant.fit(path, log, "com", overrides=frictionless, anyway=True)
     assert list(result.summary["placeholders"]) == ["mass[0]", "inertia[0]"]
     assert "# Still placeholders of the draft: mass[0] = 1" in result.save(tmp_path / "fitted.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("head", "advised"),
+    [
+        ("", "fit it, tune it, check it"),
+        ("# Fitted by covariant fit to log.csv; ± is one standard error:\n", "tune it, check it"),
+        ("# Tuned by covariant tune to log.csv.\n# Fitted by covariant fit to log.csv; …\n", "check it"),
+    ],
+)
+def test_nobody_is_advised_to_do_what_the_model_file_was_just_written_by(tmp_path, head, advised):
+    path = tmp_path / "arm.toml"
+    path.write_text(f'{head}system = "pendulum_chain"\n', encoding="utf-8")
+    assert advice(path, fit="fit it", tune="tune it", check="check it") == advised
+    assert advice("pendulum_chain", fit="fit it") == "fit it"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import covariant
+from covariant._errors import InputError
 from covariant.cli import main
 
 MODEL = "pendulum_chain"
@@ -164,7 +165,7 @@ def test_what_is_computed_is_saved_and_printed_although_the_page_cannot_be_drawn
     form, log, tmp_path, capsys, monkeypatch
 ):
     def fail(*_):
-        raise ValueError("no ink")
+        raise InputError("no ink")
 
     monkeypatch.setattr("covariant.workflow._pages.write_page_and_figures", fail)
     words = ["estimate", MODEL, str(log), *SET, "-o", str(tmp_path / "a.csv"), "--report", str(tmp_path / "page.html")]

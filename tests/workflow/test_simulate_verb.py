@@ -97,3 +97,20 @@ def test_joints_that_leave_their_limits_are_named_with_the_time():
     )
     assert warning in str(result)
     assert result.summary["warnings"] == [warning]
+
+
+@pytest.mark.parametrize(
+    ("model", "asked", "said"),
+    [
+        ("oscillator", {}, "begins with v0 = 1; give q0, v0 or amplitude"),
+        ("heavy_top", {}, "begins with v0 = 1, 1, 1"),
+        ("duffing", {}, "begins with q0 = "),
+        ("oscillator", {"amplitude": [0.0]}, "nothing moves in this log"),
+        ("oscillator", {"v0": [0.5]}, ""),
+    ],
+)
+def test_a_log_in_which_nothing_was_asked_to_move_moves_and_says_so(model, asked, said):
+    result = simulate(model, duration=0.2, rate=50.0, **asked)
+    assert said in " ".join(result.warnings)
+    assert bool(result.warnings) == bool(said)
+    assert bool(np.ptp(result.record.y, axis=0).any()) == ("nothing moves in" not in said)

@@ -9,6 +9,7 @@ from typing import Any
 
 from covariant import workflow
 from covariant._errors import InputError
+from covariant.cli import BUG, INTERNAL_ERROR
 from covariant.cli._console import progress_bar, show
 from covariant.cli._options import COLUMNS, FLAG, TEXT, Kind, Option, flags_of, in_options, of_verb
 from covariant.cli._signature import signature
@@ -117,7 +118,11 @@ class Command:
             model, logs = arguments.pop("model"), arguments.pop("log")
             result = workflow.over_logs(self.verb, model, logs, out=own["out"], progress=progress, **crew, **arguments)
         call.show(result)
-        return int(result.wrong)
+        for name, trace in result.bugs.items():
+            say(f"{name}: {trace}", sys.stderr)
+        if result.bugs:
+            say(f"covariant: {BUG}", sys.stderr)
+        return INTERNAL_ERROR if result.bugs else int(result.wrong)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ def number_list(option: str, text: str) -> list[float]:
     """
     try:
         return [number(part) for part in text.split(",")]
-    except ValueError:
+    except InputError:
         raise InputError(f"{option}: {text!r} is not a list of numbers separated by commas") from None
 
 
@@ -29,7 +29,7 @@ def count_list(option: str, text: str) -> list[int]:
     """Parse whole numbers separated by commas."""
     try:
         return [integer(part) for part in text.split(",")]
-    except ValueError:
+    except InputError:
         raise InputError(f"{option}: {text!r} is not a list of whole numbers separated by commas") from None
 
 

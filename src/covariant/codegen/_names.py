@@ -86,6 +86,6 @@ def export_name(text: str, python: bool = False, wasm: bool = False) -> str:
     plain = re.sub(r"[\W_]+", "_", text, flags=re.ASCII).strip("_").lower()
     try:
         check_export_name(plain[:LONGEST].rstrip("_"), python, wasm)
-    except ValueError:  # for example if it begins with a digit
+    except InputError:  # for example if it begins with a digit
         plain = f"observer_{plain}"
     return plain[:LONGEST].rstrip("_")

@@ -37,7 +37,7 @@ class Layout(NamedTuple):
         """The layout as JSON data; None where a class in it is not of this library."""
         try:
             return [list(self.sizes), list(self.y), self.u, _data(self.info), _data(self.estimate)]
-        except ValueError:
+        except InputError:
             return None
 
     @classmethod

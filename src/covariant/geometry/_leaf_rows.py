@@ -108,7 +108,7 @@ def _samples(look: Look, start: np.ndarray) -> list[np.ndarray]:
         step = step - np.linalg.pinv(rows, rcond=SINGULAR) @ (rows @ step)
         try:
             x = closed(look, look.retract(x, 0.3 * step / np.linalg.norm(step)))
-        except ValueError:  # the end of the motion: the walk goes on from the place before
+        except InputError:  # the end of the motion: the walk goes on from the place before
             continue
         samples.append(x)
     return samples

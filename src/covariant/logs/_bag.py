@@ -172,7 +172,7 @@ def _stamp(message: Any) -> int:
 def _numbers(path: Path, topic: str, count: int, message: Any) -> dict[str, float]:
     try:
         return KINDS[message.__msgtype__](message)
-    except ValueError as error:
+    except InputError as error:
         raise LogError(f"{path}: message {count + 1} of {topic} {error}") from error
 
 

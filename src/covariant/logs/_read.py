@@ -119,7 +119,7 @@ def read(
     for text in columns.units.get("t", ()):
         try:
             check_unit(text, "s")
-        except ValueError as error:
+        except InputError as error:
             raise LogError(f"{name}: units of t: {error}") from error
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
@@ -390,7 +390,7 @@ def _check_record(name: str, record: Record, columns: Columns, missing_inputs: b
         return record.check(start, missing_inputs=missing_inputs)
     except StampError as error:
         raise ClockError(f"{name}: {error}", record) from error
-    except ValueError as error:
+    except InputError as error:
         raise LogError(f"{name}: {error}") from error
 
 

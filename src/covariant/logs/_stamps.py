@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant._errors import InputError
 from covariant.logs._cells import fault, numbers
 from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._text import DATE
@@ -70,7 +71,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
     if column.type in (pa.float32(), pa.float16()) and (np.diff(values) > 0).all():
         try:
             check_rounding(values.astype(column.type.to_pandas_dtype()))
-        except ValueError as error:
+        except InputError as error:
             raise LogError(f"{where}: {error}") from error
     odd = odd_clock(values, given)
     if odd is not None:

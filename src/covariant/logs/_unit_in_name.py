@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
+from covariant._errors import InputError
 from covariant.logs._units import check_unit
 
 MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
@@ -351,7 +352,7 @@ def is_unit_of(text: str, meant: Sequence[str]) -> bool:
         (True, False)
     """
     for unit in meant:
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(InputError):
             check_unit(text, unit)
             return True
     return False

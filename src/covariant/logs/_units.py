@@ -128,7 +128,7 @@ def check_unit(text: str, wanted: str) -> None:
     parsed = _unit(text)
     try:
         needed = _unit(wanted)
-    except ValueError:
+    except InputError:
         return
     if None not in (parsed.exponents, needed.exponents) and parsed.exponents != needed.exponents:
         raise InputError(f"unit {text!r} is no unit of what is measured in {wanted}")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from covariant._errors import InputError
 from covariant.certificates import (
     ContractionCertificate,
     Projection,
@@ -90,7 +91,7 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
     _draw_region(axes[0, 0], projection(certificate), certificate)
     try:
         motion = trajectories(certificate)
-    except ValueError as error:
+    except InputError as error:
         for ax in (axes[0, 1], axes[1, 0]):
             _write_message(ax, str(error))
     else:

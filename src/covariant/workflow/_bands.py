@@ -7,7 +7,8 @@ import numpy as np
 
 from covariant.observers import REGISTRY
 from covariant.signals import StepCode
-from covariant.workflow._inputs import Loaded
+from covariant.workflow._inputs import Job, Loaded
+from covariant.workflow._model_output import advice
 from covariant.workflow._outcome import MARGIN, Outcome, force_names, known
 
 TENTH = 0.1
@@ -20,7 +21,7 @@ FEWEST = 30
 """Rows from which a share is judged."""
 
 
-def narrow_bands(loaded: Loaded, observer: str, outcome: Outcome) -> tuple[str, ...]:
+def narrow_bands(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> tuple[str, ...]:
     """Sentences on what a filter found to be larger than its model file says, and on rows where its band is too narrow.
 
     An innovation is within its 95 % band in all but 5 % of the rows, whichever rows they are, where model and noise are
@@ -30,10 +31,10 @@ def narrow_bands(loaded: Loaded, observer: str, outcome: Outcome) -> tuple[str, 
     if not (informed and loaded.file.mechanical):
         return ()
     info = outcome.run.info
-    return tuple(text for text in (_larger(info, outcome), *_narrow(loaded, info, outcome)) if text)
+    return tuple(text for text in (_larger(job, info, outcome), *_narrow(loaded, info, outcome)) if text)
 
 
-def _larger(info: Any, outcome: Outcome) -> str | None:
+def _larger(job: Job, info: Any, outcome: Outcome) -> str | None:
     scale = known(info, "noise_scale")
     if scale is None:
         return None
@@ -45,13 +46,16 @@ def _larger(info: Any, outcome: Outcome) -> str | None:
     return (
         f"what the model does not know is {usual:.2g} times as large in this log as the model file says, and "
         f"{most:.2g} times or more in a tenth of the rows; the filter follows with its gains and standard deviations. "
-        "`covariant tune` finds sizes that fit, `covariant fit` a better model"
+        + (
+            advice(job.model, tune="`covariant tune` finds sizes that fit", fit="`covariant fit` finds a better model")
+            or "`covariant check` looks for what the model lacks"
+        )
     )
 
 
 def _narrow(loaded: Loaded, info: Any, outcome: Outcome) -> list[str]:
     cov, innovation = known(info, "innovation_cov"), known(info, "innovation")
-    names = loaded.kind.estimates.names
+    names = loaded.kind.rates.names
     if cov is None or innovation is None or innovation.shape[1] != len(names):
         return []
     used = (np.asarray(info.result) < StepCode.OUTLIER) & np.any(innovation != 0, axis=1)

@@ -408,7 +408,7 @@ def check_certificate(
             progress=lambda done, total: progress(f"checking leaves, {done} of {total}", done / max(total, 1)),
         )
         return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
-    except ValueError as refusal:
+    except InputError as refusal:
         return CertificateCheckResult(path, model, None, 0, str(refusal))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from covariant import logs, models
 from covariant._door import parse_toml
+from covariant._errors import InputError
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
 from covariant.observers import on_legs
@@ -135,7 +136,7 @@ def _with_remedies_that_survive(job: Job, diagnosis: Diagnosis) -> Diagnosis:
                 for each in again
                 if each.wrong
             )
-        except (ValueError, OSError):
+        except (InputError, OSError):
             survives = False
         if not survives:
             pasted = {key: value for key, value in pasted.items() if key not in settings}

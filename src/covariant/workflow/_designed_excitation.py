@@ -96,7 +96,7 @@ def designed_excitation(
             found = command_excitation(family, limits, sensing, plan, motion)
             u, q, v, third, _ = found.designed
             kind = {"torques": _third_names(file), "moving": moving}
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{model}: {error}") from error
     columns, units = _columns(file, t, (q, v, third, u))
     details = {

@@ -333,9 +333,9 @@ class EstimateResult(AbstractEstimates):
         doubts = (
             unexplained(self.job, self.loaded, self.observer_name, self.outcome),
             inconsistent(self.loaded, self.observer_name, self.outcome),
-            *narrow_bands(self.loaded, self.observer_name, self.outcome),
+            *narrow_bands(self.job, self.loaded, self.observer_name, self.outcome),
             *hole_doubts(self.loaded, {self.observer_name: self.outcome}),
-            None if free is None or not free.is_better else free.advice(self.observer_name),
+            None if free is None or not free.is_better else free.advice(self.job, self.observer_name),
         )
         return tuple(doubt for doubt in doubts if doubt is not None) + tuple(
             f"{count} of {rows} samples: {StepCode[name.upper()].message}"

@@ -13,7 +13,14 @@ import numpy as np
 from covariant._errors import InputError
 from covariant.workflow._among_logs import machine_of
 from covariant.workflow._arguments import ColumnNames, Overrides, OverridesOfLogs
-from covariant.workflow._model_output import as_logs, check_model_output, read_sources, urdf_beside, write_models
+from covariant.workflow._model_output import (
+    WRITTEN_BY,
+    as_logs,
+    check_model_output,
+    read_sources,
+    urdf_beside,
+    write_models,
+)
 from covariant.workflow._placeholders import placeholder_sentence
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractTable
@@ -270,7 +277,7 @@ class FitResult(AbstractTable):
 
     def _head(self, machine: str) -> str:
         """Comment lines that say what has been fitted, how well it is known, and what is still a first value."""
-        lines = [f"# Fitted by covariant fit to {self.details['fitted_to']}; ± is one standard error:"]
+        lines = [f"{WRITTEN_BY['fit']}{self.details['fitted_to']}; ± is one standard error:"]
         rows = [row for row in self.details["parameters"] if row["name"].partition("@")[2] in ("", machine)]
         for row in rows:
             error = row["standard_error"]

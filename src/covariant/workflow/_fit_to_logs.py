@@ -88,7 +88,7 @@ def fit_to_logs(
             for word in logs.tried
         }
         fits = _solve(problem, parts, progress)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{', '.join(logs.names)}: {error}") from error
     progress("errors on what is held out", 1.0)
     gain = problem.gain(parts, fits) if len(fits) > 1 else None
@@ -173,7 +173,7 @@ class _PredictionProblem(NamedTuple):
             machines, of_log = own.numbered
             try:
                 family = family.of_machines(machines, own.names)
-            except ValueError as error:
+            except InputError as error:
                 raise InputError(f"each: {error}") from error
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
 
@@ -246,7 +246,7 @@ class _RobotProblem(NamedTuple):
             machines, of_log = own.numbered
             try:
                 family = family.of_machines(machines, _own_robot_numbers(jobs[0], own.names, family.names))
-            except ValueError as error:
+            except InputError as error:
                 raise InputError(f"each: {error}") from error
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
@@ -438,7 +438,7 @@ def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
     """Whether numbers are those of a robot's joints and links, and not plain entries of [parameters]."""
     try:
         system = models.document(job.model_name, job.overrides).get("system")
-    except ValueError:  # whoever makes the family says what is wrong, with the name of the file
+    except InputError:  # whoever makes the family says what is wrong, with the name of the file
         return False
     if system != "robot":
         return False

@@ -80,7 +80,7 @@ def init(
     survey = logs.survey(log)
     try:
         drafted = draft(survey.columns, known, survey.units, units, survey.labels)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
     if robot and not drafted.servos:
         raise InputError(f"{logs.source_name(log)}: no commands of servos were found, and parameters.path is for these")

@@ -202,7 +202,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     t, y = np.asarray(record.t), np.asarray(record.y)
     try:
         kind.check(y)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{job.model_name} on {job.log_name}: {error}") from error
     file, note = _in_ticks(file, y)
     known = None if log.truth is None else (log.truth, f"true {kind.what}")

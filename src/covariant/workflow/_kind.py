@@ -186,6 +186,11 @@ class AbstractKind(abc.ABC):
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
         """The initial state of a simulation."""
 
+    @property
+    @abc.abstractmethod
+    def first_motion(self) -> tuple[str, list[float]]:
+        """The argument of `start`, and its value, of a log that shows a motion."""
+
     def sense(self, sensor: PositionSensor, y: np.ndarray, seed: int) -> np.ndarray:
         """Measurements of true outputs or configurations (T, *n)."""
         return simulation.sense(sensor, y, seed)

@@ -132,6 +132,10 @@ class AbstractMechanical(AbstractKind):
         return self.model.state(Motion(manifold.retract(manifold.origin(), jnp.asarray(q)), jnp.asarray(v)))
 
     @property
+    def first_motion(self) -> tuple[str, list[float]]:
+        return "v0", [1.0] * self.file.dimension
+
+    @property
     @abc.abstractmethod
     def _start_names(self) -> tuple[str, ...]:
         """Names of the components of a displacement from the origin."""
@@ -340,6 +344,12 @@ class InStates(AbstractKind):
         if v0 is not None:
             raise InputError("v0: a state-space model has no velocities; give all its initial state by q0")
         return or_zeros("q0", q0, self.estimates.names)
+
+    @property
+    def first_motion(self) -> tuple[str, list[float]]:
+        # Off the middle of the box in which the model is valid, where it has one.
+        box = self.model.box or ((0.0, 4 / 3),) * self.file.dimension
+        return "q0", [float(low + 0.75 * (high - low)) for low, high in box]
 
     def truth(self, layout: logs.Columns, y: np.ndarray, x: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         return {}, dict(zip(self.model.coordinates, x.T, strict=True))

@@ -21,6 +21,8 @@ from covariant.models.robots import ROBOTS
 from covariant.workflow._outputs import check_output
 
 OF_ROBOTS = (".urdf", ".xml")
+WRITTEN_BY = {"fit": "# Fitted by covariant fit to ", "tune": "# Tuned by covariant tune to "}
+"""The beginning of the head of a model file that a verb writes."""
 
 
 def as_logs(log: Any) -> tuple[Any, ...]:
@@ -214,6 +216,15 @@ def model_text(model: str | os.PathLike[str], sources: Mapping[Path, bytes] = Ma
     content = sources.get(Path(spec))
     with io.BytesIO(read_bytes(spec, MODEL) if content is None else content) as file:
         return io.TextIOWrapper(file, encoding="utf-8").read()  # as `read_text`, with the line ends of Windows
+
+
+def advice(model: Any, **by_verb: str) -> str:
+    """Sentences of advice by the verb that each names, without those on what the model file was just written by."""
+    text = ""
+    with contextlib.suppress(OSError):  # a result may be shown when its file is gone
+        text = model_text(model) if str(model).endswith(".toml") else ""
+    done = {verb for verb, head in WRITTEN_BY.items() if head in text}
+    return ", ".join(sentence for verb, sentence in by_verb.items() if verb not in done)
 
 
 def urdf_beside(content: dict[str, Any], path: Path) -> Path | None:

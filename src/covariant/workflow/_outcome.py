@@ -16,6 +16,7 @@ from covariant.observers import REGISTRY, AbstractObserver
 from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
 from covariant.workflow._inputs import Job, Loaded, numbered
+from covariant.workflow._model_output import advice
 
 KEPT = (
     *("innovation", "innovation_cov", "distance", "result", "nis", "noise_scale", "sensors"),
@@ -304,7 +305,8 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
     if outcome.nis < SMALL and loaded.file.quantum is None:
         return (
             f"NIS averages {outcome.nis:.3g} a measured number, where 1 is expected: the noise of the model file is "
-            "larger than that of the log, and standard deviations are too large; `covariant tune` finds noise that fits"
+            "larger than that of the log, and standard deviations are too large"
+            + advice(job.model, tune="; `covariant tune` finds noise that fits")
         )
     if outcome.nis <= limit:
         return None
@@ -312,8 +314,9 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
         f"NIS averages {outcome.nis:.3g} a measured number, where 1 is expected and more than {limit:.3g} is no "
         "chance: the model, or the noise of the model file, does not explain this log, and standard deviations are too "
         "small; "
-        f"`covariant check {job.model_name} {job.log_name}` looks for what is wrong, `covariant tune` finds noise that "
-        "fits, and pushes or friction that are not known are estimated along with the motion by intrinsic-kalman with "
+        f"`covariant check {job.model_name} {job.log_name}` looks for what is wrong, "
+        + advice(job.model, tune="`covariant tune` finds noise that fits, ")
+        + "and pushes or friction that are not known are estimated along with the motion by intrinsic-kalman with "
         "[uncertainty] external_force_std and external_force_time, or parameters"
     )
 

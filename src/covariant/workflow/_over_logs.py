@@ -9,10 +9,11 @@ import itertools
 import json
 import os
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -40,6 +41,8 @@ ON_PAGE = 1000
 """Rows of the page at most: a browser is slow with more."""
 LINKED = "a link to a file that could not be used; give the file itself to see why"
 """Why a log failed that is a link."""
+BUG = "traceback"
+"""Key of the traceback of a log that ended in an error which is no refusal."""
 WRITE_EVERY = 1.0
 """Seconds from one file of rows to the next: what is lost when the run is killed, and files are slow."""
 
@@ -57,7 +60,8 @@ def over_logs(
 ) -> "LogsResult":
     """Call a verb for each of many logs, and look for logs that are unlike the others.
 
-    A log that cannot be used is a row that says why, and the others go on. With a folder `out` the results are written
+    A log that cannot be used is a row that says why, and the others go on, as they do where a log ends in a bug, which
+    `bugs` of the result shows. With a folder `out` the results are written
     as they come, and a run that was stopped or killed goes on when it is called again: what is there is found by the
     content of log, model and settings, so that a log that has changed is computed anew.
 
@@ -152,12 +156,9 @@ def over_logs(
             table.write(fresh)
     for row in rows.values():
         row.pop("saved", None)
-    result = LogsResult(
-        verb,
-        file_name(str(model)),
-        [LogRow(case.name, rows[case.key]) for case in cases],
-        None if out is None else Path(out),
-    )
+    bugs = {case.name: rows[case.key].pop(BUG) for case in cases if BUG in rows[case.key]}
+    each = [LogRow(case.name, rows[case.key]) for case in cases]
+    result = LogsResult(verb, file_name(str(model)), each, None if out is None else Path(out), bugs)
     if folder is not None:
         write_table(folder / f"{verb}.csv", result.columns)
         result.report(folder / f"{verb}.html")
@@ -293,10 +294,12 @@ class _Work(NamedTuple):
             _remove_earlier(case.path)
         except Exception as error:  # one log shall not stop the others
             _remove_earlier(case.path)
-            kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
+            refused = isinstance(error, InputError | OSError)
+            kind = "" if refused else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
             # The reason may quote the file, and with a link that is one which is not meant to be shown with the logs.
-            return {"failed": LINKED if case.linked else printable(reason, keep="")}
+            row = {"failed": LINKED if case.linked else printable(reason, keep="")}
+            return row if refused else row | {BUG: traceback.format_exc()}
         return row
 
 
@@ -348,6 +351,7 @@ class LogsResult(AbstractTable):
         model_name: The model, by its path or name.
         each: Rows of the logs, each with the name of its log, in their order.
         out: Folder of the table, the page and the files of the logs, if they were written.
+        bugs: Tracebacks of the logs that ended in an error which is no refusal, by the name of the log.
 
     Example:
         >>> import covariant
@@ -361,6 +365,7 @@ class LogsResult(AbstractTable):
     model_name: str
     each: list[LogRow]
     out: Path | None = None
+    bugs: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def failed(self) -> dict[str, str]:
@@ -385,7 +390,11 @@ class LogsResult(AbstractTable):
         """The rows, each with the name of its log, and of its numbers that are odd."""
         odd = self._among.odd
         return [
-            {"log": name, **row, **({"odd": ", ".join(odd[k])} if k in odd else {})}
+            {
+                "log": name,
+                **{key: row[key] for key in row if key != BUG},
+                **({"odd": ", ".join(odd[k])} if k in odd else {}),
+            }
             for k, (name, row) in enumerate(self.each)
         ]
 

@@ -68,7 +68,7 @@ def refusals(loaded: Loaded, outcome: Outcome) -> list[Refusal]:
     worst = np.argmax(np.abs(innovation) / np.maximum(used, np.finfo(float).tiny), axis=1)
     columns, units = loaded.kind.noise_axes, loaded.kind.innovation_units
     has_readings = y.shape == innovation.shape
-    names = columns if has_readings and len(columns) == innovation.shape[1] else loaded.kind.estimates.names
+    names = columns if has_readings and len(columns) == innovation.shape[1] else loaded.kind.axes.names
     rows, listed = np.flatnonzero(refused), []
     breaks = np.flatnonzero((np.diff(rows) > 1) | (np.diff(worst[rows]) != 0)) + 1
     for stretch in np.split(rows, breaks):

@@ -108,7 +108,7 @@ class AbstractResult(abc.ABC):
             parts.append(_html(rest))
         try:
             picture = self._figure()._repr_png_()
-        except (ValueError, ImportError):  # a result without a figure, or nothing that draws
+        except InputError:  # a result without a figure, or nothing that draws
             return "".join(parts)
         alt = html.escape(self.headline, quote=True)
         image = f'<img src="data:image/png;base64,{base64.b64encode(picture).decode()}" alt="{alt}">'

@@ -44,6 +44,11 @@ class Scenario(NamedTuple):
     seed: int
     push: Amounts | None = None
 
+    @property
+    def asks_for_motion(self) -> bool:
+        """Whether an initial state, inputs or pushes are given."""
+        return any(given is not None for given in (self.q0, self.v0, self.amplitude, self.push))
+
 
 def check_scenario(scenario: Scenario) -> None:
     """Check what makes no sense for any model, before one is loaded."""

@@ -69,7 +69,7 @@ def file_sensors(file: ModelFile) -> tuple[FileSensor, ...]:
     for name, content in file.sensors.items():
         try:
             found.append(_sensor(name, file, content))
-        except (ValueError, TypeError) as error:
+        except (InputError, TypeError) as error:
             raise InputError(f"{file.name}: [sensors.{name}]: {error}") from error
     names = [column for each in found for column in each.columns.measured]
     taken = {file.columns.t, *file.columns.measured, *file.columns.u}

@@ -72,7 +72,7 @@ def _wrench(file: ModelFile, name: str, given: Mapping[str, Any]) -> SlowVariabl
     """A force on a link, which the model file names."""
     try:
         return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
-    except (ValueError, TypeError) as error:
+    except (InputError, TypeError) as error:
         raise InputError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error
 
 

@@ -35,7 +35,9 @@ def simulate(
 
     Inputs are sinusoids, sampled at the stamps. Between them they act as the model file says of its logs: held, unless
     [inputs] has between = "linear"; later by its `delay`, and behind its `lag`. Nothing stops the joints of a robot at
-    the limits of its file; a warning names those that leave them, and when.
+    the limits of its file; a warning names those that leave them, and when. Where no motion is asked for, by q0, v0,
+    amplitude or push, and a machine at rest stays at rest, the log begins with a velocity of 1 in all coordinates, or
+    with another state of a state-space model; a warning says so.
 
     Args:
         model: A model file (.toml), a robot (.urdf, .xml), `module:attribute`, the name of a system or a robot of the
@@ -93,7 +95,8 @@ class SimulateResult(AbstractTable):
         truth_columns: The columns of the true velocities, or of the states of a state-space model.
         si_columns, si_units: The columns in SI units and radians, and these units.
         sensors: Sensors of the model file, whose columns are among these.
-        limits_left: Sentence that names the joints of a robot that leave their limits, and when; empty if none does.
+        remarks: Sentences: with what a motion was begun that nothing was given for, or that nothing moves; and which
+            joints of a robot leave their limits, and when.
 
     Example:
         >>> import covariant
@@ -112,11 +115,11 @@ class SimulateResult(AbstractTable):
     si_columns: dict[str, np.ndarray]
     si_units: dict[str, str]
     sensors: tuple[Any, ...] = ()
-    limits_left: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return self.limits_left
+        return self.remarks
 
     @property
     def columns(self) -> dict[str, np.ndarray]:

@@ -50,7 +50,7 @@ def simulated_log(
     progress("reading the model")
     name, file = models.spec_name(model), models.load(model, overrides)
     kind = kind_of(file)
-    sensor, x0 = _sensor(name, kind, scenario), kind.start(scenario.q0, scenario.v0)
+    sensor = _sensor(name, kind, scenario)
     delays, beside = np.atleast_1d(np.asarray(file.delay, float)), file_sensors(file)
     late = [*delays, *(part.delay for part in beside)]
     # The log begins when its latest reading is of the start.
@@ -59,7 +59,7 @@ def simulated_log(
     u, acting = _inputs(file, scenario, t, read)
     progress("simulating")
     machine, force = _add_push(name, file, scenario)
-    everything = jax.tree.map(np.asarray, simulation.simulate_piecewise(machine, x0, acting))
+    everything, at_rest = _motion(kind, scenario, machine, acting)
     # Both sides are rounded to DIGITS, so that each time is exactly one of the beginnings.
     now, rows = (np.searchsorted(acting.begin, times) for times in (np.round(t, DIGITS), read))
     true, x = everything.y[now], jax.tree.map(lambda leaf: leaf[now], everything.x)
@@ -88,7 +88,31 @@ def simulated_log(
         forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]
         columns |= dict(zip(forces, np.asarray(jax.vmap(force)(jnp.asarray(t))).T, strict=True))
         units |= dict(zip(forces, kind.force_units, strict=True))
-    return name, file.mechanical, layout, record, names, columns, units, beside, _limits_left(file, t, true)
+    warnings = *at_rest, *_limits_left(file, t, true)
+    return name, file.mechanical, layout, record, names, columns, units, beside, warnings
+
+
+def _motion(
+    kind: AbstractKind, scenario: Scenario, machine: Any, acting: PiecewiseInputs
+) -> tuple[Any, tuple[str, ...]]:
+    """The motion at the beginning of each interval, and a warning where it had to be begun, or where nothing moves."""
+
+    def simulate(**start: Any) -> tuple[Any, bool]:
+        motion = simulation.simulate_piecewise(machine, kind.start(**start), acting)
+        motion = jax.tree.map(np.asarray, motion)
+        return motion, len(motion.y) < 2 or bool(np.ptp(motion.y, axis=0).any())
+
+    motion, moves = simulate(q0=scenario.q0, v0=scenario.v0)
+    if moves:
+        return motion, ()
+    remedy = "give q0, v0 or amplitude" if kind.file.mechanical else "give q0 or amplitude"
+    if scenario.asks_for_motion:
+        return motion, (f"nothing moves in this log; {remedy}",)
+    name, values = kind.first_motion
+    motion, moves = simulate(**{"q0": None, "v0": None, name: values})
+    given = f"{name} = {', '.join(f'{value:g}' for value in values)}"
+    began = f"from rest nothing moves here, so the log begins with {given}" if moves else "nothing moves in this log"
+    return motion, (f"{began}; {remedy}" + " for another motion" * moves,)
 
 
 def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: Any) -> tuple[str, ...]:

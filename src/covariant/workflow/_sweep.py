@@ -86,7 +86,7 @@ def sweep(
     runs = Runs(json.dumps(content), (*model_hash(plan.model), *code))
     try:
         result = runs.variables()
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
     began: list[tuple[float, int]] = []  # when, and how many cases were there
 

@@ -197,12 +197,12 @@ def _load(model: str, fixed: Mapping[str, Any], changes: Mapping[str, Any], plac
     """The model file with keys of a study; an error names the key, and what of a study may be meant."""
     try:
         return models.load(model, {**fixed, **changes})
-    except ValueError:
+    except InputError:
         models.load(model, fixed)  # what is wrong without the changes is not theirs
         for key, value in changes.items():
             try:
                 models.load(model, {**fixed, key: value})
-            except ValueError as error:
+            except InputError as error:
                 table, known = key.partition(".")[0], (*STATES, *KEYS)
                 hint = (
                     f" {table} is a key of the study, not of a model." if table in known else did_you_mean(table, known)

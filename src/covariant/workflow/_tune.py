@@ -7,7 +7,7 @@ from typing import Any
 
 from covariant.engine import EngineName
 from covariant.workflow._arguments import ColumnNames, Overrides
-from covariant.workflow._model_output import as_logs, read_sources, write_models
+from covariant.workflow._model_output import WRITTEN_BY, as_logs, read_sources, write_models
 from covariant.workflow._outputs import check_output
 from covariant.workflow._progress import Progress, notebook_line
 from covariant.workflow._result import AbstractResult
@@ -132,7 +132,7 @@ class TuneResult(AbstractResult):
                 no file.
         """
         names = ", ".join(Path(job.log_name).name for job in self.jobs)
-        head = f"# Tuned by covariant tune to {names}.\n\n"
+        head = f"{WRITTEN_BY['tune']}{names}.\n\n"
         write_models(self.jobs[0].model, {Path(path): (head, self.tuned.content)}, overwrite, self.sources)
         return Path(path)
 

@@ -16,7 +16,7 @@ from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
-from covariant.workflow._model_output import check_read_once
+from covariant.workflow._model_output import advice, check_read_once
 from covariant.workflow._outcome import drive, rounded
 from covariant.workflow._pages import estimate_report
 from covariant.workflow._progress import Progress
@@ -82,9 +82,10 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
             "progress": report,
             "runs": runs,
             "window": _window(jobs[0], loaded[0]),
+            "names": [Path(job.log_name).name for job in jobs],
         }
         tuning = tune(loaded[0].model, records, velocities, **options)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     progress("done", 1.0)
     tables = _tables(file, tuning, loaded[0].rate)
@@ -213,7 +214,11 @@ def _details(
             "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
         },
         "notes": notes(tuning, units),
-        "warning": warning(tuning, np.atleast_1d(np.equal(delay, np.max(delay)))),
+        "warning": warning(
+            tuning,
+            np.atleast_1d(np.equal(delay, np.max(delay))),
+            advice(jobs[0].model, fit="run `covariant fit`") or "look for what it lacks by `covariant check`",
+        ),
     }
 
 
@@ -267,10 +272,9 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def warning(found: Tuning, as_logged: np.ndarray | bool = True) -> str | None:
+def warning(found: Tuning, as_logged: np.ndarray | bool = True, remedy: str = "run `covariant fit`") -> str | None:
     """Warn in one line of a model that is no better than none, or does not explain the innovations."""
     gains, kalman = found.after.relative
-    remedy = "run `covariant fit`"
     name, free = found.model_free or ("", np.inf)
     without = f"{name}, which knows none, has a velocity error of {_percent(free)}"
     if min(gains, kalman) >= free:

@@ -10,7 +10,8 @@ from covariant.observers import REGISTRY, AbstractLinearFilter
 from covariant.scoring import scored_window, unwrap
 from covariant.signals import Record
 from covariant.workflow._design import log_sheet, tells_noise
-from covariant.workflow._inputs import Loaded, ReferenceVelocity
+from covariant.workflow._inputs import Job, Loaded, ReferenceVelocity
+from covariant.workflow._model_output import advice
 from covariant.workflow._outcome import drive
 from covariant.workflow._trial import trial_part
 
@@ -67,11 +68,17 @@ class WithoutModel(NamedTuple):
             f"{observer}, against the {self.label}, on rows that did not tune the filter: {self.verdict}"
         )
 
-    def advice(self, observer: str) -> str:
+    def advice(self, job: Job, observer: str) -> str:
         """What to do where the filter is better."""
         return (
-            f"{self.sentence(observer)}; `covariant check` and `covariant fit` look for what is wrong with the model, "
-            f"`covariant tune` for its noise, and until then estimate with the observer {self.filter}, whose numbers "
+            f"{self.sentence(observer)}; "
+            + advice(
+                job.model,
+                check="`covariant check` looks for what is wrong with the model",
+                fit="`covariant fit` for its numbers",
+                tune="`covariant tune` for its noise",
+            )
+            + f", and until then estimate with the observer {self.filter}, whose numbers "
             "are from `motion_acceleration` and `motion_time` in [uncertainty]; `covariant compare` tunes it to the log"
         )
 
@@ -87,8 +94,10 @@ def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> Without
     judged = reference.scored & ~tuned_on & np.isfinite(reference.v).all(1) & np.isfinite(velocity).all(1)
     holes = loaded.holes
     judged &= True if holes is None else ~holes.concerned
+    if trial is None or judged.sum() < FEWEST:
+        return None
     size = np.sqrt(np.mean(reference.v[judged] ** 2, axis=0))
-    if trial is None or judged.sum() < FEWEST or not size.all():
+    if not size.all():
         return None
     sheet = log_sheet(loaded.file, loaded)
     names = [entry.name for entry in REGISTRY if issubclass(entry.observer, AbstractLinearFilter)]

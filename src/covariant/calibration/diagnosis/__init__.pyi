@@ -13,6 +13,7 @@ from ._diagnose import FEW_ROWS as FEW_ROWS, MOST_ROWS as MOST_ROWS, diagnose as
 from ._finding import Diagnosis as Diagnosis, Finding as Finding, later_line as later_line
 from ._jumps import periods as periods, without_full_turns as without_full_turns
 from ._readings import (
+    ROUNDING as ROUNDING,
     one_or_each as one_or_each,
     outliers as outliers,
     readings as readings,

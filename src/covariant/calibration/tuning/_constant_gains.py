@@ -186,7 +186,8 @@ class Judge(NamedTuple):
     def of(cls, run: RunErrors, noise: NoiseLevels, speed: jax.Array) -> "Judge":
         errors, std = later_errors(run.system, noise, speed)
         std, log = np.asarray(std), run.log
-        rows = np.all(std <= VAGUER * np.median(std, axis=0), axis=1)
+        # A variance that rounding made negative has a root that is NaN: such a row does not count.
+        rows = np.all(std <= VAGUER * np.nanmedian(std, axis=0), axis=1)
         size = np.sqrt(np.mean(log.velocity[log.tuned | log.held_out] ** 2, axis=0))
         smooth = run.corrected(smoothed_errors(run.system, noise, speed))
         return cls(run.corrected(errors), smooth, np.asarray(rows), np.maximum(size, np.finfo(float).tiny))

@@ -7,6 +7,7 @@ import numpy as np
 from covariant.calibration.diagnosis import (
     BARELY,
     MOST_ROWS,
+    ROUNDING,
     best_window,
     busiest,
     case_without_outliers,
@@ -107,7 +108,8 @@ def _suggest_from_readings(file: ModelFile, record: Record) -> list[Suggestion]:
     if (readings_noise.ticks > 0).all():
         value = one_or_each(readings_noise.ticks, units, 5)
         return [Suggestion("measurement.quantum", value, "positions of the log are whole ticks apart")]
-    if not (readings_noise.std > 0).all():  # a constant position shows no noise
+    # A constant position shows no noise, nor do rounding errors.
+    if not (readings_noise.std > ROUNDING * np.nanmax(np.abs(np.asarray(record.y)), axis=0)).all():
         return []
     caveat = "" if readings_noise.white.all() else ", at most, since they move between the rows"
     value = one_or_each(readings_noise.std, units, 2)

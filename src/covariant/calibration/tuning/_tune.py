@@ -32,7 +32,7 @@ from covariant.calibration.tuning._data_sheet import DataSheet, Trial
 from covariant.calibration.tuning._estimators import estimators, observer_gains, tuned_estimators
 from covariant.calibration.tuning._filters import relative_error
 from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed
-from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, prepared
+from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, refuse_noise_free, tuning_logs
 from covariant.models import MechanicalSystem
 from covariant.observers import REGISTRY, run
 from covariant.scoring import unwrap
@@ -136,6 +136,7 @@ def tune(
     progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
     window: tuple[float, int, float] | None = None,
+    names: Sequence[str] = (),
 ) -> Tuning:
     """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
 
@@ -156,18 +157,22 @@ def tune(
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
         window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they
             are fitted to, of which the noise is computed; by default the reference is taken to have none.
+        names: What messages call the records; by default record 1, record 2, ….
 
     Returns:
         Gains, noise, and their errors on the held-out rows.
 
     Raises:
-        ValueError: A record is too short, or no gains give a finite estimate.
+        ValueError: The records are too short, something in them stands still or they have no noise, or no gains give a
+            finite estimate.
     """
-    logs = [prepared(model, record, velocity) for record, velocity in zip(records, velocities, strict=True)]
+    names = names or [f"record {k + 1}" for k in range(len(records))]
+    logs = tuning_logs(model, records, velocities, names)
     rate, n = logs[0].rate, logs[0].velocity.shape[1]
     progress("gains")
     runner = runs or by_jax
     frequency, damping, size = best_innovations(model, logs, runner)
+    refuse_noise_free(size, logs)
     proposed: dict[str, Poles] = {"innovations": (frequency, damping, 0.0)}
     estimates = followed(model, logs, proposed["innovations"], runner)
     progress("noise")
@@ -315,11 +320,12 @@ def _neighbours(white: np.ndarray, present: np.ndarray) -> np.ndarray:
 def _best_model_free(
     model, logs: list[TuningLog], noise: NoiseLevels, sheet: DataSheet | None
 ) -> tuple[str, float] | None:
-    """Name and velocity error of the best filter without a model, each tuned on the first part of the first log."""
+    """Name and velocity error of the best filter without a model, each tuned on the first part of the longest log."""
     names = [entry.name for entry in REGISTRY if not entry.knows_model and entry.name in estimators(model)]
     if not names:
         return None
-    first, n = logs[0], logs[0].velocity.shape[1]
+    first = max(logs, key=lambda log: log.tuned.sum())
+    n = first.velocity.shape[1]
     end = len(first.first_part.t)
     valid = np.isfinite(first.velocity[:end]).all(axis=1)
     t, y = np.asarray(first.record.t)[:end], unwrap(np.asarray(first.record.y), model.circles)[:end]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant._errors import InputError
-from covariant.calibration.diagnosis import outliers
+from covariant.calibration.diagnosis import ROUNDING, outliers
 from covariant.calibration.identification import FITTED
 from covariant.models import MechanicalSystem
 from covariant.observers import IntrinsicForce, run
@@ -17,7 +17,7 @@ from covariant.signals import Record, Run
 MOST_ROWS = 8000
 """Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""
 FEWEST_ROWS = 100
-"""Least number of rows in each part of a log."""
+"""Least number of rows in each part of all logs."""
 Runs = Callable[[Sequence[IntrinsicForce], Sequence[Record]], Sequence[Run]]
 """Runs each of several observers over each of several records, and returns estimates and innovations."""
 
@@ -41,8 +41,32 @@ class TuningLog(NamedTuple):
         return 1 / float(np.median(np.diff(np.asarray(self.record.t))))
 
 
+def tuning_logs(
+    model: MechanicalSystem, records: Sequence[Record], velocities: Sequence[np.ndarray], names: Sequence[str]
+) -> list[TuningLog]:
+    """Take the outliers out of records, and divide their rows; raise `InputError` for what no tuning can use.
+
+    All logs together need enough rows: one that has none in one of its parts is left out.
+    """
+    logs = [prepared(model, *each) for each in zip(records, velocities, strict=True)]
+    counts = np.array([(log.tuned.sum(), log.held_out.sum()) for log in logs])
+    if (least := counts.sum(axis=0)).min() < FEWEST_ROWS:
+        each = ", ".join(
+            f"{name} of {len(log.tuned)} rows has {tuned} and {held_out}"
+            for name, log, (tuned, held_out) in zip(names, logs, counts, strict=True)
+        )
+        raise InputError(
+            f"{'is' if len(logs) == 1 else 'are'} too short to tune on: of the first two thirds {least[0]} rows count, "
+            f"and {least[1]} of the rest, where {FEWEST_ROWS} of each are needed; the start of a log, in which an "
+            f"observer settles, never counts. {each}"
+        )
+    usable = [log for log, each in zip(logs, counts, strict=True) if each.all()]
+    _refuse_rest(model, usable)
+    return usable
+
+
 def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> TuningLog:
-    """Take the outliers out of a record, and divide its rows."""
+    """A record without outliers, with its rows for tuning and the held-out ones."""
     t, y = np.asarray(record.t), np.asarray(record.y)
     if model.manifold.commuting:
         wrong = outliers(t, y, model.circles)[0]
@@ -56,12 +80,37 @@ def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> T
         if min(tuned.sum(), held_out.sum()) >= FEWEST_ROWS:
             break
     tuned[np.flatnonzero(tuned)[MOST_ROWS:]] = False
-    if min(tuned.sum(), held_out.sum()) < FEWEST_ROWS:
-        raise InputError(
-            f"a log of {len(t)} rows over {t[-1] - t[0]:.3g} s is too short to tune on: of its first two thirds "
-            f"{tuned.sum()} rows count, of the rest {held_out.sum()}, and {FEWEST_ROWS} of each are needed"
-        )
     return TuningLog(Record(t, np.asarray(record.u), y), velocity, tuned, held_out)
+
+
+def _readings(logs: Sequence[TuningLog]) -> Float[np.ndarray, "T n"]:
+    """The readings of all logs, one below the other; the entries of an attitude side by side."""
+    return np.concatenate([np.asarray(log.record.y).reshape(len(log.record.t), -1) for log in logs])
+
+
+def _refuse_rest(model: MechanicalSystem, logs: Sequence[TuningLog]) -> None:
+    """Raise `InputError` where a coordinate stands still, or an attitude: no error is a part of a velocity of zero."""
+    y = _readings(logs)
+    still = np.nanmin(y, axis=0) == np.nanmax(y, axis=0)
+    if not (still.any() if model.manifold.commuting else still.all()):
+        return
+    names = model.coordinates or tuple(f"q{i + 1}" for i in range(y.shape[1]))
+    which = ", ".join(name for name, one in zip(names, still, strict=False) if one)
+    raise InputError(
+        f"{'nothing moves' if still.all() else f'{which} does not move'} in the logs, so that they tell neither noise "
+        "nor gains; log a motion of all coordinates"
+    )
+
+
+def refuse_noise_free(size: Float[np.ndarray, "n"], logs: Sequence[TuningLog]) -> None:
+    """Raise `InputError` where innovations of the size (n,) are rounding errors, as those of a simulation are."""
+    y = _readings(logs)
+    relative = float(np.max(size)) / float(np.nanmax(y) - np.nanmin(y))
+    if relative < ROUNDING:
+        raise InputError(
+            f"the model predicts each reading up to {relative:.1g} of the motion, as in a simulation without noise: "
+            "such a log tells neither noise nor gains. Give a log of the machine, or simulate one with noise"
+        )
 
 
 def constant_gains(

@@ -94,7 +94,7 @@ def check_observer(document: Document, observer: Intrinsics) -> None:
         )
     try:
         check_recipe(observer.model, document.recipe)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{document.file}: {error}") from error
 
 

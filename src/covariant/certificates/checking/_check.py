@@ -134,7 +134,7 @@ def follows(document: Document, model: Any = None) -> Resolved:
             _need(document.graph == expected, "graph: it must be the one that the observer has")
             return resolved
     except Exception as error:  # the model of a user may fail in any way while it is traced
-        kind = "" if isinstance(error, ValueError) else f"recipe: the model fails: {type(error).__name__}: "
+        kind = "" if isinstance(error, InputError) else f"recipe: the model fails: {type(error).__name__}: "
         raise InputError(f"{document.file}: {kind}{_first_line(error)}") from error
 
 

@@ -87,7 +87,7 @@ def judged(resolved: Resolved, seconds: float) -> Hypothesis:
     """Check claims that were proved in this process, as a hypothesis of their statement."""
     try:
         return _checker_hypothesis(show_found(resolved, seconds))
-    except ValueError as error:
+    except InputError as error:
         return Hypothesis(f"{CHECKER} the proofs", "proved", "undecided", place=str(error))
 
 

@@ -26,7 +26,7 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
     """Build the observer of a certificate."""
     try:
         system = models.from_recipe(document.recipe or {}, model)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"recipe: {error}") from error
     fields = dict(document.observer)
     kind, frame = fields.pop("kind"), fields.pop("frame")

@@ -310,7 +310,7 @@ def _in_continuous_time(
     model = observer.model
     if has_dry_friction(model, assumed.velocity):
         # An error is that of friction without bounds over the region. The function of the velocity may still do.
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(InputError):
             system = error_system(observer, matrix, joint_friction=True)
             effort.domain, bounds = _domain(observer, system, assumed, region, joint_friction=True)
             proof = effort.prove("contraction", contraction(system, target))

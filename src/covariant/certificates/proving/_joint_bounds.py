@@ -81,7 +81,7 @@ def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> 
         return False
     try:
         need_joint_friction(model)
-    except ValueError:
+    except InputError:
         return False
     n = len(speed)
     step, friction = 1e-6 * speed, functools.partial(friction_of, model, jnp.zeros(n))

@@ -155,7 +155,7 @@ def _check_units(model: Model, columns: Columns) -> None:
         for i, unit in enumerate(expected.get(key, ())):
             try:
                 check_unit(columns.unit_of(key, i) or unit, unit)
-            except ValueError as error:
+            except InputError as error:
                 raise InputError(f"units.{key}: {error}") from error
 
 

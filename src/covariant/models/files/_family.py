@@ -232,7 +232,7 @@ def _refuses(spec: str, content: dict[str, Any]) -> bool:
     """Whether the model refuses these numbers."""
     try:
         finish(spec, content)
-    except ValueError:
+    except InputError:
         return True
     return False
 

@@ -136,7 +136,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
         with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find
             return _build(name, factory, parameters).model
     except Exception as error:  # parameters from a file may make a system fail in any way
-        kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+        kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error
 
 

@@ -41,7 +41,7 @@ def named(spec: str) -> Iterator[None]:
     """Raise a `ValueError` as a `ModelError`: its first line, after the name of the model that it is about."""
     try:
         yield
-    except ValueError as error:
+    except InputError as error:
         line = first_line(error)  # of a robot's file it names the path already
         raise ModelError(line if line.startswith(f"{spec}: ") else f"{spec}: {line}") from error
 

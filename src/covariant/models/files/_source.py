@@ -182,6 +182,10 @@ def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> 
         return factory(**parameters)
     except TypeError as error:
         raise InputError(f"a parameter of {name} is of the wrong kind: {first_line(error)}") from error
+    except ValueError as error:  # a function of a user refuses parameters by it; one of this library by `InputError`
+        if isinstance(error, InputError) or getattr(factory, "__module__", "").startswith("covariant."):
+            raise
+        raise InputError(f"{name} refuses its parameters: {first_line(error)}") from error
 
 
 def first_line(error: BaseException) -> str:

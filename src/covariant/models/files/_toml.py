@@ -146,7 +146,7 @@ def _units(table: dict[str, Any]) -> dict[str, tuple[str, ...]]:
         for text in texts:
             try:
                 unit_factor(text)
-            except ValueError as error:
+            except InputError as error:
                 raise InputError(f"units.{key}: {error}") from error
     return {key: tuple(texts) for key, texts in units.items()}
 

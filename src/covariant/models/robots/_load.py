@@ -49,7 +49,7 @@ def _read(path: str | Path, motor_torques: bool) -> tuple[Description, Any]:
     """The description of a robot, and MuJoCo's model of it where the file is MJCF, else None."""
     try:
         return _read_file(located(path), motor_torques)
-    except ValueError as error:  # of the door it names the file already
+    except InputError as error:  # of the door it names the file already
         text = str(error)
         raise InputError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from error
 
@@ -159,7 +159,7 @@ def load(
     robot = described(path, actuated, dry_friction=dry_friction, motor_torques=motor_torques, **numbers)
     try:
         return assemble(robot, floating=floating, lock=lock, actuated=actuated, payload=payload)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
@@ -177,7 +177,7 @@ def described(
         if engine is not None:
             refuse_difference(engine, robot, actuated)
         robot = changed(robot, **numbers)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return robot if dry_friction else robot._replace(joints=tuple(map(_without_dry_friction, robot.joints)))
 

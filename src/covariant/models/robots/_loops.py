@@ -64,7 +64,7 @@ def close_loops(model: MechanicalSystem, robot: Description, geometry: RobotSpac
         near = _assembled(model, geometry, robot)
         try:
             leaf = Leaf.closing(geometry, Closure(geometry, robot.loops), near)
-        except ValueError as error:
+        except InputError as error:
             raise InputError(f"loop {', '.join(repr(loop.name) for loop in robot.loops)}: {error}") from error
         for loop in robot.loops:
             # The rows of a weld are sines, which vanish at half a turn too.

@@ -64,7 +64,7 @@ def robot_text(
         else:
             text = mjcf_text(_on_its_base(robot) if floating else robot, step, head)
             _check_mjcf(text)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return RobotText(text, left_out)
 

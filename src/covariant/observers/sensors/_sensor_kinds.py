@@ -537,7 +537,7 @@ def _on_link(
         raise InputError(f"{whose}: {type(space).__name__} has no links; give the space of a robot")
     try:
         tree.links.of(link)
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"{whose}: {error}") from error
     try:
         rotation = np.eye(3) if axes is None else np.asarray(axes, float)

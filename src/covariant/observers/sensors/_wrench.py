@@ -101,7 +101,7 @@ def wrench(
     v = jax.eval_shape(space.manifold.zero, q)
     try:
         eqx.filter_eval_shape(force, q, v, jax.ShapeDtypeStruct((acting.size,), v.dtype))
-    except ValueError as error:
+    except InputError as error:
         raise InputError(f"wrench: {error}") from error
     names = tuple(f"{_AXES[i]}_{link if name is None else name}" for i in acting)
     return forgotten_force(names, stds[acting], time, force)

@@ -1,0 +1,44 @@
+"""Any verb with any machine and any log gives a result or a refusal: each verb with each log here, all before a
+release."""
+
+import pytest
+from plain_commands import (
+    FROM_LOGS,
+    LOGS,
+    MACHINES,
+    WITHOUT_LOGS,
+    cover,
+    every_case,
+    few_cases,
+    run_case,
+    write_machines,
+)
+
+FEW = few_cases()
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("machines")
+    write_machines(folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("verb", "machine", "log"),
+    [pytest.param(*case, marks=() if case in FEW else pytest.mark.exhaustive) for case in every_case()],
+)
+@pytest.mark.long
+def test_a_plain_command_ends_in_a_result_or_a_refusal(machines, monkeypatch, capsys, verb, machine, log):
+    monkeypatch.chdir(machines)
+    monkeypatch.syspath_prepend(machines)
+    ended = run_case(verb, machine, log, capsys)
+    assert not ended.fault, ended.fault
+
+
+def test_each_verb_meets_each_log_and_each_machine_is_used():
+    assert {(verb, log) for verb, _, log in FEW if log in LOGS} == {(verb, log) for verb in FROM_LOGS for log in LOGS}
+    assert {machine for _, machine, _ in FEW} == {*MACHINES}
+    assert {verb for verb, _, _ in FEW} == {*FROM_LOGS, *WITHOUT_LOGS}
+    assert len(set(FEW)) == len(FEW) <= 130
+    assert cover("ab", "xyz", lambda verb: "mn") == cover("ab", "xyz", lambda verb: "mn")
