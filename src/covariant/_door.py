@@ -115,7 +115,7 @@ def parse_toml(text: str, where: str = "") -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def bounded(path: object) -> Iterator[None]:
+def bounded(path: str | os.PathLike[str]) -> Iterator[None]:
     """Context in which a file of a user is parsed; where it asks for too much memory or nesting, the error names it."""
     try:
         yield
@@ -126,7 +126,7 @@ def bounded(path: object) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _named(path: object, kind: FileKind) -> Iterator[None]:
+def _named(path: str | os.PathLike[str], kind: FileKind) -> Iterator[None]:
     try:
         with bounded(path):
             yield

@@ -177,7 +177,6 @@ COMMANDS = (
         "docs/your-log.md",
         own=(ESTIMATE, REPORT, RERUN, OVERWRITE),
         changes=LISTED | {"log": EACH},
-        run=_estimate,
         again=_is_estimate,
         over_logs=True,
     ),
