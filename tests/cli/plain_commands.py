@@ -208,7 +208,6 @@ WITHOUT_LOGS = {
     "simulate": ("simulate", "{machine}", "-o", "out/log.csv", "--duration", "2"),
     "push": ("simulate", "{machine}", "-o", "out/pushed.csv", "--duration", "2", "--push", "{push}"),
     "model": ("model", "{machine}"),
-    "cite": ("cite", "{machine}", "--observer", "ekf", "-o", "out/works.bib"),
     "export": ("export", "{machine}", "--rate", "500", "--real", "float", "-o", "out/arm"),
     "python": ("export", "{machine}", "--rate", "500", "--python", "-o", "out/module"),
     "ros2": ("export", "{machine}", "--rate", "500", "--ros2", "-o", "out/ros"),
