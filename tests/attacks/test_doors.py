@@ -84,6 +84,7 @@ MODELS: dict[str, tuple[str, str | bytes | int | Path, str]] = {
     "100 moving links": ("urdf", urdf(101, "continuous"), "has 100 joints that move, more than 80"),
     "many tags": ("urdf", f"<robot>{'<a/>' * 30_000}</robot>", "has 30001 entries, more than 20000"),
     "deep tags": ("urdf", "<robot>" + "<a>" * 10_000, "not readable XML"),
+    "copies": ("xml", mjcf(f'<replicate count="1000000">{BODY}</replicate>'), "or more, with copies"),
     "copies of copies": (
         "xml",
         mjcf(f'<replicate count="30"><replicate count="30">{BODY}</replicate></replicate>'),

@@ -4,6 +4,7 @@ from ._columns import (
     Columns as Columns,
     Log as Log,
     LogError as LogError,
+    check_log as check_log,
 )
 from ._configuration import (
     Body as Body,

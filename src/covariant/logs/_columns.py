@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._door import BINARY_LOG, MOST_ROWS, STORE, check_file
+from covariant._door import BINARY_LOG, MOST_ROWS, STORE, TEXT_LOG, check_file
 from covariant._errors import InputError, MissingPackageError
 from covariant.signals import Record
 
@@ -183,7 +183,7 @@ def check_log(path: Path, rows: int = 0) -> None:
     """Refuse a log with too many rows, or with a file that is no regular one, as a pipe would be read for ever."""
     for part in path.iterdir() if path.is_dir() else [path]:
         if not part.is_dir():
-            check_file(part, STORE if part.suffix == ".yaml" else BINARY_LOG)
+            check_file(part, STORE if part.suffix == ".yaml" else TEXT_LOG if part.suffix in TEXTS else BINARY_LOG)
     if rows > MOST_ROWS:
         raise LogError(f"{path}: it has {rows} rows, more than {MOST_ROWS}; cut it into several logs")
 

@@ -22,7 +22,7 @@ import numpy as np
 from covariant import models, workflow
 from covariant._cases import CaseTable, Crew, content_hash, run_chunks
 from covariant._errors import InputError, file_name, printable
-from covariant.logs import source_name
+from covariant.logs import check_log, source_name
 from covariant.workflow._among_logs import IDLE, Among, LogRow, among_logs
 from covariant.workflow._arguments import Scheduler
 from covariant.workflow._model_output import model_hash
@@ -235,13 +235,14 @@ def _content(log: Any) -> tuple[str, float]:
         return f"{id(log)}", LEAST_COST
     digest, size, path = hashlib.sha256(), 1.0, Path(log)
     try:
+        check_log(path)
         # A folder that is no log may hold anything, and is not read.
         bag = sorted(path.iterdir()) if (path / "metadata.yaml").exists() else []
         for file in filter(Path.is_file, bag or [path]):
             with file.open("rb") as content:
                 digest.update(hashlib.file_digest(content, "sha256").digest())
             size += file.stat().st_size
-    except OSError as error:
+    except (OSError, InputError) as error:
         return f"{path}: {error}", size  # what reads it says the same
     return digest.hexdigest(), size
 

@@ -148,7 +148,7 @@ class Observer:
     def step(self, y: object, dt: float, u: object = None) -> Result:
         """Advance by dt [s] under the input u, then correct by the measurement y.
 
-        The first complete measurement starts the observer, also after `NOT_FINITE`.
+        The first complete measurement starts the observer.
 
         Args:
             y: Measurement, of the shape `MEASUREMENT`; NaN marks what was not measured.
@@ -167,10 +167,7 @@ class Observer:
             if self.started and INPUT_AT_END and u is not None:
                 self._step(x, p, at_u, at_y, None, 0.0)
             return result
-        result = _CODES[self._step(x, p, None if u is None else at_u, at_y, None, float(dt))]
-        if result is Result.NOT_FINITE:
-            self.started = False
-        return result
+        return _CODES[self._step(x, p, None if u is None else at_u, at_y, None, float(dt))]
 
     def estimate(self) -> Estimate:
         """The estimate; NaN before the observer has started."""

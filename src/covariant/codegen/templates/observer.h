@@ -47,6 +47,8 @@ int xNAMEx_init(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_r
  * missing: for each number of y, 1 where it was not measured; NULL for none. NaN in y says the same.
  * u: xSENTx; NULL counts as zero. One that is not finite is replaced by the last one.
  * dt: the time since the last stamp that was used. A step that is not positive leaves the state as it was.
+ * A state that left the finite numbers, as after a u of 1e200, is replaced by a start at y, or, where that is not
+ * complete, by the state before: xUPPERx_NOT_FINITE.
  *
  * The outcome says what of this happened. Call xNAMEx_init first: a state without it has no meaning. */
 int xNAMEx_step(xNAMEx_state *state, const xNAMEx_params *params, const xNAMEx_real *u,

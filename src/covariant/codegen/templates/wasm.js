@@ -17,7 +17,7 @@ xSIGNALSx */
 const NAME = "xNAMEx", RATE = xRATEx, MEASUREMENTS = xMEASUREMENTSx, INPUTS = xINPUTSx, INPUT_AT_END = xAT_ENDx;
 const RESULTS = xRESULTSx;
 const MESSAGES = xMESSAGESx;
-const OK = RESULTS.indexOf("OK"), COASTED = RESULTS.indexOf("COASTED"), NOT_FINITE = RESULTS.indexOf("NOT_FINITE");
+const OK = RESULTS.indexOf("OK"), COASTED = RESULTS.indexOf("COASTED");
 /* Names and sizes of what the structures of the C hold, in order. */
 const PARAMS = xPARAMSx;
 const STATE = xSTATEx;
@@ -94,9 +94,7 @@ async function load() {
                 if (this.started && INPUT_AT_END) this.#calls.step(0);
                 return begun;
             }
-            const code = this.#calls.step(dt);
-            if (code === NOT_FINITE) this.started = false;
-            return code;
+            return this.#calls.step(dt);
         }
 
         /* The estimate as arrays by name; NaN before the observer has started. */

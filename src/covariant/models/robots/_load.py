@@ -12,7 +12,7 @@ from covariant.models.robots._against_mujoco import refuse_difference
 from covariant.models.robots._assemble import assemble
 from covariant.models.robots._changes import changed
 from covariant.models.robots._description import Description, FrictionLaw, Joint
-from covariant.models.robots._library import located
+from covariant.models.robots._library import ROBOTS, located
 from covariant.models.robots._mjcf import read_mjcf
 from covariant.models.robots._mjcf_bounds import check_bounds
 from covariant.models.robots._urdf import read_urdf
@@ -50,7 +50,7 @@ def _read(path: str | Path, motor_torques: bool) -> tuple[Description, Any]:
     try:
         return _read_file(located(path), motor_torques)
     except InputError as error:  # of the door it names the file already
-        text = str(error)
+        text = str(error) + ("" if located(path).exists() else f", or one of {', '.join(ROBOTS)}")
         raise InputError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from error
 
 

@@ -231,7 +231,7 @@ class AbstractObserver(Functional):
 
         new_state = jax.tree.map(select, _with_last_input(advanced, state, valid_u), fresh, state)
         # A larger code is worse: see `StepCode`.
-        fault = jnp.maximum(_input_fault(u, too_large, dt), jnp.where(lost, int(StepCode.NOT_FINITE), 0))
+        fault = jnp.where(lost, int(StepCode.NOT_FINITE), _input_fault(u, too_large, dt))
         result = jnp.maximum(info.result, fault.astype(info.result.dtype))
         ran = valid_u, measured, jnp.where(advances, dt, 0.0)
         return self.reported(state, new_state, info._replace(result=result), *ran)
