@@ -106,8 +106,8 @@ def numbers_of(annotations: Mapping[str, Any], values: Mapping[str, Any]) -> Ite
             yield name, domain, value
         elif isinstance(value, tuple) and hasattr(value, "_asdict"):
             fields: dict[str, Any] = value._asdict()  # pyright: ignore[reportAttributeAccessIssue]
-            for field, *rest in numbers_of(inspect.get_annotations(type(value)), fields):
-                yield f"{name}.{field}", *rest
+            for field, each, number in numbers_of(inspect.get_annotations(type(value)), fields):
+                yield f"{name}.{field}", each, number
 
 
 def check_numbers(function: Function) -> Function:
