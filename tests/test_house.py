@@ -210,15 +210,21 @@ VALUES_OF_THE_CODE = {
 
 def derivatives(module: ast.Module, names: set[str]) -> set[tuple[str, str]]:
     """Derivatives with these names that a module takes, each with the function at its top level that takes it."""
-    aliases = [alias for node in ast.walk(module) if isinstance(node, ast.ImportFrom) for alias in node.names]
-    local = {alias.asname or alias.name: alias.name for alias in aliases if alias.name in names}
-    found = {("", "*") for alias in aliases if alias.name == "*"}
+    imports = [node for node in ast.walk(module) if isinstance(node, ast.Import | ast.ImportFrom)]
+    aliases = [(getattr(node, "module", None) or "", alias) for node in imports for alias in node.names]
+    # `jacobian` alone is also the name of the derivative that statements take, by `lowering`.
+    both = {name for room, alias in aliases if (name := alias.name) == "jacobian" and room.startswith("jax")}
+    local = {alias.asname or alias.name: alias.name for _, alias in aliases if alias.name in names | both}
+    jax = {"jax"} | {alias.asname for _, alias in aliases if alias.name == "jax"}
+    found = {("", "*") for _, alias in aliases if alias.name == "*"}
     for top in module.body:
         where = getattr(top, "name", "")
         for node in ast.walk(top):
             match node:
                 case ast.Attribute(attr=name) if name in names:
                     found.add((where, name))
+                case ast.Attribute(attr="jacobian", value=ast.Name(id=root)) if root in jax:
+                    found.add((where, "jacobian"))
                 case ast.Constant(value=str(name)) if name in DERIVATIVES:
                     found.add((where, name))
                 case ast.Name(id=name) if name in local:
@@ -270,6 +276,9 @@ def test_statements_take_no_derivative_from_jax():
         "from jax import hessian as h; h(f)",
         "from covariant.geometry import differential; differential(manifold, f, x)",
         "from jax import *",
+        "jax.jacobian(f)(x)",
+        "import jax as j; j.jacobian(f)(x)",
+        "from jax import jacobian as slopes; slopes(f)(x)",
     ],
 )
 def test_a_deliberate_derivative_is_found(line):

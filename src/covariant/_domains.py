@@ -8,7 +8,8 @@ of a NamedTuple too, and then its result. What is traced by JAX has no value yet
 import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from typing import Annotated, Any, NamedTuple, TypeVar, cast, get_args
+from types import UnionType
+from typing import Annotated, Any, NamedTuple, TypeVar, Union, cast, get_args, get_origin
 
 import jax
 import numpy as np
@@ -87,27 +88,23 @@ Interval = Annotated[tuple[float, float], INTERVAL]
 
 def domain_of(annotation: Any) -> Domain | None:
     """The domain in a type, also in one that allows None."""
-    return next((each for each in _parts(annotation) if isinstance(each, Domain)), None)
-
-
-def _parts(annotation: Any) -> Iterator[Any]:
-    for part in (*getattr(annotation, "__metadata__", ()), *get_args(annotation)):
-        yield part
-        # Not into `tuple[Positive, …]`: the value would be compared as a whole.
-        if hasattr(part, "__metadata__"):
-            yield from part.__metadata__
+    kinds = (annotation, *(get_args(annotation) if get_origin(annotation) in (Union, UnionType) else ()))
+    parts = (part for kind in kinds for part in getattr(kind, "__metadata__", ()))
+    return next((part for part in parts if isinstance(part, Domain)), None)
 
 
 def numbers_of(annotations: Mapping[str, Any], values: Mapping[str, Any]) -> Iterator[tuple[str, Domain, Any]]:
-    """The values whose types have a domain, with their names; of a NamedTuple those in its fields."""
+    """The values whose types have a domain, with their names; of a NamedTuple and a tuple those in it."""
     for name, value in values.items():
-        domain = domain_of(annotations.get(name))
+        annotation = annotations.get(name)
+        domain = domain_of(annotation)
         if domain is not None and value is not None:
             yield name, domain, value
-        elif isinstance(value, tuple) and hasattr(value, "_asdict"):
-            fields: dict[str, Any] = value._asdict()  # pyright: ignore[reportAttributeAccessIssue]
-            for field, *rest in numbers_of(inspect.get_annotations(type(value)), fields):
-                yield f"{name}.{field}", *rest
+        elif isinstance(value, tuple):
+            fields = getattr(value, "_fields", ())
+            inside = inspect.get_annotations(type(value)) if fields else dict(enumerate(get_args(annotation)))
+            within = {f"{name}.{key}": part for key, part in zip(fields or inside, value, strict=False)}
+            yield from numbers_of({f"{name}.{key}": part for key, part in inside.items()}, within)
 
 
 def check_numbers(function: Function) -> Function:

@@ -366,7 +366,7 @@ STILL = (lambda t, x: -x, in_coordinates(lambda t, x: jnp.eye(1)))
         ([[1.0]], [[2.0]], [1.0, 0.5, 0.0], "each later"),
         ([[1.0]], [[2.0]], [0.0, 0.0], "each later"),
         ([[1.0]], [[2.0]], [0.0], "at least two stamps"),
-        ([[1.0]], [[2.0]], [0.0, np.nan], "each later"),
+        ([[1.0]], [[2.0]], [0.0, np.nan], "t must be a finite number"),
         (np.zeros((0, 1)), np.zeros((0, 1)), [0.0, 1.0], "at least one"),
         ([[1.0]], [[1.0]], [0.0, 1.0], "pair 1 has no positive distance"),
     ],

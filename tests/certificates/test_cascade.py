@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from covariant import models
+from covariant._errors import InputError
 from covariant.calibration import contracting_gain
 from covariant.certificates import (
     Constants,
@@ -169,6 +170,17 @@ def test_designs_that_cannot_be_are_refused(design, message):
         design()
 
 
+def test_the_domain_of_a_design_counts_its_jacobians():
+    pair, matrix = (-np.eye(2), np.ones((1, 2))), -np.eye(2)
+    for design, words in (
+        (observer_gain(*pair, 1.0), "1 pair of Jacobians"),
+        (observer_gain(*([each] * 2 for each in pair), 1.0), "2 pairs of Jacobians"),
+        (common_metric(matrix, 1.0), "1 Jacobian"),
+        (common_metric([matrix] * 3, 1.0), "3 Jacobians"),
+    ):
+        assert design.statement.domain == f"the hull of {words}"
+
+
 # Theorem 3
 
 
@@ -195,6 +207,15 @@ def built(gain=1.0, more=0.0, spread=(0.0, 1.0), **options):
 
     region = box(d=spread)
     return cascade((plant, region), (error, region), (coupling, box(k=(0.5, 2.0))), **options)
+
+
+def test_parts_of_other_plants_are_refused():
+    small, large = ((linear(-np.eye(n), np.eye(n), ("d",)), box(d=(0.0, 1.0))) for n in (1, 2))
+    coupling = (lambda z: (jnp.zeros((2, 1)), jnp.zeros((2, 2)))), box(k=(0.0, 1.0))
+    with pytest.raises(InputError, match="e of the coupling has the size 2, and that of the controller 1"):
+        cascade(small, small, coupling)
+    with pytest.raises(InputError, match="x̃ of the coupling has the size 1, and that of the observer 2"):
+        cascade(large, large, coupling)
 
 
 def test_constants_are_those_of_the_closed_form():

@@ -4,12 +4,12 @@ import ast
 import inspect
 import math
 import typing
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import SOURCE
 
 from covariant import calibration, certificates
 from covariant._domains import (
@@ -53,7 +53,7 @@ def test_a_domain_has_its_numbers_and_no_others(domain):
     assert (domain.has(0), domain.has(True)) == (domain.contains(np.zeros(())), domain.has(1) and not domain.whole)
 
 
-STUB = ast.parse((SOURCE / "certificates" / "__init__.pyi").read_text(encoding="utf-8"))
+STUB = ast.parse(Path(str(certificates.__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
 NAMES = [alias.asname for node in STUB.body if isinstance(node, ast.ImportFrom) for alias in node.names]
 FUNCTIONS = {name: f for name in NAMES if inspect.isfunction(f := getattr(certificates, str(name)))}
 FUNCTIONS["contracting_gain"] = calibration.contracting_gain

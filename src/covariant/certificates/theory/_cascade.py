@@ -10,7 +10,7 @@ Source: Jouffroy & Fossen 2004, Theorem 3, equations (64)–(79).
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -255,6 +255,7 @@ def cascade(
     _check_same_bounds(controller[1], observer[1], coupling[1])
     for error_system, domain in (controller, observer):
         need_steady("cascade", error_system, domain)
+    _check_sizes(controller, observer, coupling)
     search = _Search(attempts, starts, seed, proved, boxes)
     forms = _forms(controller, observer, coupling)
     ones = tuple(np.ones(size) for size in _sizes(coupling))
@@ -314,6 +315,18 @@ def _check_same_bounds(*boxes: Box) -> None:
                     f"cascade: {name} is in [{first[0]:g}, {first[1]:g}] in one box and in [{low:g}, {high:g}] in "
                     "another; give it the same bounds in all of them"
                 )
+
+
+def _check_sizes(controller: tuple[ErrorSystem, Box], observer: tuple[ErrorSystem, Box], coupling: Any) -> None:
+    """Raise `InputError` where the coupling has other errors than the systems that it couples."""
+    parts = ("controller", controller, "e"), ("observer", observer, "x̃")
+    for (name, (error_system, box), error), size in zip(parts, _sizes(coupling), strict=True):
+        own = jax.eval_shape(lambda z, of=error_system: of.at(z).x, jnp.asarray(box.low)).shape[0]
+        if own != size:
+            raise InputError(
+                f"cascade: {error} of the coupling has the size {size}, and that of the {name} {own}; give controller, "
+                "observer and coupling of one plant"
+            )
 
 
 class _Search(NamedTuple):

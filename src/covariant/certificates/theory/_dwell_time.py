@@ -37,7 +37,7 @@ ASSUMED = (
     "positions are measured in continuous time and without noise, and the model is exact",
 )
 """What the inequality rests on beside the numbers."""
-ON_LEAF = Domain(f"be zero within {CLOSED:g}", lambda gap: abs(gap) < CLOSED)
+ON_LEAF = Domain(f"be zero within {CLOSED:g}", lambda gap: np.abs(gap) < CLOSED)
 """Values of a constraint on its leaf."""
 
 
@@ -118,9 +118,9 @@ def jump_growth(
     touch_down = jnp.max(jnp.linalg.norm(jax.vmap(stretched)(values), 2, axis=(1, 2)))
     # β − α²/4 = det Q, from the same factor of Q: NaN in both where Q is not positive definite.
     lift_off = jnp.sqrt(1 + (jnp.linalg.norm(bend, 2) / (half[0, 0] * half[1, 1])) ** 2)
-    on_leaf = jnp.all(ON_LEAF.contains(gap))
     # A factor is never below 1 but by rounding, since the maps have the determinant 1.
-    return JumpGrowth(*(jnp.where(on_leaf, jnp.maximum(f, 1.0), jnp.nan) for f in (touch_down, lift_off)), alpha, beta)
+    least = jnp.where(jnp.all(jnp.abs(gap) < CLOSED), 1.0, jnp.nan)
+    return JumpGrowth(jnp.maximum(touch_down, least), jnp.maximum(lift_off, least), alpha, beta)
 
 
 @check_numbers
