@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
 from covariant.models import Motion
-from covariant.scoring import scored_window, unwrap
+from covariant.scoring import known_rms, scored_window, unwrap
 from covariant.signals import Record
 from covariant.workflow._design import log_sheet
 from covariant.workflow._inputs import Loaded
@@ -96,7 +96,7 @@ def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarra
         for name, outcome in outcomes.items():
             motion = loaded.model.motion(outcome.run.estimate)
             found = errors_ahead(loaded.model, record, Motion(motion.q, motion.v), selection, horizon)
-            errors[-1][name] = np.sqrt(np.nanmean(found**2, axis=(0, 1)))
+            errors[-1][name] = known_rms(found, (0, 1))
     return Ahead(horizon, horizon / loaded.rate, *errors)
 
 
