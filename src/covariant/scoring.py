@@ -371,27 +371,6 @@ def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.
     return mask if mask.sum() >= 10 else t >= (t[0] + t[-1]) / 2
 
 
-def known_rms(x: Float[NumpyArray, "..."], axis: int | tuple[int, ...] = 0) -> np.ndarray:
-    """Root mean square of the entries that are known, along axes; NaN where none is.
-
-    Args:
-        x: Numbers of any shape, NaN where they are not known.
-        axis: The axes.
-
-    Returns:
-        The root mean squares, of the shape of the other axes.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.scoring import known_rms
-        >>> known_rms(np.array([[3.0, np.nan], [np.nan, np.nan]])).tolist()
-        [3.0, nan]
-    """
-    known = ~np.isnan(x)
-    count = known.sum(axis=axis)
-    return np.sqrt(np.where(count, np.sum(np.where(known, x, 0.0) ** 2, axis=axis) / np.maximum(count, 1), np.nan))
-
-
 def longest_step(t: Float[NumpyArray, "T"]) -> float:
     """Longest step [s] between stamps that is no hole.
 

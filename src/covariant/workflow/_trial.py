@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant._linalg import known_rms
 from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
 from covariant.models import Motion
-from covariant.scoring import known_rms, scored_window, unwrap
+from covariant.scoring import scored_window, unwrap
 from covariant.signals import Record
 from covariant.workflow._design import log_sheet
 from covariant.workflow._inputs import Loaded

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from covariant._errors import InputError
-from covariant.scoring import known_rms
+from covariant._linalg import known_rms
 from covariant.signals import AnyArray, Record
 
 MOST_ROWS = 20_000
