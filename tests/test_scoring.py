@@ -222,3 +222,14 @@ def test_windows_of_an_even_log_are_fitted_once_for_all_columns(monkeypatch):
     jittered = t[:500] + 1e-5 * np.sin(np.arange(500) ** 2)
     scoring.zero_phase_velocity(jittered, y[:500], jittered)
     assert sum(fitted) == 500
+
+
+def test_the_velocity_of_what_stands_still_is_zero_and_no_rounding_error():
+    t = np.sort(np.random.default_rng(0).uniform(0, 1, 60))
+    y = np.column_stack([np.full(60, 1e6 / 3), t, np.where(t > 0.5, np.nan, 0.1)])
+    v = scoring.zero_phase_velocity(t, y, t)
+    assert not v[:, [0, 2]].any()
+    np.testing.assert_allclose(v[:, 1], 1.0)
+    np.testing.assert_allclose(scoring.local_polynomials(t, y, t)[:, 0, 0], 1e6 / 3)
+    still = np.broadcast_to(np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]), (60, 3, 3))
+    assert not scoring.zero_phase_twist(t, still, t).any()

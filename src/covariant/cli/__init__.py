@@ -8,14 +8,6 @@ import traceback
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-INTERNAL_ERROR = 70
-"""Exit code of a command that ended with a bug: `EX_SOFTWARE` of sysexits.h."""
-BUG = (
-    "this is a bug of covariant, unless the traceback ends in a model of your own. Please report it with the lines "
-    "above, the command and `covariant doctor`"
-)
-
-
 def main() -> None:
     """Entry point; bad input gives one line on standard error and exit code 2.
 
@@ -24,7 +16,7 @@ def main() -> None:
     """
     from covariant._errors import InputError
     from covariant.cli._app import app
-    from covariant.cli._terminal import say
+    from covariant.cli._terminal import BUG, INTERNAL_ERROR, say
 
     try:
         app()  # leaves by SystemExit, with code 2 when the options are wrong

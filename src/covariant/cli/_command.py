@@ -9,11 +9,10 @@ from typing import Any
 
 from covariant import workflow
 from covariant._errors import InputError
-from covariant.cli import BUG, INTERNAL_ERROR
 from covariant.cli._console import progress_bar, show
 from covariant.cli._options import COLUMNS, FLAG, TEXT, Kind, Option, flags_of, in_options, of_verb
 from covariant.cli._signature import signature
-from covariant.cli._terminal import say
+from covariant.cli._terminal import BUG, INTERNAL_ERROR, say
 from covariant.workflow import check_output, columns_of
 
 OVER_LOGS = (

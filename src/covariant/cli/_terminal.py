@@ -10,6 +10,13 @@ from typing import Any
 
 from covariant._errors import printable
 
+INTERNAL_ERROR = 70
+"""Exit code of a command that ended with a bug: `EX_SOFTWARE` of sysexits.h."""
+BUG = (
+    "this is a bug of covariant, unless the traceback ends in a model of your own. Please report it with the lines "
+    "above, the command and `covariant doctor`"
+)
+
 STYLES = {
     r"^\s*(WRONG|FAILS|fails|Refused)\b|^covariant:": "bold red",
     r"^\s*(OK|PROVED|Verified|holds \(proved\))": "bold green",

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from covariant import models, scoring
 from covariant._errors import InputError
+from covariant._linalg import known_rms
 from covariant._names import refuse_unknown
 from covariant.calibration import (
     Fit,
@@ -393,7 +394,7 @@ class _ServoProblem(NamedTuple):
             speed = np.gradient(q, t[rows], axis=0)
             errors.append((np.diff(off, axis=0), off, reference[rows] - speed))
         one_step, position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
-        return PredictionErrors(*(np.sqrt(np.nanmean(part**2, axis=0)) for part in (one_step, position, velocity)))
+        return PredictionErrors(*(known_rms(part) for part in (one_step, position, velocity)))
 
     def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
         return servo_details(best, self.family)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant._linalg import known_rms
 from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
 from covariant.models import Motion
 from covariant.scoring import scored_window, unwrap
@@ -96,7 +97,7 @@ def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarra
         for name, outcome in outcomes.items():
             motion = loaded.model.motion(outcome.run.estimate)
             found = errors_ahead(loaded.model, record, Motion(motion.q, motion.v), selection, horizon)
-            errors[-1][name] = np.sqrt(np.nanmean(found**2, axis=(0, 1)))
+            errors[-1][name] = known_rms(found, (0, 1))
     return Ahead(horizon, horizon / loaded.rate, *errors)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.calibration.diagnosis._case import Case
+from covariant.calibration.diagnosis._case import Case, long_enough
 from covariant.calibration.diagnosis._finding import Finding
 from covariant.calibration.diagnosis._servo_commands import COMMANDS, with_inputs
 from covariant.calibration.diagnosis._servo_errors import (
@@ -44,6 +44,8 @@ MIN_JUMP_FRACTION = 0.5
 
 def servo_findings(case: Case) -> tuple[list[Finding], Case]:
     """Findings on the servos of a case, and the case with the accepted suspicions applied."""
+    if not long_enough(case, case.file.reference_half):
+        return [], case
     judge, findings, done = CommandErrors(), [], set[tuple[str, str]]()
     for _ in range(MAX_ACCEPTED):
         accepted = _best(case, judge, done)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from covariant._errors import InputError
+from covariant._linalg import known_rms
 from covariant.signals import AnyArray, Record
 
 MOST_ROWS = 20_000
@@ -88,7 +89,7 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
     """
     t = np.asarray(record.t)
     step, span = float(np.median(np.diff(t))), float(t[-1] - t[0])
-    size = np.sqrt(np.nanmean(velocity**2, axis=0))
+    size = known_rms(velocity)
     relative = velocity[:, size > 0] / size[size > 0]
     # Room for twice the windows that a fit needs, and for one more than it needs in the part.
     least, most = FEWEST_ROWS * step, span * min(1 / (2 * FEWEST_WINDOWS), part / (FEWEST_WINDOWS + 1))
@@ -103,7 +104,7 @@ def horizon(record: Record, velocity: Float[np.ndarray, "T n"], part: float = 1.
         later = np.searchsorted(t, t + time / 2)
         inside = later < len(t)
         change = relative[later[inside]] - relative[inside]
-        if np.nanmean(change**2) >= 1.0:
+        if known_rms(change, (0, 1)) >= 1.0:
             return float(time)
     return float(most)
 
