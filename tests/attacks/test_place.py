@@ -1,5 +1,7 @@
 """On a group a proof looks at the identity alone: what depends on the configuration must not slip through."""
 
+import contextlib
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -91,11 +93,8 @@ def test_inertia_that_depends_on_the_velocity_is_never_proved():
         def solve(self, y):
             return y / (1 + 30 * y @ y)
 
-    try:
-        found = refused_or_not(lie.SO2, Stiffening(), lambda g, v: -v)
-    except TypeError:
-        return
-    assert found != "holds"
+    with contextlib.suppress(TypeError):
+        assert refused_or_not(lie.SO2, Stiffening(), lambda g, v: -v) != "holds"
 
 
 @pytest.mark.long("place", "time")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from covariant import certificates, models
-from covariant.certificates import Decay, Hypothesis, Statement, certify, certify_distance, check, falsify
+from covariant.certificates import Decay, Hypothesis, certify, certify_distance, check, falsify
 from covariant.certificates.base import _properties, error_system, need_known, need_symmetry
 from covariant.certificates.sampled import sampled_system
 from covariant.geometry import AbstractSpace, Coordinates, KineticEnergy, Metric, lie
@@ -310,8 +310,3 @@ def test_no_margin_that_is_no_number_holds():
     with pytest.raises(ValueError, match="cannot hold by a margin that is not a number"):
         Hypothesis("it holds", "sampled", margin=np.nan)
     assert Hypothesis("it fails", "sampled", "fails", np.nan).verdict == "fails"
-
-
-def test_a_statement_of_nothing_is_undecided():
-    for premises in ((), (Hypothesis("it holds", "assumed"),)):
-        assert Statement("it holds", (), premises, np.inf).short == "undecided"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from covariant import Record, models, observers
+from covariant._integrate import rk4_step
 from covariant.certificates import reduced_order
 from covariant.certificates.theory import _reduced_order
 from covariant.cli import main
@@ -82,11 +83,7 @@ def test_the_observer_of_the_design_finds_the_states_from_far_away(designed):
     lorenz = design.model
 
     def step(x, _):
-        k1 = lorenz.f(0.0, x, jnp.zeros(0))
-        k2 = lorenz.f(0.0, x + dt / 2 * k1, jnp.zeros(0))
-        k3 = lorenz.f(0.0, x + dt / 2 * k2, jnp.zeros(0))
-        k4 = lorenz.f(0.0, x + dt * k3, jnp.zeros(0))
-        return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x
+        return rk4_step(lambda t, x: lorenz.f(t, x, jnp.zeros(0)), 0.0, x, dt), x
 
     x = np.asarray(jax.lax.scan(step, jnp.array([1.0, 2.0, 20.0]), None, 6001)[1])
     observer = ReducedOrder(lorenz, design.direction, start=jnp.array([0.0, 5e3, -5e3]))

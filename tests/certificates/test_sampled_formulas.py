@@ -138,15 +138,16 @@ def test_the_correction_is_that_of_the_step_that_runs_and_changes_curves_as_its_
 def test_predictions_change_curves_as_their_jacobian_says(name):
     """The transition of F along the motion, by small steps of the midpoint rule."""
     machine, steps = machine_of(name), 30
-    shipped = machine.differences(jax.jit(lambda q, v: machine.predicted(q, v, jnp.asarray(H))))
+    span = H if name == "top" else H / 10  # before a joint comes to rest, where dry friction is steep
+    shipped = machine.differences(jax.jit(lambda q, v: machine.predicted(q, v, jnp.asarray(span))))
     system = sampled_system(machine.observer(), Q, SAMPLING)
     graph = in_frame_along(system, lambda coframe, gram, change, jacobian: jacobian)
     graph = graph.graph(machine.point(machine.q, machine.v))
     predict, one = jax.jit(machine.predicted), np.eye(2 * machine.n)
     transition = one
     for k in range(steps):
-        z = machine.point(*predict(machine.q, machine.v, jnp.asarray((k + 0.5) * H / steps)))
-        half = H / steps / 2 * numbers(graph.entries, np.asarray(z)).reshape(one.shape)
+        z = machine.point(*predict(machine.q, machine.v, jnp.asarray((k + 0.5) * span / steps)))
+        half = span / steps / 2 * numbers(graph.entries, np.asarray(z)).reshape(one.shape)
         transition = np.linalg.solve(one - half, (one + half) @ transition)
     # Columns of ξ and ζ have different units: each is compared with its own size.
     assert (np.abs(transition - shipped).max(0) < 1e-4 * np.abs(shipped).max(0)).all()

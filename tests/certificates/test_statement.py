@@ -91,11 +91,9 @@ def test_the_claim_can_be_repeated_from_its_text_alone(saved):
 
 
 def test_prints_never_claim_more_than_is_proved():
-    down = _statement.rounded_down
-    for value in np.random.default_rng(0).uniform(1e-9, 1e9, 1000) * 10.0 ** np.random.default_rng(1).integers(
-        -9, 9, 1000
-    ):
-        assert value * (1 - 2e-3) < float(down(value)) <= value
+    rng = np.random.default_rng(0)
+    for value in rng.uniform(1e-9, 1e9, 1000) * 10.0 ** rng.integers(-9, 9, 1000):
+        assert value * (1 - 2e-3) < float(_statement.rounded_down(value)) <= value
 
 
 @pytest.mark.exhaustive

@@ -285,14 +285,13 @@ def test_estimates_are_arrays_of_their_own(stream):
     np.testing.assert_array_equal(first, kept)
 
 
-def test_a_rate_that_is_none_is_refused():
-    with pytest.raises(ValueError, match="rate must be a positive"):
-        Stream(gated(), record().y[0], 0.0)
-
-
-def test_a_rate_at_which_each_sample_would_start_anew_is_refused():
-    with pytest.raises(ValueError, match=r"at least 1\.25 Hz, as an estimate starts anew after 1 s without"):
-        Stream(gated(), record().y[0], 1.0)
+@pytest.mark.parametrize(
+    ("rate", "message"),
+    [(0.0, "rate must be a positive"), (1.0, r"at least 1\.25 Hz, as an estimate starts anew after 1 s without")],
+)
+def test_a_rate_that_is_none_or_at_which_each_sample_would_start_anew_is_refused(rate, message):
+    with pytest.raises(ValueError, match=message):
+        Stream(gated(), record().y[0], rate)
 
 
 def test_a_sink_gets_every_sample_also_those_out_of_turn():
