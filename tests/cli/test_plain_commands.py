@@ -1,11 +1,14 @@
-"""Any verb with any machine and any log gives a result or a refusal: each verb with each log here, all before a
-release."""
+"""Any verb with any machine and any log gives a result or a refusal.
+
+The core suite has each verb once, the long suite each verb with each log, and the exhaustive one all.
+"""
 
 import pytest
 from plain_commands import (
     FROM_LOGS,
     LOGS,
     MACHINES,
+    NO_LOG,
     WITHOUT_LOGS,
     cover,
     every_case,
@@ -15,6 +18,15 @@ from plain_commands import (
 )
 
 FEW = few_cases()
+ONCE = [
+    *((verb, "dfki_simple_pendulum.toml", "noisy") for verb in FROM_LOGS),
+    *((verb, "dfki_simple_pendulum.toml", NO_LOG) for verb in WITHOUT_LOGS),
+]
+
+
+def suite(case) -> tuple:
+    """The mark of a case: none for the core suite."""
+    return () if case in ONCE else (pytest.mark.long,) if case in FEW else (pytest.mark.exhaustive,)
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +38,8 @@ def machines(tmp_path_factory):
 
 @pytest.mark.parametrize(
     ("verb", "machine", "log"),
-    [pytest.param(*case, marks=() if case in FEW else pytest.mark.exhaustive) for case in every_case()],
+    [pytest.param(*case, marks=suite(case)) for case in every_case()],
 )
-@pytest.mark.long
 def test_a_plain_command_ends_in_a_result_or_a_refusal(machines, monkeypatch, capsys, verb, machine, log):
     monkeypatch.chdir(machines)
     monkeypatch.syspath_prepend(machines)
