@@ -156,7 +156,7 @@ def test_refuses_what_is_not_a_log(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"log\.csv: no such file"):
         logs.read(tmp_path / "log.csv", ONE)
     (tmp_path / "folder.csv").mkdir()
-    assert "cannot be read as .csv" in fault(tmp_path / "folder.csv")
+    assert "is a folder; give the path of a log" in fault(tmp_path / "folder.csv")
     path = tmp_path / "latin.csv"
     path.write_bytes("t,q,größe\n0,1,2\n".encode("latin-1"))
     assert "cannot be read as .csv" in fault(path)

@@ -272,11 +272,11 @@ def test_an_error_without_words_is_named(tmp_path, monkeypatch):
     path = tmp_path / "log.csv"
     path.write_text("t,q\n0,1\n1,2\n")
 
-    def interrupted(_):
+    def interrupted(*_, **__):
         raise TimeoutError
 
-    monkeypatch.setattr(Path, "read_bytes", interrupted)
-    with pytest.raises(LogError, match=r"log\.csv: cannot be read as \.csv: TimeoutError$"):
+    monkeypatch.setattr(Path, "open", interrupted)
+    with pytest.raises(LogError, match=r"log\.csv: TimeoutError; give the path of a log"):
         logs.read(path, Q)
 
 

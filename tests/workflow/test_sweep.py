@@ -73,7 +73,7 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
         ("rate = -50.0\n", "rate must be samples a second"),
         ('rate = 50.0\ngate = "no"\n', "gate must be true or false"),
         ("rate = 50.0\npush = [1.0, 2.0]\n", "push needs 1 finite numbers, for v1"),
-        ('rate = 50.0\nfeedback = "math:pi"\n', "feedback math:pi: with a time and a state"),
+        ('rate = 50.0\nfeedback = "math:pi"\n', "module 'math' is not in the folder of the file"),
         ("rate = 50.0\nstart = 3\n", "start must be a table"),
         ("rate = 50.0\nfeedback = {function = 'math:pi'}\n", "feedback must be"),
         ("rate = 1e12\n", r"a run of 2 s at 1e\+12 Hz has 2e\+12 samples; it needs 5 to 1000000"),

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._door import bounded
-from covariant._errors import InputError
+from covariant._errors import InputError, MissingPackageError
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
@@ -33,7 +33,6 @@ OPTIONAL = ("v", "truth")
 """Fields of `Columns` that are used for comparison only."""
 MEASURED = ("q", "position", *ATTITUDES, "angle")
 """Fields of the measured configuration, in the order of `Columns.measured`."""
-
 
 _FIELDS = ", ".join(field for field in Columns._fields if field != "units")
 
@@ -423,14 +422,15 @@ def _legible(name: str, log: Any) -> Iterator[None]:
     try:
         with bounded(name):
             yield
+    except MissingPackageError:
+        raise
     except InputError as error:
         raise LogError(str(error)) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        what = "a table"
-        if isinstance(log, (str, PathLike)):
-            if not Path(log).exists():
-                raise FileNotFoundError(f"{name}: no such file") from None
-            what = "a rosbag" if kind(Path(log)) == "bag" else kind(Path(log))
+        is_path = isinstance(log, (str, PathLike))
+        if is_path and not Path(log).exists():
+            raise FileNotFoundError(f"{name}: no such file") from None
+        what = kind(Path(log)).replace("bag", "a rosbag") if is_path else "a table"
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise LogError(f"{name}: cannot be read as {what}: {reason}") from error
 
