@@ -8,6 +8,7 @@ import pytest
 
 import covariant
 from covariant import models
+from covariant._errors import InputError
 from covariant.certificates import ContractionCertificate, Hypothesis, Start, Statement, largest
 from covariant.proofs import box
 
@@ -20,7 +21,7 @@ def proved_up_to(limit, calls, refuse=math.inf):
     def prove(value):
         calls.append(value)
         if value > refuse:
-            raise ValueError("the error must be below π\nand more")
+            raise InputError("the error must be below π\nand more")
         verdict = "holds" if value <= limit else "undecided"
         statement = Statement("it contracts", (), (Hypothesis("it contracts", "proved", verdict),), value)
         domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))

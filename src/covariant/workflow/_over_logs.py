@@ -293,7 +293,7 @@ class _Work(NamedTuple):
             _remove_earlier(case.path)
         except Exception as error:  # one log shall not stop the others
             _remove_earlier(case.path)
-            kind = "" if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: "
+            kind = "" if isinstance(error, InputError | OSError) else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
             # The reason may quote the file, and with a link that is one which is not meant to be shown with the logs.
             return {"failed": LINKED if case.linked else printable(reason, keep="")}

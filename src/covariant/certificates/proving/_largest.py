@@ -90,7 +90,7 @@ def largest(
     value beyond one that was not proved is not tried.
 
     Args:
-        prove: a value -> its certificate, such as `lambda rate: certify(observer, rate=rate, …)`. A `ValueError` of
+        prove: a value -> its certificate, such as `lambda rate: certify(observer, rate=rate, …)`. An `InputError` of
             any but the first value counts as not proved.
         first: the value to begin with, positive.
         least: no smaller value is tried.
@@ -131,7 +131,7 @@ def largest(
         value = max(value / 2, least) if low is None else 2 * low if high is None else math.sqrt(low * high)
         try:
             certificate = prove(value)
-        except ValueError as error:
+        except InputError as error:
             attempts.append(Attempt(value, "undecided", 0, 0.0, f"refused: {str(error).splitlines()[0]}"))
             continue
         attempts.append(_attempt(value, certificate))

@@ -291,7 +291,7 @@ def _solved(slopes: np.ndarray, split: _Split, rate: float, effort: float) -> tu
         try:
             found = observer_gain(f, h, rate + margin * size, effort=effort)
             break
-        except ValueError:
+        except InputError:
             continue
     if found is None:
         return None
