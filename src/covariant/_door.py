@@ -143,3 +143,8 @@ def check_count(count: int | float, most: int, what: str) -> None:
     """Refuse a robot with too many parts."""
     if count > most:
         raise InputError(f"it has {count:g} {what}, more than {most}; keep the part whose state is estimated")
+
+
+def _too_large(path: str | os.PathLike[str], kind: FileKind) -> InputError:
+    limit = f"{kind.most_bytes >> 20} MiB"
+    return InputError(f"{file_name(path)}: is larger than {kind.what} may be, {limit}; {kind.advice}")

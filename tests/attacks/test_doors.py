@@ -259,7 +259,6 @@ def test_a_map_whose_chunk_is_empty_names_it_and_is_mended():
 LOG, OTHER = "t,q,u1\n0,0,0\n1,0,0\n", "a,b\n1,2\n"
 OUTPUTS = {
     "estimate oscillator log.csv -o out.csv": OTHER,
-    "estimate oscillator log.csv -o out.csv --smooth": LOG,
     "smooth oscillator log.csv -o out.csv": LOG,
     "simulate oscillator --duration 1 -o out.csv": OTHER,
     "fit oscillator log.csv --parameters stiffness -o out.toml": "",

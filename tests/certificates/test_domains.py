@@ -139,7 +139,6 @@ def test_what_is_no_metric_measures_nothing(diagonal):
     model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b"))
     for measure in (
         lambda: certificates.contraction_rate(lambda t, x: -x, measured, *at),
-        lambda: certificates.rates_along(lambda t, x: -x, measured, jnp.zeros(1), jnp.zeros((1, 2))),
         lambda: certificates.detectability_rate(model, lambda x: matrix, at[1]),
         lambda: certificates.bending(model, lambda x: matrix, at[1]),
         lambda: certificates.upper_distance(measured, *at, jnp.ones(2)),

@@ -271,9 +271,9 @@ def test_a_file_states_the_order_of_a_bound_of_steps_where_it_is_not_that_of_the
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"interval": (0.0, 0.1)}, "positive times"),
-        ({"interval": (0.2, 0.1)}, "shorter one first"),
-        ({"interval": 0.1}, "needs two times"),
+        ({"interval": (0.0, 0.1)}, INTERVAL),
+        ({"interval": (0.2, 0.1)}, INTERVAL),
+        ({"interval": 0.1}, INTERVAL),
         ({"lost": -1}, "lost must be"),
         ({"q": np.eye(2)}, "leave q out"),
         ({"noise": 0.2}, "noise must be below"),

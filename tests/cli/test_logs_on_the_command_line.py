@@ -123,7 +123,7 @@ def test_a_model_file_that_names_code_says_what_is_wrong_there(folder):
     assert load(str(path)).model.coordinates == ("q1",)
     for old, new, words in (
         ("machines_for_logs:arm", "machines_for_logs:leg", "unknown attribute of module 'machines_for_logs' 'leg'"),
-        ("machines_for_logs:arm", "no_such_module:arm", "module 'no_such_module' cannot be imported"),
+        ("machines_for_logs:arm", "no_such_module:arm", "module 'no_such_module' is not in the folder of the file"),
         ("mass = 1.2", "weight = 1.2", "unknown parameter of machines_for_logs:arm 'weight'"),
     ):
         path.write_text(MODEL.replace(old, new))

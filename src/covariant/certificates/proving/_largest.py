@@ -90,7 +90,7 @@ def largest(
     value beyond one that was not proved is not tried.
 
     Args:
-        prove: a value -> its certificate, such as `lambda rate: certify(observer, rate=rate, …)`. A `ValueError` of
+        prove: a value -> its certificate, such as `lambda rate: certify(observer, rate=rate, …)`. An `InputError` of
             any but the first value counts as not proved.
         first: the value to begin with, positive.
         least: no smaller value is tried.
