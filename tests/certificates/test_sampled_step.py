@@ -267,6 +267,8 @@ def test_a_file_states_the_order_of_a_bound_of_steps_where_it_is_not_that_of_the
 
 # What is not covered is refused by name.
 
+INTERVAL = "interval must be two positive, finite numbers, the lower one first"
+
 
 @pytest.mark.parametrize(
     ("change", "message"),
