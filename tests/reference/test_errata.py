@@ -59,7 +59,6 @@ def test_radons_pair_solves_the_riccati_equation():
     assert (hx @ hx.T).shape == (p, p)
 
 
-@pytest.mark.long
 def test_image_of_the_riccati_field_in_other_coordinates():
     """d/dt(φ_x⁻ᵀ π φ_x⁻¹) along a flow, by differentiation and by the corrected formula."""
     mixing = jnp.asarray(np.eye(3) + 0.2 * RNG.normal(size=(3, 3)))
