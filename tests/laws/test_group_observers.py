@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from error_law import ALPHA, BETA, directions, worst
+from plain import rk4
 
-from covariant._integrate import rk4_step
 from covariant.geometry import Budget
 from covariant.geometry.lie import SE3, SO3, SU
 from covariant.models import (
@@ -147,7 +147,7 @@ def runge_kutta(slope, x, steps, h):
     """Trajectory of a compiled right-hand side; a loop in Python, so that it is compiled once."""
     path = [x]
     for _ in range(steps):
-        path.append(rk4_step(lambda t, x: slope(x), 0.0, path[-1], h))
+        path.append(rk4(slope, path[-1], h))
     return jnp.stack(path)
 
 
