@@ -129,7 +129,7 @@ def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error():
     assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.core(1)
 @pytest.mark.parametrize(("slip", "name"), [*((slip, "SO(3)") for slip in SLIPS), ("logarithm", "SE(3)")])
 def test_each_slip_of_the_print_breaks_the_linear_law(slip, name):
     model = system(name)
