@@ -1,7 +1,7 @@
 """Run every numbered script of the gallery and check that each draws its figure: `python gallery/run_all.py`.
 
 The figures go to `gallery/out`, each under the name of its script. Exits with 1 where a script fails.
-The notebooks draw no files; `tests/pages/test_notebooks.py` runs them.
+The notebooks draw no files; `tests/pages/long_notebooks.py` runs them.
 """
 
 import os

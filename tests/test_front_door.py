@@ -32,6 +32,7 @@ def test_importing_the_package_loads_no_jax():
     assert python("import covariant, sys; print('jax' in sys.modules, 'numpy' in sys.modules)") == "False False"
 
 
+@pytest.mark.core(1)
 @pytest.mark.parametrize("options", [("--help",), ("certify", "--help"), ("--version",)])
 def test_help_and_version_load_no_jax(options):
     script = f"""
@@ -53,12 +54,6 @@ def test_the_version_is_that_of_the_package():
 def test_rooms_are_there_without_being_imported():
     assert python("import covariant; print(covariant.models.ball_and_beam().coordinates)") == "('r', 'theta')"
     assert python("from covariant import models; print(models.robots.ROBOTS[0] in models.robots.ROBOTS)") == "True"
-
-
-@pytest.mark.parametrize("before", ["", "import jax; "])
-def test_arrays_are_double_from_the_import_on(before):
-    script = f"{before}import covariant; import jax.numpy as jnp; print(jnp.ones(1).dtype)"
-    assert python(script) == "float64"
 
 
 def test_every_name_is_offered():
@@ -93,23 +88,6 @@ def test_the_names_that_a_docstring_quotes_are_those_that_there_are(verb, name, 
 
 def test_the_default_effort_is_that_of_all_proofs():
     assert option("certify", "boxes").default == MOST_BOXES
-
-
-COMPILES = """
-import covariant, jax, jax.numpy as jnp
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
-print(float(jax.jit(lambda x: jnp.sin(x) @ jnp.cos(x))(jnp.ones(5))), jax.config.jax_compilation_cache_dir)
-"""
-
-
-@pytest.mark.long
-def test_programs_are_kept_and_loaded_without_a_word(tmp_path):
-    first = python(COMPILES, COVARIANT_CACHE=str(tmp_path))
-    kept = sorted(tmp_path.rglob("*-cache"))
-    assert kept
-    assert str(tmp_path) in first
-    assert python(COMPILES, COVARIANT_CACHE=str(tmp_path)) == first  # nothing on stderr either
-    assert sorted(tmp_path.rglob("*-cache")) == kept
 
 
 def test_programs_are_kept_in_the_users_cache_folder(tmp_path):

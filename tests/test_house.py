@@ -2,19 +2,13 @@
 
 import ast
 import functools
-import graphlib
 import importlib
-import json
 import re
 import subprocess
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import get_origin
-
-import pytest
-from style import docstrings
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
@@ -26,25 +20,6 @@ PLAN = (
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
-OPTIONAL = (
-    "pyarrow",
-    "rosbags",
-    "matplotlib",
-    "plotly",
-    "mujoco",
-    "typer",
-    "rich",
-    "scipy",
-    "sympy",
-    "xarray",
-    "zarr",
-    "dask",
-    "distributed",
-    "flint",
-    "clarabel",
-    "control",
-    "cffi",
-)
 
 FILES = sorted(path for path in SOURCE.rglob("*.py") if path.parent.name != "templates")
 """The modules of the library; a template is one of another program."""
@@ -89,28 +64,6 @@ def imported_rooms(path: Path) -> set[str]:
     return {name.split(".")[1] for name, _ in imported(path) if name.startswith("covariant.")}
 
 
-OF_TUPLES = ("_asdict", "_fields", "_make", "_replace")
-"""What Python calls the public methods of a named tuple, so that they are none of its fields."""
-
-
-def private(name: str) -> bool:
-    return name.startswith("_") and not name.startswith("__") and name not in OF_TUPLES
-
-
-def right_of(path: Path) -> list[str]:
-    """The rooms that a file imports although the plan puts them to the right of its own."""
-    plan, room = PLAN.split(), room_of(path)
-    if room == "__init__":  # the front door loads every room
-        return sorted(imported_rooms(path) - set(plan))
-    assert room in plan, f"{room} is not in the import plan; give it a place"
-    return sorted(other for other in imported_rooms(path) if plan.index(other) > plan.index(room))
-
-
-def test_rooms_import_only_from_their_left():
-    wrong = {place(path): right_of(path) for path in FILES}
-    assert not {file: rooms for file, rooms in wrong.items() if rooms}, "these imports go to the right of the plan"
-
-
 def test_what_passes_through_the_rooms_enters_none_twice():
     """The ways that `docs/contributing.md` draws follow the order of the plan."""
     page = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
@@ -125,128 +78,12 @@ def test_proofs_know_functions_and_boxes_and_no_model():
     assert rooms == {"_door", "_errors", "_compile", "_rooms", "_templates", "_typing", "lowering", "proofs"}
 
 
-def uses_private(path: Path) -> set[str]:
-    """The private names of other rooms and sub-rooms that a file imports or reads."""
-    here = ("covariant", *path.relative_to(SOURCE).parent.parts)
-    others, wrong = set(), set()
-    for name, local in imported(path):
-        parts = tuple(name.split("."))
-        first = next((i for i, part in enumerate(parts) if private(part)), len(parts))
-        if parts[0] == "covariant" and parts[: len(here)] != here:
-            others.add(local)
-        # What is private to a package is for its own files, and for those of its sub-rooms.
-        if parts[0] == "covariant" and first < len(parts) and first > 1 and here[:first] != parts[:first]:
-            wrong.add(name)
-    for node in ast.walk(tree(path)):
-        if isinstance(node, ast.Attribute) and private(node.attr) and ast.unparse(node.value) in others:
-            wrong.add(ast.unparse(node))
-    return wrong
-
-
-def test_no_room_uses_what_is_private_to_another():
-    wrong = {place(path): uses_private(path) for path in FILES}
-    assert not {file: names for file, names in wrong.items() if names}, "let those rooms offer them as public names"
-
-
-def module_of(path: Path) -> str:
-    return ".".join(path.relative_to(SOURCE.parent).with_suffix("").parts).removesuffix(".__init__")
-
-
-def test_modules_import_each_other_in_no_circle():
-    """Imports inside functions count like those at the top of a file, and those for types alone do too."""
-    modules = {module_of(path): path for path in FILES}
-    needs: dict[str, set[str]] = {}
-    for module, path in modules.items():
-        names = {name for name, _ in imported(path) if name.startswith("covariant")}
-        found = {name if name in modules else name.rpartition(".")[0] for name in names}
-        needs[module] = (found & set(modules)) - {module}
-    graphlib.TopologicalSorter(needs).prepare()  # raises CycleError, which names the circle
-
-
-MOST_LINES, MOST_LINES_OF = (
-    400,
-    {
-        "certificates/checking/_check.py": 300,
-        "observers/filters/_intrinsic_kalman.py": 430,
-        "workflow/_fit_to_logs.py": 490,
-    },
-)
-"""Of the check, which has to be believed, less than of others; its jobs are parts of the trees of claims. The filter is
-one step, which is read as a whole; the three kinds of fit answer one protocol, and are read beside each other."""
-
-
-def test_no_file_is_too_long_to_be_read_in_one_sitting():
-    """Docstrings, which are read one at a time, do not count."""
-
-    def length(path: Path) -> int:
-        return path.read_text(encoding="utf-8").count("\n") - sum(lines for _, lines in docstrings(tree(path)))
-
-    assert not {place(path) for path in FILES if length(path) > MOST_LINES_OF.get(place(path), MOST_LINES)}
-
-
 def test_kinds_of_models_are_told_apart_by_what_they_offer():
     """At most so many lines ask for the kind of a model: each is a place that a third kind would have to know."""
     kinds = re.compile(r"isinstance\(.*(StateSpace|MechanicalSystem|Lagrangian|GroupSystem|Craft)\b")
     lines = [line for path in FILES for line in path.read_text(encoding="utf-8").split("\n")]
     asked = [line for line in lines if kinds.search(line)]
     assert len(asked) <= 5, "\n".join(asked)
-
-
-DERIVATIVES = {
-    *("jacfwd", "jacrev", "grad", "value_and_grad", "jvp", "vjp", "linearize", "hessian", "jet", "fwd_and_bwd"),
-    *("filter_grad", "filter_value_and_grad", "filter_jvp", "filter_vjp", "filter_jacfwd", "filter_jacrev"),
-    *("filter_hessian", "filter_closure_convert", "saved_input_vjp"),
-}
-"""The derivatives of JAX and equinox, which believe `stop_gradient` and custom rules."""
-VALUES_OF_THE_CODE = {
-    ("certificates/sampled/_sampled_step.py", "_stiffness", "jvp"): "any field is a metric, and the code of the prover "
-    "and of the checker is one: test_declared.py compares its inequality with differences of its values",
-    ("certificates/sampled/_sampled_body.py", "_stiffness", "jvp"): "as in _sampled_step.py",
-    ("certificates/sampled/_sampled_body.py", "body_variables", "differential"): "which entries of a matrix the force "
-    "of the model reads, where the model itself computes the force in this way",
-}
-"""Derivatives that are values of the code that runs, with why no statement rests on their being derivatives."""
-
-
-def derivatives(module: ast.Module, names: set[str]) -> set[tuple[str, str]]:
-    """Derivatives with these names that a module takes, each with the function at its top level that takes it."""
-    imports = [node for node in ast.walk(module) if isinstance(node, ast.Import | ast.ImportFrom)]
-    aliases = [(getattr(node, "module", None) or "", alias) for node in imports for alias in node.names]
-    # `jacobian` alone is also the name of the derivative that statements take, by `lowering`.
-    both = {name for room, alias in aliases if (name := alias.name) == "jacobian" and room.startswith("jax")}
-    local = {alias.asname or alias.name: alias.name for _, alias in aliases if alias.name in names | both}
-    jax = {"jax"} | {alias.asname for _, alias in aliases if alias.name == "jax"}
-    found = {("", "*") for _, alias in aliases if alias.name == "*"}
-    for top in module.body:
-        where = getattr(top, "name", "")
-        for node in ast.walk(top):
-            match node:
-                case ast.Attribute(attr=name) if name in names:
-                    found.add((where, name))
-                case ast.Attribute(attr="jacobian", value=ast.Name(id=root)) if root in jax:
-                    found.add((where, "jacobian"))
-                case ast.Constant(value=str(name)) if name in DERIVATIVES:
-                    found.add((where, name))
-                case ast.Name(id=name) if name in local:
-                    found.add((where, local[name]))
-    return found
-
-
-@functools.cache
-def derived_by_jax() -> set[str]:
-    """Functions and methods of the library that take a derivative of JAX, and whose name is theirs alone.
-
-    Those of `lowering` and `proofs` are left out, which are where statements and the checker take theirs.
-    """
-    names, taking = Counter(), set()
-    for path in FILES:
-        for node in ast.walk(tree(path)):
-            for each in getattr(node, "body", ()) if isinstance(node, ast.Module | ast.ClassDef) else ():
-                if isinstance(each, ast.FunctionDef):
-                    names[each.name] += 1
-                    if room_of(path) not in ("lowering", "proofs") and derivatives(ast.Module([each], []), DERIVATIVES):
-                        taking.add(each.name)
-    return {name for name in taking if names[name] == 1 and not name.startswith("_")}
 
 
 def makes_statements(path: Path, module: ast.Module) -> bool:
@@ -256,44 +93,11 @@ def makes_statements(path: Path, module: ast.Module) -> bool:
     return room_of(path) == "certificates" or uses or not called.isdisjoint({"Statement", "Hypothesis"})
 
 
-def test_statements_take_no_derivative_from_jax():
-    """They take it from `covariant.lowering`, the checker from `covariant.proofs.checker`; both see values alone."""
-    names = DERIVATIVES | derived_by_jax()
-    files = [path for path in FILES if makes_statements(path, tree(path))]
-    assert len(files) > 60
-    found = {(place(path), *each) for path in files for each in derivatives(tree(path), names)}
-    assert found == set(VALUES_OF_THE_CODE), "take derivatives by `lowering.along` or `lowering.jacobian`"
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "jax.jacfwd(f)(x)",
-        "getattr(jax, 'grad')(f)(x)",
-        "eqx.filter_jvp(f, (x,), (x,))",
-        "model.jacobians(t, x, u)",
-        "from jax import vjp; partial(vjp, f)",
-        "from jax import hessian as h; h(f)",
-        "from covariant.geometry import differential; differential(manifold, f, x)",
-        "from jax import *",
-        "jax.jacobian(f)(x)",
-        "import jax as j; j.jacobian(f)(x)",
-        "from jax import jacobian as slopes; slopes(f)(x)",
-    ],
-)
-def test_a_deliberate_derivative_is_found(line):
-    assert derivatives(ast.parse(line), DERIVATIVES | derived_by_jax())
-
-
 def test_a_module_that_makes_a_premise_is_searched_wherever_it_is():
     path = SOURCE / "models" / "_state_space.py"
     assert not makes_statements(path, tree(path))
     assert makes_statements(path, ast.parse("premise = base.Hypothesis('it holds', 'proved')"))
     assert makes_statements(SOURCE / "calibration" / "tuning" / "_contracting.py", ast.parse(""))
-
-
-def test_every_module_opens_with_what_it_is():
-    assert not [place(path) for path in FILES if not ast.get_docstring(tree(path))]
 
 
 SHARED = {"Product"}
@@ -320,35 +124,6 @@ def aliases(path: Path) -> Iterator[str]:
     for node in tree(path).body:
         if isinstance(node, ast.Assign):
             yield from (target.id for target in node.targets if isinstance(target, ast.Name))
-
-
-EAGER = "geometry models metrics observers simulation proofs certificates calibration codegen engine"
-"""Rooms all of whose public names load without an optional package."""
-
-LOAD = """
-import importlib, json, sys
-
-brought, known = {}, set()
-for module in %s:
-    loaded = importlib.import_module(module)
-    for name in dir(loaded) if module != "covariant" else ():
-        getattr(loaded, name)
-    present = {name for name in %s if name in sys.modules}
-    brought[module] = sorted(present - known)
-    known |= present
-print(json.dumps(brought))
-"""
-
-
-def test_imports_bring_in_no_optional_package():
-    """In one process, the front door first and then one room after another, each to the right of the one before."""
-    modules = ["covariant", *(f"covariant.{room}" for room in PLAN.split() if room in EAGER.split())]
-    done = subprocess.run(
-        [sys.executable, "-c", LOAD % (modules, OPTIONAL)], capture_output=True, text=True, check=True
-    )
-    brought = json.loads(done.stdout)
-    assert list(brought) == modules
-    assert not {module: names for module, names in brought.items() if names}
 
 
 def public_names(room: str) -> list[str]:

@@ -61,6 +61,7 @@ UNUSUAL = {
 }
 
 
+@pytest.mark.core(1)
 @pytest.mark.long("one position")
 @pytest.mark.parametrize("name", UNUSUAL)
 def test_unusual_bounds_are_meant_as_they_are_written(name):
@@ -79,6 +80,7 @@ EXTREME = {
 }
 
 
+@pytest.mark.core(1)
 @pytest.mark.parametrize("name", EXTREME)
 def test_extreme_bounds_are_no_accident(name):
     """The statement is true: any verdict will do but "fails", and no radius that is no number."""

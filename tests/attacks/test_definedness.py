@@ -118,6 +118,7 @@ OF_JAX = {
 }
 
 
+@pytest.mark.core(7)
 @pytest.mark.parametrize("name", OF_JAX)
 def test_what_jax_does_not_define_is_never_proved(name):
     function = OF_JAX[name]
@@ -172,6 +173,7 @@ FRICTION = {
 }
 
 
+@pytest.mark.core(3)
 @pytest.mark.parametrize("name", FRICTION)
 def test_friction_that_is_not_defined_everywhere_is_never_proved(name):
     """Where an estimate may be, within the error of the bounds, the friction is not a number, or has no bound."""
@@ -209,6 +211,7 @@ def test_potentials_that_are_not_defined_everywhere_are_never_proved(potential):
     assert verdict(observer, velocity=1.0, error=0.1, position=(-1, 1), input=1.0) != "holds"
 
 
+@pytest.mark.core(2)
 @pytest.mark.parametrize(
     "inertia",
     [lambda q: 1 + 0 * jnp.sqrt(q), lambda q: 1 + 0 / q, lambda q: q * 2, lambda q: 0 * q, lambda q: jnp.abs(q)],
@@ -239,16 +242,3 @@ def test_what_is_defined_everywhere_is_proved(name):
     function = DEFINED[name]
     assert np.isfinite(everywhere(function)).all()
     assert proved(lambda z: jnp.reshape(function(jnp, z[0]), (1, 1)), LINE) == "holds"
-
-
-def safe_root(xp, x, v):
-    """The root of a positive number and nought elsewhere, written so that neither is ever asked for what it is not."""
-    return xp.where(v > 0, xp.sqrt(xp.where(v > 0, v, 1.0)), 0.0)
-
-
-@pytest.mark.long
-def test_the_safe_way_to_choose_is_proved_away_from_the_kink_alone():
-    law = lambda xp, x, v: -v - safe_root(xp, x, v + 3)  # noqa: E731
-    assert verdict(line(law), **Case(law).bounds()) == "holds"
-    driving = lambda xp, x, v: -v + 3 * safe_root(xp, x, v)  # noqa: E731  its slope at rest has no bound
-    assert verdict(line(driving), **Case(driving).bounds()) != "holds"

@@ -100,6 +100,7 @@ def test_simulations_tell_true_from_false():
     assert falsehood(Case(anti)) > 1e4
 
 
+@pytest.mark.core(3)
 @pytest.mark.parametrize("name", WRITTEN)
 def test_a_step_along_the_motion_is_never_proved(name):
     case = WRITTEN[name]
@@ -133,6 +134,7 @@ OF_JAX = {
 }
 
 
+@pytest.mark.core(3)
 @pytest.mark.parametrize("name", OF_JAX)
 def test_what_jax_calls_the_derivative_is_not_believed(name):
     case = OF_JAX[name]
@@ -184,6 +186,7 @@ FORCES = {
 }
 
 
+@pytest.mark.core(1)
 @pytest.mark.parametrize("name", FORCES)
 def test_a_force_may_jump_since_it_is_known(name):
     """The force is taken at the measured position: truth and estimate get the same, jump or not."""
@@ -197,6 +200,7 @@ def test_a_known_step_moves_truth_and_estimate_alike():
     assert excess(run, case) < 1.01
 
 
+@pytest.mark.core(1)
 @pytest.mark.parametrize(
     "potential",
     [lambda q: jnp.abs(q[0]), lambda q: jnp.where(q[0] > 0, q[0], 0.0), lambda q: jnp.maximum(q[0], 0.2) ** 2],
@@ -219,6 +223,7 @@ BENIGN = {
 }
 
 
+@pytest.mark.core(1)
 @pytest.mark.long("honest rule")
 @pytest.mark.parametrize("name", BENIGN)
 def test_what_does_not_jump_in_the_region_is_proved(name):

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from covariant import InputError, Record, StepCode, cli, logs, metrics, models, observers, workflow
+from covariant import InputError, StepCode, cli, logs, metrics, models, observers, workflow
 from covariant._cases import CaseTable
 from covariant._compile import compiler
 from covariant._door import BINARY_LOG, MODEL, STORE, TEXT_LOG
@@ -330,14 +330,3 @@ class Doubling(observers.AbstractObserver):
 
     def estimate(self, state):
         return jnp.concatenate([state.q, jnp.zeros_like(state.q)])
-
-
-@pytest.mark.long
-def test_a_smoother_goes_on_after_a_restart():
-    t = np.arange(0, 0.3, 0.01)
-    u = np.zeros((30, 1))
-    u[10] = 1e200
-    ekf = observers.EKF(models.oscillator(), jnp.eye(1), 1e-4 * jnp.eye(1), substeps=1)
-    smoothed = observers.smooth(ekf, Record(t, u, np.cos(t)[:, None]))
-    assert np.isfinite(smoothed.run.estimate).all()
-    np.testing.assert_allclose(smoothed.run.estimate[:, 0], np.cos(t), atol=0.05)

@@ -40,6 +40,7 @@ DRIVING = {
 }
 
 
+@pytest.mark.core(2)
 @pytest.mark.parametrize("name", DRIVING)
 def test_friction_that_drives_on_one_side_is_never_proved(name):
     case = DRIVING[name]
@@ -88,16 +89,10 @@ BRAKING = {
 }
 
 
+@pytest.mark.core(1)
 @pytest.mark.long("quadratic")
 @pytest.mark.parametrize("name", BRAKING)
 def test_friction_that_brakes_on_both_sides_is_proved(name):
     case = Case(BRAKING[name], speed=1e-9, size=1e-3)
     assert falsehood(case) < 1.01
     assert verdict(line(case.law), **case.bounds()) == "holds"
-
-
-@pytest.mark.long
-def test_friction_that_brakes_on_both_sides_is_proved_on_a_group():
-    case = on_any_circle(Case(lambda xp, g, v: -v * xp.abs(v), size=1e-3))
-    assert falsehood(case, on_group=True) < 1.01
-    assert verdict(wheel(case.law), velocity=1.0, error=0.5, input=1.0) == "holds"

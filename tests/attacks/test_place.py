@@ -32,6 +32,7 @@ TURNED = {
 }
 
 
+@pytest.mark.core(3)
 @pytest.mark.parametrize("name", TURNED)
 def test_friction_that_depends_on_the_angle_is_never_proved(name):
     case = TURNED[name]
@@ -64,6 +65,7 @@ LARGER = {
 }
 
 
+@pytest.mark.core(2)
 @pytest.mark.parametrize("name", LARGER)
 def test_friction_that_depends_on_the_configuration_is_never_proved_on_larger_groups(name):
     """At |1 − R₁₁| = 2, or one metre away, each drives with 39 v and more; ±5 v is what the gains can bear."""
@@ -95,32 +97,6 @@ def test_inertia_that_depends_on_the_velocity_is_never_proved():
 
     with contextlib.suppress(TypeError):
         assert refused_or_not(lie.SO2, Stiffening(), lambda g, v: -v) != "holds"
-
-
-@pytest.mark.long("place", "time")
-@pytest.mark.parametrize(
-    "force",
-    [
-        lambda t, g, u: u + 3 * g[1, :1],
-        lambda t, g, u: u + 3 * jnp.sin(5 * t) * g[0, :1],
-        lambda t, g, u: u * (1 + g[0, 0]),
-    ],
-    ids=["place", "time", "effect of the input"],
-)
-def test_forces_may_depend_on_place_and_time(force):
-    """Truth and estimate get the same force, that of the measured place."""
-    assert verdict(wheel(lambda xp, g, v: -v, force), velocity=1.0, error=0.3, input=1.0, times=(0.0, 3.0)) == "holds"
-
-
-def test_potentials_may_depend_on_place():
-    observer = wheel(lambda xp, g, v: -v, potential=lambda g: 40 * g[0, 0] ** 3)
-    assert verdict(observer, velocity=1.0, error=0.3, input=1.0) == "holds"
-
-
-@pytest.mark.long
-def test_friction_without_the_place_is_proved():
-    for law in (lambda xp, g, v: -v, lambda xp, g, v: -2 * v * xp.abs(v), lambda xp, g, v: -v + 0 * g[0, 0]):
-        assert verdict(wheel(law), velocity=1.0, error=0.3, input=1.0) == "holds"
 
 
 ON_THE_LINE = {

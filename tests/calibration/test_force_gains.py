@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
 
-import covariant
 from covariant import models
 from covariant.calibration import DataSheet, gains, observer_gains, tuned_estimators
 from covariant.models import oscillator
@@ -90,18 +89,3 @@ def test_the_default_learns_a_force_where_the_file_tells_one(numbers, name):
     assert designed.name == name
     assert ("force rate" in designed.notes) == (name == "intrinsic-force")
     assert design(models.load("oscillator", NOISE | numbers), gains=(20.0, 200.0)).name == "intrinsic"
-
-
-def test_the_estimate_of_a_log_has_the_force():
-    log = covariant.simulate("oscillator", duration=2.0, rate=100.0, noise=1e-4, push=[3.0], seed=1)
-    result = covariant.estimate("oscillator", log.record, overrides=NOISE | FORCE)
-    assert list(result.columns)[-1] == "external_force1"
-    true = np.asarray(log.columns["true_external_force1"])
-    assert np.mean((result.columns["external_force1"] - true)[20:] ** 2) < 0.05 * np.mean(true**2)
-
-
-def test_an_observer_without_a_force_to_learn_says_so():
-    file = models.load("oscillator", NOISE)
-    log = covariant.simulate("oscillator", duration=0.2, rate=100.0, noise=1e-4).record
-    result = covariant.estimate(file, log, observer="intrinsic-force", engine="jax")
-    assert "It learns no force" in result.summary["design"]

@@ -129,6 +129,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.core(16)
 @pytest.mark.parametrize(("log", "commands"), COMMANDS.values(), ids=COMMANDS)
 def test_commands_are_known_by_name_and_by_content(log, commands):
     found = draft(log)

@@ -246,19 +246,6 @@ def test_printed_condition_is_that_of_the_matrix_in_79():
         assert c.printed == bool(np.linalg.eigvalsh(m)[0] > 0)
 
 
-@pytest.mark.exhaustive
-def test_printed_verdict_depends_on_units_and_the_weighted_one_does_not():
-    units = (("m", "rad/s"), ("m", "rad/s"))
-    found = built(gain=0.2, units=units)
-    assert found.printed
-    assert found.depends_on_units
-    assert "depends on units" in str(found)
-    assert found.verdict == "holds"
-    for gain in (0.01, 100.0):
-        assert built(gain=gain).verdict == "holds"
-    assert not built(gain=100.0).printed
-
-
 def test_constants_in_other_units_are_those_of_the_problem_written_in_them():
     a, p, b = np.array([[-1.0, 2.0], [-2.0, -3.0]]), np.diag([4.0, 1.0]), np.array([[0.1, 0.0], [1.0, 0.5]])
     f, m, own = np.array([[-2.0, 0.3], [0.0, -1.0]]), np.array([[2.0, 0.1], [0.1, 1.0]]), np.full((2, 2), 0.01)

@@ -48,6 +48,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.core(1)
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_wrong_name_is_refused_without_jax(case, tmp_path):
     words, message = REFUSED[case]

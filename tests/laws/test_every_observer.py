@@ -125,18 +125,7 @@ def allowed(entry) -> float:
     return 0.01 if entry.tuned_by in ("gains", "gains and force", "noise", "noise or ticks") else 0.15
 
 
-@pytest.mark.long("gain", "pll")
-@pytest.mark.exhaustive(
-    "body on SO(3)", "copy", "ekf", "filtered", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf"
-)
-@each
-def test_from_rest_it_finds_the_motion_at_irregular_stamps(entry, name):
-    v, _, codes = followed(entry, name, seen(name).y)
-    assert relative_error(entry, name, v, slice(1)) > 0.1
-    assert relative_error(entry, name, v) < allowed(entry)
-    assert set(codes) == {StepCode.OK}
-
-
+@pytest.mark.core(1)
 @pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf")
 @each
 def test_missing_measurements_are_coasted_and_said(entry, name):
@@ -149,6 +138,7 @@ def test_missing_measurements_are_coasted_and_said(entry, name):
     assert relative_error(entry, name, v) < allowed(entry)
 
 
+@pytest.mark.core(1)
 @pytest.mark.exhaustive("body on SO(3)", "copy", "ekf", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf")
 @each
 def test_prediction_and_correction_make_the_step(entry, name):
@@ -176,6 +166,7 @@ def kinds(tree: Any) -> list:
     return [(a.shape, a.dtype, jax.typeof(a).weak_type) for a in jax.tree.leaves(tree)]
 
 
+@pytest.mark.core(1)
 @pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "intrinsic2", "kalman", "ukf")
 @each
 def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
@@ -192,6 +183,7 @@ def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
     assert made == [made[0]] * 4
 
 
+@pytest.mark.core(1)
 @pytest.mark.long("intrinsic-body on SO(3)", "intrinsic2-body on SO(3)")
 @pytest.mark.exhaustive("ekf-body on SO(3)", "geodesic-body on SO(3)", "intrinsic-kalman")
 @each
@@ -233,6 +225,7 @@ def is_as_through_jax(done: Any, observer: AbstractObserver, record: Record, kee
     return all(type(a) is np.ndarray and (a.shape, a.dtype) == (b.shape, b.dtype) for a, b in pairs)
 
 
+@pytest.mark.core(1)
 @pytest.mark.long("copy")
 @pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "golay", "intrinsic", "intrinsic2", "joint", "ukf")
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")

@@ -99,6 +99,7 @@ def table(field, name):
     return pandas.DataFrame({"t": T, "q": T, name: T} if field != "t" else {name: T, "q": T})
 
 
+@pytest.mark.core(38)
 @pytest.mark.parametrize(("name", "field", "unit"), [(name, *meant) for name, meant in KNOWN.items()])
 def test_a_unit_in_a_name_is_an_error_that_says_what_to_write(name, field, unit):
     with pytest.raises(LogError, match=re.escape(f'write {field} = "{unit}" under [units]')):

@@ -88,6 +88,7 @@ ALWAYS = {
 }
 
 
+@pytest.mark.core(4)
 @pytest.mark.parametrize("name", ALWAYS)
 def test_what_is_continuous_by_construction_owes_nothing(name):
     lowered = lower(ALWAYS[name], jnp.zeros(2), real=True)

@@ -167,6 +167,7 @@ def real(op, *values):
         return REAL[op](*map(mpmath.mpf, map(float, values)))
 
 
+@pytest.mark.core(6)
 @pytest.mark.parametrize("op", REAL)
 def test_thin_arguments_give_thin_bounds_that_hold_the_value(op):
     x = arguments_of(op)
@@ -542,6 +543,7 @@ def series(k, x):
     return mpmath.nsum(lambda j: (-x) ** int(j) / mpmath.factorial(2 * int(j) + k), [0, 60])
 
 
+@pytest.mark.core(2)
 @pytest.mark.parametrize("k", range(13))
 def test_stumpffs_functions_stay_within_their_bounds(k):
     """At points, over boxes, and beyond π², where they rise and fall."""

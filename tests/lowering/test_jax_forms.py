@@ -86,6 +86,7 @@ FORMS = {
 }
 
 
+@pytest.mark.core(4)
 @pytest.mark.exhaustive("hyperbolic tangent's derivatives", "linearised scan", "linearised unstack")
 @pytest.mark.parametrize("name", FORMS)
 def test_each_form_has_the_values_that_jax_gives_it(name):

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from covariant import lowering, models
 from covariant._integrate import rk4
-from covariant._linalg import solve, triangular, triangular_with_rank
+from covariant._linalg import solve
 from covariant.geometry import christoffel, curvature, hyperbolic, sphere
 from covariant.geometry.lie import SE3, SO3
 from covariant.lowering import (
@@ -27,7 +27,6 @@ from covariant.lowering import (
 )
 from covariant.lowering.graph._constants import compute, padded, part_at, updated_at
 from covariant.lowering.graph._loops import MOST_UNROLLED
-from covariant.observers import Intrinsic, with_fixed_substeps
 
 PENDULUM = models.pendulum_chain((1.0, 0.7), (0.5, 0.4), viscous=(0.1, 0.2))
 TABLE = jnp.array([0.5, -1.0, 2.0, 0.3])
@@ -133,6 +132,7 @@ def with_derivatives(name):
     return lambda x: (f(x), jax.jacfwd(f)(x), jax.jacfwd(inner(f))(x))
 
 
+@pytest.mark.core(1)
 @pytest.mark.exhaustive(
     *("diagonals", "forward dynamics", "integration", "logarithm of a rotation", "loop", "pose", "rotation"),
     *("sphere", "written"),
@@ -166,26 +166,6 @@ def test_entries_out_of_bounds_are_no_numbers_and_without_a_derivative():
     found, expected = numbers(graph, POINTS[0]), (function(POINTS[0]), jax.jacfwd(function)(POINTS[0]))
     jax.tree.map(np.testing.assert_array_equal, found, expected)
     np.testing.assert_array_equal(np.isnan(found[0]), [False, True, False, True])
-
-
-@pytest.mark.exhaustive
-def test_substeps_that_friction_decides_are_fixed_beforehand():
-    """By rubbing as on the given motions; otherwise their number depends on the state and has no graph."""
-    rubbing = models.pendulum_chain((1.0,), (1.0,), viscous=(0.2,), coulomb=(3.0,))
-    free, u, dt = Intrinsic(rubbing, 2.0, 1.0), jnp.zeros(1), jnp.asarray(0.01)
-    q, v = jnp.array([[0.3], [0.5]]), jnp.array([[0.0], [2.0]])
-    fixed = with_fixed_substeps(free, 100.0, q, v, jnp.zeros((2, 1)))
-    assert fixed.substeps == 4  # (0.2 + 3 · 100) / 1 · 0.01, rounded up
-    states = [free.init(a)._replace(v=b) for a, b in zip(q, v, strict=True)]
-    with pytest.raises(LoweringError, match="while"):
-        lower(lambda s, y: free.step(s, u, y, dt)[0], states[0], q[0])
-    graph = lower(lambda s, y: fixed.step(s, u, y, dt)[0], states[0], q[0])
-    for state in states:
-        ours, theirs = numbers(graph, state, state.q + 0.01), free.step(state, u, state.q + 0.01, dt)[0]
-        np.testing.assert_allclose([*ours.q, *ours.v], [*theirs.q, *theirs.v], rtol=1e-12)
-    for observer, rate in ((fixed, 100.0), (free, 0.0), (free, np.nan)):
-        with pytest.raises(ValueError, match="with_fixed_substeps"):
-            with_fixed_substeps(observer, rate, q, v, jnp.zeros((2, 1)))
 
 
 REFUSED = {
@@ -391,6 +371,7 @@ def window_moves(name, mode):
     ]
 
 
+@pytest.mark.core(5)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", WINDOWS)
 @pytest.mark.parametrize("dtype", [float, int])
@@ -413,30 +394,6 @@ def entries(graph) -> int:
     """Nodes of a graph and of the turns of its loops."""
     inner = [each for node in graph.nodes if node.op == "loop" for each in node.value.graphs]
     return len(graph.nodes) + sum(entries(each.graph) for each in inner)
-
-
-def block(a, b):
-    """A product of which some rows have zeros at the same places, as those of a transition."""
-    return jnp.concatenate([a, jnp.eye(15, 20)]) @ b
-
-
-@pytest.mark.parametrize(
-    ("function", "shapes"),
-    [
-        (jnp.matmul, [(15, 14), (14, 16)]),
-        (block, [(9, 20), (20, 16)]),
-        (triangular, [(14, 20)]),
-        (triangular_with_rank, [(14, 20)]),
-    ],
-)
-def test_large_products_and_factors_stay_loops_in_generated_code(function, shapes):
-    random = np.random.default_rng(0)
-    arguments = [random.normal(size=shape) for shape in shapes]
-    looped, unrolled = (lower(function, *arguments, loops=loops) for loops in ("any", "unrolled"))
-    assert entries(looped.graph) < entries(unrolled.graph) / 2
-    expected = np.asarray(function(*arguments))
-    np.testing.assert_allclose(numbers(looped, *arguments), expected, atol=1e-13)
-    np.testing.assert_allclose(numbers(unrolled, *arguments), expected, atol=1e-13)
 
 
 def test_what_is_the_same_in_all_rows_is_given_once_with_and_without_a_graph():

@@ -125,6 +125,7 @@ def test_the_file_compiles_as_cpp_too(name, tmp_path):
     subprocess.run(["g++", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-c", "f.cpp"], cwd=tmp_path, check=True)
 
 
+@pytest.mark.core(3)
 @compiles
 @pytest.mark.parametrize("real", TYPES)
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -190,6 +191,7 @@ def test_arguments_are_pytrees_too_and_keys_may_be_any_text(tmp_path):
     np.testing.assert_array_equal(result, [[12.0], [18.0]])
 
 
+@pytest.mark.core(2)
 @compiles
 @pytest.mark.parametrize("name", ["x", "in", "out", "in1", "v0", "p0", "l0", "reals", "truths", "i", "a", "f_1"])
 def test_names_of_the_file_itself_do_no_harm(name, tmp_path):

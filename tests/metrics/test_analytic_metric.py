@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 import sympy
 from scipy import integrate
 
@@ -12,18 +11,14 @@ from covariant import models
 from covariant.metrics import (
     Equation,
     lie_derivative,
-    metric_at,
-    metric_through,
     right_side,
     spd_distance,
 )
-from covariant.papers.sanfelice_praly import analytic_metric, grid, quadrature
-from covariant.signals import StepCode
+from covariant.papers.sanfelice_praly import analytic_metric, grid
 
 MODEL = models.unknown_frequency()
 RATES = np.array([1.0, 2.0, 4.0, 8.0])
 GRID = grid()
-SOME = GRID[::9]
 LAMBDA, X1, X2, X3 = sympy.symbols("lambda x1 x2 x3", positive=True)
 
 
@@ -60,38 +55,6 @@ def over_rates(function):
     return eqx.filter_jit(jax.vmap(jax.vmap(function, (0, None)), (None, 0)))
 
 
-@over_rates
-def one_pass(x, rate):
-    found = metric_at(MODEL, Equation(rate), x, tolerance=1e-12)
-    return spd_distance(analytic_metric(rate)(x), found.metric), found.result
-
-
-@over_rates
-def gramian_distance(x, rate):
-    return spd_distance(analytic_metric(rate)(x), quadrature(x, rate, 40 / rate))
-
-
-@over_rates
-def two_passes(x, rate):
-    exact, ends = analytic_metric(rate)(x), []
-    for route in ("riccati", "radon"):
-        passage = metric_through(MODEL, Equation(rate), x, 40 / rate, 600, start=5.0, route=route)
-        ends.append(spd_distance(exact, passage.metric[-1]))
-    return jnp.stack(ends)
-
-
-@pytest.mark.exhaustive
-def test_one_pass_backward_gives_the_printed_metric_on_the_whole_grid():
-    distances, result = one_pass(jnp.asarray(GRID), jnp.asarray(RATES))
-    assert (result == StepCode.OK).all()
-    assert distances.max() < 1e-8
-
-
-@pytest.mark.exhaustive
-def test_the_weighted_gramian_is_the_printed_metric_on_the_whole_grid():
-    assert gramian_distance(jnp.asarray(GRID), jnp.asarray(RATES)).max() < 1e-8
-
-
 def test_a_gramian_by_adaptive_quadrature_is_the_printed_metric():
     """Nothing of the library but the distance: the derivative of the closed solution, and an integral by scipy."""
     x1, x2, x3 = X = np.array([0.25, 1.125, 1.25])
@@ -106,8 +69,3 @@ def test_a_gramian_by_adaptive_quadrature_is_the_printed_metric():
             lambda s, rate=rate: np.exp(-rate * s) * np.outer(seen(s), seen(s)), 0.0, 45 / rate, epsabs=1e-14
         )
         assert spd_distance(analytic_metric(rate)(jnp.asarray(X)), jnp.asarray(p)) < 1e-9
-
-
-@pytest.mark.exhaustive
-def test_two_passes_with_the_riccati_equation_and_with_radons_pair_give_the_printed_metric():
-    assert two_passes(jnp.asarray(SOME), jnp.asarray(RATES)).max() < 1e-8

@@ -56,6 +56,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.core(1)
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_the_numbers_of_ready_made_systems_may_be_traced(system):
     overrides = [f"parameters.{key}={value}" for key, value in SYSTEMS[system].items()]

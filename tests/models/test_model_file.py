@@ -355,6 +355,7 @@ def test_refuses_text_that_is_not_utf8(tmp_path):
     assert "no text in UTF-8, at byte 2" in fault(str(tmp_path / "m.toml"))
 
 
+@pytest.mark.core(27)
 @pytest.mark.parametrize(
     ("override", "words"),
     [

@@ -3,42 +3,12 @@
 The first page that a process runs begins with an empty cache folder, as that of a new user is.
 """
 
-import os
 import re
 
-import pytest
-from page_runs import EXECUTED, PAGES, needs_checkout, over, run
+from page_runs import EXECUTED, PAGES, needs_checkout, over
 from run_page import PARTS, blocks
 
 each_page = over(EXECUTED)
-
-
-@pytest.mark.long(
-    "certificates.md",
-    "contracting.md",
-    "contributing.md",
-    "ekf.md",
-    "firmware.md",
-    "fluid.md",
-    "forces.md",
-    "groups.md",
-    "identification.md",
-    "legged-base.md",
-    "many.md",
-    "metrics.md",
-    "policies.md",
-    "robot-geometry.md",
-    "robots.md",
-    "smoothing.md",
-    "spaces.md",
-    "step-by-hand.md",
-    "tuning.md",
-    "twice-the-gain.md",
-    "your-log.md",
-)
-@each_page
-def test_a_page_runs_from_an_empty_folder(page, tmp_path, home):
-    run(page, tmp_path, home, os.defpath)
 
 
 @each_page

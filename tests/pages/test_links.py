@@ -54,6 +54,7 @@ def test_numbers_have_a_zero_before_their_decimal_point():
     )
 
 
+@pytest.mark.core(4)
 @pytest.mark.parametrize("path", WRITTEN, ids=lambda p: p.name)
 def test_what_is_written_from_the_code_is_up_to_date(path):
     assert path.read_text(encoding="utf-8") == WRITTEN[path](), "run: python tools/pages.py"

@@ -124,6 +124,7 @@ def beyond(module, name):
         return np.abs(values(name) - model) - np.reshape(found.radius, (-1, 1)) - 2.0**-50  # doubles are off themselves
 
 
+@pytest.mark.core(2)
 @pytest.mark.exhaustive("rotation")
 @pytest.mark.parametrize("name", SCALARS)
 def test_taylor_models_hold_the_function_and_say_something_about_it(name):
@@ -382,6 +383,7 @@ def needles(count=12):
     return [np.zeros(2), np.array([0.5, -0.25]), np.ones(2), -np.ones(2), *rng.uniform(-1, 1, (count - 4, 2))]
 
 
+@pytest.mark.core(9)
 @pytest.mark.parametrize("wide", [0.0, 3e5])
 @pytest.mark.parametrize("k", range(12))
 def test_one_wrong_place_among_thousands_of_leaves_is_seen(k, wide):
@@ -492,15 +494,11 @@ def is_wrong(module):
     return isinstance(module.less(module.number(np.zeros(2), 1.0), module.number(np.ones(2) / 2)), bool)
 
 
+@pytest.mark.core(6)
 @pytest.mark.exhaustive("6")
 @pytest.mark.parametrize(("old", "new"), MUTANTS, ids=range(len(MUTANTS)))
 def test_a_mistake_in_the_arithmetic_is_noticed(old, new):
     assert is_wrong(mutant(old, new))
-
-
-@pytest.mark.exhaustive
-def test_no_mistake_is_noticed_where_there_is_none():
-    assert not is_wrong(mutant("ROUND, TINY = 2.0**-40, 2.0**-990", "ROUND, TINY = 2.0**-40, 2.0**-980"))
 
 
 def test_what_is_not_decided_or_not_known_is_refused_by_name():

@@ -4,14 +4,13 @@ import base64
 import gzip
 import json
 import re
-import sys
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from covariant.report import Along, _html, new_figure, save_figure, write_article, write_report
+from covariant.report import Along, _html, new_figure, save_figure, write_article
 
 
 class Page(HTMLParser):
@@ -139,21 +138,6 @@ def test_curves_carry_the_colour_of_a_dark_page(page):
         assert re.fullmatch("#[0-9A-F]{6}", trace["meta"]["dark"])
 
 
-@pytest.mark.parametrize("missing", ["plotly.offline", "matplotlib.figure"])
-def test_page_and_figures_are_written_all_or_none(missing, make, tmp_path, monkeypatch):
-    names = ["log.html", "log_distance.png", "log_position.png", "log_velocity.png"]
-    assert sorted(path.name for path in write_report(make(1), tmp_path / "log.html")) == names
-    (tmp_path / "log.html").write_text("old")
-    for path in tmp_path.glob("*.png"):
-        path.unlink()
-    monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(ImportError, match=r"pip install 'covariant\[report\]'") as caught:
-        write_report(make(1), tmp_path / "log.html")
-    assert "\n" not in str(caught.value)
-    assert [path.name for path in tmp_path.iterdir()] == ["log.html"]
-    assert (tmp_path / "log.html").read_text() == "old"
-
-
 def test_one_figure_a_coordinate(page, report):
     figures = page.figures()
     assert len(figures) == len(page.all("section")) == len(report.coordinates)
@@ -235,22 +219,6 @@ def test_lines_to_copy_and_facts_are_text(make):
 
 def test_degenerate(degenerate):
     assert Page(_html.page(degenerate)).figures()
-
-
-def test_failure_leaves_the_old_page(make, tmp_path, monkeypatch):
-    path = tmp_path / "report.html"
-    path.write_text("old")
-    with pytest.raises(ValueError, match="q_measured"):
-        write_report(make()._replace(q_measured=np.zeros(3)), path)
-
-    def full_disk(_):
-        raise OSError("no space left on device")
-
-    monkeypatch.setattr("os.fsync", full_disk)
-    with pytest.raises(OSError, match="no space"):
-        write_report(make(), path)
-    assert path.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from covariant.report import PALETTE
 from covariant.report._axis_range import AxisRange, axis_range
@@ -22,22 +21,6 @@ def panel(*curves, scale=1.0, **options) -> Quantity:
     roles = {"truth": "reference", "readings": "measured"}
     made = tuple(Curve(T, y[:, None], label, roles.get(label, "estimate")) for label, y in curves)
     return Quantity("panel", "Panel", ("y",), made, np.array([scale]), **options)
-
-
-@settings(max_examples=20)
-@given(st.integers(NUMBERS + 1, 2 * NUMBERS), st.integers(0, 99))
-def test_thinned_curves_keep_extremes_and_long_gaps(samples, seed):
-    rng = np.random.default_rng(seed)
-    t, y = np.arange(samples, dtype=float), rng.standard_normal(samples)
-    y[rng.integers(0, samples // 2, 2)] = 50.0, -60.0
-    y[samples // 2 : samples // 2 + samples // 10] = np.nan
-    long = Quantity("panel", "Panel", ("y",), (Curve(t, y[:, None], "one"),), np.ones(1))
-    (line,) = condensed({"panel": long})["panel"].curves
-    assert len(line.t) <= NUMBERS + 2
-    assert (np.diff(line.t) > 0).all()
-    assert (np.nanmax(line.values), np.nanmin(line.values)) == (np.nanmax(y), np.nanmin(y))
-    assert np.isnan(line.values).any()
-    assert np.isin(line.values[np.isfinite(line.values)], y).all()
 
 
 def test_a_thinned_ramp_rises():

@@ -1,14 +1,10 @@
 """What an installation consists of, and what in it is wrong."""
 
-import json
 from importlib import metadata
 
 import jax
-import pytest
-from typer.testing import CliRunner
 
 from covariant import workflow
-from covariant.cli._app import app
 from covariant.workflow import _doctor
 
 
@@ -51,20 +47,6 @@ def test_a_compiler_that_does_not_work_is_a_problem(monkeypatch, tmp_path):
     assert "no such thing" in problem("compiler of C")
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "part"),
-    [
-        ("COVARIANT_CACHE", "off", "cache folder"),
-        ("OPENBLAS_NUM_THREADS", "4", "threads"),
-    ],
-)
-def test_what_makes_it_slow_is_advised_against_and_no_problem(monkeypatch, name, value, part):
-    assert part_of(part).advice == ""
-    monkeypatch.setenv(name, value)
-    assert name in part_of(part).advice
-    assert part_of(part).problem == ""
-
-
 def test_without_a_compiler_nothing_is_wrong(monkeypatch):
     monkeypatch.setattr(_doctor, "compiler", lambda: None)
     monkeypatch.delenv("CC", raising=False)
@@ -93,21 +75,3 @@ def test_single_precision_is_a_problem(monkeypatch):
     assert problem("JAX computes on") == ""
     with jax.enable_x64(False):
         assert "double precision is off" in problem("JAX computes on")
-
-
-def test_the_command_exits_with_1_where_something_is_wrong(monkeypatch):
-    fine = CliRunner().invoke(app, ["doctor", "--json"])
-    assert fine.exit_code == 0
-    assert json.loads(fine.stdout)["covariant"] == {
-        "found": metadata.version("covariant"),
-        "problem": None,
-        "advice": None,
-    }
-    monkeypatch.setenv("COVARIANT_CACHE", "off")
-    slow = CliRunner().invoke(app, ["doctor"])
-    assert slow.exit_code == 0
-    assert "advice: every process compiles anew; set COVARIANT_CACHE to a folder" in slow.stdout
-    monkeypatch.setattr(_doctor, "_version", lambda name: None)
-    wrong = CliRunner().invoke(app, ["doctor"])
-    assert wrong.exit_code == 1
-    assert "problem: pip install 'scipy" in wrong.stdout

@@ -20,6 +20,7 @@ def table(**changes) -> pandas.DataFrame:
 LOG = table()
 
 
+@pytest.mark.core(4)
 @pytest.mark.parametrize("between", ["held", "linear"])
 @pytest.mark.parametrize("part", [{"start": 2.03}, {"every": 7}, {"every": 5, "start": 1.0, "until": 3.0}])
 @pytest.mark.parametrize("acts", [{}, {"inputs.delay": 0.15}, {"inputs.delay": 0.0305, "inputs.lag": 0.08}])
@@ -43,39 +44,6 @@ def test_rows_as_they_are_keep_their_inputs_to_the_last_bit():
     assert np.array_equal(acting_inputs(record, rows=part).u, record.u[100:300])
     assert acting_inputs(record) is record
     assert lag_inputs(record, 0.0) is record
-
-
-@pytest.mark.parametrize(("frequency", "every"), [(2.0, 5), (20.0, 5)])
-def test_a_thinned_log_is_as_consistent_as_a_whole_one(frequency, every):
-    result = covariant.estimate(
-        "oscillator",
-        table(frequency=frequency),
-        observer="intrinsic-kalman",
-        overrides=NOISE,
-        columns={"truth": "true_v1"},
-        every=every,
-        anyway=True,
-    )
-    assert result.outcome.nis < 1.3
-    assert result.outcome.score is not None
-    assert result.outcome.score.nees < 1.0
-    assert not result.warnings
-
-
-def test_a_log_that_is_cut_keeps_what_was_on_its_way():
-    """At the start an input of a quarter of a second ago still acts."""
-    overrides = NOISE | {"inputs.delay": 0.25}
-    result = covariant.estimate(
-        "oscillator",
-        table(overrides={"inputs.delay": 0.25}),
-        observer="intrinsic-kalman",
-        overrides=overrides,
-        columns={"truth": "true_v1"},
-        start=2.0,
-        anyway=True,
-    )
-    error = (result.velocity - np.asarray(result.loaded.log.truth)) / np.asarray(result.velocity_std)
-    assert np.abs(error[:200]).max() < 4
 
 
 @pytest.mark.parametrize("part", [{"until": 1.0}, {"start": 1.0}, {"every": 3}, {}])

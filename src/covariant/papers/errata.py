@@ -40,7 +40,7 @@ class Erratum(NamedTuple):
 
 _GROUPS = "tests/laws/test_group_observers.py::test_each_slip_of_the_print_breaks_the_linear_law"
 _ERRATA = "tests/reference/test_errata.py"
-_FOSSEN = "tests/reference/test_jouffroy_fossen.py"
+_FOSSEN = "tests/reference/long_jouffroy_fossen.py"
 _CASCADE = "tests/certificates/test_cascade.py"
 
 ERRATA: tuple[Erratum, ...] = (
@@ -131,7 +131,7 @@ ERRATA: tuple[Erratum, ...] = (
         "both hold for bi-invariant metrics; else grad F = g̃(ζ_e + ½I⁻¹ad*_{ζ_e}Iζ_e) + O(‖ζ_e‖³)",
         "the group logarithm is a geodesic of bi-invariant metrics only",
         "the local rate is the same, since the difference is of second order; rotations of 1 rad are measured too long",
-        "tests/reference/test_maithripala.py::test_the_group_logarithm_is_too_long_and_aside",
+        "tests/reference/long_maithripala.py::test_the_group_logarithm_is_too_long_and_aside",
     ),
     Erratum(
         "sanfelice-praly",
@@ -158,7 +158,7 @@ ERRATA: tuple[Erratum, ...] = (
         "stop at exp(−λT̄) ≤ 1e-12, or start with a small π(−T̄), and measure the error relative to P",
         "the largest error of an entry says nothing of the directions in which P is small",
         "at λ = 8 every entry is right to 1e-3, and the metric is some 700 times too large in its weakest direction",
-        "tests/reference/test_sanfelice_praly.py::test_small_entries_hide_a_metric_that_is_far_off",
+        "tests/reference/long_sanfelice_praly.py::test_small_entries_hide_a_metric_that_is_far_off",
     ),
     Erratum(
         "sanfelice-praly",

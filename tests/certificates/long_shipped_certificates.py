@@ -1,0 +1,80 @@
+"""The certificates that come along still hold, and simulated estimates do as they say: what takes long."""
+
+import functools
+import json
+
+import numpy as np
+import pytest
+from test_shipped_certificates import FOLDER
+
+from covariant.certificates import ContractionCertificate, check, check_sample, follow_estimates
+from covariant.certificates.base._inequalities import contraction
+from covariant.proofs import PROVED, leaves
+from covariant.proofs._enclosure import Expansions
+from covariant.proofs._judge import judge
+
+
+@functools.cache
+def loaded(name: str) -> ContractionCertificate:
+    """A certificate that comes along; to read one, its observer is traced, which takes seconds for a robot."""
+    return ContractionCertificate.load(FOLDER / f"{name}.json")
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(
+    ("name", "rate"), [("ball_and_beam", 0.1), ("ball_and_beam_100hz", 4.0), ("heavy_top_100hz", 1.0)]
+)
+def test_small_ones_are_verified_whole(name, rate):
+    assert check(FOLDER / f"{name}.json").rate == pytest.approx(rate, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["heavy_top", "dfki_double_pendulum"])
+def test_some_leaves_are_looked_at_in_balls(name):
+    pytest.importorskip("flint")
+    assert check_sample(FOLDER / f"{name}.json", 4).leaves == 4
+
+
+@pytest.mark.exhaustive("scara", "ur5e_three_joints")
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("ball_and_beam", "heavy_top", "dfki_double_pendulum", "scara", "ur5e_three_joints"),
+        *("ball_and_beam_100hz", "heavy_top_100hz"),
+    ],
+)
+def test_a_certificate_is_read_as_it_was_written(name):
+    document = json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    found = loaded(name)
+    assert found.document() == document
+    assert (found.statement.verdict, found.statement.evidence, found.verified) == ("holds", "claimed", False)
+    assert found.statement.claim.endswith("(read from a file, not verified again)")
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("name", "slowest"), [("heavy_top", 7.0), ("dfki_double_pendulum", 25.0)])
+def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowest):
+    certificate = loaded(name)
+    seen = follow_estimates(certificate, 60)
+    np.testing.assert_allclose(seen.high[:, 0], certificate.radius, rtol=1e-9)
+    assert seen.holds
+    assert (seen.high <= seen.bound * (1 + 1e-6)).all()  # more than is proved, of a straight line
+    assert (seen.low > 0.9 * seen.high).all()
+    assert seen.rates.min() > slowest > certificate.rate
+    # Had the certificate promised what most estimates do, it would have been found wrong.
+    faster = certificate.radius * np.exp(-np.median(seen.rates) / 2 * seen.t)
+    assert not seen._replace(bound=faster).holds
+
+
+@pytest.mark.exhaustive
+def test_leaves_of_a_robot_are_proved_by_the_prover_again():
+    """By its Taylor models, on some of the leaves; and where shoulder and lift are does not enter."""
+    certificate = loaded("scara")
+    domain, levels = certificate.domain, certificate.claims[0].proof.levels
+    formed = contraction(certificate.error_system, certificate.rate).graph(domain.low)
+    matrix = Expansions.of(formed.entries, domain, "numpy")
+    assert [domain.names[i] for i in matrix.free if i < 4] == ["elbow", "twist"]
+    low, high = (np.concatenate(ends)[::100] for ends in list(zip(*leaves(domain, levels), strict=True))[1:])
+    assert (judge(matrix, low, high)[0] == PROVED).all()
+    # A rate beyond that of the gains is found wrong.
+    wrong = contraction(certificate.error_system, 30 * certificate.rate).graph(domain.low)
+    assert judge(Expansions.of(wrong.entries, domain, "numpy"), low, high)[1] is not None

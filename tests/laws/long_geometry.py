@@ -1,0 +1,10 @@
+"""What takes long of `test_geometry.py`."""
+
+import numpy as np
+from test_geometry import GEODESIC, length
+
+
+def test_triangle_inequality(space):
+    r = np.roll(space.q, 1, axis=0)
+    detour = length(space, space.p, r) + length(space, r, space.q)
+    assert (length(space, space.p, space.q) <= detour + GEODESIC).all()

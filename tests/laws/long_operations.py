@@ -1,0 +1,19 @@
+"""What takes long of `test_operations.py`."""
+
+import json
+from importlib.metadata import version
+
+import jax
+import pytest
+from test_operations import TABLE, counts
+
+from covariant.lowering import operations
+
+COUNTED_WITH = "0.9"
+"""Release of JAX with which operations are counted; others write the same functions as other primitives."""
+
+
+@pytest.mark.skipif(not version("jax").startswith(COUNTED_WITH), reason=f"operations are counted with {COUNTED_WITH}")
+@pytest.mark.parametrize(("name", "count"), counts(), ids=lambda value: value if isinstance(value, str) else ".")
+def test_operations_are_those_of_the_table(name, count):
+    assert count() == json.loads(TABLE.read_text(encoding="utf-8"))[name]

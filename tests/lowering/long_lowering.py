@@ -1,0 +1,56 @@
+"""What takes long of `test_lowering.py`."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from test_lowering import entries
+
+from covariant import models
+from covariant._linalg import triangular, triangular_with_rank
+from covariant.lowering import LoweringError, lower, numbers
+from covariant.observers import Intrinsic, with_fixed_substeps
+
+
+@pytest.mark.exhaustive
+def test_substeps_that_friction_decides_are_fixed_beforehand():
+    """By rubbing as on the given motions; otherwise their number depends on the state and has no graph."""
+    rubbing = models.pendulum_chain((1.0,), (1.0,), viscous=(0.2,), coulomb=(3.0,))
+    free, u, dt = Intrinsic(rubbing, 2.0, 1.0), jnp.zeros(1), jnp.asarray(0.01)
+    q, v = jnp.array([[0.3], [0.5]]), jnp.array([[0.0], [2.0]])
+    fixed = with_fixed_substeps(free, 100.0, q, v, jnp.zeros((2, 1)))
+    assert fixed.substeps == 4  # (0.2 + 3 · 100) / 1 · 0.01, rounded up
+    states = [free.init(a)._replace(v=b) for a, b in zip(q, v, strict=True)]
+    with pytest.raises(LoweringError, match="while"):
+        lower(lambda s, y: free.step(s, u, y, dt)[0], states[0], q[0])
+    graph = lower(lambda s, y: fixed.step(s, u, y, dt)[0], states[0], q[0])
+    for state in states:
+        ours, theirs = numbers(graph, state, state.q + 0.01), free.step(state, u, state.q + 0.01, dt)[0]
+        np.testing.assert_allclose([*ours.q, *ours.v], [*theirs.q, *theirs.v], rtol=1e-12)
+    for observer, rate in ((fixed, 100.0), (free, 0.0), (free, np.nan)):
+        with pytest.raises(ValueError, match="with_fixed_substeps"):
+            with_fixed_substeps(observer, rate, q, v, jnp.zeros((2, 1)))
+
+
+def block(a, b):
+    """A product of which some rows have zeros at the same places, as those of a transition."""
+    return jnp.concatenate([a, jnp.eye(15, 20)]) @ b
+
+
+@pytest.mark.parametrize(
+    ("function", "shapes"),
+    [
+        (jnp.matmul, [(15, 14), (14, 16)]),
+        (block, [(9, 20), (20, 16)]),
+        (triangular, [(14, 20)]),
+        (triangular_with_rank, [(14, 20)]),
+    ],
+)
+def test_large_products_and_factors_stay_loops_in_generated_code(function, shapes):
+    random = np.random.default_rng(0)
+    arguments = [random.normal(size=shape) for shape in shapes]
+    looped, unrolled = (lower(function, *arguments, loops=loops) for loops in ("any", "unrolled"))
+    assert entries(looped.graph) < entries(unrolled.graph) / 2
+    expected = np.asarray(function(*arguments))
+    np.testing.assert_allclose(numbers(looped, *arguments), expected, atol=1e-13)
+    np.testing.assert_allclose(numbers(unrolled, *arguments), expected, atol=1e-13)
