@@ -93,7 +93,9 @@ acceleration = 0.5
 [measurement]
 std = 1e-3
 [uncertainty]
-acceleration = 0.1
+process = 0.01
+[initial]
+std = 1.0
 """,
     "tank.py": """import jax.numpy as jnp
 
