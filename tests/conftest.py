@@ -64,10 +64,12 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-MOST_MAPPINGS, MOST_BYTES = 40_000, 1.0e9
+MOST_MAPPINGS, MOST_BYTES = 40_000, 1.1e9
 """Mappings of memory and resident bytes from which compiled programs are released; Linux allows 65 530 mappings."""
 SHARE = 4.0
 """Seconds of a core from which a test is named after a run: one of the core suite should be in a file `long_*.py`."""
+RELEASED = {"at": 0.0}
+"""Memory of this process [bytes] after programs were released the last time."""
 COLLECTED: dict[str, float] = {}
 """Seconds of a core that this process took until its first test."""
 
@@ -244,18 +246,34 @@ def pytest_configure(config):
         config.pluginmanager.register(Summary())
 
 
-@pytest.fixture(scope="module", autouse=True)
+def resident() -> float:
+    """Memory of this process [bytes], 0 where the system does not say."""
+    statm = Path("/proc/self/statm")
+    return int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if statm.exists() else 0.0
+
+
+def release_programs():
+    jax.clear_caches()
+    gc.collect()
+    RELEASED["at"] = resident()
+
+
+@pytest.fixture(autouse=True)
 def release_memory():
     """Release compiled programs where they hold much memory. Others, such as the operations of JAX on small arrays, are
-    used again by the files that follow."""
+    used again by the tests that follow."""
     yield
-    process = Path("/proc/self")
-    if not process.exists() or (
-        (process / "maps").read_bytes().count(b"\n") > MOST_MAPPINGS
-        or int((process / "statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MOST_BYTES
-    ):
-        jax.clear_caches()
-        gc.collect()
+    if resident() > max(MOST_BYTES, RELEASED["at"] + MOST_BYTES / 5):
+        release_programs()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def release_mappings():
+    """Release compiled programs where they hold many mappings."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPPINGS:
+        release_programs()
 
 
 @pytest.fixture(scope="session")

@@ -231,7 +231,7 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
     path = tmp_path / "large.json"
     with path.open("wb") as file:
         file.truncate(CERTIFICATE.most_bytes + 1)
-    both(path, "larger than a certificate may be, 64 MiB")
+    both(path, "larger than a saved certificate may be, 64 MiB")
 
 
 @pytest.mark.core(2)

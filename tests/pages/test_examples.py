@@ -3,12 +3,20 @@
 The first page that a process runs begins with an empty cache folder, as that of a new user is.
 """
 
+import os
 import re
 
-from page_runs import EXECUTED, PAGES, needs_checkout, over
+import pytest
+from page_runs import EXECUTED, PAGES, needs_checkout, over, run
 from run_page import PARTS, blocks
 
 each_page = over(EXECUTED)
+
+
+@pytest.mark.core(1)  # the README
+@each_page
+def test_a_page_runs_from_an_empty_folder(page, tmp_path, home):
+    run(page, tmp_path, home, os.defpath)
 
 
 @each_page

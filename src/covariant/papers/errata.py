@@ -239,7 +239,7 @@ ERRATA: tuple[Erratum, ...] = (
         "γ2 < c3/c4 alone, with V = V_con + κV_obs and κ > (c4γ1)²/(4λ_q(c3 − c4γ2))",
         "sufficient, and its verdict depends on the units",
         "a controller that is stable with the observer may be refused",
-        f"{_CASCADE}::test_printed_verdict_depends_on_units_and_the_weighted_one_does_not",
+        "tests/certificates/long_cascade.py::test_printed_verdict_depends_on_units_and_the_weighted_one_does_not",
     ),
 )
 """All misprints, by paper and in the order in which they matter."""
