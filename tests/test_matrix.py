@@ -32,7 +32,7 @@ def test_a_version_that_is_not_here_is_left_out_and_said(machine, capsys):
     missing = [f"Python {version} is not here: nothing was run on it\n" for version in ("3.11", "3.12", "3.13")]
     assert capsys.readouterr().out == "".join(missing)
     assert matrix.main(["--short"]) == 0
-    assert capsys.readouterr().out == missing[0] + missing[2]
+    assert capsys.readouterr().out == missing[2]
 
 
 def test_a_name_on_the_path_that_does_not_run_is_passed_over_for_the_newest_of_pyenv(machine):
