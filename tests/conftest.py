@@ -209,6 +209,7 @@ class Summary:
             self.files[file] += seconds[0]
             self.tests[report.nodeid.partition("@tests/")[0]] = seconds[1]
 
+    @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node, error):
         """A process of several that run the tests has ended."""
         self.processes.append(getattr(node, "workeroutput", {}).get("process", (0.0, 0.0)))

@@ -72,7 +72,7 @@ def test_a_space_is_put_to_the_laws_at_a_point(house):
     ) >= {
         "test_metric_is_symmetric_positive_definite",
         "test_connection_is_torsion_free",
-        "test_curvature_has_the_pair_symmetry",
+        "test_curvature_has_its_symmetries",
         "test_christoffel_is_that_of_the_matrix",
         "test_curvature_is_that_of_the_matrix",
     }

@@ -42,8 +42,8 @@ class InputError(ValueError):
         >>> try:
         ...     covariant.simulate("pendulum_chain", duration=-1.0)
         ... except covariant.InputError as error:
-        ...     print(str(error).split(";")[0])
-        duration must be a positive number of seconds
+        ...     print(error)
+        sensor: -1.0 s at 500.0 Hz do not hold two samples or more
     """
 
     exit_code = 2

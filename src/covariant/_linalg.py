@@ -306,7 +306,7 @@ def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> In
     return array.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-def known_rms(x: Float[np.ndarray, "..."], axis: int | tuple[int, ...] = 0) -> np.ndarray:
+def known_rms(x: Float[np.ndarray, "..."], axis: int | tuple[int, ...] = 0) -> np.ndarray | np.floating:
     """Root mean square of the entries that are known, along axes; NaN, without a warning, where none is."""
     known = ~np.isnan(x)
     count = known.sum(axis=axis)

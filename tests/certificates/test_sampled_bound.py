@@ -104,7 +104,7 @@ HERE = {"q": 0.1, "v": 1.0, "u": 0.2, "y": 0.111, "dt": 0.011, "start": 0.01}
         ({"dt": 0.002, "y": 0.102}, Premise.AGE),
         ({"dt": 0.02, "y": np.nan}, Premise.AGE),
         ({"v": 3.99, "y": 0.144}, Premise.VELOCITY),
-        ({"v": np.nan}, Premise.VELOCITY),
+        ({"v": np.nan}, Premise.STEP),
         ({"q": 2.999, "y": np.nan}, Premise.POSITION),
         ({"q": 2 * np.pi + 0.1}, Premise.HOLDS),
         ({"u": 0.51}, Premise.INPUT),

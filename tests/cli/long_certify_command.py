@@ -157,4 +157,4 @@ def test_a_force_that_depends_on_time_is_proved_between_two_times(capsys, monkey
     assert (code, "proved" in out) == (0, True)
     code, _, message = leave(capsys, monkeypatch, *arguments, "--times", "2,1")
     assert code == 2
-    assert "the earlier one first" in message
+    assert "the lower one first" in message

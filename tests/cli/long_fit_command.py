@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import command
-from test_fit_command import inside, refused
+from test_fit_command import folder, inside, refused
 
 from covariant import logs, models
 from covariant.workflow import simulate

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_faults import HOLES, tried
+from test_faults import HOLES, log, tried
 
 from covariant.calibration import DataSheet, gated, observer_gains, with_gains
 from covariant.geometry.lie import SO3

@@ -73,7 +73,7 @@ def check(
         >>> check("missing.json")
         Traceback (most recent call last):
         ...
-        covariant._errors.InputError: missing.json does not exist; give the path of a saved certificate
+        covariant._errors.InputError: missing.json: No such file or directory; give the path of a saved certificate
     """
     shown = show(source, model=model, processes=processes, progress=progress)
     document = shown.resolved.document
