@@ -8,12 +8,7 @@ import sympy
 from scipy import integrate
 
 from covariant import models
-from covariant.metrics import (
-    Equation,
-    lie_derivative,
-    right_side,
-    spd_distance,
-)
+from covariant.metrics import Equation, lie_derivative, right_side, spd_distance
 from covariant.papers.sanfelice_praly import analytic_metric, grid
 
 MODEL = models.unknown_frequency()
