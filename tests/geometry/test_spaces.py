@@ -96,17 +96,6 @@ def test_exp_and_log_have_derivatives_at_zero(closed):
         close(derivative, sign * np.eye(n), 1e-13)
 
 
-@pytest.mark.exhaustive("hyperbolic", "plane, curved chart", "sphere", "sphere x hyperbolic")
-def test_gradient_of_half_squared_distance_is_minus_log(closed):
-    """Also where the points coincide and the distance has no derivative of its own."""
-
-    def both(p, q):
-        differential = jax.grad(lambda p: geometry.distance(closed.metric, p, q) ** 2 / 2)(p)
-        return geometry.gradient(closed.metric, p, differential), -geometry.log(closed.metric, p, q)
-
-    close(*jax.jit(jax.vmap(both))(closed.p, closed.q), 1e-12)
-
-
 @pytest.mark.core(1)
 @pytest.mark.exhaustive("sphere", "sphere x hyperbolic")
 def test_transport_between_points_is_along_the_geodesic(closed):
