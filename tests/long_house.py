@@ -14,24 +14,9 @@ from style import docstrings
 from test_house import FILES, PLAN, SOURCE, aliases, imported, imported_rooms, makes_statements, place, room_of, tree
 
 OPTIONAL = (
-    "pyarrow",
-    "rosbags",
-    "matplotlib",
-    "plotly",
-    "mujoco",
-    "typer",
-    "rich",
-    "scipy",
-    "sympy",
-    "xarray",
-    "zarr",
-    "dask",
-    "distributed",
-    "flint",
-    "clarabel",
-    "control",
-    "cffi",
-)
+    "pyarrow", "rosbags", "matplotlib", "plotly", "mujoco", "typer", "rich", "scipy", "sympy", "xarray", "zarr", "dask",
+    "distributed", "flint", "clarabel", "control", "cffi",
+)  # fmt: skip
 
 
 OF_TUPLES = ("_asdict", "_fields", "_make", "_replace")
@@ -94,14 +79,12 @@ def test_modules_import_each_other_in_no_circle():
     graphlib.TopologicalSorter(needs).prepare()  # raises CycleError, which names the circle
 
 
-MOST_LINES, MOST_LINES_OF = (
-    400,
-    {
-        "certificates/checking/_check.py": 300,
-        "observers/filters/_intrinsic_kalman.py": 430,
-        "workflow/_fit_to_logs.py": 490,
-    },
-)
+MOST_LINES = 400
+MOST_LINES_OF = {
+    "certificates/checking/_check.py": 300,
+    "observers/filters/_intrinsic_kalman.py": 430,
+    "workflow/_fit_to_logs.py": 490,
+}
 """Of the check, which has to be believed, less than of others; its jobs are parts of the trees of claims. The filter is
 one step, which is read as a whole; the three kinds of fit answer one protocol, and are read beside each other."""
 
@@ -183,22 +166,15 @@ def test_statements_take_no_derivative_from_jax():
     assert found == set(VALUES_OF_THE_CODE), "take derivatives by `lowering.along` or `lowering.jacobian`"
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "jax.jacfwd(f)(x)",
-        "getattr(jax, 'grad')(f)(x)",
-        "eqx.filter_jvp(f, (x,), (x,))",
-        "model.jacobians(t, x, u)",
-        "from jax import vjp; partial(vjp, f)",
-        "from jax import hessian as h; h(f)",
-        "from covariant.geometry import differential; differential(manifold, f, x)",
-        "from jax import *",
-        "jax.jacobian(f)(x)",
-        "import jax as j; j.jacobian(f)(x)",
-        "from jax import jacobian as slopes; slopes(f)(x)",
-    ],
-)
+TAKE_DERIVATIVES = [
+    "jax.jacfwd(f)(x)", "getattr(jax, 'grad')(f)(x)", "eqx.filter_jvp(f, (x,), (x,))", "model.jacobians(t, x, u)",
+    "from jax import vjp; partial(vjp, f)", "from jax import hessian as h; h(f)",
+    "from covariant.geometry import differential; differential(manifold, f, x)", "from jax import *",
+    "jax.jacobian(f)(x)", "import jax as j; j.jacobian(f)(x)", "from jax import jacobian as slopes; slopes(f)(x)",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("line", TAKE_DERIVATIVES)
 def test_a_deliberate_derivative_is_found(line):
     assert derivatives(ast.parse(line), DERIVATIVES | derived_by_jax())
 

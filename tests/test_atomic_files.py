@@ -32,6 +32,17 @@ _files.write_atomically(path, die)
 """
 
 
+def full_after(count: int):
+    """A function of `os` that finds the disk full from a call on."""
+    calls = iter(range(count))
+
+    def call(*_):
+        if next(calls, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    return call
+
+
 def left(folder) -> list[str]:
     return sorted(p.name for p in folder.iterdir())
 
@@ -92,13 +103,10 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
 
 
 def test_a_full_disk_names_the_file_and_not_the_temporary_one(tmp_path, monkeypatch):
-    def full(_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     path = tmp_path / "run.csv"
     for name in ("fsync", "replace"):
         with monkeypatch.context() as patch:
-            patch.setattr(os, name, lambda *_: full(_))
+            patch.setattr(os, name, full_after(0))
             with pytest.raises(OSError, match="No space left") as error:
                 write_atomically(path, lambda file: file.write(b"new"))
         assert error.value.filename == str(path)
@@ -113,14 +121,8 @@ def test_a_full_disk_names_the_file_and_not_the_temporary_one(tmp_path, monkeypa
 
 def test_files_that_belong_together_are_all_written_before_one_is_replaced(tmp_path, monkeypatch):
     paths = [write_atomically(tmp_path / name, lambda file: file.write(b"old")) for name in "abc"]
-    synced = iter([None, None])
-
-    def full(_):
-        if next(synced, full) is full:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
     with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", full)
+        patch.setattr(os, "fsync", full_after(2))
         with pytest.raises(OSError, match="No space left") as error:
             write_together(dict.fromkeys(paths, b"new"))
     assert error.value.filename == str(paths[2])

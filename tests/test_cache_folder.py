@@ -162,22 +162,6 @@ def test_an_entry_is_on_the_disk_before_it_is_named(tmp_path, monkeypatch):
     assert read_sealed(tmp_path / "entry") == b"content"
 
 
-def test_a_writer_that_is_killed_leaves_the_entry_of_before(tmp_path):
-    path = tmp_path / "entry"
-    write_sealed(path, b"before")
-    script = f"""
-import os, signal
-from pathlib import Path
-from covariant import _files
-os.fsync = lambda descriptor: os.kill(os.getpid(), signal.SIGKILL)
-_files.write_sealed(Path({str(path)!r}), b"after")
-"""
-    assert python(script).returncode != 0
-    assert read_sealed(path) == b"before"
-    write_sealed(path, b"after")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["entry"]
-
-
 def shared(chosen: Path) -> str:
     """The warning about a cache folder that is refused."""
     with pytest.warns(RuntimeWarning) as warned:

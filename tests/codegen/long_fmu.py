@@ -1,6 +1,5 @@
 """What takes long of `test_fmu.py`."""
 
-import ctypes
 import functools
 import json
 import sys
@@ -8,11 +7,15 @@ import xml.etree.ElementTree as ElementTree
 import zipfile
 from pathlib import Path
 
+import fmpy
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.validation import validate_fmu
 from test_fmu import needs_compiler
+from units import Unit
 
 from covariant import models, observers
 from covariant.cli import main
@@ -121,115 +124,40 @@ def test_the_description_names_what_is_in_the_unit(version, paths):
     assert set(stated.values()) - {None} == units
 
 
-class Driven:
-    """A binary of a unit, driven as a simulator does it."""
-
-    def __init__(self, version: str, path: Path, folder: Path):
-        self.version, self.prefix = version, f"fmi{version[0]}"
-        with zipfile.ZipFile(path) as packed:
-            [binary] = [name for name in packed.namelist() if name.startswith("binaries/")]
-            self.library = ctypes.CDLL(packed.extract(binary, folder))
-            self.root = ElementTree.fromstring(packed.read("modelDescription.xml"))
-        self.token = self.root.attrib["instantiationToken" if version == "3.0" else "guid"]
-        variables = self.root.find("ModelVariables")
-        assert variables is not None
-        self.references = {v.attrib["name"]: int(v.attrib["valueReference"]) for v in variables}
-        self.instance = ctypes.c_void_p(self.made(self.token))
-
-    def made(self, token: str):
-        if self.version == "3.0":
-            make = self.library.fmi3InstantiateCoSimulation
-            arguments = (
-                b"a",
-                token.encode(),
-                b"",
-                False,
-                False,
-                False,
-                False,
-                None,
-                ctypes.c_size_t(0),
-                None,
-                None,
-                None,
-            )
-        else:
-            make = self.library.fmi2Instantiate
-            arguments = (b"a", 1, token.encode(), b"", None, 0, 0)
-        make.restype = ctypes.c_void_p
-        return make(*arguments)
-
-    def does(self, name: str, *arguments) -> int:
-        return getattr(self.library, self.prefix + name)(self.instance, *arguments)
-
-    def refers(self, name: str, size: int):
-        if self.version == "3.0":
-            return (ctypes.c_uint32 * 1)(self.references[name]), ctypes.c_size_t(1)
-        return (ctypes.c_uint32 * size)(*(self.references[f"{name}[{k + 1}]"] for k in range(size))), ctypes.c_size_t(
-            size
-        )
-
-    def access(self, kind: str, name: str, values: np.ndarray) -> int:
-        values = np.ascontiguousarray(values, float)
-        sizes = (ctypes.c_size_t(values.size),) if self.version == "3.0" else ()
-        kind += "Float64" if self.version == "3.0" else "Real"
-        place = values.ctypes.data_as(ctypes.c_void_p)
-        return self.does(kind, *self.refers(name, values.size), place, *sizes)
-
-    def read(self, name: str, size: int) -> np.ndarray:
-        values = np.empty(size)
-        assert self.access("Get", name, values) == 0
-        return values
-
-    def outcome(self) -> int:
-        value = ctypes.c_int32()
-        three = self.version == "3.0"
-        reference = ctypes.byref(ctypes.c_uint32(1 if three else 0)), ctypes.c_size_t(1)
-        size = (ctypes.c_size_t(1),) if three else ()
-        assert self.does("GetInt32" if three else "GetInteger", *reference, ctypes.byref(value), *size) == 0
-        return value.value
-
-    def begin(self, t: float) -> None:
-        started = (False, ctypes.c_double(0), ctypes.c_double(t), False, ctypes.c_double(0))
-        if self.version == "3.0":
-            assert self.does("EnterInitializationMode", *started) == 0
-        else:
-            assert self.does("SetupExperiment", *started) == self.does("EnterInitializationMode") == 0
-        assert self.does("ExitInitializationMode") == 0
-
-    def step(self, t: float, h: float) -> int:
-        flags = [ctypes.byref(ctypes.c_bool()) for _ in range(3)], ctypes.byref(ctypes.c_double())
-        more = (*flags[0], flags[1]) if self.version == "3.0" else ()
-        return self.does("DoStep", ctypes.c_double(t), ctypes.c_double(h), True, *more)
+def estimate(unit: Unit) -> np.ndarray:
+    return np.concatenate([unit.read("q", 2), unit.read("v", 2)])
 
 
 @pytest.mark.exhaustive
 @needs_compiler
 @pytest.mark.parametrize("version", ["3.0", "2.0"])
 def test_the_binary_does_what_the_observer_does_in_python(version, paths, tmp_path):
-    unit, (t, y, u) = Driven(version, paths[version], tmp_path), motion()
-    assert unit.made("{another}") is None
-    assert unit.access("Set", "y", y[0]) == 0
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        Unit(paths[version], tmp_path, token="{another}")
+    unit, (t, y, u) = Unit(paths[version], tmp_path), motion()
+    unit.write("y", y[0])
     unit.begin(t[0])
     np.testing.assert_array_equal(unit.read("q", 2), y[0])
-    found, kept, state = [], None, ctypes.c_void_p()
+    found, state = [], None
     for k in range(ROWS - 1):
-        assert unit.access("Set", "y", y[k]) == unit.access("Set", "u", u[k]) == 0
+        unit.write("y", y[k])
+        unit.write("u", u[k])
         if k == 15:
-            assert unit.access("Set", "parameters.mass", np.array([0.6, 0.7])) == 0
-        assert unit.step(t[k], t[k + 1] - t[k]) == 0
-        found.append(np.concatenate([unit.read("q", 2), unit.read("v", 2)]))
+            unit.write("parameters.mass", [0.6, 0.7])
+        unit.step(t[k], t[k + 1] - t[k])
+        found.append(estimate(unit))
         if k == 20:
-            kept = found[-1]
-            assert unit.does("GetFMUState" if version == "3.0" else "GetFMUstate", ctypes.byref(state)) == 0
+            state = unit.calls.getFMUState()
     np.testing.assert_allclose(found, expected(), rtol=0, atol=1e-9)
-    assert unit.does("SetFMUState" if version == "3.0" else "SetFMUstate", state) == 0
-    np.testing.assert_array_equal(np.concatenate([unit.read("q", 2), unit.read("v", 2)]), kept)
-    assert unit.access("Set", "q", np.zeros(2)) != 0, "an output is not set"
-    assert unit.step(t[20], -1.0) != 0
-    assert unit.does("FreeFMUState" if version == "3.0" else "FreeFMUstate", ctypes.byref(state)) == 0
-    assert unit.does("Terminate") == 0
-    getattr(unit.library, unit.prefix + "FreeInstance")(unit.instance)
+    unit.calls.setFMUState(state)
+    np.testing.assert_array_equal(estimate(unit), found[20])
+    with pytest.raises(FMICallException):
+        unit.write("q", np.zeros(2))  # an output is not set
+    with pytest.raises(FMICallException):
+        unit.step(t[20], -1.0)
+    unit.calls.freeFMUState(state)
+    unit.calls.terminate()
+    unit.calls.freeInstance()
 
 
 @needs_compiler
@@ -237,11 +165,11 @@ def test_the_binary_does_what_the_observer_does_in_python(version, paths, tmp_pa
 def test_no_odd_step_silences_a_unit(version, paths, tmp_path):
     """Times that are not finite are refused, others are named by the outcome; after each the unit follows as before."""
 
-    def follow(unit: Driven, first: int, rows: int) -> int:
+    def follow(unit: Unit, first: int, rows: int) -> int:
         for k in range(first, first + rows):
             at = k / RATE
-            unit.access("Set", "y", np.array([0.3 * np.sin(3 * at), 0.2 * np.cos(4 * at)]))
-            assert unit.step(at, 1 / RATE) == 0
+            unit.write("y", [0.3 * np.sin(3 * at), 0.2 * np.cos(4 * at)])
+            unit.step(at, 1 / RATE)
         return unit.outcome()
 
     t, nan, inf = 30 / RATE, np.nan, np.inf
@@ -254,29 +182,29 @@ def test_no_odd_step_silences_a_unit(version, paths, tmp_path):
         (t, 1e300): StepCode.NOT_FINITE,
         (1e300, 0.1): StepCode.NOT_FINITE,
     }
-    unit = Driven(version, paths[version], tmp_path)
-    assert unit.access("Set", "u", np.array([0.0, 0.0])) == 0
+    unit = Unit(paths[version], tmp_path)
+    unit.write("u", [0.0, 0.0])
     unit.begin(0.0)
     assert follow(unit, 0, 30) == StepCode.OK
-    state, name = ctypes.c_void_p(), "FMUState" if version == "3.0" else "FMUstate"
-    assert unit.does(f"Get{name}", ctypes.byref(state)) == 0
-    before = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
+    state, before = unit.calls.getFMUState(), estimate(unit)
     assert follow(unit, 30, 60) == StepCode.OK
-    expected = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
+    expected = estimate(unit)
     for step in [*refused, *named]:
-        assert unit.does(f"Set{name}", state) == 0
-        assert unit.step(*step) == (0 if step in named else 3), step
-        assert unit.outcome() == named.get(step, StepCode.OK), step
-        found = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
-        assert np.isfinite(found).all(), step
+        unit.calls.setFMUState(state)
         if step in refused:
-            np.testing.assert_array_equal(found, before)
+            with pytest.raises(FMICallException) as caught:
+                unit.step(*step)
+            assert caught.value.status == 3, step
+            np.testing.assert_array_equal(estimate(unit), before)
+        else:
+            unit.step(*step)
+        assert unit.outcome() == named.get(step, StepCode.OK), step
+        assert np.isfinite(estimate(unit)).all(), step
         assert follow(unit, 30, 60) == StepCode.OK, step
-        found = np.concatenate([unit.read("q", 2), unit.read("v", 2)])
         # One that was not finite starts again at rest.
         tolerance = 0.5 if named.get(step) == StepCode.NOT_FINITE else 1e-3
-        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance, err_msg=str(step))
-    assert unit.does(f"Free{name}", ctypes.byref(state)) == 0
+        np.testing.assert_allclose(estimate(unit), expected, rtol=0, atol=tolerance, err_msg=str(step))
+    unit.calls.freeFMUState(state)
 
 
 @pytest.mark.exhaustive("3.0")
@@ -284,26 +212,19 @@ def test_no_odd_step_silences_a_unit(version, paths, tmp_path):
 @pytest.mark.parametrize("version", ["3.0", "2.0"])
 def test_a_simulator_takes_it(version, paths):
     """In another program that knows FMI: no fault is found, and its simulation is that of Python."""
-    fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed")
-    from fmpy.validation import validate_fmu
-
     assert validate_fmu(str(paths[version])) == []
     h, rows = 1 / RATE, 50
     t = np.arange(rows + 1) * h
     y, u = np.stack([0.3 * np.sin(3 * t), 0.2 * np.cos(4 * t)], axis=1), np.zeros((rows + 1, 2))
     if version == "3.0":
-        signals = np.array(list(zip(t, y, u, strict=True)), dtype=[("time", "f8"), ("y", "f8", 2), ("u", "f8", 2)])
-        names = ["q", "v"]
+        rows_of, types = zip(t, y, u, strict=True), [("time", "f8"), ("y", "f8", 2), ("u", "f8", 2)]
+        names, heavy = ["q", "v"], {"parameters.mass": [0.6, 0.7]}
     else:
-        signals = np.array(
-            [(a, *b) for a, b in zip(t, y, strict=True)], dtype=[(n, "f8") for n in ("time", "y[1]", "y[2]")]
-        )
-        names = ["q[1]", "q[2]", "v[1]", "v[2]"]
-    heavy = {"parameters.mass": [0.6, 0.7]} if version == "3.0" else {"parameters.mass[2]": 0.7}
-    told = fmpy.simulate_fmu(
-        str(paths[version]), stop_time=t[-1], step_size=h, output_interval=h, input=signals, output=names,
-        start_values=heavy,
-    )  # fmt: skip
+        rows_of, types = np.column_stack([t, y]), [(name, "f8") for name in ("time", "y[1]", "y[2]")]
+        names, heavy = ["q[1]", "q[2]", "v[1]", "v[2]"], {"parameters.mass[2]": 0.7}
+    timing = {"stop_time": t[-1], "step_size": h, "output_interval": h}
+    signals = np.array([tuple(row) for row in rows_of], dtype=types)
+    told = fmpy.simulate_fmu(str(paths[version]), **timing, input=signals, output=names, start_values=heavy)
     heavier = with_mass(0.7)
     state = heavier.init(jnp.asarray(y[0]), jnp.asarray(0.0))
     for k in range(rows):

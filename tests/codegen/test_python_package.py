@@ -142,15 +142,11 @@ BAD = {
     r"rows differ: 5 of t, 4 of y": (T, Y[1:]),
     r"y has the type complex128; it must be real numbers, which become float64": (T, Y * 1j),
     r"u has the type bool": (T, Y, Y > 0),
-    r"row 4: u is not a finite number; mark a missing one by NaN": (
-        T,
-        Y,
-        np.where(T[:, None] == T[3], np.inf, Y),
-    ),
+    r"row 4: u is not a finite number; mark a missing one by NaN": (T, Y, np.where(T[:, None] == T[3], np.inf, Y)),
     r"row 1 lacks a measurement, so no estimate can start there": (T, np.where(T[:, None] == 0, np.nan, Y)),
     r"row 2: a measurement is infinite; mark a missing one by NaN": (T, np.where(T[:, None] == T[1], np.inf, Y)),
     r"a log needs at least two rows; this one has 1": (T[:1], Y[:1]),
-}
+}  # fmt: skip
 
 
 @needs_compiler

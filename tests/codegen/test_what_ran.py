@@ -84,96 +84,54 @@ def turn() -> Record:
     return Record(t, 0.1 * np.sin(np.stack([t, 2 * t, 3 * t], axis=1)), np.asarray(y))
 
 
-def moved(y: np.ndarray, rows: Any, by: float) -> np.ndarray:
-    """Measurements of which some rows are off by an angle."""
-    y = y.copy()
-    y[rows] = y[rows] @ np.asarray(SO3.exp(jnp.array([0.0, by, 0.0]))) if y.ndim == 3 else y[rows] + by
-    return y
+Fault = Callable[[Record], Record]
 
 
-def without(y: np.ndarray, rows: Any) -> np.ndarray:
-    y = y.copy()
-    y[rows] = np.nan
-    return y
-
-
-def one_off(log: Record) -> Record:
-    return log._replace(y=moved(log.y, AT, 0.5))
-
-
-def three_off(log: Record) -> Record:
-    y = log.y
-    for k, by in enumerate((0.4, -0.3, 0.5)):
-        y = moved(y, AT + k, by)
-    return log._replace(y=y)
-
-
-def rows_lost(count: int) -> Callable[[Record], Record]:
-    return lambda log: Record(*(np.delete(a, np.s_[AT : AT + count], axis=0) for a in log[:3]))
-
-
-def cell_missing(log: Record) -> Record:
-    y = log.y.copy()
-    y[AT].flat[0] = np.nan
-    return log._replace(y=y)
-
-
-def row_missing(log: Record) -> Record:
-    return log._replace(y=without(log.y, np.s_[AT : AT + 50]))
-
-
-def jump(log: Record) -> Record:
-    return log._replace(y=moved(log.y, np.s_[AT:], 0.8))
-
-
-def whole_turn(log: Record) -> Record:
-    """As a reading that is wrapped; a rotation has no such step, and gets half a turn."""
-    return log._replace(y=moved(log.y, np.s_[AT:], np.pi if log.y.ndim == 3 else -2 * np.pi))
-
-
-def too_large(log: Record) -> Record:
-    y = log.y.copy()
-    y[AT].flat[0] = 1e12
-    return log._replace(y=y)
-
-
-def stamp(by: float) -> Callable[[Record], Record]:
-    """The stamp of a row is off by some samples."""
+def moved(rows: Any, by: float) -> Fault:
+    """Measurements of some rows are off by an angle."""
 
     def fault(log: Record) -> Record:
-        t = log.t.copy()
-        t[AT] = t[AT + int(by)]
-        return log._replace(t=t)
+        y = log.y.copy()
+        y[rows] = y[rows] @ np.asarray(SO3.exp(jnp.array([0.0, by, 0.0]))) if y.ndim == 3 else y[rows] + by
+        return log._replace(y=y)
 
     return fault
 
 
-def input_missing(log: Record) -> Record:
-    u = log.u.copy()
-    u[AT : AT + 3, 0] = np.nan
-    return log._replace(u=u)
+def put(field: str, rows: Any, value: float, cells: Any = 0) -> Fault:
+    """A number stands in place of those that some rows had, in their first cell or in all."""
+
+    def fault(log: Record) -> Record:
+        array = getattr(log, field).copy()
+        array.reshape(len(array), -1)[rows, cells] = value
+        return log._replace(**{field: array})
+
+    return fault
 
 
-def input_infinite(log: Record) -> Record:
-    u = log.u.copy()
-    u[AT + 1, 0] = np.inf
-    return log._replace(u=u)
+def rows_lost(count: int) -> Fault:
+    return lambda log: Record(*(np.delete(a, np.s_[AT : AT + count], axis=0) for a in log[:3]))
 
 
-FAULTS: dict[str, Callable[[Record], Record]] = {
-    "an outlier": one_off,
-    "three outliers": three_off,
+def whole_turn(log: Record) -> Record:
+    """As a reading that is wrapped; a rotation has no such step, and gets half a turn."""
+    return moved(np.s_[AT:], np.pi if log.y.ndim == 3 else -2 * np.pi)(log)
+
+
+FAULTS: dict[str, Fault] = {
+    "an outlier": moved(AT, 0.5),
+    "three outliers": lambda log: moved(AT, 0.4)(moved(AT + 1, -0.3)(moved(AT + 2, 0.5)(log))),
     "rows lost for a quarter of a second": rows_lost(50),
-    "a cell missing": cell_missing,
-    "readings missing for a quarter of a second": row_missing,
-    "a jump that stays": jump,
+    "a cell missing": put("y", AT, np.nan),
+    "readings missing for a quarter of a second": put("y", np.s_[AT : AT + 50], np.nan, cells=np.s_[:]),
+    "a jump that stays": moved(np.s_[AT:], 0.8),
     "a wrapped angle": whole_turn,
-    "a number too large": too_large,
+    "a number too large": put("y", AT, 1e12),
     "rows lost for more than a second": rows_lost(250),
-    "a repeated stamp": stamp(-1),
-    "a stamp back in time": stamp(-3),
-    "an input missing": input_missing,
-    "an infinite input": input_infinite,
+    "a repeated stamp": lambda log: put("t", AT, log.t[AT - 1])(log),
+    "a stamp back in time": lambda log: put("t", AT, log.t[AT - 3])(log),
+    "an input missing": put("u", np.s_[AT : AT + 3], np.nan),
+    "an infinite input": put("u", AT + 1, np.inf),
 }
 INPUTS = MODEL + FASTER + "[inputs]\n"
 REFUSED = "a repeated stamp", "a stamp back in time", "an infinite input"
@@ -424,52 +382,24 @@ def test_nothing_starts_where_estimate_refuses_to_start(exported, monkeypatch):
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_a_unit_does_what_ran(exported, version, tmp_path):
     """In steps of length zero, whose outputs are for the time of the measurement; then as simulators step."""
-    fmpy = pytest.importorskip("fmpy")
+    units = pytest.importorskip("units", reason="it needs FMPy")
     path, start = tmp_path / "unit.fmu", exported.member.log().y[0]
     write_fmu(fmu(exported.program, exported.name, "The unit.", RATE, start, version), path)
-    described, where = (
-        fmpy.read_model_description(str(path), validate=True),
-        fmpy.extract(str(path), str(tmp_path / "u")),
-    )
-    make = fmpy.fmi2.FMU2Slave if version == "2.0" else fmpy.fmi3.FMU3Slave
-    unit = make(
-        guid=described.guid,
-        unzipDirectory=where,
-        modelIdentifier=described.coSimulation.modelIdentifier,
-        instanceName="a",
-    )
-    unit.instantiate()
-    places: dict[str, list[int]] = {}
-    for variable in described.modelVariables:
-        places.setdefault(variable.name.partition("[")[0], []).append(variable.valueReference)
-    old = version == "2.0"
-    read, write, count = (
-        (unit.getReal, unit.setReal, unit.getInteger) if old else (unit.getFloat64, unit.setFloat64, unit.getInt32)
-    )
-
-    def estimated() -> list[float]:
-        if old:
-            return [*read(places["q"]), *read(places["v"])]
-        sizes = {leaf.name: leaf.size for leaf in exported.program.x}
-        return [number for name in ("q", "v") for number in read(places[name], nValues=sizes[name])]
-
+    unit, sizes = units.Unit(path, tmp_path), {leaf.name: leaf.size for leaf in exported.program.x}
     for expected in exported.runs.values():
         log, codes, estimates = expected.log, [], []
         for k in range(ROWS):
-            write(places["y"], log.y[k].ravel().tolist())
-            if "u" in places:
-                write(places["u"], log.u[k].tolist())
+            unit.write("y", log.y[k])
+            if "u" in unit.places:
+                unit.write("u", log.u[k])
             if k == 0:
-                (unit.setupExperiment if old else unit.enterInitializationMode)(startTime=log.t[0])
-                if old:
-                    unit.enterInitializationMode()
-                unit.exitInitializationMode()
-            unit.doStep(log.t[k], 0.0)
-            codes += count(places["outcome"])
-            estimates.append(estimated())
+                unit.begin(log.t[0])
+            unit.step(log.t[k], 0.0)
+            codes.append(unit.outcome())
+            estimates.append(np.concatenate([unit.read(name, sizes[name]) for name in ("q", "v")]))
         same(expected, codes, np.array(estimates))
-        unit.reset()
-    unit.freeInstance()
+        unit.calls.reset()
+    unit.calls.freeInstance()
 
 
 def test_webassembly_does_what_ran(exported):
@@ -587,21 +517,11 @@ def test_each_number_of_a_unit_has_its_unit(version, tmp_path, monkeypatch):
         assert expected.items() <= units["arm"].items()
 
 
-@pytest.mark.parametrize(
-    ("lines", "told", "use"),
-    [
-        (
-            "delay = 0.01",
-            "to the step that begins at its stamp; the step has their delay 10 ms.",
-            "the input since then",
-        ),
-        (
-            'lag = 0.02\nbetween = "linear"',
-            "to the step that ends at its stamp, .*; the step has their lag 20 ms.",
-            "the input at the stamp of y",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("lines", "told", "use"), [
+    ("delay = 0.01", "to the step that begins at its stamp; the step has their delay 10 ms.", "the input since then"),
+    ('lag = 0.02\nbetween = "linear"', "to the step that ends at its stamp, .*; the step has their lag 20 ms.",
+        "the input at the stamp of y"),
+])  # fmt: skip
 def test_the_texts_say_how_inputs_are_passed(lines, told, use, tmp_path):
     text = f"{MODEL}{MOTION}[inputs]\n{lines}\n"
     written(tmp_path, text, observer="copy", alpha=20.0, beta=200.0)

@@ -14,13 +14,7 @@ import numpy as np
 import pytest
 
 from covariant import geometry, models
-from covariant.geometry import (
-    Coordinates,
-    KineticEnergy,
-    Metric,
-    ProductManifold,
-    lie,
-)
+from covariant.geometry import Coordinates, KineticEnergy, Metric, ProductManifold, lie
 
 
 def uneven(n):

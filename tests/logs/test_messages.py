@@ -31,17 +31,23 @@ def joint_state(stamp_ns: int, **numbers):
 
 
 def bag(path: Path, *series, storage=StoragePlugin.SQLITE3) -> Path:
-    """A rosbag2 of series (topic, [(received_ns, message)]) of joint states."""
-    types = STORE.types
+    """A rosbag2 of series (topic, [(received_ns, message)]) of joint states, or (topic, [...], kind) of others."""
     with Writer(path, version=9, storage_plugin=storage) as writer:
-        for topic, messages in series:
-            connection = writer.add_connection(topic, STATE, typestore=STORE)
-            for received, m in messages:
-                stamp = types["builtin_interfaces/msg/Time"](**m["header"]["stamp"])
-                arrays = [np.array(m[field], float) for field in ("position", "velocity", "effort")]
-                made = types[STATE](types["std_msgs/msg/Header"](stamp, ""), m["name"], *arrays)
-                writer.write(connection, received, STORE.serialize_cdr(made, STATE))
+        for topic, messages, *others in series:
+            (kind,) = others or (STATE,)
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for received, message in messages:
+                made = made_joint_state(**message) if kind == STATE else message
+                writer.write(connection, received, STORE.serialize_cdr(made, kind))
     return path
+
+
+def made_header(stamp):
+    return STORE.types["std_msgs/msg/Header"](STORE.types["builtin_interfaces/msg/Time"](**stamp), "")
+
+
+def made_joint_state(header, name, **numbers):
+    return STORE.types[STATE](made_header(header["stamp"]), name, *(np.array(each, float) for each in numbers.values()))
 
 
 def moving(late: int = 0, **numbers):
@@ -121,26 +127,15 @@ def test_several_topics_are_one_log(tmp_path):
     np.testing.assert_array_equal(record.u[:, 0], [5.0, 5.0, 5.0, 6.0])
 
 
-@pytest.mark.parametrize(
-    ("series", "columns", "words"),
-    [
-        ([("/a", [(1, joint_state(1, position=[1.0]))])], JOINTS, "names 2 joints and has 1 numbers of position"),
-        ([("/a", [(1, joint_state(1))])], JOINTS, "its messages hold no joint and no pose"),
-        (
-            [("/a", [(k, joint_state(0, position=[1, 2])) for k in (1, 2)])],
-            JOINTS,
-            "stamp 0; name the column 'received'",
-        ),
-        (
-            [("/a", [(k, joint_state(5, position=[1, 2])) for k in (1, 2)])],
-            JOINTS,
-            "messages 1 and 2 of /a have the same",
-        ),
-        ([("/a", list(moving())), ("/b", list(moving()))], JOINTS, "There are: t, /a/shoulder/position, /a/elbow"),
-        ([("/a", list(moving()))], Columns(q=("wrist",)), "There are: t, shoulder, elbow"),
-        ([("/a", list(moving()))], JOINTS._replace(units={"t": ("ms",)}), "holds duration[ns], which need no unit"),
-    ],
-)
+@pytest.mark.parametrize(("series", "columns", "words"), [
+    ([("/a", [(1, joint_state(1, position=[1.0]))])], JOINTS, "names 2 joints and has 1 numbers of position"),
+    ([("/a", [(1, joint_state(1))])], JOINTS, "its messages hold no joint and no pose"),
+    ([("/a", [(k, joint_state(0, position=[1, 2])) for k in (1, 2)])], JOINTS, "stamp 0; name the column 'received'"),
+    ([("/a", [(k, joint_state(5, position=[1, 2])) for k in (1, 2)])], JOINTS, "messages 1 and 2 of /a have the same"),
+    ([("/a", list(moving())), ("/b", list(moving()))], JOINTS, "There are: t, /a/shoulder/position, /a/elbow"),
+    ([("/a", list(moving()))], Columns(q=("wrist",)), "There are: t, shoulder, elbow"),
+    ([("/a", list(moving()))], JOINTS._replace(units={"t": ("ms",)}), "holds duration[ns], which need no unit"),
+])  # fmt: skip
 def test_what_is_wrong_with_messages_is_said(tmp_path, series, columns, words):
     with pytest.raises(LogError) as caught:
         logs.read(bag(tmp_path / "bag", *series), columns)
@@ -191,24 +186,19 @@ def test_says_how_to_install_rosbags(tmp_path, monkeypatch):
 
 def with_imu(path: Path, t: np.ndarray, q: np.ndarray, t_imu: np.ndarray, spin: np.ndarray) -> Path:
     """A rosbag2 of a joint and of an Imu whose stamps are others."""
-    types = STORE.types
+    types, imu = STORE.types, "sensor_msgs/msg/Imu"
     vector = types["geometry_msgs/msg/Vector3"]
-    level, unknown = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), np.zeros(9)
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        joints = writer.add_connection("/joint_states", STATE, typestore=STORE)
-        imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
-        for stamp, angle in zip(t, q, strict=True):
-            ns = START + round(stamp * 1e9)
-            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "")
-            made = types[STATE](header, ["arm"], np.array([angle]), np.zeros(0), np.zeros(1))
-            writer.write(joints, ns, STORE.serialize_cdr(made, STATE))
-        for stamp, rate in zip(t_imu, spin, strict=True):
-            ns = START + round(stamp * 1e9)
-            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "")
-            push = vector(0.0, 0.0, 9.81)
-            made = types["sensor_msgs/msg/Imu"](header, level, unknown, vector(0.0, rate, 0.0), unknown, push, unknown)
-            writer.write(imu, ns, STORE.serialize_cdr(made, "sensor_msgs/msg/Imu"))
-    return path
+    level, push = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), vector(0.0, 0.0, 9.81)
+    unknown = np.zeros(9)
+    joints, turns = [], []
+    for stamp, angle in zip(t, q, strict=True):
+        ns = START + round(stamp * 1e9)
+        joints.append((ns, joint_state(ns, name=["arm"], position=[angle], effort=[0.0])))
+    for stamp, rate in zip(t_imu, spin, strict=True):
+        ns = START + round(stamp * 1e9)
+        head = made_header(joint_state(ns)["header"]["stamp"])
+        turns.append((ns, types[imu](head, level, unknown, vector(0.0, rate, 0.0), unknown, push, unknown)))
+    return bag(path, ("/joint_states", joints), ("/imu", turns, imu), storage=StoragePlugin.MCAP)
 
 
 def test_stamps_of_a_sensor_beside_the_positions_are_rows_too(tmp_path):

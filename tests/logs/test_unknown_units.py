@@ -26,29 +26,24 @@ def columns(field, name, unit=None):
     return Columns(**named, units={} if unit is None else {field: (unit,)})
 
 
-UNKNOWN = [
-    *(
-        ("q", f"q {text}")
-        for text in ("[ticks]", "[counts]", "[COUNTS]", "[rpm]", "[%]", "[gon]", "[V]", "(ticks)", "(%)")
-    ),
-    *(("q", f"q{text}") for text in ("[ticks]", "[gon]", "(counts)")),
-    *(("u", f"u {text}") for text in ("[A]", "[mA]", "[V]", "[%]", "(A)", "[lbf]", "[rad]", "[PWM]")),
-    *(("t", f"t {text}") for text in ("[frames]", "[samples]", "[ticks]", "(ticks)", "[Hz]")),
-    *(("v", f"v {text}") for text in ("[ticks/s]", "[rad]")),
-    ("truth", "truth [counts]"),
-]
+UNKNOWN = {
+    "q": ("q [ticks]", "q [counts]", "q [COUNTS]", "q [rpm]", "q [%]", "q [gon]", "q [V]", "q (ticks)", "q (%)",
+          "q[ticks]", "q[gon]", "q(counts)"),
+    "u": ("u [A]", "u [mA]", "u [V]", "u [%]", "u (A)", "u [lbf]", "u [rad]", "u [PWM]"),
+    "t": ("t [frames]", "t [samples]", "t [ticks]", "t (ticks)", "t [Hz]"),
+    "v": ("v [ticks/s]", "v [rad]"), "truth": ("truth [counts]",),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("field", "name"), UNKNOWN)
+@pytest.mark.parametrize(("field", "name"), [(field, name) for field, names in UNKNOWN.items() for name in names])
 def test_what_is_no_unit_is_an_error_with_a_remedy_that_works(field, name):
     log = frame(field, name)
     with pytest.raises(LogError) as caught:
         logs.read(log, columns(field, name))
     message = str(caught.value)
     unit = re.findall(r"[\[(](.*)[\])]", name)[0]
-    assert message.startswith(
-        f"table: column {name!r} has {unit!r} in brackets, which is no unit of {field} here; known"
-    )
+    known = f"table: column {name!r} has {unit!r} in brackets, which is no unit of {field} here; known"
+    assert message.startswith(known)
     assert "\n" not in message
     example = re.search(rf'as {field} = "([^"]+)"', message)
     assert example is not None
@@ -67,9 +62,7 @@ def test_a_unit_that_the_model_file_states_counts(field, name, unit):
 
 
 def test_the_units_that_are_known_are_named():
-    with pytest.raises(
-        LogError, match=r'known are N m, mN m and N, kN\. .*or u = "mA" where the model takes it in that'
-    ):
+    with pytest.raises(LogError, match=r'known are N m, mN m and N, kN\. .*or u = "mA" where the model takes it in'):
         logs.read(frame("u", "u [mA]"), columns("u", "u [mA]"))
 
 

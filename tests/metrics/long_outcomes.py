@@ -166,13 +166,6 @@ def test_distance_of_badly_scaled_matrices(n, seed):
 
 
 @pytest.mark.exhaustive
-def test_the_gramian_of_the_oscillator_is_its_quadrature():
-    x, length = jnp.array([0.5, 1.2, 0.8]), 3.0
-    found = gramian(OSCILLATOR, x, length)
-    np.testing.assert_allclose(found, quadrature(x, 0.0, length), rtol=1e-9, atol=1e-11)
-
-
-@pytest.mark.exhaustive
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_high_gain_solves_equation_15_for_a_chain_and_puts_every_pole_at_its_rate(n):
     model, rate, x = chain(n), 3.0, jnp.linspace(0.3, 1.0, n)

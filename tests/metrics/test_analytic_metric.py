@@ -5,15 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import sympy
-from scipy import integrate
 
 from covariant import models
-from covariant.metrics import (
-    Equation,
-    lie_derivative,
-    right_side,
-    spd_distance,
-)
+from covariant.metrics import Equation, lie_derivative, right_side
 from covariant.papers.sanfelice_praly import analytic_metric, grid
 
 MODEL = models.unknown_frequency()
@@ -53,19 +47,3 @@ def test_both_sides_of_equation_15_agree_on_the_printed_metric():
 def over_rates(function):
     """`function(x, rate)` over all points and all rates, compiled: (rates, points, …)."""
     return eqx.filter_jit(jax.vmap(jax.vmap(function, (0, None)), (None, 0)))
-
-
-def test_a_gramian_by_adaptive_quadrature_is_the_printed_metric():
-    """Nothing of the library but the distance: the derivative of the closed solution, and an integral by scipy."""
-    x1, x2, x3 = X = np.array([0.25, 1.125, 1.25])
-    w = np.sqrt(x3)
-
-    def seen(s):
-        c, b = np.cos(w * s), np.sin(w * s)
-        return np.array([c, -b / w, (-x1 * s * b - x2 * (s * c / w - b / x3)) / (2 * w)])
-
-    for rate in RATES:
-        p, _ = integrate.quad_vec(
-            lambda s, rate=rate: np.exp(-rate * s) * np.outer(seen(s), seen(s)), 0.0, 45 / rate, epsabs=1e-14
-        )
-        assert spd_distance(analytic_metric(rate)(jnp.asarray(X)), jnp.asarray(p)) < 1e-9

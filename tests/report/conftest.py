@@ -1,5 +1,6 @@
 """Synthetic reports: sines with noise, an overshoot at the start, a gap, and labels that try to be markup."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -53,48 +54,33 @@ def report(request) -> EstimateReport:
     return synthetic(request.param)
 
 
-def _no_reference(report):
-    return report._replace(v_reference=None)
-
-
-def _two_samples(report):
-    first = {
-        field: {k: x[:2] for k, x in getattr(report, field).items()}
-        for field in ("estimates", "innovation", "distance")
-    }
-    return report._replace(
-        t=report.t[:2], q_measured=report.q_measured[:2], v_reference=report.v_reference[:2], **first
-    )
-
-
-def _equal_distances(report):
-    return report._replace(distance={label: np.full_like(d, 0.3) for label, d in report.distance.items()})
-
-
-def _zero_distances(report):
-    return report._replace(distance={label: np.zeros_like(d) for label, d in report.distance.items()})
-
-
-def _nothing_finite(report):
-    lost = {label: np.full_like(x, np.nan) for label, x in report.estimates.items()}
-    return report._replace(q_measured=np.full_like(report.q_measured, np.nan), estimates=lost)
-
-
-def _diverged(report):
-    estimates = {label: x.copy() for label, x in report.estimates.items()}
+def diverged(estimates):
+    estimates = {label: x.copy() for label, x in estimates.items()}
     list(estimates.values())[1][50:] = 1e300
     list(estimates.values())[2][50:] = np.inf
-    return report._replace(estimates=estimates)
+    return {"estimates": estimates}
 
 
-def _alone(report):
-    label, x = next(iter(report.estimates.items()))
-    return report._replace(estimates={label: x}, innovation={}, distance={}, v_reference=None, rows=(), notes=())
+def alone(estimates):
+    first = dict(list(estimates.items())[:1])
+    return {"estimates": first, "innovation": {}, "distance": {}, "v_reference": None, "rows": (), "notes": ()}
 
 
-@pytest.fixture(
-    params=[_no_reference, _two_samples, _equal_distances, _zero_distances, _nothing_finite, _diverged, _alone],
-    ids=lambda change: change.__name__.strip("_"),
-)
+DEGENERATE = {
+    "no_reference": lambda r: {"v_reference": None},
+    "two_samples": lambda r: {name: jax.tree.map(lambda x: x[:2], getattr(r, name)) for name in OVER_TIME},
+    "equal_distances": lambda r: {"distance": {label: np.full_like(d, 0.3) for label, d in r.distance.items()}},
+    "zero_distances": lambda r: {"distance": {label: np.zeros_like(d) for label, d in r.distance.items()}},
+    "nothing_finite": lambda r: jax.tree.map(
+        lambda x: np.full_like(x, np.nan), {"q_measured": r.q_measured, "estimates": r.estimates}
+    ),
+    "diverged": lambda r: diverged(r.estimates),
+    "alone": lambda r: alone(r.estimates),
+}
+OVER_TIME = ("t", "q_measured", "v_reference", "estimates", "innovation", "distance")
+
+
+@pytest.fixture(params=DEGENERATE)
 def degenerate(request) -> EstimateReport:
-    return request.param(synthetic(1))
+    report = synthetic(1)
+    return report._replace(**DEGENERATE[request.param](report))

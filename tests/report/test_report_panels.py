@@ -159,17 +159,16 @@ def test_readings_reference_and_estimate_differ_in_width_dash_and_colour(make):
     assert len({readings.color, reference.color, first.color}) == len({readings.dark, first.dark, reference.dark}) == 3
 
 
+def linear_rgb(color):
+    rgb = np.frombuffer(bytes.fromhex(color[1:]), np.uint8) / 255
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+
+
 def test_every_colour_is_seen_on_its_page(make):
     """Contrast of 3 with a dark page, as WCAG asks of graphics; on white, of 2, that of the lightest in the palette."""
 
-    def luminance(color):
-        rgb = np.frombuffer(bytes.fromhex(color[1:]), np.uint8) / 255
-        return np.array([0.2126, 0.7152, 0.0722]) @ np.where(
-            rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4
-        )
-
     def contrast(one, other):
-        dim, bright = sorted([luminance(one), luminance(other)])
+        dim, bright = sorted([0.2126, 0.7152, 0.0722] @ linear_rgb(color) for color in (one, other))
         return (bright + 0.05) / (dim + 0.05)
 
     many = make(1, labels=tuple(f"estimator {i}" for i in range(len(PALETTE))))
@@ -193,8 +192,7 @@ XYZ = ((0.4339, 0.3762, 0.1899), (0.2127, 0.7152, 0.0722), (0.0178, 0.1095, 0.87
 @pytest.mark.parametrize("seen", SEEN, ids=["all cones", "no red", "no green", "no blue"])
 def test_colours_of_a_dark_page_are_as_distinct_as_on_white(seen, make):
     def distance(colors):
-        rgb = np.array([list(bytes.fromhex(color[1:])) for color in colors]) / 255
-        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        linear = np.array([linear_rgb(color) for color in colors])
         x, y, z = np.cbrt(np.array(XYZ) @ np.clip(np.array(seen) @ linear.T, 0, 1))
         lab = np.stack([116 * y, 500 * (x - y), 200 * (y - z)], axis=1)
         return min(np.linalg.norm(lab[i] - lab[j]) for i in range(len(lab)) for j in range(i))

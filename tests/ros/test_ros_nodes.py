@@ -18,10 +18,7 @@ START = 1_700_000_000_123_456_789
 RATE, GAINS = 500.0, {"alpha": 60.0, "beta": 1800.0}
 FLAGS = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-O2", "-fno-math-errno", "-ffp-contract=off")
 LIBRARIES = (
-    "rcl",
-    "rcl_yaml_param_parser",
-    "rcutils",
-    "rosidl_runtime_c",
+    *("rcl", "rcl_yaml_param_parser", "rcutils", "rosidl_runtime_c"),
     *(f"{m}__rosidl_{kind}" for m in ("sensor_msgs", "diagnostic_msgs") for kind in ("typesupport_c", "generator_c")),
 )
 pytestmark = [
@@ -93,26 +90,10 @@ def commands(exported, tmp_path_factory):
     # The libraries of messages in these wheels hold Python's converters as well, and so need libpython.
     python = sysconfig.get_config_var("LIBDIR")
     include = [f"-I{each}" for each in sorted((ROS / "include").iterdir())]
-    linked = [
-        "-Wl,--no-as-needed",
-        f"-L{ROS}/lib",
-        f"-L{python}",
-        *(f"-l{name}" for name in LIBRARIES),
-        "-lpython3.11",
-        "-lm",
-    ]
-    linked += [f"-Wl,-rpath,{ROS}/lib:{python}", "-Wl,--allow-shlib-undefined"]
-    built = [
-        shutil.which("cc"),
-        *FLAGS,
-        source / "node.c",
-        source / "arm.c",
-        *include,
-        *linked,
-        "-o",
-        folder / "observer",
-    ]
-    subprocess.run(built, check=True, timeout=120)
+    linked = ["-Wl,--no-as-needed", f"-L{ROS}/lib", f"-L{python}", *(f"-l{name}" for name in LIBRARIES)]
+    linked += ["-lpython3.11", "-lm", f"-Wl,-rpath,{ROS}/lib:{python}", "-Wl,--allow-shlib-undefined"]
+    built = [shutil.which("cc"), *FLAGS, source / "node.c", source / "arm.c", *include, *linked]
+    subprocess.run([*built, "-o", folder / "observer"], check=True, timeout=120)
     start = f"import sys; sys.path.insert(0, {str(place)!r}); from arm_ros.node import main; main()"
     return {"python": [ROS / "bin" / "python", "-c", start], "c": [folder / "observer"]}
 
