@@ -7,7 +7,6 @@ never warns, and never leaves an empty file.
 import itertools
 import re
 import shutil
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
@@ -15,11 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pytest
+from commands import leave
 
 import covariant
 from covariant import logs, models
-from covariant.cli import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROWS, RATE = 601, 200.0
@@ -117,17 +115,6 @@ def two_levels(outflow=0.5):
 <joint name="slide" type="prismatic"><parent link="rail"/><child link="cart"/><axis xyz="1 0 0"/>
 <limit lower="-5" upper="5" effort="50" velocity="10"/></joint>
 <joint name="swing" type="continuous"><parent link="cart"/><child link="pole"/><axis xyz="0 1 0"/></joint>
-</robot>
-""",
-    "arm.urdf": """<robot name="arm">
-<link name="base"/>
-<link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="1.0"/>
-<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.001"/></inertial></link>
-<link name="lower"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>
-<inertia ixx="0.005" ixy="0" ixz="0" iyy="0.005" iyz="0" izz="0.001"/></inertial></link>
-<joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
-<joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
-<origin xyz="0 0 -0.3"/><axis xyz="0 1 0"/></joint>
 </robot>
 """,
 }
@@ -259,6 +246,7 @@ def write_machines(folder: Path) -> None:
         shutil.copy(path, folder)
     for name, text in WRITTEN.items():
         (folder / name).write_text(text)
+    shutil.copy(models.robots.located("double_pendulum"), folder / "arm.urdf")
 
 
 def write_logs(machine: str, log: str) -> list[str]:
@@ -278,7 +266,7 @@ class Ended(NamedTuple):
     fault: str
 
 
-def run_case(verb: str, machine: str, log: str, capsys) -> Ended:
+def run_case(verb: str, machine: str, log: str) -> Ended:
     """Run a command in the working folder, where the machines are."""
     shutil.rmtree("out", ignore_errors=True)
     Path("out").mkdir()
@@ -291,12 +279,7 @@ def run_case(verb: str, machine: str, log: str, capsys) -> Ended:
     if len(words["{log}"]) > 1 and command[0] in OVER_LOGS:  # in this process, where warnings are errors
         command = [word.removesuffix(".csv") if word.startswith("out/") else word for word in command]
         command += ["--workers", "1"]
-    capsys.readouterr()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["covariant", *command])
-        with pytest.raises(SystemExit) as left:
-            main()
-    (out, error), code = capsys.readouterr(), left.value.code or 0
+    code, out, error = leave(*command)
     error = re.sub(r"(?m)^covariant: .*\d+ s( left)?\n", "", error)  # lines of progress, which slow machines show
     empty = [str(path) for path in Path("out").rglob("*") if path.is_file() and not path.stat().st_size]
     # ROS 2 asks for these two files, which are empty in every package.
