@@ -62,7 +62,10 @@ REFUSED = [
         lambda: fit("oscillator", [SWING, SWING], "stiffness", each="stiffness"),
         "each: a log in memory does not say of which machine it is",
     ),
-    (lambda: fit("oscillator", {"a": SWING}, "stiffness", each="mass"), r"each: unknown .* 'mass'\. Known: stiffness"),
+    (
+        lambda: fit("oscillator", {"a": SWING}, "stiffness", each="mass", overrides={"parameters.stiffness": 2.0}),
+        r"each: unknown number 'mass'\. Known: stiffness",
+    ),
     (
         lambda: workflow.over_logs("fit", "oscillator", [SWING], parameters="stiffness", each="stiffness"),
         "`each` is for logs that are fitted together",
