@@ -48,7 +48,6 @@ MACHINES = {
     "xl330.toml": Machine("servo", {"amplitude": [0.5, 0.0]}),
     "chain.toml": Machine("mass,viscous", {"q0": [0.5, 0.2, 0.1], "amplitude": [0.5, 0.2, 0.1]}),
     "cart.toml": Machine("friction", {"q0": [0.0, 0.4], "amplitude": [1.0, 0.0]}),
-    "top.toml": Machine("inertia", {"v0": [0.5, 1.0, 2.0], "amplitude": [0.1] * 3}),
     "ship.toml": Machine("mass", {"amplitude": [1.0, 0.5, 0.2]}),
     "tank:two_levels": Machine(
         "outflow",
@@ -72,16 +71,6 @@ viscous = [0.1, 0.1, 0.05]
     "cart.toml": """system = "robot"
 [parameters]
 path = "cart.urdf"
-[measurement]
-std = 1e-3
-[uncertainty]
-acceleration = 0.5
-""",
-    "top.toml": """system = "free_body"
-[parameters]
-inertia = [0.2, 0.3, 0.4]
-[columns]
-quaternion_wxyz = ["qw", "qx", "qy", "qz"]
 [measurement]
 std = 1e-3
 [uncertainty]

@@ -80,6 +80,9 @@ def test_a_bad_model(folder, spec, named):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
+        ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic", "geodesic"]),
+        ((*ESTIMATE, "--report", "out/r.pdf"), ["r.pdf", ".html"]),
+        (("estimate", "model.toml", "log.csv", "-o", "out/v.xlsx"), ["v.xlsx", ".csv"]),
         ((*ESTIMATE, "--observer", "salcudean"), ["salcudean does not fit model.toml", "intrinsic", "savitzky-golay"]),
         ((*ESTIMATE, "--set", 'columns.matrix=["a"]'), ["columns.matrix", "columns.q"]),
         ((*ESTIMATE, "--alpha", "3"), ["--alpha and --beta", "both"]),
