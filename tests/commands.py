@@ -15,6 +15,12 @@ import pytest
 from covariant.cli import main
 
 
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    """Run the tests of a file that imports this in its `folder`."""
+    monkeypatch.chdir(folder)
+
+
 class Ended(NamedTuple):
     """Exit code of a command, and what it printed."""
 

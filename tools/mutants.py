@@ -143,7 +143,8 @@ RELEVANT = {
     "workflow/_metric.py": "cli/test_design_command",
     "workflow/_reproduce.py": "workflow/test_refusals cli/test_commands cli/test_bad_input",
     "workflow/_export*.py": "codegen/test_export",
-    "workflow/*": "workflow/test_arguments workflow/test_refusals workflow/test_results cli/test_commands cli/test_bad_input",
+    "workflow/*": "workflow/test_arguments workflow/test_refusals workflow/test_results cli/test_commands "
+    "cli/test_bad_input",
     "certificates/theory/_cascade.py": "certificates/test_cascade",
     "certificates/theory/_observability.py": "certificates/test_observability_conditions",
     "certificates/checking/_matrices.py": "certificates/test_check",

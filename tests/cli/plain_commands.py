@@ -54,11 +54,7 @@ MACHINES = {
         {"q0": [1.0, 0.5], "amplitude": [0.3]},
         ("measurement.std=1e-3", "uncertainty.process=[0.01,0.01]", "initial.std=1.0"),
     ),
-    "arm.urdf": Machine(
-        "friction",
-        {"q0": [0.5, 0.3], "amplitude": [0.5, 0.2]},
-        ("measurement.std=1e-3", "uncertainty.acceleration=0.5"),
-    ),
+    "arm.urdf": Machine("friction", DOUBLE.motion, ("measurement.std=1e-3", "uncertainty.acceleration=0.5")),
 }
 """All machines by what a command is given: the examples, and small ones that these lines write."""
 WRITTEN = {

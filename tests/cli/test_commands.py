@@ -47,11 +47,6 @@ def simulate(out: str, seed: int = 1) -> dict:
     )
 
 
-@pytest.fixture(autouse=True)
-def inside(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-
-
 @pytest.mark.core(1)
 @pytest.mark.parametrize(
     ("moved", "words"),

@@ -15,11 +15,6 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("design")
 
 
-@pytest.fixture(autouse=True)
-def inside(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-
-
 def refused(*arguments: str, named=()) -> str:
     return commands.refused("design", "metric", *arguments, named=named)
 

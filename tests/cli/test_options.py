@@ -60,39 +60,29 @@ def test_arguments_in_a_message_become_options(text, expected):
     assert in_options(text, FLAGS) == expected
 
 
+MISSING = "`overrides=['measurement.std=NUMBER', 'uncertainty.acceleration=NUMBER']`"
+
+
 @pytest.mark.parametrize(
-    ("call", "words", "message"),
+    ("call", "named", "options", "message"),
     [
-        (
-            lambda: workflow.estimate("oscillator", "log.csv", alpha=1.0),
-            "estimate oscillator log.csv --alpha 1",
-            "`alpha` and `beta` belong together",
-        ),
-        (
-            lambda: workflow.smooth("oscillator", "log.csv", lag=-1.0),
-            "smooth oscillator log.csv --lag -1",
-            "`lag` must be a time",
-        ),
-        (
-            lambda: workflow.init("log.csv", columns={"q": "q1"}),
-            "init log.csv --q q1 -o model.toml",
-            'name the one of the stamps by `columns["t"]`',
-        ),
-        (
-            lambda: workflow.estimate("oscillator", "log.csv", columns={"t": "a", "q": "q1", "u": "b"}),
-            "estimate oscillator log.csv --t a --q q1 --u b",
-            "`overrides=['measurement.std=NUMBER', 'uncertainty.acceleration=NUMBER']`",
-        ),
+        ("estimate oscillator log.csv", {"alpha": 1.0}, "--alpha 1", "`alpha` and `beta` belong together"),
+        ("smooth oscillator log.csv", {"lag": -1.0}, "--lag -1", "`lag` must be a time"),
+        ("init log.csv", {"columns": {"q": "q1"}}, "--q q1 -o model.toml", 'of the stamps by `columns["t"]`'),
+        ("estimate oscillator log.csv", {"columns": {"t": "a", "q": "q1", "u": "b"}}, "--t a --q q1 --u b", MISSING),
     ],
 )
-def test_a_function_and_its_command_say_what_to_give_each_in_its_words(tmp_path, monkeypatch, call, words, message):
+def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
+    tmp_path, monkeypatch, call, named, options, message
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "log.csv").write_text("a,b,q1\n0,0,0.1\n1,1,0\n2,2,0.1\n")
+    verb, *arguments = call.split()
     with pytest.raises(ValueError) as refusal:  # noqa: PT011  the text is compared below
-        call()
+        getattr(workflow, verb)(*arguments, **named)
     assert message in str(refusal.value)
     assert "--" not in str(refusal.value)
-    refused(*words.split(), named=[in_options(message, FLAGS | {"beta": "--beta"})])
+    refused(*call.split(), *options.split(), named=[in_options(message, FLAGS | {"beta": "--beta"})])
 
 
 @pytest.mark.parametrize("name", REMOVED)
