@@ -15,12 +15,6 @@ import pytest
 from covariant.cli import main
 
 
-@pytest.fixture(autouse=True)
-def inside(folder, monkeypatch):
-    """Run the tests of a file that imports this in its `folder`."""
-    monkeypatch.chdir(folder)
-
-
 class Ended(NamedTuple):
     """Exit code of a command, and what it printed."""
 
@@ -36,7 +30,9 @@ def leave(*arguments: object) -> Ended:
         patch.setattr(sys, "argv", ["covariant", *map(str, arguments)])
         with pytest.raises(SystemExit) as left:
             main()
-    return Ended(int(left.value.code or 0), out.getvalue(), error.getvalue())
+    # A slow machine shows lines of progress.
+    said = re.sub(r"(?m)^covariant: .*\d+ s( left)?\n", "", error.getvalue())
+    return Ended(int(left.value.code or 0), out.getvalue(), said)
 
 
 def command(*arguments: object) -> dict:

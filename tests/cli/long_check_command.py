@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas
 import pytest
-from commands import command, inside, leave, refused
+from commands import command, leave, refused
 from test_commands import MODEL
 
 
@@ -23,6 +23,11 @@ def folder(tmp_path_factory):
         log = pandas.read_csv("log.csv")
         log.assign(t=1e3 * log.t).to_csv("ms.csv", index=False)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
 
 
 @pytest.mark.exhaustive

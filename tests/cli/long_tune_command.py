@@ -6,7 +6,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from commands import command, inside, refused
+from commands import command, refused
 
 from covariant import logs, models
 from covariant.calibration import HeldOut, NoiseLevels, Tuning
@@ -36,6 +36,11 @@ def folder(tmp_path_factory):
         motion = ("--duration", "12", "--rate", "50", "--q0", "1", "--noise", "2e-4")
         command("simulate", "model.toml", "-o", "log.csv", *motion)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
 
 
 @pytest.mark.exhaustive

@@ -32,6 +32,11 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
 @pytest.fixture(scope="module")
 def certificate(folder):
     """The certificate of a pendulum, in proved.json too, and what the command prints of it."""

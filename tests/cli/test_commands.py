@@ -40,6 +40,11 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
 def simulate(out: str, seed: int = 1) -> dict:
     return command(
         *("simulate", "model.toml", "-o", out, "--duration", "4", "--rate", "200", "--quantum", "1e-3"),

@@ -15,6 +15,11 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("design")
 
 
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
 def refused(*arguments: str, named=()) -> str:
     return commands.refused("design", "metric", *arguments, named=named)
 
@@ -84,9 +89,3 @@ def test_a_scheduler_that_does_not_answer_is_given_up_soon(monkeypatch):
     monkeypatch.setattr(_metric, "PATIENCE", 0.3)
     named = ["scheduler: no Dask scheduler answers at 'tcp://127.0.0.1:9'"]
     refused(*RATE, "--scheduler", "tcp://127.0.0.1:9", named=named)
-
-
-def test_help_names_the_command():
-    code, text, _ = commands.leave("design", "metric", "--help")
-    assert code == 0
-    assert all(option in text for option in ("--box", "--grid", "--process-cov", "--scheduler", "--json"))

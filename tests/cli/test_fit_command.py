@@ -39,6 +39,11 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
