@@ -1,37 +1,12 @@
 """`covariant check`, and the commands that refuse a log which does not fit the model at all."""
 
-import csv
 import json
-import sys
 from pathlib import Path
 
+import pandas
 import pytest
-from commands import command
-
-from covariant.cli import main
-
-MODEL = """
-system = "pendulum_chain"
-[parameters]
-mass = [1.0]
-length = [0.5]
-viscous = [0.05]
-[columns]
-q = ["angle"]
-u = ["torque"]
-[measurement]
-quantum = 1e-3
-[uncertainty]
-acceleration = 1.0
-"""
-
-
-def run(*arguments: str) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["covariant", *arguments])
-        with pytest.raises(SystemExit) as left:
-            main()
-    return int(left.value.code or 0)
+from commands import command, leave, refused
+from test_commands import MODEL
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +20,8 @@ def folder(tmp_path_factory):
             *("simulate", "model.toml", "-o", "log.csv", "--duration", "4", "--rate", "200", "--quantum", "1e-3"),
             *("--v0", "4", "--amplitude", "0.5"),
         )
-        with Path("log.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        with Path("ms.csv").open("w", newline="") as file:
-            table = csv.DictWriter(file, rows[0])
-            table.writeheader()
-            table.writerows(row | {"t": str(1e3 * float(row["t"]))} for row in rows)
+        log = pandas.read_csv("log.csv")
+        log.assign(t=1e3 * log.t).to_csv("ms.csv", index=False)
     return folder
 
 
@@ -60,36 +31,34 @@ def inside(folder, monkeypatch):
 
 
 @pytest.mark.exhaustive
-def test_a_log_that_fits_is_told_to(capsys):
-    assert run("check", "model.toml", "log.csv") == 0
-    text = capsys.readouterr().out
+def test_a_log_that_fits_is_told_to():
+    code, text, _ = leave("check", "model.toml", "log.csv")
+    assert code == 0
     assert text.startswith("OK: nothing wrong (0 notes, ")
     assert "\nlooked for: clock, missing rows" in text
     assert "801 rows at 200 Hz" in text
 
 
-def test_what_is_wrong_is_printed_with_the_remedy(capsys):
-    assert run("check", "model.toml", "ms.csv") == 1
-    text = capsys.readouterr().out
+def test_what_is_wrong_is_printed_with_the_remedy():
+    code, text, _ = leave("check", "model.toml", "ms.csv")
+    assert code == 1
     assert text.startswith("WRONG: the log is not what the model file says it is (1 wrong, ")
     assert "WRONG unit of time" in text
     assert '-> [units] t = "ms"' in text
-    assert run("check", "model.toml", "ms.csv", "--json") == 1
-    result = json.loads(capsys.readouterr().out)
-    assert result["wrong"] is True
+    code, text, _ = leave("check", "model.toml", "ms.csv", "--json")
+    result = json.loads(text)
+    assert (code, result["wrong"]) == (1, True)
     assert [finding["what"] for finding in result["findings"]] == ["unit of time"]
     assert result["findings"][0]["numbers"]["unexplained_after"] < 0.01
 
 
-def test_estimate_and_compare_refuse_such_a_log_unless_told_to_go_on(capsys):
+def test_estimate_and_compare_refuse_such_a_log_unless_told_to_go_on():
+    closer = "`covariant check model.toml ms.csv` looks closer, and --anyway goes on"
     for name in ("estimate", "compare"):
-        assert run(name, "model.toml", "ms.csv") == 1
-        text = " ".join(capsys.readouterr().err.split())
-        assert "with milliseconds" in text
-        assert "`covariant check model.toml ms.csv` looks closer, and --anyway goes on" in text
-    assert run("estimate", "model.toml", "ms.csv", "--alpha", "0.01", "--beta", "1e-4", "--anyway") in (0, 2)
+        refused(name, "model.toml", "ms.csv", named=["with milliseconds", closer], code=1)
+    arguments = ("estimate", "model.toml", "ms.csv", "--alpha", "0.01", "--beta", "1e-4", "--anyway")
+    assert leave(*arguments).code in (0, 2)
 
 
-def test_a_state_space_model_is_named(capsys):
-    assert run("check", "lorenz", "log.csv") == 2
-    assert "logs are compared with mechanical ones" in capsys.readouterr().err
+def test_a_state_space_model_is_named():
+    refused("check", "lorenz", "log.csv", named=["logs are compared with mechanical ones"])

@@ -1,17 +1,15 @@
 """The commands on good input: what they print and write: what takes long."""
 
-import sys
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from commands import command
+from commands import command, leave
 from test_commands import MODEL, READ, folder, inside, simulate
 
 from covariant import logs
-from covariant.cli import main
 from covariant.models import load
 from covariant.observers import EKF, run
 from covariant.workflow._outcome import KEPT
@@ -62,13 +60,10 @@ def test_a_filter_that_knows_how_accurate_it_is_writes_that_too():
     off = np.asarray(found.truth - truth)[200:, 0]
     assert (std > 0).all()
     assert 0.3 < np.sqrt(np.mean(off**2)) / std.mean() < 1.5
-    told = command(
-        "estimate", "model.toml", "log.csv", "--observer", "filtered-derivative", "--set", "measurement.quantum=7e-4"
-    )
-    assert "Positions are not whole ticks of 0.0007 apart" in told["design"]
-    assert (
-        "whole ticks" not in command("estimate", "model.toml", "log.csv", "--observer", "filtered-derivative")["design"]
-    )
+    quick = ("estimate", "model.toml", "log.csv", "--observer", "filtered-derivative")
+    told = command(*quick, "--set", "measurement.quantum=7e-4")["design"]
+    assert "Positions are not whole ticks of 0.0007 apart" in told
+    assert "whole ticks" not in command(*quick)["design"]
 
 
 def test_estimate_writes_stamps_positions_and_velocities(estimated):
@@ -118,12 +113,9 @@ def test_logged_velocities_are_compared_with_and_never_used(estimated):
     assert Path("with_v.csv").read_bytes() == Path("v.csv").read_bytes()
 
 
-def test_people_get_the_same_in_words(capsys, monkeypatch, estimated):
-    monkeypatch.setattr(sys, "argv", ["covariant", "estimate", "model.toml", "log.csv", "--truth", "true_v1"])
-    with pytest.raises(SystemExit) as left:
-        main()
-    out, error = capsys.readouterr()
-    assert (left.value.code, error) == (0, "")
+def test_people_get_the_same_in_words(estimated):
+    code, out, error = leave("estimate", "model.toml", "log.csv", "--truth", "true_v1")
+    assert (code, error) == (0, "")
     assert estimated["design"] in out
     assert f"{estimated['velocity_rmse'][0]:.4g} rad/s" in out
     assert f"innovation RMS: {estimated['innovation_rms'][0]:.4g} rad" in out
@@ -133,13 +125,11 @@ def test_people_get_the_same_in_words(capsys, monkeypatch, estimated):
 
 @pytest.mark.exhaustive("arguments1")
 @pytest.mark.parametrize("arguments", [("estimate",), ("compare", "--truth", "true_v1")])
-def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, capsys, monkeypatch):
+def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, monkeypatch):
     monkeypatch.setattr("covariant.engine._choice.missing", lambda: "there is no C compiler here")
-    monkeypatch.setattr(sys, "argv", ["covariant", arguments[0], "model.toml", "log.csv", *arguments[1:]])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 0
-    [line] = [line for line in capsys.readouterr().out.splitlines() if line.startswith("engine")]
+    code, out, _ = leave(arguments[0], "model.toml", "log.csv", *arguments[1:])
+    assert code == 0
+    [line] = [line for line in out.splitlines() if line.startswith("engine")]
     assert line.endswith(": jax: there is no C compiler here")
 
 
@@ -178,14 +168,11 @@ def test_a_late_sensor_is_simulated_and_estimated_from():
     assert told["velocity_rmse"][0] < 0.1 * untold["velocity_rmse"][0]
 
 
-def test_without_being_asked_nothing_is_scored(monkeypatch, capsys):
+def test_without_being_asked_nothing_is_scored():
     found = command("estimate", "model.toml", "log.csv", "-o", "plain.csv", "--v", "true_v1")
     assert not {"scored_against", "velocity_rmse", "nees", "logged_velocity_rmse"} & set(found)
     assert Path("plain.csv").read_bytes() == Path("v.csv").read_bytes()
-    monkeypatch.setattr(sys, "argv", ["covariant", "estimate", "model.toml", "log.csv"])
-    with pytest.raises(SystemExit):
-        main()
-    printed = capsys.readouterr().out
+    printed = leave("estimate", "model.toml", "log.csv").out
     assert "RMSE" not in printed
     assert "innovation RMS: " in printed
 
@@ -224,18 +211,8 @@ def test_an_encoder_that_is_off_and_a_payload_are_found():
     assert Path("bias.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std,bias1,bias1_std"
     found = logs.read("bias.csv", logs.Columns(q=("bias1", "bias1_std"))).record.y[-1]
     assert abs(found[0] - 0.05) < 3 * found[1] < 0.02
-    command(
-        *arguments,
-        "--set",
-        f"parameters.mass=[{mass / 2}]",
-        "--set",
-        bias,
-        "--set",
-        payload,
-        "-o",
-        "both.csv",
-        "--anyway",
-    )
+    both = ("--set", f"parameters.mass=[{mass / 2}]", "--set", bias, "--set", payload)
+    command(*arguments, *both, "-o", "both.csv", "--anyway")
     assert Path("both.csv").read_text().splitlines()[0].endswith("v1_std,mass[0],bias1,mass[0]_std,bias1_std")
     found = logs.read("both.csv", logs.Columns(q=("mass[0]", "mass[0]_std", "bias1"))).record.y
     assert abs(found[-1, 0] - mass) < 3 * found[-1, 1] < 0.2 * mass

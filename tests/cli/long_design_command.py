@@ -1,29 +1,24 @@
 """`covariant design metric`: what it prints, how it goes on, and what it refuses: what takes long."""
 
 import re
-import sys
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
-from commands import command
+from commands import command, leave
 from test_design_command import SHAPE, folder, inside, refused
 
 from covariant import metrics
-from covariant.cli import main
 from covariant.models import load, state_space
 from covariant.workflow import _metric
 
 
-def said(capsys, monkeypatch, *arguments: str) -> str:
+def said(*arguments: str) -> str:
     """What the command prints for a person."""
-    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
-    with pytest.raises(SystemExit) as left:
-        main()
-    out, error = capsys.readouterr()
-    assert (left.value.code, error) == (0, "")
-    return out
+    ended = leave("design", "metric", *arguments)
+    assert (ended.code, ended.error) == (0, "")
+    return ended.out
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +48,8 @@ def test_the_summary_is_that_of_the_store(made):
     assert store.attrs["provenance"]["equation"] == {"rate": 8.0, "process_cov": None, "measurement_cov": None}
 
 
-def test_a_finished_store_is_summed_up_again_for_a_person(made, capsys, monkeypatch):
-    text = said(capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
+def test_a_finished_store_is_summed_up_again_for_a_person(made):
+    text = said("unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
     first, codes, least, bounds, error_bound = text.splitlines()
     assert re.fullmatch(r"wrote paper\.zarr: 125 points, λ = 8 1/s, \d+\.\d s", first)
     assert codes == "  125 ok"
@@ -92,12 +87,10 @@ def test_options_reach_the_equation_of_a_mechanical_model(made):
 
 
 @pytest.mark.exhaustive
-def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
+def test_results_without_a_metric_are_told_in_words():
     """At rest the frequency cannot be told, and a point outside the domain has no metric."""
     box = ("--box", "x1=0:1,x2=0:1.5", "--domain", "x3=0.7:2")
-    text = said(
-        capsys, monkeypatch, "design", "metric", "unknown_frequency", *SHAPE, *box, "--rate", "8", "-o", "rest.zarr"
-    )
+    text = said("unknown_frequency", *SHAPE, *box, "--rate", "8", "-o", "rest.zarr")
     found = metrics.metric_summary("rest.zarr")
     assert sum(found.results.values()) == 125
     assert "  25 outside the domain: there is no metric\n" in text
@@ -108,7 +101,7 @@ def test_results_without_a_metric_are_told_in_words(capsys, monkeypatch):
     assert 0 < found.low < found.high
 
 
-def interrupted(monkeypatch, capsys, blocks: int, *arguments: str) -> str:
+def interrupted(monkeypatch, blocks: int, *arguments: str) -> str:
     """Run the command, with Ctrl-C after so many blocks; return the line it prints."""
     solve = metrics.metric_on_grid
 
@@ -124,18 +117,15 @@ def interrupted(monkeypatch, capsys, blocks: int, *arguments: str) -> str:
 
     with monkeypatch.context() as patch:
         patch.setattr(_metric, "metric_on_grid", metric)
-        patch.setattr(sys, "argv", ["covariant", "design", "metric", *arguments])
-        with pytest.raises(SystemExit) as left:
-            main()
-    out, error = capsys.readouterr()
-    assert (left.value.code, out) == (130, "")
-    return error
+        ended = leave("design", "metric", *arguments)
+    assert (ended.code, ended.out) == (130, "")
+    return ended.error
 
 
 @pytest.mark.exhaustive
-def test_a_stopped_run_goes_on_where_it_stopped(made, monkeypatch, capsys):
+def test_a_stopped_run_goes_on_where_it_stopped(made, monkeypatch):
     arguments = ("unknown_frequency", *SHAPE, "--rate", "8", "--workers", "1", "-o", "again.zarr")
-    line = interrupted(monkeypatch, capsys, 3, *arguments)
+    line = interrupted(monkeypatch, 3, *arguments)
     assert re.fullmatch(
         r"covariant: stopped after \d+ of 125 points; the same command goes on where it stopped\n", line
     )
@@ -149,14 +139,12 @@ def test_a_stopped_run_goes_on_where_it_stopped(made, monkeypatch, capsys):
     }
 
 
-def test_the_store_of_another_equation_is_left_alone(made, capsys, monkeypatch):
-    message = refused(capsys, monkeypatch, "unknown_frequency", *SHAPE, "--rate", "9", "-o", "paper.zarr")
+def test_the_store_of_another_equation_is_left_alone(made):
+    message = refused("unknown_frequency", *SHAPE, "--rate", "9", "-o", "paper.zarr")
     assert "paper.zarr holds another map: provenance.equation.rate is 8.0 there and 9.0 here" in message
 
 
-def test_what_is_set_is_part_of_what_a_store_is_of(capsys, monkeypatch):
+def test_what_is_set_is_part_of_what_a_store_is_of(monkeypatch):
     spring = ("oscillator", "--box", "q=-1:1,q_dot=-2:2", "--grid", "4,5", "--rate", "1", "-o", "set.zarr")
-    assert "after 0 of 20 points" in interrupted(monkeypatch, capsys, 0, *spring, "--set", "parameters.stiffness=2.0")
-    message = refused(capsys, monkeypatch, *spring)
-    assert "parameters.stiffness" in message
-    assert "2.0" in message
+    assert "after 0 of 20 points" in interrupted(monkeypatch, 0, *spring, "--set", "parameters.stiffness=2.0")
+    refused(*spring, named=["parameters.stiffness", "2.0"])

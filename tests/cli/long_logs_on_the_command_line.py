@@ -1,15 +1,13 @@
 """What takes long of `test_logs_on_the_command_line.py`."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import command
+from commands import command, refused
 from test_logs_on_the_command_line import folder
 
 from covariant import logs
-from covariant.cli import main
 
 ANGLE = ("estimate", "model/arm.toml")
 
@@ -62,20 +60,6 @@ def failed(folder):
         (("compare", *ANGLE[1:], "gap.txt", "-o", "new.csv"), "found an empty cell"),
         (("simulate", *ANGLE[1:], "-o", "model.mcap", "--rate", "-1"), "rate"),
     ):
-        assert words in refusal(*arguments), arguments
+        refused(*arguments, named=[words])
     assert Path("v.csv").read_bytes() == before
     assert sorted(path.name for path in folder.iterdir()) == sorted([*there, "gap.txt"])
-
-
-def refusal(*arguments: str) -> str:
-    """The line on standard error of a command that fails with exit code 2."""
-    said = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["covariant", *arguments])
-        patch.setattr("builtins.print", lambda *text, **_: said.append(text[0]))
-        with pytest.raises(SystemExit) as left:
-            main()
-    assert left.value.code == 2
-    assert len(said) == 1
-    assert "\n" not in said[0]
-    return said[0]

@@ -1,13 +1,10 @@
 """`covariant model`: what is in a robot's file and in its metric: what takes long."""
 
-import sys
-
 import jax.numpy as jnp
 import pytest
-from commands import command
+from commands import command, leave
 
 from covariant import geometry
-from covariant.cli import main
 from covariant.models import robots
 
 
@@ -26,10 +23,7 @@ def test_a_robot_is_shown_with_its_tree_and_its_geometry():
 
 
 @pytest.mark.exhaustive
-def test_the_tree_is_drawn(capsys, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["covariant", "model", "double_pendulum", "--samples", "1"])
-    with pytest.raises(SystemExit) as left:
-        main()
-    printed = capsys.readouterr().out
-    assert left.value.code in (0, None)
+def test_the_tree_is_drawn():
+    code, printed, _ = leave("model", "double_pendulum", "--samples", "1")
+    assert code == 0
     assert "    shoulder (continuous) -> upper, 0.6 kg\n      elbow (continuous) -> lower, 0.4 kg" in printed

@@ -1,17 +1,15 @@
 """`covariant tune`: what it prints, writes and refuses."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from commands import command
+from commands import command, refused
 
 from covariant import logs, models
 from covariant.calibration import HeldOut, NoiseLevels, Tuning
-from covariant.cli import main
 from covariant.observers import Intrinsic
 from covariant.workflow._aligned import aligned
 from covariant.workflow._inputs import Job
@@ -85,14 +83,9 @@ def test_the_file_that_is_written_has_the_noise_of_the_log_and_its_comments():
         (("--until", "1.5"), "is too short to tune on"),
     ],
 )
-def test_what_is_refused_is_told_in_one_line(arguments, message, capsys):
+def test_what_is_refused_is_told_in_one_line(arguments, message):
     Path("other.toml").write_text("")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["covariant", "tune", "model.toml", "log.csv", *arguments])
-        with pytest.raises(SystemExit) as left:
-            main()
-    assert left.value.code == 2
-    assert message in capsys.readouterr().err
+    refused("tune", "model.toml", "log.csv", *arguments, named=[message])
     assert Path("other.toml").read_text() == ""
 
 

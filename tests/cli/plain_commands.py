@@ -5,9 +5,7 @@ never warns, and never leaves an empty file.
 """
 
 import itertools
-import re
 import shutil
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
@@ -15,11 +13,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pytest
+from commands import leave
 
 import covariant
 from covariant import logs, models
-from covariant.cli import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROWS, RATE = 601, 200.0
@@ -50,18 +47,13 @@ MACHINES = {
     "xl330.toml": Machine("servo", {"amplitude": [0.5, 0.0]}),
     "chain.toml": Machine("mass,viscous", {"q0": [0.5, 0.2, 0.1], "amplitude": [0.5, 0.2, 0.1]}),
     "cart.toml": Machine("friction", {"q0": [0.0, 0.4], "amplitude": [1.0, 0.0]}),
-    "top.toml": Machine("inertia", {"v0": [0.5, 1.0, 2.0], "amplitude": [0.1] * 3}),
     "ship.toml": Machine("mass", {"amplitude": [1.0, 0.5, 0.2]}),
     "tank:two_levels": Machine(
         "outflow",
         {"q0": [1.0, 0.5], "amplitude": [0.3]},
         ("measurement.std=1e-3", "uncertainty.process=[0.01,0.01]", "initial.std=1.0"),
     ),
-    "arm.urdf": Machine(
-        "friction",
-        {"q0": [0.5, 0.3], "amplitude": [0.5, 0.2]},
-        ("measurement.std=1e-3", "uncertainty.acceleration=0.5"),
-    ),
+    "arm.urdf": Machine("friction", DOUBLE.motion, ("measurement.std=1e-3", "uncertainty.acceleration=0.5")),
 }
 """All machines by what a command is given: the examples, and small ones that these lines write."""
 WRITTEN = {
@@ -74,16 +66,6 @@ viscous = [0.1, 0.1, 0.05]
     "cart.toml": """system = "robot"
 [parameters]
 path = "cart.urdf"
-[measurement]
-std = 1e-3
-[uncertainty]
-acceleration = 0.5
-""",
-    "top.toml": """system = "free_body"
-[parameters]
-inertia = [0.2, 0.3, 0.4]
-[columns]
-quaternion_wxyz = ["qw", "qx", "qy", "qz"]
 [measurement]
 std = 1e-3
 [uncertainty]
@@ -117,17 +99,6 @@ def two_levels(outflow=0.5):
 <joint name="slide" type="prismatic"><parent link="rail"/><child link="cart"/><axis xyz="1 0 0"/>
 <limit lower="-5" upper="5" effort="50" velocity="10"/></joint>
 <joint name="swing" type="continuous"><parent link="cart"/><child link="pole"/><axis xyz="0 1 0"/></joint>
-</robot>
-""",
-    "arm.urdf": """<robot name="arm">
-<link name="base"/>
-<link name="upper"><inertial><origin xyz="0 0 -0.1"/><mass value="1.0"/>
-<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.001"/></inertial></link>
-<link name="lower"><inertial><origin xyz="0 0 -0.1"/><mass value="0.5"/>
-<inertia ixx="0.005" ixy="0" ixz="0" iyy="0.005" iyz="0" izz="0.001"/></inertial></link>
-<joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
-<joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
-<origin xyz="0 0 -0.3"/><axis xyz="0 1 0"/></joint>
 </robot>
 """,
 }
@@ -259,6 +230,7 @@ def write_machines(folder: Path) -> None:
         shutil.copy(path, folder)
     for name, text in WRITTEN.items():
         (folder / name).write_text(text)
+    shutil.copy(models.robots.located("double_pendulum"), folder / "arm.urdf")
 
 
 def write_logs(machine: str, log: str) -> list[str]:
@@ -278,7 +250,7 @@ class Ended(NamedTuple):
     fault: str
 
 
-def run_case(verb: str, machine: str, log: str, capsys) -> Ended:
+def run_case(verb: str, machine: str, log: str) -> Ended:
     """Run a command in the working folder, where the machines are."""
     shutil.rmtree("out", ignore_errors=True)
     Path("out").mkdir()
@@ -291,13 +263,7 @@ def run_case(verb: str, machine: str, log: str, capsys) -> Ended:
     if len(words["{log}"]) > 1 and command[0] in OVER_LOGS:  # in this process, where warnings are errors
         command = [word.removesuffix(".csv") if word.startswith("out/") else word for word in command]
         command += ["--workers", "1"]
-    capsys.readouterr()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["covariant", *command])
-        with pytest.raises(SystemExit) as left:
-            main()
-    (out, error), code = capsys.readouterr(), left.value.code or 0
-    error = re.sub(r"(?m)^covariant: .*\d+ s( left)?\n", "", error)  # lines of progress, which slow machines show
+    code, out, error = leave(*command)
     empty = [str(path) for path in Path("out").rglob("*") if path.is_file() and not path.stat().st_size]
     # ROS 2 asks for these two files, which are empty in every package.
     empty = [path for path in empty if not path.endswith("__init__.py") and "/resource/" not in path]

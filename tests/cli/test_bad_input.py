@@ -4,8 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from covariant.cli import main
+from commands import leave, refused
 
 MODEL = """
 system = "pendulum_chain"
@@ -33,13 +32,9 @@ not_a_model = 3
 LOGS = {
     "missing column": (GOOD.replace("q1", "angle"), ["log.csv", "'q1'", "angle"]),
     "text in a number column": (GOOD.replace("0.2,", "abc,"), ["log.csv", "'q1'", "row 3", "'abc'"]),
-    "time going backwards": (GOOD.replace("0.02", "0.005"), ["log.csv", "row 3", "back"]),
-    "duplicate stamps": (GOOD.replace("0.02", "0.01"), ["log.csv", "rows 2 and 3", "same stamp"]),
     "empty file": ("", ["log.csv", "empty"]),
-    "header only": ("t,q1,u1\n", ["log.csv", "row"]),
     "a row of NaN": (GOOD.replace("0.02,0.2,0", "nan,nan,nan"), ["log.csv", "'t'", "row 3"]),
     "an infinite input": (GOOD.replace("0.2,0\n", "0.2,inf\n"), ["log.csv", "row 3"]),
-    "infinite position": (GOOD.replace("0.2,", "inf,"), ["log.csv", "row 3"]),
     "no measurement in the first row": (GOOD.replace("0,0,0\n", "0,,0\n", 1), ["log.csv", "row 1"]),
 }
 
@@ -55,33 +50,16 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def refused(monkeypatch, capsys, *arguments: str) -> str:
-    """Run the command; check exit code and form of the message, and return it."""
-    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
-    with pytest.raises(SystemExit) as left:
-        main()
-    out, error = capsys.readouterr()
-    assert left.value.code == 2
-    assert out == ""
-    assert error.startswith("covariant: ")
-    assert error.count("\n") == 1
-    assert list(Path("out").iterdir()) == []
-    return error
-
-
 ESTIMATE = ("estimate", "model.toml", "log.csv", "-o", "out/v.csv")
 
 
 @pytest.mark.core(7)
 @pytest.mark.parametrize("command", ["estimate", "compare"])
 @pytest.mark.parametrize("case", LOGS)
-def test_a_bad_log(folder, monkeypatch, capsys, command, case):
+def test_a_bad_log(folder, command, case):
     text, named = LOGS[case]
     (folder / "log.csv").write_text(text)
-    message = refused(
-        monkeypatch, capsys, command, "model.toml", "log.csv", "-o", "out/v.csv", "--report", "out/r.html"
-    )
-    assert all(part in message for part in named), message
+    refused(command, "model.toml", "log.csv", "-o", "out/v.csv", "--report", "out/r.html", named=named)
 
 
 @pytest.mark.parametrize(
@@ -92,13 +70,10 @@ def test_a_bad_log(folder, monkeypatch, capsys, command, case):
         ("refused_models:not_a_model", ["not_a_model", "int"]),
         ("refused_models:absent", ["absent"]),
         ("no_such_module:x", ["no_such_module"]),
-        ("pendulum_chian", ["pendulum_chian", "pendulum_chain"]),
-        ("absent.toml", ["absent.toml"]),
     ],
 )
-def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
-    message = refused(monkeypatch, capsys, "estimate", spec, "log.csv", "-o", "out/v.csv")
-    assert all(part in message for part in named), message
+def test_a_bad_model(folder, spec, named):
+    refused("estimate", spec, "log.csv", "-o", "out/v.csv", named=named)
 
 
 @pytest.mark.core(12)
@@ -106,6 +81,8 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
     ("arguments", "named"),
     [
         ((*ESTIMATE, "--observer", "magic"), ["magic", "intrinsic", "geodesic"]),
+        ((*ESTIMATE, "--report", "out/r.pdf"), ["r.pdf", ".html"]),
+        (("estimate", "model.toml", "log.csv", "-o", "out/v.xlsx"), ["v.xlsx", ".csv"]),
         ((*ESTIMATE, "--observer", "salcudean"), ["salcudean does not fit model.toml", "intrinsic", "savitzky-golay"]),
         ((*ESTIMATE, "--set", 'columns.matrix=["a"]'), ["columns.matrix", "columns.q"]),
         ((*ESTIMATE, "--alpha", "3"), ["--alpha and --beta", "both"]),
@@ -113,12 +90,10 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         ((*ESTIMATE, "--alpha", "3", "--beta", "1", "--observer", "ekf"), ["ekf"]),
         ((*ESTIMATE, "--alpha", "inf", "--beta", "inf"), ["positive", "inf"]),
         ((*ESTIMATE, "--alpha", "nan", "--beta", "1"), ["positive", "nan"]),
-        ((*ESTIMATE, "--report", "out/r.pdf"), ["r.pdf", ".html"]),
         ((*ESTIMATE, "--report", "absent/r.html"), ["absent", "make it first"]),
         (("estimate", "model.toml", "log.csv", "-o", "absent/v.csv"), ["absent", "make it first"]),
         (("compare", "model.toml", "log.csv", "-o", "absent/v.csv"), ["absent", "make it first"]),
         ((*ESTIMATE, "--until", "0.005"), ["log.csv", "until=0.005", "1 of 4 rows"]),
-        (("estimate", "model.toml", "log.csv", "-o", "out/v.xlsx"), ["v.xlsx", ".csv"]),
         ((*ESTIMATE, "--set", "parameters.mas=[1.0]"), ["mas", "mass"]),
         ((*ESTIMATE, "--set", "nonsense"), ["nonsense"]),
         ((*ESTIMATE, "--set", "design.damping=1_0"), ["design.damping=1_0", "plain decimals"]),
@@ -126,33 +101,27 @@ def test_a_bad_model(folder, monkeypatch, capsys, spec, named):
         (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "1_0"), ["--q0", "'1_0'"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "١"), ["--q0", "'١'"]),
         ((*ESTIMATE, "--q", "a,b"), ["1 positions"]),
-        (("estimate", "model.toml", "absent.csv", "-o", "out/v.csv"), ["absent.csv"]),
         (("estimate", "pendulum_chain", "log.csv", "--u", "u1,u1", "--q", "q1,q1", "-o", "out/v.csv"), []),
         (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "1,2"), ["q0", "1 finite"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--v0", "fast"), ["--v0", "'fast'"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--dropout", "1.5"), ["dropout"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--q0", "nan"), ["q0", "nan"]),
-        (("simulate", "model.toml", "-o", "out/l.csv", "--amplitude", "1,2"), ["amplitude", "1 finite"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--rate", "inf"), ["rate", "inf"]),
-        (("simulate", "model.toml", "-o", "out/l.csv", "--rate", "-5"), ["rate", "-5"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "inf"), ["inf s"]),
-        (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0"), ["0.0 s", "two samples"]),
         (("simulate", "model.toml", "-o", "out/l.xlsx"), ["l.xlsx", ".csv"]),
         (("simulate", "model.toml", "-o", "absent/l.csv"), ["absent", "make it first"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--frequency", "inf"), ["frequency", "inf"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--frequency", "-1"), ["frequency", "-1"]),
-        (("simulate", "model.toml", "-o", "out/l.csv", "--amplitude", "nan"), ["amplitude", "nan"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--noise", "-1"), ["noise", "-1"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--noise", "1,2"), ["noise", "1 finite", "q1"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--quantum", "1e-3,"), ["--quantum", "'1e-3,'"]),
         (("simulate", "model.toml", "-o", "out/l.csv", "--jitter", "nan"), ["jitter", "nan"]),
-        (("reproduce", "nobody"), ["nobody", "aghannan-rouchon"]),
+        (("simulate", "model.toml", "-o", "out/l.csv", "--duration", "0.02", "--v0", "1e300"), ["the finite numbers"]),
         (("reproduce", "aghannan-rouchon", "-o", "out/figure.pdf"), ["figure.pdf", ".png"]),
     ],
 )
-def test_a_bad_argument(folder, monkeypatch, capsys, arguments, named):
-    message = refused(monkeypatch, capsys, *arguments)
-    assert all(part in message for part in named), message
+def test_a_bad_argument(folder, arguments, named):
+    refused(*arguments, named=named)
 
 
 CHAIN = ("model.toml", "log.csv")
@@ -164,11 +133,7 @@ WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
     ("arguments", "named"),
     [
         (("estimate", *WATCHED), ["lorenz", "measurement.std"]),
-        (
-            ("compare", "odin", "log.csv", "--q", "q1,q2", "-o", "out/c.csv"),
-            ["odin has 6 positions"],
-        ),
-        (("estimate", "lorenz", "absent.csv"), ["absent.csv: no such file"]),
+        (("compare", "odin", "log.csv", "--q", "q1,q2", "-o", "out/c.csv"), ["odin has 6 positions"]),
         (("estimate", *WATCHED, *NOISE, "--alpha", "1", "--beta", "1"), ["do not apply to covariance-ekf"]),
         (("estimate", *WATCHED, *NOISE, "--observer", "ekf"), ["covariance-ekf, information-ekf, riccati"]),
         (("estimate", *WATCHED, "--set", "uncertainty.process=[1, 2]"), ["uncertainty.process lists 2", "give 3"]),
@@ -179,9 +144,8 @@ WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
         (("simulate", "bioreactor", "-o", "out/l.csv", "--set", 'columns.q=["a", "b"]'), ["2 columns", "1 outputs"]),
     ],
 )
-def test_a_bad_argument_with_a_state_space_model(folder, monkeypatch, capsys, arguments, named):
-    message = refused(monkeypatch, capsys, *arguments)
-    assert all(part in message for part in named), message
+def test_a_bad_argument_with_a_state_space_model(folder, arguments, named):
+    refused(*arguments, named=named)
 
 
 TOP = """
@@ -210,13 +174,12 @@ GROUP_LOGS = {
 
 @pytest.mark.parametrize("command", ["estimate", "compare"])
 @pytest.mark.parametrize("case", GROUP_LOGS)
-def test_a_bad_log_of_attitudes(folder, monkeypatch, capsys, command, case):
+def test_a_bad_log_of_attitudes(folder, command, case):
     model, text, named = GROUP_LOGS[case]
     (folder / "top.toml").write_text(model)
     (folder / "log.csv").write_text(text)
-    message = refused(monkeypatch, capsys, command, "top.toml", "log.csv", "-o", "out/v.csv", "--report", "out/r.html")
-    assert message.startswith("covariant: log.csv: ")
-    assert all(part in message for part in named), message
+    arguments = (command, "top.toml", "log.csv", "-o", "out/v.csv", "--report", "out/r.html")
+    assert refused(*arguments, named=named).startswith("covariant: log.csv: ")
 
 
 ATTITUDE = ("estimate", "top.toml", "log.csv", "-o", "out/v.csv")
@@ -248,38 +211,36 @@ BARE = ("log.csv", "-o", "out/v.csv")
         (("simulate", "underwater_vehicle", "-o", "out/l.csv", "--v0", "1"), ["v0 needs 6 finite"]),
     ],
 )
-def test_a_bad_argument_on_a_group(folder, monkeypatch, capsys, arguments, named):
+def test_a_bad_argument_on_a_group(folder, arguments, named):
     (folder / "top.toml").write_text(TOP)
     (folder / "both.toml").write_text(TOP.replace("[measurement]", f"matrix = {ENTRIES}\n[measurement]"))
     (folder / "log.csv").write_text(UNIT)
-    message = refused(monkeypatch, capsys, *arguments)
-    assert all(part in message for part in named), message
+    refused(*arguments, named=named)
 
 
-def test_only_what_fits_a_pose_is_offered(folder, monkeypatch, capsys):
+def test_only_what_fits_a_pose_is_offered(folder):
     (folder / "log.csv").write_text(UNIT.replace("qw,qx,qy,qz,u1,u2,u3", "px,py,angle,u1,u2,a,b"))
-    message = refused(monkeypatch, capsys, "estimate", "hovercraft", *BARE, "--observer", "salcudean")
+    message = refused("estimate", "hovercraft", *BARE, "--observer", "salcudean")
     these = "intrinsic, intrinsic2, intrinsic-force, geodesic, implicit-geodesic, copy, intrinsic-kalman, ekf, ukf"
     assert f"salcudean does not fit hovercraft; these do: {these}\n" in message
 
 
-def test_a_name_that_the_estimate_needs_itself(folder, monkeypatch, capsys):
+def test_a_name_that_the_estimate_needs_itself(folder):
     (folder / "top.toml").write_text(TOP.replace('"qz"', '"w1"'))
     (folder / "log.csv").write_text(UNIT.replace("qz", "w1"))
-    assert "two columns named 'w1'; rename" in refused(monkeypatch, capsys, *ATTITUDE)
+    assert "two columns named 'w1'; rename" in refused(*ATTITUDE)
 
 
-def test_a_model_file_without_the_numbers_of_a_design(folder, monkeypatch, capsys):
+def test_a_model_file_without_the_numbers_of_a_design(folder):
     (folder / "model.toml").write_text(MODEL.split("[uncertainty]")[0])
-    message = refused(monkeypatch, capsys, *ESTIMATE)
-    assert "uncertainty.acceleration" in message
+    refused(*ESTIMATE, named=["uncertainty.acceleration"])
 
 
 @pytest.mark.parametrize("command", ["estimate", "compare"])
-def test_the_log_is_never_written_over(folder, monkeypatch, capsys, command):
+def test_the_log_is_never_written_over(folder, command):
     (folder / "same.csv").symlink_to(folder / "log.csv")
     for out in ("log.csv", "./out/../log.csv", "same.csv"):
-        assert "log itself" in refused(monkeypatch, capsys, command, "model.toml", "log.csv", "-o", out)
+        assert "log itself" in refused(command, "model.toml", "log.csv", "-o", out)
     assert (folder / "log.csv").read_text() == GOOD
 
 
@@ -294,19 +255,15 @@ def test_the_log_is_never_written_over(folder, monkeypatch, capsys, command):
         (("estimat", "model.toml", "log.csv"), "estimat"),
     ],
 )
-def test_options_that_cannot_be_read_are_named(folder, monkeypatch, capsys, arguments, named):
-    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
-    with pytest.raises(SystemExit) as left:
-        main()
-    out, error = capsys.readouterr()
-    assert (left.value.code, out) == (2, "")
-    assert named in error
-    assert "Traceback" not in error
-    assert list(Path("out").iterdir()) == []
+def test_options_that_cannot_be_read_are_named(folder, arguments, named):
+    ended = leave(*arguments)
+    assert (ended.code, ended.out) == (2, "")
+    assert named in ended.error
+    assert "Traceback" not in ended.error
+    assert not [*Path("out").iterdir()]
 
 
 def test_developers_get_the_traceback(folder, monkeypatch):
     monkeypatch.setenv("COVARIANT_DEBUG", "1")
-    monkeypatch.setattr(sys, "argv", ["covariant", "estimate", "model.toml", "absent.csv"])
     with pytest.raises(FileNotFoundError, match=r"absent\.csv"):
-        main()
+        leave("estimate", "model.toml", "absent.csv")

@@ -40,16 +40,16 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def inside(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
 def simulate(out: str, seed: int = 1) -> dict:
     return command(
         *("simulate", "model.toml", "-o", out, "--duration", "4", "--rate", "200", "--quantum", "1e-3"),
         *("--v0", "9.5", "--amplitude", "0.5", "--jitter", "2e-4", "--dropout", "0.02", "--seed", str(seed)),
     )
-
-
-@pytest.fixture(autouse=True)
-def inside(folder, monkeypatch):
-    monkeypatch.chdir(folder)
 
 
 @pytest.mark.core(1)

@@ -1,13 +1,10 @@
 """`covariant fit` and `covariant init`: what they print, write and refuse."""
 
-import sys
-
 import numpy as np
 import pytest
-from commands import command
+from commands import command, refused
 
 from covariant import logs, models
-from covariant.cli import main
 
 MODEL = """system = "pendulum_chain"
 [parameters]
@@ -47,35 +44,17 @@ def inside(folder, monkeypatch):
     monkeypatch.chdir(folder)
 
 
-def refused(code: int, *arguments: str) -> str:
-    """What a command says on standard error, or prints, when it leaves with this code."""
-    said = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("builtins.print", lambda *text, **_: said.append(str(text[0])))
-        patch.setattr(sys, "argv", ["covariant", *arguments])
-        with pytest.raises(SystemExit) as left:
-            main()
-    assert left.value.code == code, said
-    return said[-1]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("--parameters", "lenght"), "unknown number 'lenght'. Did you mean"),
-        (
-            ("--parameters", "length", "-o", "model.toml"),
-            "this is the model file itself; write to another file",
-        ),
-        (
-            ("--parameters", "length", "--horizon", "5"),
-            "windows of 5 s with at least 12 rows and no gap, and 8 are",
-        ),
+        (("--parameters", "length", "-o", "model.toml"), "this is the model file itself; write to another file"),
+        (("--parameters", "length", "--horizon", "5"), "windows of 5 s with at least 12 rows and no gap, and 8 are"),
         (("--parameters", "length", "--horizon", "-1"), "horizon must be a positive number of seconds; got -1"),
     ],
 )
 def test_wrong_arguments_of_fit_are_told_in_one_line(arguments, message):
-    assert message in refused(2, "fit", "model.toml", "log.csv", *arguments)
+    refused("fit", "model.toml", "log.csv", *arguments, named=[message])
 
 
 def test_init_drafts_a_file_that_loads():
@@ -84,8 +63,7 @@ def test_init_drafts_a_file_that_loads():
     file = models.load("draft.toml")
     assert file.quantum == pytest.approx(1e-3, rel=1e-3)
     assert file.model.inputs == 0
-    assert "there is such a file already" in refused(2, "init", "log.csv", "-o", "draft.toml")
+    refused("init", "log.csv", "-o", "draft.toml", named=["there is such a file already"])
     logs.write("odd.csv", {"t": np.arange(9.0) / 100, "a": np.ones(9)})
-    said = refused(2, "init", "odd.csv", "-o", "odd.toml")
-    assert "odd.csv: no column is named like a position" in said
-    assert "the columns of numbers are t, a" in said
+    named = ["odd.csv: no column is named like a position", "the columns of numbers are t, a"]
+    refused("init", "odd.csv", "-o", "odd.toml", named=named)

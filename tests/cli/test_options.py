@@ -1,21 +1,19 @@
 """Options are made from the signatures of verbs, and messages that name arguments of Python name the options."""
 
 import inspect
-import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from commands import leave, refused
 
 from covariant import workflow
-from covariant.cli import main
-from covariant.cli._app import REMOVED, app
+from covariant.cli._app import REMOVED
 from covariant.cli._commands import COMMANDS
 from covariant.cli._options import COLUMNS, in_options
 from covariant.cli._signature import REQUIRED, signature
 
 FLAGS = {"alpha": "--alpha", "start": "--from", "overwrite": "--overwrite", "parameters": "--parameters"}
-FLAGS |= {'columns["q"]': "--q", "overrides": "--set"}
+FLAGS |= {'columns["q"]': "--q", 'columns["t"]': "--t", "overrides": "--set", "lag": "--lag"}
 
 
 @pytest.mark.parametrize("verb", [command.verb for command in COMMANDS] + ["check_certificate"])
@@ -62,59 +60,36 @@ def test_arguments_in_a_message_become_options(text, expected):
     assert in_options(text, FLAGS) == expected
 
 
+MISSING = "`overrides=['measurement.std=NUMBER', 'uncertainty.acceleration=NUMBER']`"
+
+
 @pytest.mark.parametrize(
-    ("call", "words", "of_python", "on_the_command_line"),
+    ("call", "named", "options", "message"),
     [
-        (
-            lambda: workflow.estimate("oscillator", "log.csv", alpha=1.0),
-            "estimate oscillator log.csv --alpha 1",
-            "`alpha` and `beta` belong together",
-            "--alpha and --beta belong together",
-        ),
-        (
-            lambda: workflow.smooth("oscillator", "log.csv", lag=-1.0),
-            "smooth oscillator log.csv --lag -1",
-            "`lag` must be a time",
-            "--lag must be a time",
-        ),
-        (
-            lambda: workflow.init("log.csv", columns={"q": "q1"}),
-            "init log.csv --q q1 -o model.toml",
-            'name the one of the stamps by `columns["t"]`',
-            "name the one of the stamps by --t",
-        ),
-        (
-            lambda: workflow.estimate("oscillator", "log.csv", columns={"t": "a", "q": "q1", "u": "b"}),
-            "estimate oscillator log.csv --t a --q q1 --u b",
-            "`overrides=['measurement.std=NUMBER', 'uncertainty.acceleration=NUMBER']`",
-            "--set measurement.std=NUMBER --set uncertainty.acceleration=NUMBER",
-        ),
+        ("estimate oscillator log.csv", {"alpha": 1.0}, "--alpha 1", "`alpha` and `beta` belong together"),
+        ("smooth oscillator log.csv", {"lag": -1.0}, "--lag -1", "`lag` must be a time"),
+        ("init log.csv", {"columns": {"q": "q1"}}, "--q q1 -o model.toml", 'of the stamps by `columns["t"]`'),
+        ("estimate oscillator log.csv", {"columns": {"t": "a", "q": "q1", "u": "b"}}, "--t a --q q1 --u b", MISSING),
     ],
 )
 def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
-    tmp_path, monkeypatch, capsys, call, words, of_python, on_the_command_line
+    tmp_path, monkeypatch, call, named, options, message
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "log.csv").write_text("a,b,q1\n0,0,0.1\n1,1,0\n2,2,0.1\n")
-    with pytest.raises(ValueError) as refused:  # noqa: PT011  the text is compared below
-        call()
-    assert of_python in str(refused.value)
-    assert "--" not in str(refused.value)
-    monkeypatch.setattr(sys, "argv", ["covariant", *words.split()])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 2
-    assert on_the_command_line in capsys.readouterr().err
+    verb, *arguments = call.split()
+    with pytest.raises(ValueError) as refusal:  # noqa: PT011  the text is compared below
+        getattr(workflow, verb)(*arguments, **named)
+    assert message in str(refusal.value)
+    assert "--" not in str(refusal.value)
+    refused(*call.split(), *options.split(), named=[in_options(message, FLAGS | {"beta": "--beta"})])
 
 
 @pytest.mark.parametrize("name", REMOVED)
 @pytest.mark.parametrize("words", ["", " 64k", "=64k"])
-def test_what_is_gone_names_what_replaces_it(name, words, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["covariant", *f"{name}{words if '--' in name else ' model.toml'}".split()])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 2
-    assert capsys.readouterr().err == f"covariant: `{name}` is gone: {REMOVED[name]}\n"
+def test_what_is_gone_names_what_replaces_it(name, words):
+    message = refused(*f"{name}{words if '--' in name else ' model.toml'}".split())
+    assert message == f"covariant: `{name}` is gone: {REMOVED[name]}\n"
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.verb)
@@ -127,8 +102,8 @@ def test_the_example_in_the_help_has_options_of_its_command_and_its_page_is_ther
 
 
 def test_the_help_cuts_no_line_and_puts_the_log_first():
-    shown = CliRunner().invoke(app, ["--help"]).output
+    shown = leave("--help").out
     assert "…" not in shown
     assert "..." not in shown.partition("Your log:")[2]
     assert shown.index("Your log:") < shown.index("  init ") < shown.index("  estimate ") < shown.index("Proofs")
-    assert "Example:  covariant check arm.toml log.csv\n" in CliRunner().invoke(app, ["check", "--help"]).output
+    assert "Example:  covariant check arm.toml log.csv\n" in leave("check", "--help").out

@@ -40,10 +40,10 @@ def machines(tmp_path_factory):
     ("verb", "machine", "log"),
     [pytest.param(*case, marks=suite(case)) for case in every_case()],
 )
-def test_a_plain_command_ends_in_a_result_or_a_refusal(machines, monkeypatch, capsys, verb, machine, log):
+def test_a_plain_command_ends_in_a_result_or_a_refusal(machines, monkeypatch, verb, machine, log):
     monkeypatch.chdir(machines)
     monkeypatch.syspath_prepend(machines)
-    ended = run_case(verb, machine, log, capsys)
+    ended = run_case(verb, machine, log)
     assert not ended.fault, ended.fault
 
 

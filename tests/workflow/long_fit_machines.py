@@ -10,7 +10,7 @@ from test_fit_machines import FIRST, FRICTION, INERTIA, arms, fitted
 
 import covariant
 from covariant import logs
-from covariant.workflow import fit, over_logs
+from covariant.workflow import fit
 
 
 @pytest.fixture(scope="module")
@@ -160,20 +160,6 @@ def test_what_no_machine_shows_alone_all_show_together(tmp_path, monkeypatch):
     assert "gain[1]@left cannot be told from this log" in sentences
     assert "gain[0]@right cannot be told from this log" in sentences
     assert [path.name for path in own.written_files("fitted.toml")] == ["fitted_left.toml", "fitted_right.toml"]
-
-
-def test_what_cannot_be_of_each_machine_is_refused(tmp_path):
-    record = covariant.simulate("oscillator", duration=5.0, rate=50.0, q0=1.0).record
-    with pytest.raises(ValueError, match="each: a log in memory does not say of which machine it is"):
-        fit("oscillator", [record, record], "stiffness", each="stiffness")
-    with pytest.raises(ValueError, match=r"each: unknown number 'mass'\. Known: stiffness"):
-        fit("oscillator", {"a": record}, "stiffness", each="mass", overrides={"parameters.stiffness": 2.0})
-    with pytest.raises(ValueError, match="`each` is for logs that are fitted together"):
-        over_logs("fit", "oscillator", [record], parameters="stiffness", each="stiffness")
-    with pytest.raises(ValueError, match=r"overrides make inputs\.lag others than those of record"):
-        fit("oscillator", [record, record], "stiffness", overrides=[{"inputs.lag": lag} for lag in (0.1, 0.2)])
-    with pytest.raises(ValueError, match=r"overrides make \[parameters\] others than those of record"):
-        fit("oscillator", [record, record], "stiffness", overrides=[{"parameters.stiffness": k} for k in (1.0, 2.0)])
 
 
 def test_each_log_may_have_a_delay_of_its_own():

@@ -54,17 +54,6 @@ def test_the_fitted_robot_is_written_with_a_urdf_file_beside_it(fitted, folder):
     assert (machine / "arm.toml").read_text() == MODEL
 
 
-@pytest.mark.parametrize("nothing", ["", " , ", []])
-def test_a_fit_of_nothing_says_what_there_is(folder, nothing):
-    with pytest.raises(ValueError, match="no number is named; name some of friction, armature"):
-        fit("double_pendulum", folder / "machine" / "arm.urdf", nothing)
-
-
-def test_other_numbers_do_not_go_with_those_of_a_robot(folder):
-    with pytest.raises(ValueError, match=r"unknown group of numbers 'inputs'\. Known: friction, armature, payload"):
-        fit("double_pendulum", folder / "machine" / "arm.urdf", "friction,inputs.lag")
-
-
 @pytest.mark.exhaustive
 def test_a_log_at_rest_or_in_degrees_is_refused():
     t = np.arange(2000) / 250.0

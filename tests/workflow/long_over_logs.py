@@ -1,32 +1,28 @@
 """What takes long of `test_over_logs.py`."""
 
-import csv
 import json
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import leave
 from test_over_logs import logs
 
 import covariant
 from covariant import workflow
-from covariant.cli import main
 from covariant.workflow._among_logs import LogRow, among_logs
 from covariant.workflow._model_output import model_hash
 
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.2}
 
 
-def test_each_log_has_its_row_or_its_reason_and_the_rest_is_done(logs, tmp_path, capsys, monkeypatch):
-    asked = ["check", "oscillator", *map(str, logs), "--set", "measurement.std=1e-3", "-o", str(tmp_path / "out")]
-    monkeypatch.setattr(sys, "argv", ["covariant", *asked, "--workers", "1", "--json"])
-    with pytest.raises(SystemExit) as done:
-        main()
-    assert done.value.code == 1
-    result = json.loads(capsys.readouterr().out)
+def test_each_log_has_its_row_or_its_reason_and_the_rest_is_done(logs, tmp_path):
+    asked = ("check", "oscillator", *logs, "--set", "measurement.std=1e-3", "-o", tmp_path / "out")
+    code, out, _ = leave(*asked, "--workers", "1", "--json")
+    assert code == 1
+    result = json.loads(out)
     rows = {row["log"].rpartition("/")[2]: row for row in result["logs"]}
     assert [rows[f"log{k}.csv"]["verdict"] for k in range(4)] == ["ok", "ok", "ok", "WRONG"]
     assert rows["log3.csv"]["wrong"] == "unit of time"
@@ -35,7 +31,7 @@ def test_each_log_has_its_row_or_its_reason_and_the_rest_is_done(logs, tmp_path,
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"cases", "check.csv", "check.html"}
 
 
-def test_a_bug_with_one_log_is_shown_as_one_and_the_others_go_on(logs, monkeypatch, capsys):
+def test_a_bug_with_one_log_is_shown_as_one_and_the_others_go_on(logs, monkeypatch):
     estimate = workflow.estimate
 
     def fails(model, log, **settings):
@@ -44,12 +40,9 @@ def test_a_bug_with_one_log_is_shown_as_one_and_the_others_go_on(logs, monkeypat
         return estimate(model, log, **settings)
 
     monkeypatch.setattr(workflow, "estimate", fails)
-    asked = ["estimate", "oscillator", *map(str, logs[2:4]), str(logs[1]), "--alpha", "40", "--beta", "800"]
-    monkeypatch.setattr(sys, "argv", ["covariant", *asked, "--workers", "1", "--json"])
-    with pytest.raises(SystemExit) as left:
-        main()
-    out, error = capsys.readouterr()
-    assert left.value.code == 70
+    asked = ("estimate", "oscillator", *logs[2:4], logs[1], "--alpha", "40", "--beta", "800")
+    code, out, error = leave(*asked, "--workers", "1", "--json")
+    assert code == 70
     assert set(json.loads(out)["failed"]) == {str(logs[1]), str(logs[3])}
     assert "Traceback" in error
     assert "in fails" in error
@@ -64,14 +57,8 @@ def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path)
 
     def run(**changed):
         called = []
-        result = workflow.over_logs(
-            "estimate",
-            "oscillator",
-            names,
-            progress=lambda description, fraction=None: called.append((description, fraction)),
-            **settings | changed,
-        )
-        return result, called[0][0]
+        told = {"progress": lambda description, fraction=None: called.append(description)}
+        return workflow.over_logs("estimate", "oscillator", names, **settings | changed | told), called[0]
 
     first, began = run()
     assert began == "estimate: 0 of 3 logs"
@@ -95,10 +82,8 @@ def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path)
     shutil.copy(logs[2], names[0])
     alone = covariant.estimate("oscillator", names[0], overrides=NOISE, alpha=40.0, beta=800.0)
     assert first.each[0].row["innovation_rms1"] == alone.summary["innovation_rms"][0]
-    assert (
-        covariant.estimate("oscillator", names, overrides=NOISE, alpha=40.0, beta=800.0).columns["rows"].tolist()
-        == [501.0] * 3
-    )
+    together = covariant.estimate("oscillator", names, overrides=NOISE, alpha=40.0, beta=800.0)
+    assert together.columns["rows"].tolist() == [501.0] * 3
 
 
 def test_the_file_of_a_log_depends_on_no_other_log(logs, tmp_path):

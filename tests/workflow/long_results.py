@@ -6,7 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from test_results import MODEL, log, run
+from commands import command, leave
+from test_results import MODEL, log
 
 import covariant
 from covariant._errors import InputError
@@ -22,11 +23,10 @@ def estimate(log):
     return covariant.estimate(MODEL, log, overrides=NOISE, score=True)
 
 
-def test_a_function_and_its_command_give_the_same_text_and_numbers(estimate, log, tmp_path, capsys):
-    assert run("estimate", MODEL, str(log), *SET, "--score", "-o", str(tmp_path / "a.csv")) == 0
-    assert capsys.readouterr().out == f"{estimate}\nwrote {tmp_path / 'a.csv'}\n"
-    assert run("estimate", MODEL, str(log), *SET, "--score", "--json") == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(estimate.summary))
+def test_a_function_and_its_command_give_the_same_text_and_numbers(estimate, log, tmp_path):
+    asked = ("estimate", MODEL, log, *SET, "--score")
+    assert leave(*asked, "-o", tmp_path / "a.csv")[:2] == (0, f"{estimate}\nwrote {tmp_path / 'a.csv'}\n")
+    assert command(*asked) == json.loads(json.dumps(estimate.summary))
     estimate.save(tmp_path / "b.csv")
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
@@ -95,21 +95,17 @@ def test_a_comparison_is_a_table_in_order_of_error(log, tmp_path):
 
 
 @pytest.mark.parametrize("form", ["text", "json"])
-def test_what_is_computed_is_saved_and_printed_although_the_page_cannot_be_drawn(
-    form, log, tmp_path, capsys, monkeypatch
-):
+def test_what_is_computed_is_saved_and_printed_although_the_page_cannot_be_drawn(form, log, tmp_path, monkeypatch):
     def fail(*_):
         raise InputError("no ink")
 
     monkeypatch.setattr("covariant.workflow._pages.write_page_and_figures", fail)
-    words = ["estimate", MODEL, str(log), *SET, "-o", str(tmp_path / "a.csv"), "--report", str(tmp_path / "page.html")]
-    assert run(*words, *(["--json"] if form == "json" else [])) == 2
-    printed = capsys.readouterr()
-    assert "no ink" in printed.err
+    words = ("estimate", MODEL, log, *SET, "-o", tmp_path / "a.csv", "--report", tmp_path / "page.html")
+    code, out, error = leave(*words, *(["--json"] if form == "json" else []))
+    assert (code, "no ink" in error, "innovation" in out) == (2, True, True)
     assert (tmp_path / "a.csv").exists()
-    assert "innovation" in printed.out
     if form == "json":
-        assert json.loads(printed.out)["report"] == []
+        assert json.loads(out)["report"] == []
 
 
 def test_a_model_may_be_an_object(log):

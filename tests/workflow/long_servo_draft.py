@@ -1,18 +1,17 @@
 """What takes long of `test_servo_draft.py`."""
 
 import re
-import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from commands import leave, refused
 from test_servo_draft import data_set, recorded
 
 import covariant
 from covariant import models, workflow
-from covariant.cli import main
 
 SERVO = {"stiffness": 12.0, "damping": 0.9, "coulomb": 0.02, "delay": 0.04}
 
@@ -112,22 +111,13 @@ def test_values_that_are_given_to_a_draft_are_checked(overrides, message, record
         workflow.init(frame[["t", "q"]], overrides={"parameters.path": "scara"})
 
 
-def test_the_command_asks_for_a_unit_in_its_own_words(tmp_path, monkeypatch, capsys, recorded):
+def test_the_command_asks_for_a_unit_in_its_own_words(tmp_path, monkeypatch, recorded):
     monkeypatch.chdir(tmp_path)
-    log = str(data_set(tmp_path, recorded))
-
-    def init(*more):
-        monkeypatch.setattr(sys, "argv", ["covariant", "init", log, "-o", "draft.toml", *more])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code, capsys.readouterr()
-
-    code, printed = init()
-    assert code
-    assert "per cent of the range of each servo, as LeRobot logs them" in printed.err
-    assert "--set 'units.q=\"deg\"'" in printed.err
+    init = ("init", data_set(tmp_path, recorded), "-o", "draft.toml")
+    asked = "per cent of the range of each servo, as LeRobot logs them"
+    refused(*init, named=[asked, "--set 'units.q=\"deg\"'"])
     (tmp_path / "robot.urdf").write_text(models.robots.located("double_pendulum").read_text())
-    code, printed = init("--set", 'units.q="deg"', "--set", 'parameters.path="robot.urdf"')
+    code, printed, _ = leave(*init, "--set", 'units.q="deg"', "--set", 'parameters.path="robot.urdf"')
     assert code == 0
-    assert "commands action[0], action[1]" in printed.out
+    assert "commands action[0], action[1]" in printed
     assert models.document("draft.toml")["parameters"]["path"] == "robot.urdf"

@@ -1,13 +1,19 @@
-"""`covariant.simulate` from Python: its record, its tables, and the units of the model file: what takes long."""
+"""`covariant.simulate` from Python: its record, its tables, and the units of the model file."""
 
 import re
 
 import numpy as np
 import pytest
-from test_simulate_verb import ARM
 
 from covariant import logs, models
 from covariant.workflow import SimulateResult, simulate
+
+ARM = {
+    "columns.q": ["shoulder", "elbow"],
+    "units.q": ["deg", "mrad"],
+    "parameters.mass": [1.0, 0.5],
+    "parameters.length": [0.5, 0.4],
+}
 
 
 @pytest.fixture(scope="module")

@@ -1,14 +1,13 @@
 """The verb `smooth`: a table with the filter beside it, what it refuses, and what it prints: what takes long."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
+from commands import command
 from test_smooth_verb import NOISE, smoothed, swing
 
 import covariant
-from covariant.cli import main
 
 
 @pytest.mark.exhaustive
@@ -55,15 +54,9 @@ def test_a_state_space_model_is_smoothed_by_its_filter():
 
 
 @pytest.mark.exhaustive
-def test_the_command_writes_the_table(tmp_path, monkeypatch, capsys):
+def test_the_command_writes_the_table(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     swing().save("log.csv")
     options = [f"--set={key}={value}" for key, value in NOISE.items()]
-    arguments = ["smooth", "oscillator", "log.csv", "-o", "s.csv", "--lag", "0.1", *options, "--json"]
-    monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code in (0, None)
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["lag_rows"] == 10
+    assert command("smooth", "oscillator", "log.csv", "-o", "s.csv", "--lag", "0.1", *options)["lag_rows"] == 10
     assert (tmp_path / "s.csv").read_text().splitlines()[0] == "t,q1,v1,v1_std,q1_std,v1_filtered,v1_filtered_std"

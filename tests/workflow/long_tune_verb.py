@@ -1,13 +1,20 @@
-"""`covariant.tune` from Python: what it finds, saves and draws: what takes long."""
+"""`covariant.tune` from Python: what it finds, saves and draws."""
 
 import numpy as np
 import pytest
-from test_tune_verb import log
 
 from covariant import models
-from covariant.workflow import TuneResult, tune
+from covariant.workflow import TuneResult, simulate, tune
 
 NOISE = {"measurement.std": 0.1, "uncertainty.acceleration": 9.0}
+
+
+@pytest.fixture(scope="module")
+def log():
+    """An oscillator with noise of 0.2 mm, a gap of two seconds, and an outlier."""
+    table = simulate("oscillator", duration=16.0, rate=50.0, q0=1.0, noise=2e-4).to_pandas()
+    table.loc[300, "q"] = 7.0
+    return table[(table["t"] < 4.0) | (table["t"] > 6.0)].reset_index(drop=True)
 
 
 @pytest.fixture(scope="module")

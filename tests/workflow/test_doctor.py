@@ -58,7 +58,7 @@ def test_a_cache_that_cannot_be_written_is_not_called_off(monkeypatch, tmp_path)
     (tmp_path / "file").touch()
     place = str(tmp_path / "file" / "cache")
     monkeypatch.setenv("COVARIANT_CACHE", place)
-    (part,) = (part for part in workflow.doctor().parts if part.name == "cache folder")
+    part = part_of("cache folder")
     assert place in part.found
     assert part.problem
 
@@ -66,7 +66,7 @@ def test_a_cache_that_cannot_be_written_is_not_called_off(monkeypatch, tmp_path)
 def test_a_compiler_that_cc_names_and_that_is_not_there_is_named(monkeypatch):
     monkeypatch.setattr(_doctor, "compiler", lambda: None)
     monkeypatch.setenv("CC", "no-such-cc")
-    (part,) = (part for part in workflow.doctor().parts if part.name == "compiler of C")
+    part = part_of("compiler of C")
     assert "CC=no-such-cc" in part.found
     assert "install one" in part.problem
 

@@ -1,13 +1,12 @@
 """`covariant.design_excitation` and its command: the table, the file, what they say and what they refuse."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import refused
 
 from covariant import logs
-from covariant.cli import main
 from covariant.workflow import ExcitationResult
 
 MODEL = """system = "robot"
@@ -71,14 +70,7 @@ BOX = ("--box", "shoulder=-1:1,elbow=-1:1")
         ((*ARM[:4], "new.mcap", *BOX), ["new.mcap", "must end in .csv"]),
     ],
 )
-def test_bad_input_gives_one_line(folder, monkeypatch, capsys, arguments, named):
+def test_bad_input_gives_one_line(folder, monkeypatch, arguments, named):
     monkeypatch.chdir(folder)
     Path("there.csv").write_text("t\n")
-    monkeypatch.setattr(sys, "argv", ["covariant", "design", "excitation", *arguments])
-    with pytest.raises(SystemExit) as left:
-        main()
-    out, error = capsys.readouterr()
-    assert (left.value.code, out) == (2, "")
-    assert error.count("\n") == 1
-    assert all(part in error for part in named), error
-    assert not Path("new.csv").exists()
+    refused("design", "excitation", *arguments, named=named)

@@ -55,24 +55,23 @@ def written(tmp_path, text, name="model.toml"):
     return str(path)
 
 
+RATE = '[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1'
+
+
 @pytest.mark.core(6)
 @pytest.mark.parametrize(
     ("table", "words"),
     [
         ('[sensors.a]\nkind = "sonar"', r"\[sensors.a\] needs a kind, one of encoder, tachometer.*'sonar'"),
         ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]', r"\[sensors.a\] needs columns, std"),
-        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\nlink = "b"', "key of .*'link'"),
-        ('[sensors.a]\nkind = "tachometer"\nof = ["q3"]\ncolumns = ["x"]\nstd = 1', "there is no 'q3'; there are: "),
-        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x", "y"]\nstd = 1', "1 different names"),
-        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = -1', "std must be .* numbers ≥ 0"),
-        (
-            '[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\ndelay = -1',
-            r"sensors.a.delay .* ≥ 0",
-        ),
-        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["q2"]\nstd = 1', "'q2' is named twice"),
-        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\nunits = "mm"', "no unit of"),
+        (f'{RATE}\nlink = "b"', "key of .*'link'"),
+        (RATE.replace("q1", "q3"), "there is no 'q3'; there are: "),
+        (RATE.replace('["x"]', '["x", "y"]'), "1 different names"),
+        (RATE.replace("= 1", "= -1"), "std must be .* numbers ≥ 0"),
+        (f"{RATE}\ndelay = -1", r"sensors.a.delay must be .* ≥ 0"),
+        (RATE.replace("x", "q2"), "'q2' is named twice"),
+        (f'{RATE}\nunits = "mm"', "no unit of"),
         ('[sensors.a]\nkind = "gyro"\nlink = "b"\ncolumns = ["x", "y", "z"]\nstd = 1', "has no links"),
-        ('[sensors.a]\nkind = "tachometer"\nof = ["q1"]\ncolumns = ["x"]\nstd = 1\ndelay = -1', "delay must be"),
         ("[sensors]\na = 1", r"sensors.a must be a table"),
     ],
 )

@@ -1,13 +1,12 @@
 """`covariant.fit`: a fit to a simulated log gives the truth back, whichever way its inputs go between stamps."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from covariant import models
 from covariant.workflow import FitResult, SimulateResult, fit, simulate
 from covariant.workflow._inputs import Job
+from covariant.workflow._model_output import read_sources, write_models
 
 TRUTH = {"parameters.mass": [1.0], "parameters.length": [0.5], "parameters.viscous": [0.001]}
 FIRST = {**TRUTH, "parameters.viscous": [0.01], "parameters.length": [0.45]}
@@ -25,18 +24,6 @@ def fitted(request) -> tuple[str, FitResult]:
     return request.param, fit("pendulum_chain", log.to_pandas(), ["viscous", "length"], overrides=FIRST)
 
 
-@pytest.mark.parametrize(
-    ("model", "arguments", "message"),
-    [
-        (models.oscillator(), {}, "takes a model file, a name or module:attribute, and no finished Lagrangian"),
-        ("pendulum_chain", {"horizon": float("nan")}, "horizon must be a positive number of seconds; got nan"),
-    ],
-)
-def test_arguments_that_make_no_sense_are_named(model, arguments, message):
-    with pytest.raises(ValueError, match=message):
-        fit(model, Path(__file__), "mass", **arguments)
-
-
 def test_a_fit_that_predicts_worse_says_both_errors_and_writes_nothing(tmp_path):
     errors = {"before": {"position": [0.1]}, "after": {"position": [0.2]}}
     facts = {"held_out": "the last third of a.csv", "horizon": 0.5, "held_out_errors": errors}
@@ -51,40 +38,25 @@ def test_a_fit_that_predicts_worse_says_both_errors_and_writes_nothing(tmp_path)
     assert (result.exit_code, list(tmp_path.iterdir())) == (1, [])
 
 
-def test_a_log_that_is_not_there_is_named():
-    with pytest.raises(FileNotFoundError, match=r"absent\.csv"):
-        fit("pendulum_chain", [Path("absent.csv")], "mass")
-
-
 def test_an_edit_of_the_model_file_meanwhile_is_neither_mixed_in_nor_replaced(tmp_path):
-    from covariant.workflow._model_output import read_sources
-
     path = tmp_path / "spring.toml"
-    path.write_text('system = "oscillator"  # mine\n\n[parameters]\nstiffness = 1.0\n')
+    text = 'system = "oscillator"  # mine\n\n[parameters]\nstiffness = 1.0\n'
+    path.write_text(text)
     row = {"name": "stiffness", "before": 1.0, "after": 1.3, "standard_error": 0.01, "determined": True}
     details = {"parameters": [row], "undetermined": [], "better": True, "fitted_to": "log.csv"}
     content = {"system": "oscillator", "parameters": {"stiffness": 1.3}}
     result = FitResult([Job(path, None)], content, details, read_sources(path))
-    edited = (
-        path.read_text()
-        .replace("# mine", "# edited\n[measurement]\nstd = 5.0\n")
-        .replace("[parameters]", "[parameters] ")
-    )
+    edited = text.replace("# mine", "# edited\n[measurement]\nstd = 5.0\n").replace("[parameters]", "[parameters] ")
     path.write_text(edited)
     with pytest.raises(ValueError, match=r"spring.toml: it was changed after it was read"):
         result.save(path, overwrite=True)
     assert path.read_text() == edited
-    text = result.save(tmp_path / "beside.toml").read_text()
-    assert "# mine" in text
-    assert "stiffness = 1.3" in text
-    assert "std" not in text
-    path.write_text('system = "oscillator"  # mine\n\n[parameters]\nstiffness = 1.0\n')
+    assert result.save(tmp_path / "beside.toml").read_text().endswith(text.replace("1.0", "1.3"))
+    path.write_text(text)
     assert "stiffness = 1.3" in result.save(path, overwrite=True).read_text()
 
 
 def test_line_ends_of_windows_are_read_as_at_first(tmp_path):
-    from covariant.workflow._model_output import read_sources, write_models
-
     path = tmp_path / "spring.toml"
     path.write_bytes(b'system = "oscillator"  # mine\r\n\r\n[parameters]\r\nstiffness = 1.0\r\n')
     content = {"system": "oscillator", "parameters": {"stiffness": 1.3}, "measurement": {"std": 1e-3}}

@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import sys
 from functools import partial
 
 import jax
@@ -10,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
+from commands import leave
 
 import covariant
 from covariant import models
-from covariant.cli import main
 
 T = np.arange(400) * 2e-3
 LENGTH = np.round(0.2 * np.sin(3 * T) / 1e-4) * 1e-4
@@ -56,20 +55,18 @@ def test_files_that_exist_are_kept(tmp_path):
     assert (tmp_path / "a_model.py").read_text() == "mine = 1\n"
 
 
-def printed_by_init(draft: str, monkeypatch, capsys) -> str:
-    """What the command prints of a log of a cart-pole in the working folder."""
-    log(["cart_m", "pole_deg"], 1).to_csv("run.csv", index=False)
-    monkeypatch.setattr(sys, "argv", ["covariant", "init", "run.csv", "-o", draft])
-    with pytest.raises(SystemExit, match="0"):
-        main()
-    return capsys.readouterr().out
-
-
-def test_the_command_writes_both_files(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("draft", "message"),
+    [("bench", "into the Python file beside it"), ("2nd", "wrote 2nd.toml\nwrote _2nd_model.py")],
+)
+def test_the_command_writes_both_files_and_names_them(tmp_path, monkeypatch, draft, message):
     monkeypatch.chdir(tmp_path)
-    assert "into the Python file beside it" in printed_by_init("bench.toml", monkeypatch, capsys)
-    assert (tmp_path / "bench_model.py").exists()
-    assert 'system = "bench_model:make"' in (tmp_path / "bench.toml").read_text()
+    log(["cart_m", "pole_deg"], 1).to_csv("run.csv", index=False)
+    code, out, _ = leave("init", "run.csv", "-o", f"{draft}.toml")
+    assert (code, message in out) == (0, True), out
+    (module,) = (path.stem for path in tmp_path.glob("*.py"))
+    assert f'system = "{module}:make"' in (tmp_path / f"{draft}.toml").read_text()
+    assert module == ("bench_model" if draft == "bench" else "_2nd_model")
 
 
 def test_a_model_file_gets_the_equations_of_its_own_folder(tmp_path):
@@ -109,8 +106,3 @@ def test_the_marks_of_all_drafted_lines_can_be_taken_away_after_a_tuning(tmp_pat
     for each in (text, tuned):
         path.write_text(re.sub(r"^# (?=\[|\w+ = )", "", each, flags=re.MULTILINE))
         assert models.load(path).acceleration_std == (3.5 if each is tuned else 2.0)
-
-
-def test_the_command_names_every_file_that_it_wrote(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert "wrote 2nd.toml\nwrote _2nd_model.py" in printed_by_init("2nd.toml", monkeypatch, capsys)

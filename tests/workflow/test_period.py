@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 
 import covariant
-from covariant import logs, models, workflow
-from covariant.signals import Record
+from covariant import workflow
 
 MODEL = {f"parameters.{name}": [value] for name, value in {"mass": 1.0, "length": 0.5, "viscous": 0.05}.items()}
 MODEL |= {"measurement.std": 1e-4, "uncertainty.acceleration": 0.5}
@@ -30,14 +29,3 @@ def test_a_draft_names_the_period_and_ticks_that_were_rounded(whole):
     assert "period = 0.6289" in text
     (text,) = workflow.init(pd.DataFrame({"t": whole.t, "angle [deg]": angle})).texts().values()
     assert "period" not in text
-
-
-def test_a_period_is_for_coordinates():
-    with pytest.raises(ValueError, match=r"measurement\.period lists 2 numbers"):
-        models.load("oscillator", {"measurement.period": [0.1, 0.2]})
-    turned = Record(0.01 * np.arange(50), np.zeros((50, 3)), np.tile(np.eye(3), (50, 1, 1)))
-    body = models.ModelFile(
-        "body", models.free_body((1.0, 2.0, 3.0)), logs.Columns(quaternion_wxyz=("a", "b", "c", "d"))
-    )
-    with pytest.raises(ValueError, match=r"measurement\.period is for coordinates"):
-        covariant.check(body._replace(period=1.0), turned)

@@ -2,9 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
-import covariant
 from covariant.workflow._simulated_log import pushes
 
 
@@ -13,10 +11,3 @@ def test_pushes_are_on_each_joint_in_turn_and_change_sign():
     forces = np.stack([pushes(t, jnp.array([0.5, 0.2])) for t in times])
     first, second = [0, 0, 0.5, 0, 0, 0, -0.5, 0, 0.5], [0, 0, 0, 0, 0, 0.2, 0, -0.2, 0]
     np.testing.assert_allclose(forces, np.stack([first, second], axis=1), atol=1e-12)
-
-
-def test_pushes_need_a_mechanical_model_and_a_force_for_each_velocity():
-    with pytest.raises(ValueError, match="push needs 2 finite numbers"):
-        covariant.simulate("pendulum_chain", duration=1.0, push=[1.0])
-    with pytest.raises(ValueError, match="pushes are for mechanical ones"):
-        covariant.simulate("duffing", duration=1.0, push=[1.0])

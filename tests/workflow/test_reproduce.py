@@ -50,8 +50,3 @@ def test_a_page_holds_the_figures_beside_it(paper, tmp_path):
     paths = workflow.reproduce_paper("stub").report(tmp_path / "page.html")
     assert [path.name for path in paths] == ["page.png", "page.html"]
     assert (tmp_path / "page.html").read_text() == "42.0 page.png"
-
-
-def test_another_paper_is_refused():
-    with pytest.raises(ValueError, match=r"unknown paper 'nobody'\. Known: aghannan-rouchon"):
-        workflow.reproduce_paper("nobody")

@@ -1,13 +1,12 @@
 """Results of `estimate` and `compare`: the same numbers by function and by command, complete before they are drawn."""
 
 import dataclasses
-import sys
 
 import numpy as np
 import pytest
+from commands import leave
 
 import covariant
-from covariant.cli import main
 
 MODEL = "pendulum_chain"
 
@@ -15,30 +14,9 @@ MODEL = "pendulum_chain"
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     path = tmp_path_factory.mktemp("logs") / "log.csv"
-    run(
-        "simulate",
-        MODEL,
-        "-o",
-        str(path),
-        "--duration",
-        "1.2",
-        "--noise",
-        "1e-3",
-        "--q0",
-        "0.5,-0.3",
-        "--dropout",
-        ".02",
-    )
+    motion = ("--duration", "1.2", "--noise", "1e-3", "--q0", "0.5,-0.3", "--dropout", ".02")
+    assert leave("simulate", MODEL, "-o", path, *motion).code == 0
     return path
-
-
-def run(*words):
-    """Leave the command by its exit code, 0 where it succeeds."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["covariant", *words])
-        with pytest.raises(SystemExit) as left:
-            main()
-    return left.value.code or 0
 
 
 def test_a_notebook_shows_tables_warnings_and_links(tmp_path):

@@ -43,6 +43,9 @@ def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
         run(tmp_path, "noise = [0.1]", HEAD + "rate = 50.0\n")
 
 
+SPAN = "{low = 0.1, high = 0.2, count = 200}"
+
+
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
@@ -51,26 +54,16 @@ def test_a_study_that_makes_no_sense_is_refused(tmp_path, text, message):
         ("noise = [0.1, 0.2]\n[[axes.case]]\nnoise = 0.1\n[[axes.case]]\nnoise = 0.2", "in two axes"),
         ('"start.q1" = {low = 0.0, high = 1.0, count = 2.5}', "must be a whole number"),
         ('"start.q1" = {low = 0.0, high = 1.0, count = 1e9}', "whole number from 2 to 1000000; got 1000000000.0"),
-        (
-            '"start.q1" = {low = 0.0, high = 1.0, count = nan}',
-            "count of axes.start.q1 must be a finite number; got nan",
-        ),
+        ('"start.q1" = {low = 0.0, high = 1.0, count = nan}', "count of axes.start.q1 must be a finite .* got nan"),
         ('"start.q1" = {low = 0.0, high = inf, count = 3}', "high of axes.start.q1 must be a finite number; got inf"),
         ('"start.q1" = {low = 0.0, high = 1.0, count = 3, log = true}', "axes.start.q1: unknown key 'log'"),
         ('"start.q1" = {low = 1.0, high = 1.0, count = 3}', "low and high of axes.start.q1 are both 1.0"),
         ('"start.q1" = [1.0, 2, 1]', "axes.start.q1 has 1 twice"),
         ("[axes.case]\nname = ['a', 'b']\nnoise = [0.1, 0.1]", "axes.case has {'noise': 0.1} twice"),
         ("draw = 1000001", "axes.draw has 1000001 values; 1000000 are the most"),
-        (
-            "".join(f"{key} = {{low = 0.1, high = 0.2, count = 200}}\n" for key in ("noise", "acceleration"))
-            + "draw = 40000",
-            "1600000000 cases are more than 1000000000",
-        ),
+        (f"noise = {SPAN}\nacceleration = {SPAN}\ndraw = 40000", "1600000000 cases are more than 1000000000"),
         ('"parameters.stiffness" = {low = 0.1, high = 0.2, count = 10001}', "10001 designs of an observer are more"),
-        (
-            '"star.v1" = [1.0, 2.0]',
-            r"study.toml: axes.star.v1: Did you mean 'start'\? oscillator: unknown table or key",
-        ),
+        ('"star.v1" = [1.0, 2.0]', r"study.toml: axes.star.v1: Did you mean 'start'\? .*: unknown table or key"),
         ("[[axes.case]]\nnois = 0.1\n[[axes.case]]\nnoise = 0.2", "unknown table or key 'nois'"),
         ("[axes.case]\nnoise = [0.1, 0.2]\nrate = [50.0]", "need one length; got noise 2, rate 1"),
         ("[axes.case]\nnoise = [0.1]", "needs a list of two values"),
@@ -88,23 +81,18 @@ def test_an_axis_that_makes_no_sense_is_refused(tmp_path, axes, message):
         run(tmp_path, axes)
 
 
-def test_an_observer_twice_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="observers has 'intrinsic' twice"):
-        run(tmp_path, "noise = [0.1, 0.2]", HEAD.replace("intrinsic-kalman", "intrinsic") + "rate = 50.0\n")
-
-
-def test_multiples_that_do_not_grow_are_refused(tmp_path):
-    with pytest.raises(ValueError, match="multiples that grow"):
-        run(tmp_path, "error = [4.0, 2.0]", HEAD + "rate = 50.0\n[error]\nq1 = 0.1\n")
-
-
-def test_an_observer_without_a_velocity_in_its_state_has_no_first_error(tmp_path):
-    with pytest.raises(ValueError, match="has no velocity to start with"):
-        run(
-            tmp_path,
-            '"error.v1" = [0.0, 1.0]',
-            HEAD.replace('"intrinsic", "intrinsic-kalman"', '"pll"') + "rate = 50.0\n",
-        )
+@pytest.mark.parametrize(
+    ("observers", "more", "axes", "message"),
+    [
+        ('"intrinsic", "intrinsic"', "", "noise = [0.1, 0.2]", "observers has 'intrinsic' twice"),
+        ('"intrinsic"', "[error]\nq1 = 0.1\n", "error = [4.0, 2.0]", "multiples that grow"),
+        ('"pll"', "", '"error.v1" = [0.0, 1.0]', "has no velocity to start with"),
+    ],
+)
+def test_observers_and_first_errors_that_make_no_sense_are_refused(tmp_path, observers, more, axes, message):
+    head = HEAD.replace('"intrinsic", "intrinsic-kalman"', observers)
+    with pytest.raises(ValueError, match=message):
+        run(tmp_path, axes, f"{head}rate = 50.0\n{more}")
 
 
 @pytest.mark.core(1)
