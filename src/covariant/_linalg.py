@@ -306,8 +306,9 @@ def at_places(array: Inexact[Array, "..."], places: Int[np.ndarray, "*k"]) -> In
     return array.reshape(-1).at[places].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
-def known_rms(x: Float[np.ndarray, "..."], axis: int | tuple[int, ...] = 0) -> np.ndarray | np.floating:
+def known_rms(x: Float[np.ndarray, "..."], axis: int | tuple[int, ...] = 0) -> np.ndarray:
     """Root mean square of the entries that are known, along axes; NaN, without a warning, where none is."""
     known = ~np.isnan(x)
     count = known.sum(axis=axis)
-    return np.sqrt(np.where(count, np.sum(np.where(known, x, 0.0) ** 2, axis=axis) / np.maximum(count, 1), np.nan))
+    mean = np.where(count, np.sum(np.where(known, x, 0.0) ** 2, axis=axis) / np.maximum(count, 1), np.nan)
+    return np.asarray(np.sqrt(mean))
