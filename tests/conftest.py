@@ -65,7 +65,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 hypothesis.settings.register_profile("laws", derandomize=True, deadline=None, database=None, max_examples=60)
 hypothesis.settings.load_profile("laws")
 
-MOST_MAPPINGS, MOST_BYTES = 40_000, 1.0e9
+MOST_MAPPINGS, MOST_BYTES = 40_000, 1.15e9
 """Mappings of memory and resident bytes from which compiled programs are released; Linux allows 65 530 mappings."""
 SHARE = 4.0
 """Seconds of a core from which a test is named after a run: one of the core suite should be in a file `long_*.py`."""

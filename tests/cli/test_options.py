@@ -85,6 +85,7 @@ def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
     refused(*call.split(), *options.split(), named=[in_options(message, FLAGS | {"beta": "--beta"})])
 
 
+@pytest.mark.core(2)
 @pytest.mark.parametrize("name", REMOVED)
 @pytest.mark.parametrize("words", ["", " 64k", "=64k"])
 def test_what_is_gone_names_what_replaces_it(name, words):

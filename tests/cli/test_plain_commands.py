@@ -19,7 +19,7 @@ from plain_commands import (
 
 FEW = few_cases()
 ONCE = [
-    *((verb, "dfki_simple_pendulum.toml", "noisy") for verb in FROM_LOGS),
+    *((verb, "dfki_simple_pendulum.toml", "noisy") for verb in FROM_LOGS if verb not in ("kalman", "forces")),
     *((verb, "dfki_simple_pendulum.toml", NO_LOG) for verb in WITHOUT_LOGS),
 ]
 
