@@ -24,5 +24,11 @@ def without_compiler(tmp_path_factory) -> str:
 
 @pytest.fixture(scope="session")
 def home(tmp_path_factory) -> Path:
-    """The home of a new user, with an empty cache, who reads the pages one after the other, the README first."""
-    return tmp_path_factory.mktemp("home")
+    """The home of a new user, with an empty cache, who reads the pages one after the other, the README first.
+
+    Processes that run tests beside each other share it, as two terminals of one user do.
+    """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "home"
+    folder.mkdir(exist_ok=True)
+    return folder

@@ -1,6 +1,6 @@
 """Every command and every Python example of the README and the pages runs as it stands, in the place of a user.
 
-The first page that a process runs begins with an empty cache folder, as that of a new user is.
+The first page that runs begins with an empty cache folder, as that of a new user is.
 """
 
 import os
