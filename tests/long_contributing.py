@@ -68,7 +68,7 @@ def laws_of_geometry(house: Path, chosen: str) -> set[str]:
 
 def test_a_space_is_put_to_the_laws_at_a_point(house):
     assert laws_of_geometry(
-        house, "hills and (symmetric_positive or torsion or pair or christoffel_is or curvature_is_that)"
+        house, "hills and (symmetric_positive or torsion or its_symmetries or christoffel_is or curvature_is_that)"
     ) >= {
         "test_metric_is_symmetric_positive_definite",
         "test_connection_is_torsion_free",

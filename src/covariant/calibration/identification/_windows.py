@@ -132,7 +132,7 @@ def cut_windows(
         The windows.
 
     Raises:
-        ValueError: There are too few windows.
+        ValueError: There are too few windows, or nothing moves.
 
     Example:
         >>> import numpy as np
@@ -144,6 +144,8 @@ def cut_windows(
         >>> round(float(later.t.min()), 6), len(later.t)
         (8.0, 11)
     """
+    if all(np.nanmax(np.abs(velocity), initial=0.0) == 0.0 for velocity in velocities):
+        raise InputError("nothing moves in the logs, so that they tell no parameter; log a motion")
     spans = [(-np.inf, np.inf)] * len(records) if spans is None else spans
     selected: list[tuple[int, np.ndarray]] = []
     longest = 0
