@@ -4,6 +4,7 @@ The pendulum is simulated by its equation, written here a second time and withou
 """
 
 import numpy as np
+import pytest
 
 from covariant import models
 from covariant.calibration import PredictionErrors, cut_windows, prediction_errors
@@ -41,3 +42,11 @@ def test_a_fit_that_predicts_one_coordinate_clearly_worse_is_worse():
     assert error_growth(before, after) < 1
     assert predicts_worse(before, after)
     assert not predicts_worse(before, before)
+
+
+@pytest.mark.parametrize(("velocity", "message"), [(0.0, "nothing moves"), (np.nan, "windows of")])
+def test_a_log_that_stands_still_is_told_from_one_whose_velocities_are_unknown(velocity, message):
+    t = np.arange(0.0, 20.0, 0.02)
+    record = Record(t, y=np.sin(t)[:, None])
+    with pytest.raises(ValueError, match=message):
+        cut_windows([record], [np.full((len(t), 1), velocity)], length=1.0)
