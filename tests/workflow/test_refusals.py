@@ -98,3 +98,12 @@ REFUSED = [
 def test_what_makes_no_sense_is_named(call, message):
     with pytest.raises((InputError, FileNotFoundError), match=message):
         call()
+
+
+def test_an_estimate_that_left_the_finite_numbers_is_named_by_its_row():
+    log = workflow.simulate("oscillator", duration=2.0, rate=100.0, q0=1.0, noise=1e-3).record
+    u = np.array(log.u)
+    u[100] = 1e200
+    numbers = ("measurement.std=1e-3", "uncertainty.acceleration=1")
+    with pytest.raises(ValueError, match="row 102: the estimate left the finite numbers; look at the inputs just"):
+        workflow.estimate("oscillator", log._replace(u=u), overrides=numbers, anyway=True)

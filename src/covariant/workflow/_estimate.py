@@ -120,9 +120,7 @@ def estimate(
     progress(f"estimating with {observer}")
     outcome = drive(chosen, loaded, engine)
     if outcome.failed:
-        raise InputError(
-            f"{job.log_name}: the estimate left the finite numbers; lower the gains or check model and units"
-        )
+        raise InputError(f"{job.log_name}: {outcome.failure}, or lower the gains")
     return EstimateResult(job, loaded, observer, notes, outcome, engine, determined(chosen, loaded, outcome))
 
 

@@ -95,6 +95,14 @@ class Outcome(NamedTuple):
         """Whether the estimate left the finite numbers."""
         return "not_finite" in self.counts
 
+    @property
+    def failure(self) -> str:
+        """Where the estimate left the finite numbers first, and what to look at."""
+        row = int(np.argmax(np.asarray(self.run.info.result) == StepCode.NOT_FINITE)) + 1
+        return (
+            f"row {row}: the estimate left the finite numbers; look at the inputs just before, then at model and units"
+        )
+
 
 def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto") -> Outcome:
     """Run an observer on a log and score it."""
