@@ -89,9 +89,9 @@ def smooth(
         EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
         for run in (smoothed.run, smoothed.filtered)
     )
-    if filtered_result.outcome.failed or not (
-        np.isfinite(smoothed_result.velocity).all() and np.isfinite(smoothed.std).all()
-    ):
+    if filtered_result.outcome.failed:
+        raise InputError(f"{job.log_name}: {filtered_result.outcome.failure}")
+    if not (np.isfinite(smoothed_result.velocity).all() and np.isfinite(smoothed.std).all()):
         raise InputError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
     return SmoothResult(smoothed_result, filtered_result, np.asarray(smoothed.std), rows)
 
