@@ -1,12 +1,14 @@
 """Noise and gains that are found from a log: the truth in simulation, and a filter that runs on the linear errors."""
 
+import contextlib
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from covariant._errors import InputError
 from covariant.calibration import tune
-from covariant.calibration.tuning._tuning_log import prepared, tuning_logs
+from covariant.calibration.tuning._tuning_log import TuningLog, prepared, refuse_noise_free, tuning_logs
 from covariant.models import Lagrangian, Parametric
 from covariant.signals import Record
 
@@ -80,6 +82,24 @@ def test_the_rows_of_all_logs_together_are_enough():
     assert len(kept) == 5
     with pytest.raises(InputError, match=r"0\.csv of 121 rows has"):
         tuning_logs(MODEL, records[:2], [np.asarray(record.y) for record in records[:2]], names[:2])
+
+
+def test_rows_of_logs_that_are_left_out_are_not_counted():
+    """One has no rows for tuning, the other none that are held out: none of them can be used."""
+    record = Record(T, np.zeros((len(T), 1)), np.sin(T)[:, None])
+    first = np.where(np.arange(len(T)) < 266, 1.0, np.nan)[:, None]
+    rest = np.where(np.arange(len(T)) < 266, np.nan, 1.0)[:, None]
+    with pytest.raises(InputError, match="too short to tune on: of the first two thirds 0 rows count"):
+        tuning_logs(MODEL, [record, record], [first, rest], ["a.csv", "b.csv"])
+
+
+@pytest.mark.parametrize(("size", "refused"), [([5e-3, 1e-3], False), ([1e-9, 1e-3], False), ([1e-9, 1e-12], True)])
+def test_noise_is_compared_with_the_motion_of_its_own_coordinate(size, refused):
+    """Metres of a map, 6000 km from its origin, beside a heading."""
+    y = np.stack([6e6 + 100 * np.sin(T), np.sin(T)], axis=1)
+    logs = [TuningLog(Record(T, np.zeros((len(T), 1)), y), np.zeros_like(y), T > 0, T > 0)]
+    with pytest.raises(InputError, match="without noise") if refused else contextlib.nullcontext():
+        refuse_noise_free(np.array(size), logs)
 
 
 def test_rows_in_holes_and_soon_after_them_are_not_judged(log):

@@ -50,7 +50,8 @@ def tuning_logs(
     """
     logs = [prepared(model, *each) for each in zip(records, velocities, strict=True)]
     counts = np.array([(log.tuned.sum(), log.held_out.sum()) for log in logs])
-    if (least := counts.sum(axis=0)).min() < FEWEST_ROWS:
+    used = counts.all(axis=1)
+    if (least := counts[used].sum(axis=0)).min() < FEWEST_ROWS:
         each = ", ".join(
             f"{name} of {len(log.tuned)} rows has {tuned} and {held_out}"
             for name, log, (tuned, held_out) in zip(names, logs, counts, strict=True)
@@ -60,7 +61,7 @@ def tuning_logs(
             f"and {least[1]} of the rest, where {FEWEST_ROWS} of each are needed; the start of a log, in which an "
             f"observer settles, never counts. {each}"
         )
-    usable = [log for log, each in zip(logs, counts, strict=True) if each.all()]
+    usable = [log for log, each in zip(logs, used, strict=True) if each]
     _refuse_rest(model, usable)
     return usable
 
@@ -105,7 +106,8 @@ def _refuse_rest(model: MechanicalSystem, logs: Sequence[TuningLog]) -> None:
 def refuse_noise_free(size: Float[np.ndarray, "n"], logs: Sequence[TuningLog]) -> None:
     """Raise `InputError` where innovations of the size (n,) are rounding errors, as those of a simulation are."""
     y = _readings(logs)
-    relative = float(np.max(size)) / float(np.nanmax(y) - np.nanmin(y))
+    motion = np.nanmax(y, axis=0) - np.nanmin(y, axis=0)  # of each coordinate, which may have units of their own
+    relative = float(np.max(size / (motion if motion.shape == size.shape else motion.max())))
     if relative < ROUNDING:
         raise InputError(
             f"the model predicts each reading up to {relative:.1g} of the motion, as in a simulation without noise: "
