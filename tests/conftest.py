@@ -127,15 +127,6 @@ def _leave_to_the_long_suite(items):
                 tests[k].add_marker("long")
 
 
-def pytest_ignore_collect(collection_path: Path, config):
-    """Import only files that can have a test of the suite: to import all of them takes longer than many a test."""
-    marks = config.option.markexpr
-    if marks not in ("long", "exhaustive") or not collection_path.name.startswith("test_"):
-        return None
-    text = collection_path.read_text(encoding="utf-8")
-    return True if f"mark.{marks}" not in text and "mark.core" not in text else None
-
-
 def _is_case(case: str, name: str, whole: bool) -> bool:
     return case == name if whole else f"-{name}-" in f"-{case}-"
 
