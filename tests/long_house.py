@@ -14,9 +14,24 @@ from style import docstrings
 from test_house import FILES, PLAN, SOURCE, aliases, imported, imported_rooms, makes_statements, place, room_of, tree
 
 OPTIONAL = (
-    "pyarrow", "rosbags", "matplotlib", "plotly", "mujoco", "typer", "rich", "scipy", "sympy", "xarray", "zarr", "dask",
-    "distributed", "flint", "clarabel", "control", "cffi",
-)  # fmt: skip
+    "pyarrow",
+    "rosbags",
+    "matplotlib",
+    "plotly",
+    "mujoco",
+    "typer",
+    "rich",
+    "scipy",
+    "sympy",
+    "xarray",
+    "zarr",
+    "dask",
+    "distributed",
+    "flint",
+    "clarabel",
+    "control",
+    "cffi",
+)
 
 
 OF_TUPLES = ("_asdict", "_fields", "_make", "_replace")
@@ -167,11 +182,18 @@ def test_statements_take_no_derivative_from_jax():
 
 
 TAKE_DERIVATIVES = [
-    "jax.jacfwd(f)(x)", "getattr(jax, 'grad')(f)(x)", "eqx.filter_jvp(f, (x,), (x,))", "model.jacobians(t, x, u)",
-    "from jax import vjp; partial(vjp, f)", "from jax import hessian as h; h(f)",
-    "from covariant.geometry import differential; differential(manifold, f, x)", "from jax import *",
-    "jax.jacobian(f)(x)", "import jax as j; j.jacobian(f)(x)", "from jax import jacobian as slopes; slopes(f)(x)",
-]  # fmt: skip
+    "jax.jacfwd(f)(x)",
+    "getattr(jax, 'grad')(f)(x)",
+    "eqx.filter_jvp(f, (x,), (x,))",
+    "model.jacobians(t, x, u)",
+    "from jax import vjp; partial(vjp, f)",
+    "from jax import hessian as h; h(f)",
+    "from covariant.geometry import differential; differential(manifold, f, x)",
+    "from jax import *",
+    "jax.jacobian(f)(x)",
+    "import jax as j; j.jacobian(f)(x)",
+    "from jax import jacobian as slopes; slopes(f)(x)",
+]
 
 
 @pytest.mark.parametrize("line", TAKE_DERIVATIVES)

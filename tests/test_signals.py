@@ -27,32 +27,39 @@ def test_a_sound_record_comes_back_itself():
     assert alone.check() is alone
 
 
-@pytest.mark.parametrize(("record", "words"), [
-    (GOOD._replace(t=T[:, None]), r"got \(4, 1\), \(4, 1\), \(4, 2\)"),
-    (GOOD._replace(u=np.zeros(4)),
-        r"needs t \(T,\), u \(T, m\), y \(T, n\) or \(T, N, N\); got \(4,\), \(4,\), \(4, 2\)"),
-    (GOOD._replace(y=np.zeros((3, 2))), r"got \(4,\), \(4, 1\), \(3, 2\)"),
-    (Record(T[:1], np.zeros((1, 1)), np.zeros((1, 1))), "at least two rows; this one has 1"),
-    (Record(T[:0], np.zeros((0, 1)), np.zeros((0, 1))), "at least two rows; this one has 0"),
-    (changed("t", 2, np.nan), "row 3: t is not a finite number; only measurements may be missing"),
-    (changed("t", 3, np.inf), "row 4: t is not a finite number"),
-    (changed("u", 1, np.nan), "row 2: u is not a finite number"),
-    (changed("u", 1, -np.inf), "row 2: u is not a finite number"),
-    (changed("y", 1, np.inf), "row 2: a measurement is infinite; mark a missing one by NaN"),
-    (changed("t", 2, 0.05), "row 3: time goes back from 0.1 s to 0.05 s; sort or split the log"),
-    (changed("t", 2, 0.1), "rows 2 and 3 have the same stamp 0.1 s; keep one of them"),
-    (GOOD._replace(t=np.array([30, 20, 10, 0], np.uint32)), "row 2: time goes back from 30 s to 20 s"),
-    (GOOD._replace(y=np.ma.masked_array(GOOD.y, GOOD.y > 0)), r"positions y \(T, n\) are a masked array; fill"),
-    (GOOD._replace(t=1e9 * T + 1.7e18), "stamps reach 1.7e[+]18 s, after the year 2200; they must be in seconds"),
-    (GOOD._replace(t=np.float32(1e4) + np.float32(0.05) * np.arange(4, dtype=np.float32)),
-        "stamps in float32 near 10000.2 s are"),
-    (GOOD._replace(y=GOOD.y > 0), r"positions y \(T, n\) are true and false; they must be numbers"),
-    (GOOD._replace(u=GOOD.u * 1j), r"inputs u \(T, m\) are complex; they must be real numbers"),
-    (GOOD._replace(t=T + 0j), r"stamps t \(T,\) are complex; they must be real numbers"),
-    (GOOD._replace(t=np.array([0.0, 0.1, 0.1, 0.05])), "row 4: time goes back"),  # before equal stamps
-    (changed("y", 0, np.nan), "row 1 lacks a measurement, so no estimate can start there"),
-    (changed("y", 0, [0.0, np.nan]), "row 1 lacks a measurement"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        (GOOD._replace(t=T[:, None]), r"got \(4, 1\), \(4, 1\), \(4, 2\)"),
+        (
+            GOOD._replace(u=np.zeros(4)),
+            r"needs t \(T,\), u \(T, m\), y \(T, n\) or \(T, N, N\); got \(4,\), \(4,\), \(4, 2\)",
+        ),
+        (GOOD._replace(y=np.zeros((3, 2))), r"got \(4,\), \(4, 1\), \(3, 2\)"),
+        (Record(T[:1], np.zeros((1, 1)), np.zeros((1, 1))), "at least two rows; this one has 1"),
+        (Record(T[:0], np.zeros((0, 1)), np.zeros((0, 1))), "at least two rows; this one has 0"),
+        (changed("t", 2, np.nan), "row 3: t is not a finite number; only measurements may be missing"),
+        (changed("t", 3, np.inf), "row 4: t is not a finite number"),
+        (changed("u", 1, np.nan), "row 2: u is not a finite number"),
+        (changed("u", 1, -np.inf), "row 2: u is not a finite number"),
+        (changed("y", 1, np.inf), "row 2: a measurement is infinite; mark a missing one by NaN"),
+        (changed("t", 2, 0.05), "row 3: time goes back from 0.1 s to 0.05 s; sort or split the log"),
+        (changed("t", 2, 0.1), "rows 2 and 3 have the same stamp 0.1 s; keep one of them"),
+        (GOOD._replace(t=np.array([30, 20, 10, 0], np.uint32)), "row 2: time goes back from 30 s to 20 s"),
+        (GOOD._replace(y=np.ma.masked_array(GOOD.y, GOOD.y > 0)), r"positions y \(T, n\) are a masked array; fill"),
+        (GOOD._replace(t=1e9 * T + 1.7e18), "stamps reach 1.7e[+]18 s, after the year 2200; they must be in seconds"),
+        (
+            GOOD._replace(t=np.float32(1e4) + np.float32(0.05) * np.arange(4, dtype=np.float32)),
+            "stamps in float32 near 10000.2 s are",
+        ),
+        (GOOD._replace(y=GOOD.y > 0), r"positions y \(T, n\) are true and false; they must be numbers"),
+        (GOOD._replace(u=GOOD.u * 1j), r"inputs u \(T, m\) are complex; they must be real numbers"),
+        (GOOD._replace(t=T + 0j), r"stamps t \(T,\) are complex; they must be real numbers"),
+        (GOOD._replace(t=np.array([0.0, 0.1, 0.1, 0.05])), "row 4: time goes back"),  # before equal stamps
+        (changed("y", 0, np.nan), "row 1 lacks a measurement, so no estimate can start there"),
+        (changed("y", 0, [0.0, np.nan]), "row 1 lacks a measurement"),
+    ],
+)
 def test_what_is_wrong_is_named(record, words):
     with pytest.raises(ValueError, match=words) as caught:
         record.check()

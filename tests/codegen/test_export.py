@@ -135,9 +135,22 @@ def case(name: str) -> Case:
 
 
 CASES = (
-    "pendulum", "pendulum_float", "kalman", "sensors", "exact", "top", "ship", "scara", "late", "smoothed", "slope",
-    "one", "thirty", "frequency", "duffing",
-)  # fmt: skip
+    "pendulum",
+    "pendulum_float",
+    "kalman",
+    "sensors",
+    "exact",
+    "top",
+    "ship",
+    "scara",
+    "late",
+    "smoothed",
+    "slope",
+    "one",
+    "thirty",
+    "frequency",
+    "duffing",
+)
 each = pytest.mark.parametrize("name", CASES)
 
 
@@ -335,13 +348,18 @@ def test_an_observer_of_another_model_has_no_numbers_of_the_family():
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
 
 
-@pytest.mark.parametrize(("options", "message"), [
-    ({"observer": "intrinsic", "lag": 0.1}, "lag is for filters with a covariance: .*; intrinsic is none"),
-    ({"observer": "intrinsic-kalman", "lag": 0.001}, r"lag 0\.001 is less than half a sample of 0\.01 s"),
-    ({"observer": "intrinsic-kalman", "lag": -1.0}, "lag must be a positive number"),
-    ({"observer": "intrinsic-kalman", "lag": 0.1, "overrides": NOISE | {"measurement.delay": 0.02}},
-        "not for late ones"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"observer": "intrinsic", "lag": 0.1}, "lag is for filters with a covariance: .*; intrinsic is none"),
+        ({"observer": "intrinsic-kalman", "lag": 0.001}, r"lag 0\.001 is less than half a sample of 0\.01 s"),
+        ({"observer": "intrinsic-kalman", "lag": -1.0}, "lag must be a positive number"),
+        (
+            {"observer": "intrinsic-kalman", "lag": 0.1, "overrides": NOISE | {"measurement.delay": 0.02}},
+            "not for late ones",
+        ),
+    ],
+)
 def test_a_lag_that_no_export_has_is_refused(options, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         covariant.export("oscillator", tmp_path / "c", rate=100.0, **({"overrides": NOISE} | options))
@@ -439,20 +457,26 @@ STATES = tuple(shlex.split(next(line for line in commands_of_the_page() if line.
 ARM = (ROOT / "examples" / "demo_double_pendulum.toml", "--rate")
 
 
-@pytest.mark.parametrize(("options", "fault"), [
-    ((*ARM, 0), "rate must be a positive number"),
-    ((*ARM, 100, "--real", "half"), "real must be one of"),
-    ((*ARM, 100, "--observer", "nobody"), "unknown observer 'nobody'"),
-    ((*ARM, 100, "--alpha", 1), "belong together"),
-    ((*ARM, 100, "--parameters", "weight"), "weight"),
-    ((*STATES, "--observer", "intrinsic"), "observer intrinsic does not fit unknown_frequency; these do: covariance"),
-    ((*STATES, "--alpha", "1", "--beta", "1"), "--alpha and --beta are for mechanical models"),
-    ((*STATES, "--certificate", "c.json"), "certificate is for mechanical models"),
-    ((*STATES, "--metric", "m.zarr"), "metric is for the observer riccati; covariance-ekf has no metric"),
-    ((*STATES, "--observer", "riccati", "--metric", "m.zarr"), "m.zarr is not a map made by map_grid"),
-    (STATES[:3], "its observers need measurement.std"),
-    (("ball_and_beam", "--rate", "200", "--metric", "m.zarr"), "metric is for the observer riccati"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        ((*ARM, 0), "rate must be a positive number"),
+        ((*ARM, 100, "--real", "half"), "real must be one of"),
+        ((*ARM, 100, "--observer", "nobody"), "unknown observer 'nobody'"),
+        ((*ARM, 100, "--alpha", 1), "belong together"),
+        ((*ARM, 100, "--parameters", "weight"), "weight"),
+        (
+            (*STATES, "--observer", "intrinsic"),
+            "observer intrinsic does not fit unknown_frequency; these do: covariance",
+        ),
+        ((*STATES, "--alpha", "1", "--beta", "1"), "--alpha and --beta are for mechanical models"),
+        ((*STATES, "--certificate", "c.json"), "certificate is for mechanical models"),
+        ((*STATES, "--metric", "m.zarr"), "metric is for the observer riccati; covariance-ekf has no metric"),
+        ((*STATES, "--observer", "riccati", "--metric", "m.zarr"), "m.zarr is not a map made by map_grid"),
+        (STATES[:3], "its observers need measurement.std"),
+        (("ball_and_beam", "--rate", "200", "--metric", "m.zarr"), "metric is for the observer riccati"),
+    ],
+)
 def test_what_cannot_be_exported_is_one_line(options, fault, tmp_path, monkeypatch, capsys):
     code, _, told = command(monkeypatch, capsys, *options, "-o", tmp_path / "out")
     assert code == 2

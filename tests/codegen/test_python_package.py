@@ -146,7 +146,7 @@ BAD = {
     r"row 1 lacks a measurement, so no estimate can start there": (T, np.where(T[:, None] == 0, np.nan, Y)),
     r"row 2: a measurement is infinite; mark a missing one by NaN": (T, np.where(T[:, None] == T[1], np.inf, Y)),
     r"a log needs at least two rows; this one has 1": (T[:1], Y[:1]),
-}  # fmt: skip
+}
 
 
 @needs_compiler

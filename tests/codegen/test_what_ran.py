@@ -517,11 +517,21 @@ def test_each_number_of_a_unit_has_its_unit(version, tmp_path, monkeypatch):
         assert expected.items() <= units["arm"].items()
 
 
-@pytest.mark.parametrize(("lines", "told", "use"), [
-    ("delay = 0.01", "to the step that begins at its stamp; the step has their delay 10 ms.", "the input since then"),
-    ('lag = 0.02\nbetween = "linear"', "to the step that ends at its stamp, .*; the step has their lag 20 ms.",
-        "the input at the stamp of y"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("lines", "told", "use"),
+    [
+        (
+            "delay = 0.01",
+            "to the step that begins at its stamp; the step has their delay 10 ms.",
+            "the input since then",
+        ),
+        (
+            'lag = 0.02\nbetween = "linear"',
+            "to the step that ends at its stamp, .*; the step has their lag 20 ms.",
+            "the input at the stamp of y",
+        ),
+    ],
+)
 def test_the_texts_say_how_inputs_are_passed(lines, told, use, tmp_path):
     text = f"{MODEL}{MOTION}[inputs]\n{lines}\n"
     written(tmp_path, text, observer="copy", alpha=20.0, beta=200.0)

@@ -155,15 +155,22 @@ def test_writes_plain_csv(tmp_path):
     assert (tmp_path / "out.csv").read_text() == "t,code,v\n0,0,nan\n0.1,3,0.3333333333333333\n"
 
 
-@pytest.mark.parametrize(("name", "columns", "words"), [
-    ("out.mat", {"t": np.zeros(2)}, "must end in .csv, .txt, .tsv, .parquet, .mcap, .rosbag2; this one ends in .mat"),
-    ("nowhere/out.csv", {"t": np.zeros(2)}, "nowhere; make it first"),
-    ("out.csv", {}, "there are no columns to write"),
-    ("out.csv", {"q": np.zeros((2, 1))}, "column 'q' must be one row of numbers (T,); got float64 of shape (2, 1)"),
-    ("out.csv", {"q": np.array(["a"])}, "column 'q' must be one row of numbers"),
-    ("out.csv", {"t": np.zeros(2), "q": np.zeros(3)}, "column 'q' has 3 rows where 't' has 2"),
-    ("folder.csv", {"t": np.zeros(2)}, "cannot be written"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "columns", "words"),
+    [
+        (
+            "out.mat",
+            {"t": np.zeros(2)},
+            "must end in .csv, .txt, .tsv, .parquet, .mcap, .rosbag2; this one ends in .mat",
+        ),
+        ("nowhere/out.csv", {"t": np.zeros(2)}, "nowhere; make it first"),
+        ("out.csv", {}, "there are no columns to write"),
+        ("out.csv", {"q": np.zeros((2, 1))}, "column 'q' must be one row of numbers (T,); got float64 of shape (2, 1)"),
+        ("out.csv", {"q": np.array(["a"])}, "column 'q' must be one row of numbers"),
+        ("out.csv", {"t": np.zeros(2), "q": np.zeros(3)}, "column 'q' has 3 rows where 't' has 2"),
+        ("folder.csv", {"t": np.zeros(2)}, "cannot be written"),
+    ],
+)
 def test_writes_nothing_that_cannot_be_read(tmp_path, name, columns, words):
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(LogError) as caught:

@@ -127,15 +127,26 @@ def test_several_topics_are_one_log(tmp_path):
     np.testing.assert_array_equal(record.u[:, 0], [5.0, 5.0, 5.0, 6.0])
 
 
-@pytest.mark.parametrize(("series", "columns", "words"), [
-    ([("/a", [(1, joint_state(1, position=[1.0]))])], JOINTS, "names 2 joints and has 1 numbers of position"),
-    ([("/a", [(1, joint_state(1))])], JOINTS, "its messages hold no joint and no pose"),
-    ([("/a", [(k, joint_state(0, position=[1, 2])) for k in (1, 2)])], JOINTS, "stamp 0; name the column 'received'"),
-    ([("/a", [(k, joint_state(5, position=[1, 2])) for k in (1, 2)])], JOINTS, "messages 1 and 2 of /a have the same"),
-    ([("/a", list(moving())), ("/b", list(moving()))], JOINTS, "There are: t, /a/shoulder/position, /a/elbow"),
-    ([("/a", list(moving()))], Columns(q=("wrist",)), "There are: t, shoulder, elbow"),
-    ([("/a", list(moving()))], JOINTS._replace(units={"t": ("ms",)}), "holds duration[ns], which need no unit"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("series", "columns", "words"),
+    [
+        ([("/a", [(1, joint_state(1, position=[1.0]))])], JOINTS, "names 2 joints and has 1 numbers of position"),
+        ([("/a", [(1, joint_state(1))])], JOINTS, "its messages hold no joint and no pose"),
+        (
+            [("/a", [(k, joint_state(0, position=[1, 2])) for k in (1, 2)])],
+            JOINTS,
+            "stamp 0; name the column 'received'",
+        ),
+        (
+            [("/a", [(k, joint_state(5, position=[1, 2])) for k in (1, 2)])],
+            JOINTS,
+            "messages 1 and 2 of /a have the same",
+        ),
+        ([("/a", list(moving())), ("/b", list(moving()))], JOINTS, "There are: t, /a/shoulder/position, /a/elbow"),
+        ([("/a", list(moving()))], Columns(q=("wrist",)), "There are: t, shoulder, elbow"),
+        ([("/a", list(moving()))], JOINTS._replace(units={"t": ("ms",)}), "holds duration[ns], which need no unit"),
+    ],
+)
 def test_what_is_wrong_with_messages_is_said(tmp_path, series, columns, words):
     with pytest.raises(LogError) as caught:
         logs.read(bag(tmp_path / "bag", *series), columns)

@@ -27,12 +27,25 @@ def columns(field, name, unit=None):
 
 
 UNKNOWN = {
-    "q": ("q [ticks]", "q [counts]", "q [COUNTS]", "q [rpm]", "q [%]", "q [gon]", "q [V]", "q (ticks)", "q (%)",
-          "q[ticks]", "q[gon]", "q(counts)"),
+    "q": (
+        "q [ticks]",
+        "q [counts]",
+        "q [COUNTS]",
+        "q [rpm]",
+        "q [%]",
+        "q [gon]",
+        "q [V]",
+        "q (ticks)",
+        "q (%)",
+        "q[ticks]",
+        "q[gon]",
+        "q(counts)",
+    ),
     "u": ("u [A]", "u [mA]", "u [V]", "u [%]", "u (A)", "u [lbf]", "u [rad]", "u [PWM]"),
     "t": ("t [frames]", "t [samples]", "t [ticks]", "t (ticks)", "t [Hz]"),
-    "v": ("v [ticks/s]", "v [rad]"), "truth": ("truth [counts]",),
-}  # fmt: skip
+    "v": ("v [ticks/s]", "v [rad]"),
+    "truth": ("truth [counts]",),
+}
 
 
 @pytest.mark.parametrize(("field", "name"), [(field, name) for field, names in UNKNOWN.items() for name in names])
