@@ -43,6 +43,8 @@ def command(*arguments: object) -> dict:
 
 
 def files() -> list[Path]:
+    """What lies in the current folder, which is the test's own: others write into the checkout at the same time."""
+    assert not Path("pyproject.toml").exists(), "start with monkeypatch.chdir(tmp_path)"
     return sorted(path for path in Path().rglob("*") if "__pycache__" not in path.parts)
 
 

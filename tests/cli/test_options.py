@@ -88,7 +88,8 @@ def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
 @pytest.mark.core(2)
 @pytest.mark.parametrize("name", REMOVED)
 @pytest.mark.parametrize("words", ["", " 64k", "=64k"])
-def test_what_is_gone_names_what_replaces_it(name, words):
+def test_what_is_gone_names_what_replaces_it(name, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     message = refused(*f"{name}{words if '--' in name else ' model.toml'}".split())
     assert message == f"covariant: `{name}` is gone: {REMOVED[name]}\n"
 
