@@ -43,6 +43,7 @@ test: env
 	@date +%s > .venv/started
 	$(MAKE) format lint
 	$(MAKE) --jobs=2 types tests
+	$(BIN)/python tools/sizes.py
 	@echo "make test: $$(( $$(date +%s) - $$(cat .venv/started) )) s, the environment not counted"
 
 # All other tests, in `tests/**/long_*.py` too, and the gallery.

@@ -11,8 +11,8 @@ import numpy as np
 from covariant import models
 from covariant.calibration import cut_windows, fit, horizon, observer_gains, relations
 from covariant.observers import Intrinsic
-from covariant.workflow._inputs import Job, data_sheet, load
-from covariant.workflow._outcome import drive
+from covariant.verbs.base.inputs import Job, data_sheet, load
+from covariant.verbs.base.outcome import drive
 
 DATA = Path(os.environ["COVARIANT_DATA"])
 COLUMNS = dict.fromkeys(("t", "q", "u", "v", "truth"))

@@ -15,9 +15,9 @@ from covariant.calibration import observer_gains, tune
 from covariant.calibration.tuning._filters import relative_error
 from covariant.observers import Intrinsic, run
 from covariant.scoring import scored_window
-from covariant.workflow._aligned import aligned
-from covariant.workflow._inputs import Job, data_sheet
-from covariant.workflow._tune_to_logs import warning
+from covariant.verbs.base.aligned import aligned
+from covariant.verbs.base.inputs import Job, data_sheet
+from covariant.verbs.base.tune_to_logs import warning
 
 DATA = Path(os.environ["COVARIANT_DATA"])
 DOUBLE = ("multiarm_double", ["multiarm_pendulum/double.csv"], 20.0)

@@ -14,7 +14,7 @@ import json, sys
 from covariant import calibration, models
 from covariant.cli import main
 from covariant.observers import OBSERVER_NAMES, run
-from covariant.workflow import _kinds
+from covariant.verbs.base import kinds as _kinds
 
 def command(*arguments):
     sys.argv = ["covariant", *arguments]
@@ -139,7 +139,7 @@ command("gaps", "oscillator", "gaps.csv", "--json")
     assert line
     assert 50 < int(line[1]) < 150
     assert f'"missing": {line[1]}' in printed
-    python(house, "-m", "pytest", "-q", "-p", "no:xdist", "tests/workflow/test_gaps.py")
+    python(house, "-m", "pytest", "-q", "-p", "no:xdist", "tests/verbs/test_gaps.py")
 
 
 def test_a_suspicion_in_one_function_is_judged_with_the_others(house):
@@ -150,7 +150,7 @@ def test_a_suspicion_in_one_function_is_judged_with_the_others(house):
 def test_examples_in_docstrings_of_the_page_run(house):
     script = """
 import doctest, importlib
-for name in ("covariant.geometry._surface", "covariant.workflow._gaps"):
+for name in ("covariant.geometry._surface", "covariant.verbs._gaps"):
     result = doctest.testmod(importlib.import_module(name))
     assert result.attempted and not result.failed, name
 """

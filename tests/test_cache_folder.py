@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from covariant import _compile, _files, _programs, workflow
+from covariant import _compile, _files, _programs, verbs
 from covariant._compile import EXACT, compiled, compiler, is_kept
 from covariant._files import read_sealed, write_sealed
 from covariant._programs import CHECKED, cache_folder, drop_broken_programs, open_cache_folder
@@ -180,7 +180,7 @@ def test_a_folder_that_others_can_write_is_refused(mode, cache, tmp_path):
     cache.chmod(mode)
     assert f"other users can write to {cache}; remove it by rm -r" in shared(cache)
     with pytest.warns(RuntimeWarning):
-        (part,) = (part for part in workflow.doctor().parts if part.name == "cache folder")
+        (part,) = (part for part in verbs.doctor().parts if part.name == "cache folder")
     assert "other users can write to" in part.problem
     shutil.rmtree(cache)
     assert cache_folder() == cache

@@ -2,13 +2,17 @@
 
 import ast
 import functools
+import graphlib
 import importlib
 import re
 import subprocess
+import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import get_origin
+
+import sizes
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "covariant"
@@ -16,7 +20,7 @@ SOURCE = ROOT / "src" / "covariant"
 PLAN = (
     "_errors _domains _door _rooms _files _programs _compile _typing _gauss_markov _functional _templates _optional "
     "_cases _numbers _names signals scoring _linalg _integrate _adaptive lowering logs geometry models metrics "
-    "observers simulation proofs certificates calibration codegen engine report papers workflow cli"
+    "observers simulation proofs certificates calibration codegen engine report papers verbs many cli"
 )
 """A room may import from itself and from any room to its left, never to its right."""
 
@@ -30,7 +34,7 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-ROOMS = sorted(".".join(path.parent.relative_to(SOURCE).parts) for path in SOURCE.rglob("__init__.pyi"))
+ROOMS = sorted(".".join(path.parent.relative_to(SOURCE).parts) for path in SOURCE.glob("*/**/__init__.pyi"))
 """Rooms and sub-rooms; the stub of each lists what others may import from it."""
 
 PUBLIC = [room for room in ROOMS if "." not in room] + [
@@ -62,6 +66,37 @@ def imported(path: Path) -> Iterator[tuple[str, str]]:
 
 def imported_rooms(path: Path) -> set[str]:
     return {name.split(".")[1] for name, _ in imported(path) if name.startswith("covariant.")}
+
+
+BUDGET = tomllib.loads((ROOT / "tests" / "house.toml").read_text(encoding="utf-8"))
+SLACK = 100
+"""Lines by which the budget may be larger than the code: what is taken out leaves the budget too."""
+
+
+def test_no_room_is_larger_than_its_budget_and_the_sum_only_falls():
+    lines, budget = sizes.rooms(), BUDGET["lines"]
+    assert lines.keys() == budget.keys()
+    assert {room: count - budget[room] for room, count in lines.items() if count > budget[room]} == {}
+    assert sum(budget.values()) <= BUDGET["most"]
+    assert sum(budget.values()) - sum(lines.values()) <= SLACK
+
+
+def test_files_import_each_other_in_no_circle():
+    graphlib.TopologicalSorter({name: sizes.imports(name) for name in sizes.modules()}).prepare()  # or CycleError
+
+
+def test_a_verb_imports_no_other_verb_and_reaches_no_more_than_it_needs():
+    verbs = {f"covariant.verbs._{name}" for name in sizes.verbs()}
+    assert {name: others for name in verbs if (others := sizes.reached(name) & verbs - {name})} == {}
+    reached, most = sizes.verbs(), BUDGET["reach"]
+    assert reached.keys() == most.keys()
+    assert {name: count - most[name] for name, count in reached.items() if count > most[name]} == {}
+
+
+def test_an_import_from_a_room_is_one_of_the_file_that_defines_the_name():
+    assert "covariant.verbs._estimate" in sizes.imports("covariant.many._each")
+    assert "covariant.many._over_logs" not in sizes.reached("covariant.verbs._estimate")
+    assert "covariant.geometry._metric" in sizes.reached("covariant.verbs._estimate")
 
 
 def test_what_passes_through_the_rooms_enters_none_twice():

@@ -19,7 +19,7 @@ SOURCE = ROOT / "src" / "covariant"
 ROOMS = (
     *("geometry", "observers", "metrics", "lowering", "proofs", "certificates", "models", "logs", "simulation"),
     *("calibration", "codegen", "engine", "report", "cli"),
-    "workflow",
+    *("verbs", "many"),
 )
 
 OPERATORS = {ast.Add: ("+", "-"), ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.Pow: ("**", "*")}

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from covariant import InputError, StepCode, cli, logs, metrics, models, observers, workflow
+from covariant import InputError, StepCode, cli, logs, many, metrics, models, observers
 from covariant._cases import CaseTable
 from covariant._compile import compiler
 from covariant._door import BINARY_LOG, MODEL, STORE, TEXT_LOG
@@ -178,7 +178,7 @@ def test_stores_that_are_none_are_refused(content):
 
 @pytest.mark.parametrize("content", [*NO_FILE.values(), 2**30, "a = " + "[" * 100_000, "a" + ".a" * 100_000 + " = 1"])
 def test_studies_that_are_none_are_refused(content):
-    refused(lambda: workflow.sweep(put("study.toml", content), "new.zarr"), r"^study\.toml: ")
+    refused(lambda: many.sweep(put("study.toml", content), "new.zarr"), r"^study\.toml: ")
 
 
 INSTALLED = (
@@ -281,7 +281,7 @@ def test_a_file_that_exists_is_refused_before_the_work(line, monkeypatch, capsys
     out = arguments[arguments.index("-o") + 1]
     put(out, OUTPUTS[line])
     monkeypatch.setattr(sys, "argv", ["covariant", *arguments])
-    for module in ("covariant.models.load", "covariant.logs.read", "covariant.workflow._study.read_study"):
+    for module in ("covariant.models.load", "covariant.logs.read", "covariant.many._study.read_study"):
         monkeypatch.setattr(module, lambda *_, **__: pytest.fail("the work has begun"))
     with pytest.raises(SystemExit) as ended:
         cli.main()

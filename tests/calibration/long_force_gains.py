@@ -6,7 +6,7 @@ from test_force_gains import FORCE, NOISE
 import covariant
 from covariant import models
 from covariant.models import oscillator
-from covariant.workflow._design import design
+from covariant.verbs.base.design import design
 
 
 def test_the_estimate_of_a_log_has_the_force():

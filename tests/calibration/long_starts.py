@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plain import rk4
 
-from covariant.workflow import fit, init, simulate
+from covariant.verbs import fit, init, simulate
 
 CART, POLE, COM, INERTIA, VISCOUS, COULOMB = 0.57, 0.23, 0.32, 0.0079, (1.2, 0.002), (0.6, 0.001)
 

@@ -10,8 +10,8 @@ from test_torque_noise import FILE, TORQUES
 import covariant
 from covariant import models, observers
 from covariant.calibration import DataSheet, tuned_estimators
-from covariant.workflow._design import log_sheet
-from covariant.workflow._inputs import Job, load
+from covariant.verbs.base.design import log_sheet
+from covariant.verbs.base.inputs import Job, load
 
 
 @pytest.fixture(scope="module")

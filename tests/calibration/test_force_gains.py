@@ -9,7 +9,7 @@ from covariant import models
 from covariant.calibration import DataSheet, gains, observer_gains, tuned_estimators
 from covariant.models import oscillator
 from covariant.observers import IntrinsicForce
-from covariant.workflow._design import design
+from covariant.verbs.base.design import design
 
 RATE = 1e4
 NOISE = {"measurement.std": 1e-4, "uncertainty.acceleration": 0.1}

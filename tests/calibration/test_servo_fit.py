@@ -103,7 +103,7 @@ def arm(tmp_path) -> Any:
 def test_a_log_in_which_nothing_moves_is_not_fitted(arm):
     t = np.arange(0.0, 20.0, 0.02)
     still = Record(t, np.full((len(t), 1), 0.1), np.full((len(t), 1), 0.1))
-    with pytest.raises(covariant.workflow.MisfitError, match="log a motion"):
+    with pytest.raises(covariant.verbs.MisfitError, match="log a motion"):
         covariant.fit(arm(), still, "servo.stiffness")
 
 

@@ -29,7 +29,7 @@ def saved(tmp_path_factory):
 @pytest.mark.exhaustive
 def test_the_text_of_a_check_has_all_numbers_of_the_claim(saved):
     path, result, settings = saved
-    text = str(covariant.workflow.check_certificate(path))
+    text = str(covariant.verbs.check_certificate(path))
     numbers = [*settings["velocity"], *settings["error"], *settings["noise"], *settings["disturbance"], 4, 8, 0.05]
     numbers += [end for pair in settings["region"].values() for end in pair]
     for number in numbers:
@@ -59,7 +59,7 @@ def test_the_claim_can_be_repeated_from_its_text_alone(saved):
 @pytest.mark.exhaustive
 def test_it_is_the_same_in_print_and_in_json_and_in_the_file_of_an_export(saved, tmp_path):
     path, result, _ = saved
-    checked = covariant.workflow.check_certificate(path)
+    checked = covariant.verbs.check_certificate(path)
     said = checked.summary["statement"]
     assert said["claim"] in str(checked)
     assert (said["verdict"], said["evidence"]) == ("holds", "proved")

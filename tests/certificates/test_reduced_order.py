@@ -14,7 +14,7 @@ from covariant.certificates import reduced_order
 from covariant.cli import main
 from covariant.observers import ReducedOrder
 from covariant.signals import StepCode
-from covariant.workflow import design_reduced_order
+from covariant.verbs import design_reduced_order
 
 BOXES = {
     "lorenz": (1.0, {}),

@@ -11,7 +11,7 @@ import pytest
 from commands import command, leave, refused
 from test_certify_command import GAINS, ONE, certificate, folder, inside, proved
 
-from covariant import certificates, models, proofs, workflow
+from covariant import certificates, models, proofs, verbs
 from covariant.certificates.base import StartClaim
 from covariant.certificates.checking import _check
 from covariant.observers import Intrinsic
@@ -41,9 +41,9 @@ def test_the_file_is_the_certificate(proved):
 
 def test_for_a_person_angles_are_in_degrees_too(certificate):
     found, proved = certificate
-    assert str(workflow.CertifyResult("", found, "")).startswith("PROVED: any estimate that starts within ")
+    assert str(verbs.CertifyResult("", found, "")).startswith("PROVED: any estimate that starts within ")
     found = found._replace(claims=tuple(claim for claim in found.claims if not isinstance(claim, StartClaim)))
-    text = str(workflow.CertifyResult("pendulum.toml", found, "Given gains."))
+    text = str(verbs.CertifyResult("pendulum.toml", found, "Given gains."))
     # The first line says what it means in degrees, from the tube's half widths alone, which are no set of starts.
     verdict, _, text = text.partition("\n\n")
     assert verdict.startswith("PROVED: any estimate in the tube stays in it, so within ")

@@ -12,7 +12,7 @@ from test_commands import MODEL, READ, folder, inside, simulate
 from covariant import logs
 from covariant.models import load
 from covariant.observers import EKF, run
-from covariant.workflow._outcome import KEPT
+from covariant.verbs.base.outcome import KEPT
 
 SWING = ("--duration", "2", "--rate", "200", "--v0", "3.0", "--amplitude", "0.5")
 

@@ -11,7 +11,7 @@ from test_design_command import SHAPE, folder, inside, refused
 
 from covariant import metrics
 from covariant.models import load, state_space
-from covariant.workflow import _metric
+from covariant.verbs import _metric
 
 
 def said(*arguments: str) -> str:

@@ -11,7 +11,7 @@ from commands import command, leave, refused
 from test_fit_command import folder, inside
 
 from covariant import logs, models
-from covariant.workflow import simulate
+from covariant.verbs import simulate
 
 
 @pytest.mark.exhaustive

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from covariant import logs
 from covariant.calibration import tuned_estimators
-from covariant.workflow._inputs import Job, load
+from covariant.verbs.base.inputs import Job, load
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TOP, VEHICLE = str(EXAMPLES / "heavy_top.toml"), str(EXAMPLES / "underwater_vehicle.toml")
@@ -156,7 +156,7 @@ def test_compare_ranks_what_fits(monkeypatch):
     def some(*arguments):
         return {name: observer for name, observer in tuned_estimators(*arguments).items() if name in quick}
 
-    monkeypatch.setattr("covariant.workflow._kinds.tuned_estimators", some)
+    monkeypatch.setattr("covariant.verbs.base.kinds.tuned_estimators", some)
     result = command("compare", TOP, "log.csv", "--truth", TRUTH, "-o", "table.csv", "--every", "2", "--until", "2")
     names = [row["estimator"] for row in result["ranking"]]
     assert sorted(names) == sorted(quick)

@@ -11,9 +11,9 @@ from commands import command, refused
 from covariant import logs, models
 from covariant.calibration import HeldOut, NoiseLevels, Tuning
 from covariant.observers import Intrinsic
-from covariant.workflow._aligned import aligned
-from covariant.workflow._inputs import Job
-from covariant.workflow._tune_to_logs import _Runs, _tables
+from covariant.verbs.base.aligned import aligned
+from covariant.verbs.base.inputs import Job
+from covariant.verbs.base.tune_to_logs import _Runs, _tables
 
 MODEL = """system = "oscillator"
 [columns]

@@ -10,7 +10,7 @@ from commands import command
 
 from covariant import logs
 from covariant.models import load
-from covariant.workflow._inputs import _in_ticks
+from covariant.verbs.base.inputs import _in_ticks
 
 MODEL = """
 system = "pendulum_chain"

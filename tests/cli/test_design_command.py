@@ -4,7 +4,7 @@ import commands
 import pytest
 
 from covariant.cli._console import progress_bar
-from covariant.workflow import _metric
+from covariant.verbs import _metric
 
 SHAPE = ("--grid", "5", "--block", "64")
 """Of nearly all runs below, so that few programs are compiled."""

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from commands import leave, refused
 
-from covariant import workflow
+from covariant import many, verbs
 from covariant.cli._app import REMOVED
 from covariant.cli._commands import COMMANDS
 from covariant.cli._options import COLUMNS, in_options
-from covariant.cli._signature import REQUIRED, signature
+from covariant.cli._signature import REQUIRED, function, signature
 
 FLAGS = {"alpha": "--alpha", "start": "--from", "overwrite": "--overwrite", "parameters": "--parameters"}
 FLAGS |= {'columns["q"]': "--q", 'columns["t"]': "--t", "overrides": "--set", "lag": "--lag"}
@@ -19,7 +19,7 @@ FLAGS |= {'columns["q"]': "--q", 'columns["t"]': "--t", "overrides": "--set", "l
 @pytest.mark.parametrize("verb", [command.verb for command in COMMANDS] + ["check_certificate"])
 def test_a_signature_that_is_read_from_source_is_that_of_the_function(verb):
     read = signature(verb)
-    parameters = dict(inspect.signature(getattr(workflow, verb)).parameters)
+    parameters = dict(inspect.signature(function(verb)).parameters)
     assert read.progress == (parameters.pop("progress", None) is not None)
     assert [*read.arguments] == [*parameters]
     for name, argument in read.arguments.items():
@@ -39,8 +39,8 @@ def test_each_argument_has_one_option_and_each_option_a_help(command):
 
 
 def test_every_verb_has_a_command():
-    verbs = {name for name in dir(workflow) if name.islower() and not name.startswith("check_")}
-    assert verbs - {"columns_of", "over_logs"} == {command.verb for command in COMMANDS}
+    names = {name for name in {*dir(verbs), *dir(many)} if name.islower() and not name.startswith("check_")}
+    assert names - {"columns_of", "over_logs"} == {command.verb for command in COMMANDS}
     assert set(COLUMNS) == {"t", "q", "u", "v", "truth"}
 
 
@@ -79,7 +79,7 @@ def test_a_function_and_its_command_say_what_to_give_each_in_its_words(
     (tmp_path / "log.csv").write_text("a,b,q1\n0,0,0.1\n1,1,0\n2,2,0.1\n")
     verb, *arguments = call.split()
     with pytest.raises(ValueError) as refusal:  # noqa: PT011  the text is compared below
-        getattr(workflow, verb)(*arguments, **named)
+        function(verb)(*arguments, **named)
     assert message in str(refusal.value)
     assert "--" not in str(refusal.value)
     refused(*call.split(), *options.split(), named=[in_options(message, FLAGS | {"beta": "--beta"})])

@@ -28,9 +28,9 @@ from covariant.calibration import usual_speeds
 from covariant.codegen import Program, _fmu, _wasm, fmu, write_fmu
 from covariant.geometry.lie import SO3
 from covariant.signals import Record, StepCode
-from covariant.workflow._design import design
-from covariant.workflow._export import beyond_proof
-from covariant.workflow._inputs import Job, load, with_acting_inputs, with_sensor_delays
+from covariant.verbs._export import beyond_proof
+from covariant.verbs.base.design import design
+from covariant.verbs.base.inputs import Job, load, with_acting_inputs, with_sensor_delays
 
 MODEL = """system = "pendulum_chain"
 parameters = {mass = [1.0], length = [0.5], viscous = [0.4]}

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from test_unknown_units import T, columns, frame
 
-from covariant import calibration, logs, models, workflow
+from covariant import calibration, logs, models, verbs
 from covariant.logs import Columns, LogError
 
 KNOWN = {
@@ -162,8 +162,8 @@ def test_init_says_that_there_is_no_header(tmp_path):
     np.savetxt(tmp_path / "log.txt", np.column_stack([t, np.sin(3 * t), np.cos(t)]), fmt="%.4f")
     words = r"the columns of numbers are 1, 2, 3\. Its first line, '0\.0000 0\.0000 1\.0000', names no columns"
     with pytest.raises(ValueError, match=words):
-        workflow.init(tmp_path / "log.txt")
-    result = workflow.init(tmp_path / "log.txt", columns={"q": ["2"], "u": ["3"]})
+        verbs.init(tmp_path / "log.txt")
+    result = verbs.init(tmp_path / "log.txt", columns={"q": ["2"], "u": ["3"]})
     assert result.draft.rows == 300
     assert "names no columns, so that they are called 1, 2, 3" in str(result)
     file = models.load(result.save(tmp_path / "m.toml"))
@@ -184,7 +184,7 @@ def test_columns_of_one_name_are_one_where_they_are_equal(tmp_path):
     with pytest.raises(LogError, match=words + "rename all but one"):
         logs.read(path, Columns(q=("q",), u=("tau",)))
     with pytest.raises(ValueError, match="there is no column 'tau' of numbers.*" + words):
-        workflow.init(path, columns={"q": ["q"], "u": ["tau"]})
+        verbs.init(path, columns={"q": ["q"], "u": ["tau"]})
 
 
 def with_metadata(**units):
@@ -310,7 +310,7 @@ def test_four_columns_whose_squares_sum_to_one_are_an_attitude(tmp_path, names, 
     log = {"timestamp": 88_123_456 + 5_000 * np.arange(300)}
     log |= {names[k]: np.round(quaternion()[:, k], 5) for k in order}
     log |= {"delta_q_reset[0]": np.ones(300)} | {f"delta_q_reset[{k}]": np.zeros(300) for k in (1, 2, 3)}
-    result = workflow.init(pandas.DataFrame(log))
+    result = verbs.init(pandas.DataFrame(log))
     assert result.draft.quaternion == tuple(names)
     file = models.load(result.save(tmp_path / "m.toml"))
     assert file.columns.quaternion_wxyz == tuple(names)

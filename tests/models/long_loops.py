@@ -15,7 +15,7 @@ from covariant import models
 from covariant.lowering import evaluate_batch
 from covariant.models import acceleration, robots
 from covariant.models.robots import located, robot_space
-from covariant.workflow import MisfitError
+from covariant.verbs import MisfitError
 
 LOOPED = ("four_bar", "five_bar", "parallel_ankle", "delta")
 

@@ -22,7 +22,7 @@ from covariant.observers import (
 )
 from covariant.signals import Record, StepCode
 from covariant.simulation import hold, simulate
-from covariant.workflow import export
+from covariant.verbs import export
 
 WAITING = 12
 """Length of all buffers, so that one program serves all delays."""

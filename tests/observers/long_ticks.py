@@ -13,7 +13,7 @@ from covariant.calibration import DataSheet, Trial, tuned_estimators
 from covariant.models import Lagrangian, Motion, advance, pendulum_chain
 from covariant.observers import IntrinsicKalman, run
 from covariant.signals import Record
-from covariant.workflow._inputs import Job, data_sheet, load
+from covariant.verbs.base.inputs import Job, data_sheet, load
 
 DT, TICK, PROCESS = 1e-3, 0.02, 0.05
 

@@ -9,7 +9,7 @@ import pytest
 
 from covariant.observers import AbstractObserver, ActingInputs, Info
 from covariant.signals import MOST_MISSING, Record, StepCode, acting_inputs, lag_inputs
-from covariant.workflow._inputs import _around_missing
+from covariant.verbs.base.inputs import _around_missing
 
 ROWS, STEP = 120, 0.01
 

@@ -8,8 +8,8 @@ import pytest
 from covariant import models
 from covariant.calibration import cut_windows, fit, horizon, observer_gains
 from covariant.observers import Intrinsic
-from covariant.workflow._inputs import Job, data_sheet, load
-from covariant.workflow._outcome import drive
+from covariant.verbs.base.inputs import Job, data_sheet, load
+from covariant.verbs.base.outcome import drive
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -11,7 +11,7 @@ import pytest
 
 from covariant.papers._errata import SLIPS
 from covariant.papers.errata import ERRATA, of
-from covariant.workflow._reproduce import PAPERS
+from covariant.verbs._reproduce import PAPERS
 
 ROOT = Path(__file__).parents[2]
 RNG = np.random.default_rng(0)

@@ -11,8 +11,8 @@ import pytest
 
 import covariant
 from covariant.models import robots
-from covariant.workflow._outcome import slow_units
-from covariant.workflow._recording import _bodies
+from covariant.verbs.base.outcome import slow_units
+from covariant.verbs.base.recording import _bodies
 
 rerun = pytest.importorskip("rerun")
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from covariant import workflow
+from covariant import many
 from covariant._errors import InputError
 from covariant.cli._console import progress_bar, show
 from covariant.cli._options import COLUMNS, FLAG, TEXT, Kind, Option, flags_of, in_options, of_verb
-from covariant.cli._signature import signature
+from covariant.cli._signature import function, signature
 from covariant.cli._terminal import BUG, INTERNAL_ERROR, say
-from covariant.workflow import check_output, columns_of
+from covariant.verbs import check_output, columns_of
 
 OVER_LOGS = (
     Option("workers", Kind(int), "Of many logs: processes, as many as processors by default.", None, ("--workers",)),
@@ -29,7 +29,7 @@ class Command:
     """A command. Its options are the arguments of its verb, its own ones, and `--json`.
 
     Attributes:
-        verb: Name of a function of `covariant.workflow`.
+        verb: Name of a function of `covariant.verbs` or `covariant.many`.
         group: Heading of the help under which it stands.
         example: A line to try, without the name of the program.
         page: The page of the documentation that explains it.
@@ -115,7 +115,7 @@ class Command:
         with progress_bar(json) as progress:
             arguments = call.arguments(self.verb)
             model, logs = arguments.pop("model"), arguments.pop("log")
-            result = workflow.over_logs(self.verb, model, logs, out=own["out"], progress=progress, **crew, **arguments)
+            result = many.over_logs(self.verb, model, logs, out=own["out"], progress=progress, **crew, **arguments)
         call.show(result)
         for name, trace in result.bugs.items():
             say(f"{name}: {trace}", sys.stderr)
@@ -147,7 +147,7 @@ class Invocation:
         with progress_bar(self.json) as progress:
             if signature(verb).progress:
                 arguments["progress"] = progress
-            return getattr(workflow, verb)(**arguments)
+            return function(verb)(**arguments)
 
     def arguments(self, verb: str, **more: Any) -> dict[str, Any]:
         """Those of the arguments that a verb has."""

@@ -1,11 +1,11 @@
-"""The commands: each is a verb of `covariant.workflow`, with what only the command line has, such as files to write."""
+"""The commands: each is a verb with what only the command line has, such as files to write."""
 
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
-from covariant import workflow
+from covariant import verbs
 from covariant._errors import InputError
 from covariant.cli import _parse
 from covariant.cli._command import Command, Invocation
@@ -14,7 +14,7 @@ from covariant.cli._signature import REQUIRED
 from covariant.cli._terminal import say
 from covariant.logs import WRITTEN
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
-from covariant.workflow import FIGURES, TABLES, check_machine_files, check_model_output, check_output
+from covariant.verbs import FIGURES, TABLES, check_machine_files, check_model_output, check_output
 
 
 def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
@@ -283,7 +283,7 @@ COMMANDS = (
         changes={"model": {"default": None}, "processes": {"default": os.cpu_count() or 1}},
         run=_certify,
         exit_code=lambda result: (
-            not (result.verified if isinstance(result, workflow.CertificateCheckResult) else result.holds)
+            not (result.verified if isinstance(result, verbs.CertificateCheckResult) else result.holds)
         ),
         note="Angles are in radians. Exit code 0 proved or verified, 1 wrong, undecided or refused, 2 bad input.",
     ),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from covariant.cli._terminal import say
 
 if TYPE_CHECKING:
-    from covariant.workflow import AbstractResult, Progress
+    from covariant.verbs import AbstractResult, Progress
 
 LINE_EVERY = 10.0
 """Seconds from one line of progress to the next where there is no terminal."""

@@ -152,7 +152,7 @@ def of_verb(verb: str, changes: Mapping[str, Mapping[str, Any]]) -> list[Option]
     """Make the options of a verb's arguments: one each, and for `columns` one for each field that its entry names.
 
     Args:
-        verb: Name of a function of `covariant.workflow`.
+        verb: Name of a function of `covariant.verbs` or `covariant.many`.
         changes: Fields of options, by the name of their argument, that the command has otherwise.
     """
     made: list[Option] = []

@@ -1,4 +1,4 @@
-"""Arguments of a verb of `covariant.workflow`, read from its source, since an import would load JAX to show help.
+"""Arguments of a verb, read from its source, since an import would load JAX to show help.
 
 The first sentence of each entry under `Args:` is the help of its option, and the annotation decides how it is read.
 """
@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from covariant import workflow
+from covariant import many, verbs
 
 REQUIRED = object()
 """Stands for the default of an argument without one."""
@@ -36,7 +36,7 @@ class VerbSignature(NamedTuple):
 @functools.cache
 def signature(verb: str) -> VerbSignature:
     """Read the signature and the docstring of a verb."""
-    source = (_folder() / f"{_files()[verb]}.py").read_text(encoding="utf-8")
+    source = _places()[verb][1].read_text(encoding="utf-8")
     head = re.search(rf'^def {verb}\(.*?""".*?"""', source, re.MULTILINE | re.DOTALL)
     assert head, f"{verb} has no docstring"
     definition: Any = ast.parse(head[0]).body[0]
@@ -69,14 +69,19 @@ def _text(text: str, name: str) -> str:
     return signature(other[1]).arguments[name].text if other else text
 
 
-def _folder() -> Path:
-    return Path(workflow.__path__[0])
+def function(verb: str) -> Any:
+    """The function of a verb."""
+    return getattr(_places()[verb][0], verb)
 
 
 @functools.cache
-def _files() -> dict[str, str]:
-    """The module of each public name of `covariant.workflow`."""
-    stub = ast.parse((_folder() / "__init__.pyi").read_text(encoding="utf-8"))
-    return {
-        alias.name: node.module or "" for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names
-    }
+def _places() -> dict[str, tuple[Any, Path]]:
+    """The subpackage and the file of each name that `covariant.verbs` or `covariant.many` offers."""
+    places = {}
+    for room in (many, verbs):  # the verbs of one log come last, as they have the signatures
+        folder = Path(room.__path__[0])
+        stub = ast.parse((folder / "__init__.pyi").read_text(encoding="utf-8"))
+        for node in (node for node in stub.body if isinstance(node, ast.ImportFrom)):
+            path = folder.joinpath(*(node.module or "").split(".")).with_suffix(".py")
+            places |= {alias.name: (room, path) for alias in node.names}
+    return places

@@ -16,7 +16,7 @@ from covariant._errors import InputError
 class Grid:
     """A box of n axes with equally spaced points, both ends included.
 
-    Use it for the states at which a metric is tabulated, as by `workflow.design_metric`. The number of points is the
+    Use it for the states at which a metric is tabulated, as by `verbs.design_metric`. The number of points is the
     product of all counts, so it grows fast with the number of axes. The names are those of the states, in their order.
 
     Attributes:

@@ -120,7 +120,7 @@ def load_metric(path: str | os.PathLike[str]) -> Interpolated:
     """Metric of a finished store of `metric_on_grid`, interpolated between the points of its grid.
 
     Use it to give a stored metric to `observers.Riccati`: a look-up is far cheaper than `RiccatiMetric`. There is no
-    metric outside the grid, and the accuracy within depends on its spacing. `workflow.design_metric` writes the store.
+    metric outside the grid, and the accuracy within depends on its spacing. `verbs.design_metric` writes the store.
 
     Args:
         path: path of the store.

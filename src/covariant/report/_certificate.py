@@ -43,7 +43,7 @@ def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLik
     with motions give the reason instead. It simulates motions, so it takes some seconds.
 
     Args:
-        certificate: The certificate, such as that of a `covariant.workflow.CertifyResult`.
+        certificate: The certificate, such as that of a `covariant.verbs.CertifyResult`.
         path: The file; its suffix is the format, such as .png, .pdf or .svg.
 
     Returns:
@@ -65,7 +65,7 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
     metric. Without a proof the second and third panel say so.
 
     Args:
-        certificate: The certificate, such as that of a `covariant.workflow.CertifyResult`.
+        certificate: The certificate, such as that of a `covariant.verbs.CertifyResult`.
 
     Returns:
         The figure; `save_figure` writes it.

@@ -9,9 +9,10 @@ from ._case import (
 )
 from ._clock import mended_clock as mended_clock
 from ._columns import units as units
-from ._diagnose import FEW_ROWS as FEW_ROWS, MOST_ROWS as MOST_ROWS, diagnose as diagnose, misfit as misfit
+from ._diagnose import diagnose as diagnose
 from ._finding import Diagnosis as Diagnosis, Finding as Finding, later_line as later_line
 from ._jumps import periods as periods, without_full_turns as without_full_turns
+from ._misfit import misfit as misfit
 from ._readings import (
     ROUNDING as ROUNDING,
     one_or_each as one_or_each,
@@ -30,4 +31,4 @@ from ._smooth import (
     second_derivative_weights as second_derivative_weights,
 )
 from ._suspicion import BLOCKS as BLOCKS, Unexplained as Unexplained, judge as judge
-from ._thresholds import BARELY as BARELY
+from ._thresholds import BARELY as BARELY, FEW_ROWS as FEW_ROWS, MOST_ROWS as MOST_ROWS

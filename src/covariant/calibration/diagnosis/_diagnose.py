@@ -26,7 +26,6 @@ from covariant.calibration.diagnosis._case import (
     busiest,
     case_without_outliers,
     clearly,
-    compared,
     in_coordinates,
     long_enough,
     names_of,
@@ -34,7 +33,7 @@ from covariant.calibration.diagnosis._case import (
     smoothed_residual,
 )
 from covariant.calibration.diagnosis._clock import set_forward, stamps
-from covariant.calibration.diagnosis._columns import COLUMNS, units
+from covariant.calibration.diagnosis._columns import COLUMNS
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._jumps import (
@@ -45,6 +44,7 @@ from covariant.calibration.diagnosis._jumps import (
     sender_finding,
     without_full_turns,
 )
+from covariant.calibration.diagnosis._misfit import OF_COMMANDS
 from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
 from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
@@ -68,7 +68,7 @@ from covariant.calibration.diagnosis._suspicion import (
     judge,
     unexplained_at,
 )
-from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, THRESHOLDS
+from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, FEW_ROWS, MOST_ROWS, THRESHOLDS
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
 from covariant.calibration.diagnosis._unexplained import constant_inputs, unexplained
 from covariant.models import ModelFile
@@ -76,10 +76,6 @@ from covariant.observers import on_legs
 from covariant.scoring import unwrap
 from covariant.signals import Record
 
-MOST_ROWS = 10_000
-"""Largest number of rows that are compared with the model: the stretch with most motion."""
-FEW_ROWS = 4_000
-"""The same for suspicions about columns, of which many are tried, and for the check before an estimate."""
 SHIFTED = (1.0, 2.0, 4.0)
 """Half windows to look for shifts by whole rows in, in those that explain most."""
 NOISY = 0.01
@@ -100,8 +96,6 @@ HIDING = ("nothing moves", "several senders", "too little motion")
 """Findings on logs that show no accelerations."""
 LATE = ("delay", "delay against the inputs")
 """Findings that friction looks like."""
-OF_COMMANDS = ("unit of a command", "sign of a command", "swapped commands", "period of a command")
-"""Findings on commands that make a log useless."""
 WEIGHTS = (
     *OF_COMMANDS,
     *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
@@ -422,52 +416,6 @@ def _rows_and_inputs(case: Case, half: float, rows: bool) -> list[Finding]:
         if now is not None and now.most <= THRESHOLDS["rows"].least:
             break
     return []
-
-
-def misfit(file: ModelFile, record: Record) -> Finding | None:
-    """Reason why a log is useless for a model: other units, or a motion that the model does not explain.
-
-    At most `FEW_ROWS` rows of the record are compared, in a fraction of the time of an estimate.
-
-    Args:
-        file: The model and its data sheet.
-        record: The log as it was read.
-
-    Returns:
-        The finding. None where the model explains the accelerations, where they do not exceed the noise, and where the
-        model is not in coordinates.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.calibration import misfit
-        >>> from covariant.models import load
-        >>> from covariant.signals import Record
-        >>> t = np.arange(0.0, 10.0, 0.01)
-        >>> y = 0.2 * np.cos(t) + 1e-4 * np.random.default_rng(0).normal(size=1000)
-        >>> misfit(load("oscillator"), Record(1e3 * t, np.zeros((1000, 1)), y[:, None])).line
-        '[units] t = "ms"'
-    """
-    if not in_coordinates(file):
-        return None
-    case, _ = case_without_outliers(file, busiest(record, FEW_ROWS))
-    if file.input_kind == "command":
-        # What no servo explains; their numbers may be first guesses.
-        return next((each for each in servo_findings(case)[0] if each.wrong and each.what in OF_COMMANDS), None)
-    left = compared(case)
-    if left is not None and left.told.any() and left.misfit < BARELY:
-        return None
-    accepted = judge(case, units(case), clearly_unexplained)
-    if accepted is not None:
-        return accepted[1]
-    if file.wrenches or file.external_force or file.external_force_std:
-        return None  # the forces that the file states may be what the model leaves
-    constant = constant_inputs(record, case.names)
-    findings = [each for each in unexplained(case, left, None, constant) if each.what == "model"] if left else []
-    log = clearly(case)
-    if not findings or log is None:
-        return None
-    accepted = judge(case, missing_torques(case, log), clearly_unexplained)
-    return findings[0] if accepted is None else accepted[1]
 
 
 def _sensors(case: Case, stated: float | tuple[float, ...] | None, edges: list[Finding]) -> list[Finding]:

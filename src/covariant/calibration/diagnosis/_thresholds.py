@@ -160,3 +160,7 @@ EXPLAINED = 0.02
 """Unexplained share up to which a suspicion about a column needs no other beside it."""
 PLAIN_SCALE = 0.1
 """Relative difference between a fitted scale and a prefix of a unit up to which the prefix is named."""
+MOST_ROWS = 10_000
+"""Largest number of rows that are compared with the model: the stretch with most motion."""
+FEW_ROWS = 4_000
+"""The same for suspicions about columns, of which many are tried, and for the check before an estimate."""

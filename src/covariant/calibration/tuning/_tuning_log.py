@@ -50,7 +50,7 @@ def tuning_logs(
     """
     logs = [prepared(model, *each) for each in zip(records, velocities, strict=True)]
     counts = np.array([(log.tuned.sum(), log.held_out.sum()) for log in logs])
-    used = counts.all(axis=1)
+    used = np.all(counts > 0, axis=1)
     if (least := counts[used].sum(axis=0)).min() < FEWEST_ROWS:
         each = ", ".join(
             f"{name} of {len(log.tuned)} rows has {tuned} and {held_out}"
@@ -61,7 +61,7 @@ def tuning_logs(
             f"and {least[1]} of the rest, where {FEWEST_ROWS} of each are needed; the start of a log, in which an "
             f"observer settles, never counts. {each}"
         )
-    usable = [log for log, each in zip(logs, used, strict=True) if each]
+    usable = [log for log, each in zip(logs, used.tolist(), strict=True) if each]
     _refuse_rest(model, usable)
     return usable
 

@@ -51,7 +51,7 @@ def check(
 
     Use it on a certificate that somebody else has made: it computes the proof again with a separate checker, and does
     not believe the verdict in the file. The assumptions of the statement remain assumptions. It runs the model's code
-    where `model` is given. A fault raises `ValueError`; `workflow.check_certificate` returns it as a result, and checks
+    where `model` is given. A fault raises `ValueError`; `verbs.check_certificate` returns it as a result, and checks
     some leaves in ball arithmetic as well.
 
     Args:

@@ -48,7 +48,7 @@ class ReducedOrder(AbstractObserver):
 
     A missing output corrects nothing. The noise of a measurement enters the estimate unfiltered.
 
-    Use it where the outputs are states that are measured accurately. `workflow.design_reduced_order` computes the
+    Use it where the outputs are states that are measured accurately. `verbs.design_reduced_order` computes the
     direction. It converges from any distance within the design's region. For noisy outputs choose `StateEKF` or
     `Contracting`.
 

@@ -1,0 +1,27 @@
+"""The verbs that take one log, or a list of logs."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from covariant import verbs
+from covariant.many._over_logs import over_logs
+
+Verb = TypeVar("Verb", bound=Callable[..., Any])
+
+
+def each_log(verb: Verb) -> Verb:
+    """Make a verb of one log one of many: with a list of logs it is `over_logs`."""
+
+    @functools.wraps(verb)
+    def call(model: Any, log: Any, **settings: Any) -> Any:
+        if type(log) not in (list, tuple):  # a Record is a tuple of another type
+            return verb(model, log, **settings)
+        return over_logs(verb.__name__, model, log, **settings)
+
+    return cast(Verb, call)
+
+
+check = each_log(verbs.check)
+estimate = each_log(verbs.estimate)
+smooth = each_log(verbs.smooth)

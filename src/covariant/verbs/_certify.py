@@ -1,0 +1,526 @@
+"""`certify` proves that an observer converges; `check_certificate` verifies a saved proof."""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant import certificates, models
+from covariant._errors import InputError
+from covariant._names import unknown
+from covariant.certificates import (
+    AbstractClaim,
+    Attempt,
+    Checked,
+    CheckerName,
+    ContractionCertificate,
+    Document,
+    LostRows,
+    Start,
+    check_interval,
+)
+from covariant.models import MechanicalSystem, Overrides, input_count
+from covariant.proofs import read_file
+from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.verbs.base.certify_sentences import in_degrees, verdict
+from covariant.verbs.base.design import design, runs_otherwise
+from covariant.verbs.base.find import FIND, largest_proved
+from covariant.verbs.base.inputs import numbered
+from covariant.verbs.base.outputs import check_output
+from covariant.verbs.base.progress import Progress, notebook_line
+from covariant.verbs.base.result import AbstractResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+OBSERVERS = "intrinsic", "geodesic"
+"""The observers that there are certificates for."""
+VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
+"""What people call the verdicts."""
+_KINDS = {"estimate": "estimate of", "velocity": "estimated velocity", "error": "position error", "force": "force"}
+_KINDS |= {
+    "friction": "friction",
+    "joint force": "force with friction",
+    "friction slope": "slope of the friction",
+    "age": "measurement of",
+}
+
+
+def certify(
+    model: Any,
+    *,
+    velocity: Amounts | None = None,
+    error: Amounts | None = None,
+    region: Region | None = None,
+    observer: str = "intrinsic",
+    alpha: float | None = None,
+    beta: float | None = None,
+    sampling: float | None = None,
+    input: Amounts = 0.0,
+    times: Sequence[float] | None = None,
+    rate: float | None = None,
+    q: Sequence[float | int] | None = None,
+    noise: Amounts = 0.0,
+    disturbance: Amounts = 0.0,
+    interval: Sequence[float] | None = None,
+    lost: int = 0,
+    lost_rows: LostRows = "empty",
+    boxes: int = 200_000,
+    seconds: float | None = None,
+    processes: int = 1,
+    checker: CheckerName = "auto",
+    find: str | None = None,
+    runs: int = 10,
+    overrides: Overrides = (),
+    progress: Progress = notebook_line,
+) -> "CertifyResult":
+    """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
+
+    Use it to state how far an estimate may start from the truth and still converge. The result holds for the whole
+    region and not only for motions that were simulated. The bounds decide whether a proof exists: a smaller region,
+    velocity or error makes it easier. The rate is that of squared lengths, so that errors decrease at half of it.
+    `certificates.certify` takes an observer that you have built yourself.
+
+    Args:
+        model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
+        velocity: Bound of the true velocities [unit/s], one for all or one each; required. There is no certificate
+            without it.
+        error: How far estimated positions may be off [unit], one bound for all or one each; required.
+        region: Ends of the positions by coordinate; rotations need none. On another group the entries of its
+            matrices, named g11, g12, ….
+        observer: "intrinsic" or "geodesic".
+        alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file.
+        beta: Gain β [1/s²], together with `alpha`.
+        sampling: Sampling rate [Hz] that gains are designed for.
+        input: Bound of the inputs, one for all or one each.
+        times: First and last time [s] of the statement; needed where the force depends on time.
+        rate: λ [1/s] of squared lengths to prove; by default half of what the metric Q allows.
+        q: Entries a, c, b of the metric Q = [[a, c], [c, b]]; by default the best conditioned one.
+        noise: Bound of the error of each measured position [unit], one for all or one each.
+        disturbance: Bound of the force that the model does not know, one for all or one each.
+        interval: Shortest and longest time between two samples [s], for a statement about the observer with sampled
+            measurements; without it the observer runs in continuous time.
+        lost: With `interval`, how many samples in a row may be lost.
+        lost_rows: Whether each lost sample is still a row ("empty"), or its row may be missing ("missing"), so that one
+            step of the observer covers the gap.
+        boxes: Effort: boxes that may be evaluated, the same on every machine.
+        seconds: A limit of time [s] besides, for each of the proofs.
+        processes: Processes to prove with. With several, a script needs the `if __name__ == "__main__"` guard.
+        checker: "auto" gives what was proved to the checker for as long as the proof took, or ten seconds; "all" until
+            it is through; "off" not at all. What it does not accept is not proved.
+        find: Search the largest value that is proved, each attempt with at most `boxes` boxes, beginning with the one
+            given: "error" multiplies all bounds of the error, and with them grows the radius; "rate" varies `rate`;
+            "interval" the longest time between two samples.
+        runs: With `find`, how many certificates are tried at most.
+        overrides: Values that replace those of the model file.
+        progress: Called with the current proof and the fraction of its region that is decided.
+
+    Returns:
+        The verdict with the whole statement; `result.holds` says whether it is proved.
+
+    Raises:
+        ValueError: For a bound that is missing, or that does not fit the model.
+
+    Example:
+        >>> import covariant
+        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
+        >>> covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, **bounds).holds
+        True
+    """
+    if velocity is None:
+        raise InputError(
+            "velocity is missing: no certificate exists without a bound of the velocity, because the tube in which "
+            "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
+        )
+    if error is None:
+        raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
+    if observer not in OBSERVERS:
+        raise InputError(unknown("observer", observer, OBSERVERS))
+    pair = gain_pair(alpha, beta)
+    name = models.spec_name(model)
+    progress("reading the model")
+    file = models.load(model, overrides)
+    system = file.need_mechanical(name, "certificates are about intrinsic observers of")
+    if system.feet is not None:
+        raise InputError(
+            f"{name} has feet: no certificate covers impacts; `certificates.dwell_time` states what is known of small "
+            "errors from step to step"
+        )
+    n, on_group = file.dimension, not system.manifold.commuting
+    names = system.velocities if on_group else system.coordinates or numbered("q", n)
+    designed = design(file, observer, pair, None if sampling is None else above_zero("sampling", sampling))
+    settings: dict[str, Any] = {
+        "velocity": numbers("velocity", velocity, [f"d{k}/dt" for k in names], positive=True, one=True),
+        "error": numbers("error", error, names, positive=True, one=True),
+        "position": _matrix_region(system, region) if on_group else _region(name, names, region),
+        "input": amounts("input", input, numbered("u", input_count(system, n))),
+        "times": None if times is None else tuple(times),
+        "rate": None if rate is None else above_zero("rate", rate),
+        "q": _metric(q),
+        "noise": amounts("noise", noise, names),
+        "disturbance": amounts("disturbance", disturbance, names),
+        "interval": None if interval is None else tuple(interval),
+        "lost": lost,
+        "lost_rows": lost_rows,
+        "boxes": int(above_zero("boxes", boxes)),
+        "seconds": None if seconds is None else above_zero("seconds", seconds),
+        "processes": int(above_zero("processes", processes)),
+        "checker": checker,
+    }
+    recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
+
+    def longest_prediction(chosen: Mapping[str, Any]) -> float:
+        steps = lost + 1 if lost_rows == "missing" else 1
+        return steps * check_interval(chosen["interval"], lost, lost_rows)[1]
+
+    def prove(**changes: Any) -> ContractionCertificate:
+        chosen = settings | changes
+        return certificates.certify(
+            designed.inner
+            if interval is None
+            else designed.with_substeps_for(chosen["velocity"], longest_prediction(chosen)),
+            recipe=recipe,
+            progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
+            **chosen,
+        )
+
+    notes = designed.notes + runs_otherwise(file, observer)
+    if find is None:
+        return CertifyResult(name, prove(), notes)
+    certificate, attempts = largest_proved(find, settings, prove, runs)
+    return CertifyResult(name, certificate, notes, FIND[find], attempts)
+
+
+@dataclass(frozen=True, repr=False)
+class CertifyResult(AbstractResult):
+    """Verdict on a statement about an observer, with the numbers of its proof.
+
+    Attributes:
+        model_name: The model, by its path or name.
+        certificate: The statement with its proofs.
+        design: A sentence on where the gains come from.
+        varied: With `find`, what was varied.
+        attempts: With `find`, each value that was tried, with its verdict.
+
+    Example:
+        >>> import covariant
+        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
+        >>> result = covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, checker="off", **bounds)
+        >>> result.summary["verdict"], result.certificate.rate
+        ('holds', 1.0)
+    """
+
+    model_name: str
+    certificate: ContractionCertificate
+    design: str
+    varied: str = ""
+    attempts: tuple[Attempt, ...] = ()
+
+    @property
+    def holds(self) -> bool:
+        """Whether the statement is proved."""
+        return self.certificate.statement.verdict == "holds"
+
+    @property
+    def wrong(self) -> bool:
+        """Whether there is a counter-example to the statement; then no certificate can be saved."""
+        return self.certificate.counterexample is not None
+
+    @property
+    def headline(self) -> str:
+        certificate = self.certificate
+        verdict = VERDICTS[certificate.statement.verdict]
+        tube = f", radius ε = {certificate.radius:.4g}" if self.holds else ""
+        return f"{self.model_name}, {verdict}: rate λ = {certificate.rate:.4g} 1/s{tube}"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        cert, domain = self.certificate, self.certificate.domain
+        ends = zip(domain.names, domain.low.tolist(), domain.high.tolist(), strict=True)
+        wrong = None
+        if cert.counterexample is not None:
+            wrong = dict(zip(domain.names, cert.counterexample.mean(axis=0).tolist(), strict=True))
+        return {
+            "model": self.model_name,
+            "observer": type(cert.observer).__name__,
+            "verdict": cert.statement.verdict,
+            "evidence": cert.statement.evidence,
+            "statement": cert.statement.claim,
+            "about": list(cert.statement.about),
+            "hypotheses": cert.statement.document()["hypotheses"],
+            "alpha": float(cert.observer.alpha),
+            "beta": float(cert.observer.beta),
+            "q": cert.q.tolist(),
+            "rate": cert.rate,
+            "decay": cert.decay,
+            "radius": cert.radius,
+            "steady": cert.steady if math.isfinite(cert.steady) else None,
+            "half_widths": cert.half_widths.tolist() if self.holds else None,
+            "start": None if cert.start is None else _start(cert.start),
+            "attempts": [attempt._asdict() for attempt in self.attempts],
+            "velocity": cert.velocity.tolist(),
+            "domain": {name: [low, high] for name, low, high in ends},
+            "boxes": cert.boxes,
+            "seconds": cert.seconds,
+            "checker_seconds": cert.checker_seconds,
+            "open": len(cert.open),
+            "open_share": {claim.kind: claim.proof.open_share for claim in _undecided_claims(cert)},
+            "counterexample": wrong,
+        }
+
+    def __str__(self) -> str:
+        cert, domain = self.certificate, self.certificate.domain
+        lines = [
+            *([verdict(cert), ""] if self.holds else []),  # other statements begin with their verdict themselves
+            str(cert.statement),
+            "",
+            self.design,
+            *(self._tube() if self.holds else ["no tube is proved"]),
+            *([f"tried for the largest {self.varied}:"] if self.attempts else []),
+            *(f"  {attempt}" for attempt in self.attempts),
+            *(["  all of them are proved, and larger ones were not tried: give more runs"] if self._unlimited else []),
+            "the domain of the proofs:",
+        ]
+        for kind, name, unit, low, high in zip(
+            cert.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
+        ):
+            low, high = low + 0.0, high + 0.0  # takes the sign from a zero
+            ends = f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip()
+            lines.append(ends + in_degrees(high, unit, low))
+        if cert.counterexample is not None:
+            point = cert.counterexample.mean(axis=0)
+            lines.append("it is wrong at")
+            lines += [
+                f"  {name} = {x:.6g} {unit}".rstrip() + in_degrees(x, unit)
+                for name, unit, x in zip(domain.names, domain.units, point, strict=True)
+            ]
+        lines += [
+            f"{claim.kind}: {len(claim.proof.open)} boxes remain, {claim.proof.open_share:.2%} of the domain; more "
+            "boxes, smaller bounds or a lower rate may decide it"
+            for claim in _undecided_claims(cert)
+        ]
+        lines.append(f"{cert.boxes} boxes, {cert.seconds:.1f} s; checker {cert.checker_seconds:.1f} s")
+        if self.wrong:
+            lines.append("no certificate is written of a statement that is wrong")
+        return "\n".join(lines)
+
+    @property
+    def _unlimited(self) -> bool:
+        """Whether a search ended before it met a value that is not proved."""
+        return bool(self.attempts) and all(attempt.verdict == "holds" for attempt in self.attempts)
+
+    def _tube(self) -> list[str]:
+        """Lines on the half widths of the tube."""
+        cert = self.certificate
+        names, units, n = cert.domain.names, cert.domain.units, len(cert.velocity)
+        rates = [f"{unit}/s" if unit and not unit.endswith("/s") else unit for unit in units[:n]]
+        turns = [unit.removesuffix("/s") for unit in units[:n]]
+        start = cert.start
+        covered = (
+            []
+            if start is None
+            else [
+                "every start is covered whose errors are, all at once, within",
+                *(f"  {line}" for line in start.lines),
+            ]
+        )
+        return [
+            *covered,
+            f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within",
+            *(
+                f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}"
+                for what, widths, each in (
+                    ("position", cert.half_widths[:n], turns),
+                    ("velocity", cert.half_widths[n:], rates),
+                )
+                for name, w, unit in zip(names[:n], widths, each, strict=True)
+            ),
+        ]
+
+    def save(self, path: str | Path, overwrite: bool = True) -> Path:
+        """Write the certificate (.json), over a file that exists only where `overwrite` says so.
+
+        Raises:
+            ValueError: For a statement that is wrong, and for a model that was given as an object.
+        """
+        path = Path(path)
+        check_output(path, ".json", overwrite=overwrite)
+        if self.wrong:
+            raise InputError(f"{path}: no certificate is written of a statement that is wrong")
+        return self.certificate.save(path)
+
+    def _write_page(self, path: Path) -> list[Path]:
+        from covariant.verbs.base.pages import write_result_page
+
+        title, drawn = f"Certificate of {Path(self.model_name).stem}", self.certificate.sampling is None
+        return write_result_page(path, title, self, [str(self)], drawn=drawn)
+
+    def _figure(self) -> "Figure":
+        from covariant.report import certificate_figure
+
+        if self.certificate.sampling is not None:
+            raise InputError("figures are of certificates in continuous time; this one is about sampled measurements")
+        return certificate_figure(self.certificate)
+
+
+def check_certificate(
+    path: str | Path, *, model: str | None = None, processes: int = 1, progress: Progress = notebook_line
+) -> "CertificateCheckResult":
+    """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
+
+    A certificate that is not verified gives a result with the reason, rather than an exception. `model` runs code of
+    the person who checks, and never code from the file. `certificates.check` is the same without ball arithmetic, and
+    returns the statement.
+
+    Args:
+        path: The certificate (.json), as `certify` saves it.
+        model: The `module:attribute` of a model that is not of this library, given by the person who checks.
+        processes: Largest number of processes to check with; with several, a script needs the
+            `if __name__ == "__main__"` guard. Up to 1024 leaves are checked in this process.
+        progress: Called with the fraction of the leaves that are checked.
+
+    Returns:
+        Whether the certificate is verified, and otherwise why not.
+
+    Raises:
+        ValueError: Where there is no such file.
+
+    Example:
+        >>> import covariant
+        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
+        >>> proved = covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, **bounds)
+        >>> covariant.verbs.check_certificate(proved.save("oscillator.json")).verified
+        True
+    """
+    path = Path(path)
+    content = read_file(path)  # only once, so that both checks examine the same content
+    try:
+        document = certificates.parse(path, content)
+        checked = certificates.check(
+            document,
+            model=model,
+            processes=int(above_zero("processes", processes)),
+            progress=lambda done, total: progress(f"checking leaves, {done} of {total}", done / max(total, 1)),
+        )
+        return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
+    except InputError as refusal:
+        return CertificateCheckResult(path, model, None, 0, str(refusal))
+
+
+@dataclass(frozen=True, repr=False)
+class CertificateCheckResult(AbstractResult):
+    """Whether a saved certificate is verified.
+
+    Attributes:
+        path: The file.
+        model: The `module:attribute` that was given for its model, or None.
+        checked: What was verified; None where the certificate is refused.
+        balls: Number of leaves that were verified again in ball arithmetic.
+        note: A remark on the balls, or why the certificate is refused.
+
+    Example:
+        >>> from covariant import verbs
+        >>> verbs.CertificateCheckResult("top.json", None, None, 0, "its digest does not fit")
+        <CertificateCheckResult: top.json: refused>
+    """
+
+    path: Path
+    model: str | None
+    checked: Checked | None
+    balls: int
+    note: str
+
+    @property
+    def verified(self) -> bool:
+        """Whether all leaves of the proofs are verified."""
+        return self.checked is not None
+
+    @property
+    def headline(self) -> str:
+        return f"{self.path}: {'refused' if self.checked is None else f'verified, {self.checked.leaves} leaves'}"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        if self.checked is None:
+            return {"verified": False, "reason": self.note}
+        assumed = [each.text for each in self.checked.statement.hypotheses if each.evidence == "assumed"]
+        details = {"model": self.model, "balls": self.balls, "assumed": assumed}
+        return {"verified": True, **self.checked._asdict(), "statement": self.checked.statement.document(), **details}
+
+    def __str__(self) -> str:
+        details = self.checked
+        if details is None:
+            return f"Refused: {self.note}"
+        caveat = (
+            f"The model is {self.model}, given by the person who checks; that the file means this one is not verified."
+        )
+        return "\n".join(
+            [
+                f"Verified: {details.leaves} leaves in {details.seconds:.1f} s, {self.note}.",
+                *([caveat] if details.model_given else []),
+                str(details.statement),
+            ]
+        )
+
+
+def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
+    """The number of leaves verified in ball arithmetic, also in words."""
+    try:
+        balls = certificates.check_sample(document, model=model).leaves
+    except ImportError as missing:
+        return 0, f"none in ball arithmetic: {missing}"
+    return balls, f"{balls} of them again in ball arithmetic"
+
+
+def _region(
+    name: str, names: Sequence[str], region: Region | None
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Least and largest positions; every coordinate must be named."""
+    ends = bounds("region", region or {}, names, "coordinate", equal=True)
+    missing = [each for each in names if each not in ends]
+    if missing:
+        example = ",".join(f"{each}=LOW:HIGH" for each in names)
+        raise InputError(f"region lacks {', '.join(missing)}; {name} needs the ends of all: {example}")
+    low, high = zip(*(ends[each] for each in names), strict=True)
+    return np.array(low), np.array(high)
+
+
+def _matrix_region(
+    model: MechanicalSystem, region: Region | None
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k"]] | None:
+    """Least and largest entries of the matrices; None where nothing is given, as for rotations."""
+    if region is None:
+        return None
+    order = model.manifold.origin().shape[0]
+    names = [f"g{i + 1}{j + 1}" for i in range(order) for j in range(order)]
+    ends = bounds("region", region, names, "matrix entry", equal=True)
+    missing = [name for name in names if name not in ends]
+    if missing:
+        raise InputError(f"region lacks {', '.join(missing)}: on a group all entries of its matrices need bounds")
+    low, high = zip(*(ends[name] for name in names), strict=True)
+    return np.reshape(low, (order, order)), np.reshape(high, (order, order))
+
+
+def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] | None:
+    """Q from its entries a, c, b."""
+    if entries is None:
+        return None
+    a, c, b = numbers("q", entries, ("a", "c", "b"))
+    if not (a > 0 and a * b > c * c):  # Sylvester's criterion
+        raise InputError(f"q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {a:g}, {c:g}, {b:g}")
+    return np.array([[a, c], [c, b]])
+
+
+def _start(start: Start) -> dict[str, dict[str, float]]:
+    """The errors of a start by name, in radians and metres."""
+    rows = zip(start.names, start.together.tolist(), start.alone.tolist(), start.farthest.tolist(), strict=True)
+    return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
+
+
+def _undecided_claims(certificate: ContractionCertificate) -> list[AbstractClaim]:
+    return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]

@@ -1,0 +1,443 @@
+"""`compare`: all estimators on the same log, tuned from the same data sheet, and ranked."""
+
+import functools
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant.calibration import estimators
+from covariant.engine import EngineName
+from covariant.models import Overrides
+from covariant.observers import AbstractObserver
+from covariant.scoring import SETTLED
+from covariant.verbs.base.design import log_sheet
+from covariant.verbs.base.estimates import INFORMED, hole_doubts
+from covariant.verbs.base.inputs import (
+    ColumnNames,
+    Job,
+    Loaded,
+    load,
+    with_sensor_delays,
+)
+from covariant.verbs.base.kind import Labels
+from covariant.verbs.base.outcome import (
+    Outcome,
+    drive,
+    engine_is_notable,
+    inconsistent,
+    rounded,
+    summary,
+    timed,
+    with_units,
+)
+from covariant.verbs.base.outputs import write_table
+from covariant.verbs.base.pages import estimate_report, write_report
+from covariant.verbs.base.progress import Progress, notebook_line
+from covariant.verbs.base.result import AbstractTable
+from covariant.verbs.base.trial import Ahead, ahead, trial_part
+
+
+def compare(
+    model: Any,
+    log: Any,
+    *,
+    overrides: Overrides = (),
+    every: int = 1,
+    start: float | None = None,
+    until: float | None = None,
+    columns: ColumnNames | None = None,
+    anyway: bool = False,
+    engine: EngineName = "auto",
+    progress: Progress = notebook_line,
+) -> "CompareResult":
+    """Run all estimators that fit a model on a log, tuned from the same data sheet, and rank them.
+
+    Use it to choose an observer for a machine. A ranking on the true velocities is the more reliable one; without them
+    the estimators are ranked by how well the model predicts later positions from their estimates. The ranking is that
+    of one motion and one data sheet: call `tune` first where the noise is not known.
+
+    Args:
+        model, log, overrides, every, start, until, columns, anyway, engine, progress: As for `estimate`. Noise of the
+            model file, or of `overrides`, is the data sheet.
+
+    Returns:
+        The estimators in order of their errors: against the true velocities where the log has them, else of positions
+        that the model predicts from the estimates, some rows ahead, on rows on which none was tuned.
+
+    Raises:
+        MisfitError: Where the model explains nothing of the motion in the log.
+        ValueError: For a model or a log that cannot be used.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=1.0, rate=100.0, noise=1e-4, q0=[1.0]).record
+        >>> noise = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
+        >>> covariant.compare("oscillator", log, overrides=noise).to_pandas()["estimator"].size > 5
+        True
+    """
+    job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
+    progress("reading the log")
+    loaded = load(job, missing_inputs=True)
+    progress("tuning")
+    observers, note, tuned_on = line_up(loaded)
+    outcomes: dict[str, Outcome] = {}
+    for place, (name, observer) in enumerate(observers.items()):
+        progress(name, place / len(observers))
+        outcomes[name] = drive(observer, loaded, engine)
+    progress("timing")
+    outcomes = timed(outcomes, observers, loaded)
+    progress("predicting")
+    predicted = ahead(outcomes, loaded, tuned_on)
+    ranked = {name: outcomes[name] for name in rank(outcomes, loaded, predicted)}
+    return CompareResult(job, loaded, note, ranked, engine, predicted)
+
+
+@dataclass(frozen=True, repr=False)
+class CompareResult(AbstractTable):
+    """Estimators ranked on a log, best first.
+
+    Attributes:
+        job: The model and the log, and which part of it was read.
+        loaded: Both as they were read.
+        design: Sentences on how all of them are tuned.
+        outcomes: Run and score of each estimator by name, in order of error.
+        asked_engine: The engine that was asked for.
+        predicted: Errors of predicted positions that they are ranked by; None where they are ranked by others.
+
+    Example:
+        >>> import covariant
+        >>> log = covariant.simulate("oscillator", duration=1.0, rate=100.0, noise=1e-4, q0=[1.0]).record
+        >>> noise = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
+        >>> result = covariant.compare("oscillator", log, overrides=noise)
+        >>> "intrinsic" in result.ranking, list(result.columns)[:3]
+        (True, ['rank', 'estimator', 'v1_rmse'])
+        >>> bool(result.columns["v1_rmse"][0] < 0.05)
+        True
+    """
+
+    job: Job
+    loaded: Loaded
+    design: str
+    outcomes: dict[str, Outcome]
+    asked_engine: EngineName
+    predicted: Ahead | None = None
+
+    written = (".csv",)
+
+    @property
+    def _log(self) -> Any:
+        return self.job.log
+
+    def _write(self, path: Path) -> None:
+        write_table(path, self.columns)  # a number that an estimator does not have is left empty
+
+    @property
+    def ranking(self) -> tuple[str, ...]:
+        """Names of the estimators, best first."""
+        return tuple(self.outcomes)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        loaded, outcomes = self.loaded, self.outcomes.values()
+        scored = loaded.kind.estimates.names if loaded.reference else loaded.file.columns.q
+        errors = np.array([rmse(outcome) for outcome in outcomes])
+        known = [consistency(outcome) for outcome in outcomes]
+        return {
+            "rank": np.arange(1, len(outcomes) + 1),
+            "estimator": np.array(self.ranking),
+            **{f"{name}_rmse": errors[:, i] for i, name in enumerate(scored)},
+            **self._score_columns(scored),
+            **self._predicted_columns(),
+            **{key.lower(): np.array([row[key] for row in known]) for key in ("NIS", "NEES")},
+            "microseconds": np.array([outcome.microseconds for outcome in outcomes]),
+        }
+
+    def _score_columns(self, scored: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Medians of the errors, and their root mean squares without the holes of the log."""
+        scores = [outcome.score for outcome in self.outcomes.values()]
+        columns: dict[str, np.ndarray] = {}
+        for suffix, parts in (
+            ("median_error", [score and score.median for score in scores]),
+            ("rmse_without_holes", [score and score.apart and score.apart.rmse for score in scores]),
+        ):
+            if all(part is not None for part in parts):
+                values: Any = np.array(parts)
+                columns |= {f"{name}_{suffix}": values[:, i] for i, name in enumerate(scored)}
+        return columns
+
+    @property
+    def ranking_without_holes(self) -> tuple[str, ...] | None:
+        """The names in order of the errors without the rows in and after holes; None where the log has no holes."""
+        return without_holes(self.outcomes, self.loaded, self.predicted)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Holes of the log, whether they decide the order, and estimators whose errors are not what they say."""
+        holes, apart = self.loaded.holes, self.ranking_without_holes
+        lines = [] if holes is None else [str(holes)]
+        if apart is not None and apart[0] != self.ranking[0]:
+            lines.append(
+                f"the holes decide the order: without them and {SETTLED:g} s after each it is {', '.join(apart)}"
+            )
+        elif apart is not None and apart != self.ranking:
+            lines.append(f"without the holes and {SETTLED:g} s after each the order is {', '.join(apart)}")
+        doubts = {name: inconsistent(self.loaded, name, outcome) for name, outcome in self.outcomes.items()}
+        lines += hole_doubts(self.loaded, self.outcomes)
+        return (*lines, *(f"{name}: {doubt}" for name, doubt in doubts.items() if doubt is not None))
+
+    def _predicted_columns(self) -> dict[str, np.ndarray]:
+        if self.predicted is None:
+            return {}
+        errors = np.array([self.predicted.errors[name] for name in self.ranking])
+        return {f"predicted{i + 1}_rmse": column for i, column in enumerate(errors.T)}
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        what = self.loaded.kind.what
+        return {
+            "model": self.job.model_name,
+            "log": self.job.log_name,
+            "scored_against": scored_against(self.loaded),
+            "ranked_by": ranked_by(self.loaded, self.predicted),
+            "design": self.design,
+            **({} if self.loaded.holes is None else {"holes": self.loaded.holes.table}),
+            **({} if self.ranking_without_holes is None else {"without_holes": list(self.ranking_without_holes)}),
+            "ranking": [
+                {"estimator": name, "engine": outcome.engine, **summary(outcome, what), **self._prediction(name)}
+                for name, outcome in self.outcomes.items()
+            ],
+        }
+
+    def _prediction(self, name: str) -> dict[str, Any]:
+        return {} if self.predicted is None else {"predicted_rmse": rounded(self.predicted.errors[name])}
+
+    @property
+    def headline(self) -> str:
+        best, loaded, kind = self.ranking[0], self.loaded, self.loaded.kind
+        units = kind.innovation_units if loaded.reference is None else kind.estimates.units
+        error = with_units(rounded(rmse(self.outcomes[best])), units)
+        return f"{len(self.outcomes)} estimators on {len(loaded.record.t)} rows; best: {best}, RMSE {error}"
+
+    def __str__(self) -> str:
+        from covariant.report import table
+
+        what = self.loaded.kind.what if self.loaded.reference else "prediction"
+        notable = any(engine_is_notable(each.engine, self.asked_engine) for each in self.outcomes.values())
+        lines = [
+            f"{self.job.log_name}, {what} errors against the {scored_against(self.loaded)}",
+            "",
+            table(self._rows()),
+            f"Ranked by {ranked_by(self.loaded, self.predicted)}.",
+            rows_that_count(self.loaded),
+            self.design,
+            *self.warnings,
+            *(_engines(self.outcomes) if notable else []),
+        ]
+        return "\n".join(lines)
+
+    def _write_page(self, path: Path) -> list[Path]:
+        title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
+        ranked = f"Ranked by {ranked_by(self.loaded, self.predicted)}."
+        drawn, rest = self._drawn_first, len(self.outcomes)
+        ranked += f" Drawn are {', '.join(drawn)}; a click on a label shows another." if rest > len(drawn) else ""
+        notes = (ranked, self.design, rows_that_count(self.loaded))
+        page = estimate_report(
+            title,
+            self.job,
+            self.loaded,
+            self.outcomes,
+            notes,
+            rows=self._rows_by_knowledge(),
+            headline=self._verdict,
+            warnings=self.warnings,
+            best=len(self._equals),
+            hidden=tuple(name for name in self.ranking if name not in drawn),
+        )
+        return write_report(path, page)
+
+    @property
+    def _badness(self) -> dict[str, float]:
+        return badness(self.outcomes, self.loaded, self.predicted)
+
+    @property
+    def _equals(self) -> tuple[str, ...]:
+        """The best estimator, and those whose errors are as small up to `EQUAL`."""
+        total = self._badness
+        return tuple(name for name in self.ranking if total[name] <= EQUAL * total[self.ranking[0]])
+
+    @property
+    def _drawn_first(self) -> tuple[str, ...]:
+        """A few estimators that are drawn at once: the best, the best without a model, and those best known."""
+        free = [name for name in self.ranking if name not in INFORMED][:1]
+        wanted = (self.ranking[0], *free, "intrinsic", "ekf", *self.ranking)
+        return tuple(dict.fromkeys(name for name in wanted if name in self.outcomes))[:DRAWN]
+
+    @property
+    def _verdict(self) -> str:
+        """Who is best, who is as good, and how far the best one without the model is behind."""
+        total, equals = self._badness, self._equals
+        text = f"{', '.join(equals)} {'are equally good' if len(equals) > 1 else 'is best'}"
+        text += f" (within {100 * (EQUAL - 1):.0f} %)" * (len(equals) > 1)
+        free = next((name for name in self.ranking if name not in INFORMED), None)
+        informed = [total[name] for name in self.ranking if name in INFORMED and np.isfinite(total[name])]
+        if len(informed) > len(equals):
+            text += f"; the {len(informed)} with the model differ by {max(informed) / min(informed) - 1:.0%}"
+        if free is None or free in equals or self.ranking[0] not in INFORMED:
+            return f"{text}; {len(self.outcomes)} estimators"
+        return f"{text}; {free}, the best without it, has {total[free] / total[self.ranking[0]]:.2g} times the error"
+
+    def _rows_by_knowledge(self) -> tuple[dict[str, Any], ...]:
+        """The rows of the table, with what each estimator knows."""
+        return tuple(
+            {"estimator": row["estimator"], "knows": "model" if row["estimator"] in INFORMED else "—"} | row
+            for row in self._rows()
+        )
+
+    def _cells_without_holes(self, outcome: Outcome) -> dict[str, float]:
+        if outcome.score is None or outcome.score.apart is None:
+            return {}
+        return self.loaded.kind.rates.called("RMSE {} without holes").cells(outcome.score.apart.rmse)
+
+    def _predicted_cells(self, name: str) -> dict[str, float]:
+        if self.predicted is None:
+            return {}
+        kind = self.loaded.kind
+        labels = Labels(kind.axes.names, kind.innovation_units).called("predicted {}")
+        return labels.cells(self.predicted.errors[name])
+
+    def _rows(self) -> tuple[dict[str, str | float], ...]:
+        """The rows of the printed table, with units in their headings."""
+        loaded, kind = self.loaded, self.loaded.kind
+        labels = kind.rates if loaded.reference else Labels(loaded.file.columns.q, kind.innovation_units)
+        labels = labels.called("RMSE {}")
+        return tuple(
+            {
+                "estimator": name,
+                **labels.cells(rmse(outcome)),
+                **self._cells_without_holes(outcome),
+                **self._predicted_cells(name),
+                **consistency(outcome),
+                "µs a sample": round(outcome.microseconds, 1),
+            }
+            for name, outcome in self.outcomes.items()
+        )
+
+
+def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarray]:
+    """Tune all observers that fit a model."""
+    kind, sheet = loaded.kind, functools.cache(lambda: log_sheet(loaded.file, loaded))
+    note = kind.note(sheet, loaded.rate) + loaded.note
+    trial, tuned_on = trial_part(loaded)
+    if trial is not None:
+        begin, end = np.asarray(loaded.record.t)[tuned_on][[0, -1]] - np.asarray(loaded.record.t)[0]
+        note += (
+            f" Filters that know no model are those that are best from {begin:.3g} to {end:.3g} s of this very log, "
+            "the first third of its length that moves, with the fewest faults."
+        )
+    note += kind.gates
+    tuned = kind.tuned(sheet, loaded.rate, estimators(loaded.model), trial)
+    return with_sensor_delays(tuned, loaded), note, tuned_on
+
+
+def ranked_by(loaded: Loaded, predicted: Ahead | None) -> str:
+    """Say what the order of the estimators is by."""
+    if predicted is None:
+        return f"errors against the {scored_against(loaded)}"
+    return (
+        f"the prediction of positions up to {predicted.horizon} rows ({1e3 * predicted.time:.3g} ms) ahead from the "
+        "estimates, on rows that no filter was tuned on, for the log has no true velocities"
+    )
+
+
+def scored_against(loaded: Loaded) -> str:
+    """Name what errors are computed against."""
+    return "outputs, one sample ahead" if loaded.reference is None else loaded.reference.label
+
+
+def rows_that_count(loaded: Loaded) -> str:
+    """Say which rows the errors of a table are of."""
+    t = np.asarray(loaded.record.t) - np.asarray(loaded.record.t)[0]
+    if loaded.reference is None:
+        count, begin = len(t) - len(t) // 10, t[len(t) // 10]
+        return f"Errors are those of {count} of {len(t)} rows, from {begin:.3g} s on."
+    at = np.flatnonzero(loaded.reference.scored)
+    return f"Errors are those of {len(at)} of {len(t)} rows, from {t[at[0]]:.4g} to {t[at[-1]]:.4g} s."
+
+
+def without_holes(
+    outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None
+) -> tuple[str, ...] | None:
+    """Order of the estimators without the rows in and after holes; None where the log has none, or nothing else."""
+    if loaded.holes is None or loaded.reference is None:
+        return None
+    if predicted is not None:
+        return (
+            None
+            if predicted.apart is None
+            else tuple(rank(outcomes, loaded, predicted._replace(errors=predicted.apart)))
+        )
+    apart = {name: outcome.score and outcome.score.apart for name, outcome in outcomes.items()}
+    if any(score is None for score in apart.values()):
+        return None
+    return tuple(rank({name: outcome._replace(score=apart[name]) for name, outcome in outcomes.items()}, loaded))
+
+
+EQUAL = 1.03
+"""Ratio of errors up to which estimators are called equally good."""
+DRAWN = 4
+"""Curves that a page of a comparison shows at first."""
+
+
+def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> list[str]:
+    """Order estimators by error, diverged ones last."""
+    total = badness(outcomes, loaded, predicted)
+    return sorted(outcomes, key=lambda name: total[name])
+
+
+def badness(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> dict[str, float]:
+    """Errors relative to the motion, as one number for each estimator; ∞ where it diverged."""
+    reference = loaded.reference
+    if predicted is not None:
+        finite = np.array([np.where(np.isfinite(e), e, np.inf) for e in predicted.errors.values()])
+        scale = np.min(finite, axis=0)
+    elif reference is None:
+        scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
+    else:
+        scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
+
+    def of(name: str) -> float:
+        errors = rmse(outcomes[name]) if predicted is None else predicted.errors[name]
+        relative = errors / np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
+        total = float(np.sqrt(np.mean(relative**2)))
+        # NaN compares as neither smaller nor larger, which would leave the order undefined.
+        return total if np.isfinite(total) else float("inf")
+
+    return {name: of(name) for name in outcomes}
+
+
+def rmse(outcome: Outcome) -> np.ndarray:
+    """Root mean square errors that estimators are ranked by."""
+    if outcome.score is not None:
+        return outcome.score.rmse
+    innovation = np.asarray(outcome.run.info.innovation)
+    # The first tenth is left out: the estimate starts at rest and still converges.
+    return np.sqrt(np.mean(innovation[len(innovation) // 10 :] ** 2, axis=0))
+
+
+def consistency(outcome: Outcome) -> dict[str, float]:
+    """NIS and NEES of an outcome, normalised squares of innovations and of velocity errors.
+
+    1 is expected of each; NaN stands for an estimator without a covariance, and for NEES also without a reference.
+    """
+    return {"NIS": outcome.nis, "NEES": math.nan if outcome.score is None else outcome.score.nees}
+
+
+def _engines(outcomes: dict[str, Outcome]) -> list[str]:
+    """Which engine computed what, a line for each."""
+    by: dict[str, list[str]] = {}
+    for name, outcome in outcomes.items():
+        by.setdefault(outcome.engine, []).append(name)
+    return [f"engine of {', '.join(names)}: {engine}" for engine, names in by.items()]

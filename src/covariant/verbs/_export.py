@@ -1,0 +1,414 @@
+"""`export`: an observer as C for microcontrollers, as a Python package, as WebAssembly, or as a unit (.fmu)."""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from covariant import certificates, models
+from covariant._compile import NO_COMPILER
+from covariant._errors import InputError
+from covariant.codegen import (
+    Facts,
+    Program,
+    check_export,
+    check_export_name,
+    check_wasm_compiler,
+    export_name,
+    export_texts,
+    fmu,
+    python_files,
+    ros_files,
+    vectors,
+    wasm_files,
+    write_fmu,
+    write_folder,
+)
+from covariant.lowering import operations
+from covariant.models import Overrides
+from covariant.observers import (
+    REGISTRY,
+    SMOOTHED,
+    AbstractObserver,
+    Delayed,
+    FixedLag,
+    Gated,
+    Unwrapped,
+)
+from covariant.verbs.base.arguments import above_zero, gain_pair
+from covariant.verbs.base.design import Design, design
+from covariant.verbs.base.exported_program import exported_program, open_family
+from covariant.verbs.base.inputs import Job, densest_rate, describe_inputs, load, with_acting_inputs
+from covariant.verbs.base.kinds import kind_of
+from covariant.verbs.base.progress import Progress, notebook_line
+from covariant.verbs.base.result import AbstractResult
+from covariant.verbs.base.robot_file import FORMATS, RobotFileResult, write_robot
+from covariant.verbs.base.sensors import reading_delays
+
+REALS = ("double", "float")
+VERSIONS = ("3.0", "2.0")
+UNGATED = "It has no gate and refuses no measurement, as asked."
+
+
+def export(
+    model: Any,
+    out: str | Path,
+    *,
+    rate: float,
+    observer: str | None = None,
+    alpha: float | None = None,
+    beta: float | None = None,
+    real: str = "double",
+    name: str | None = None,
+    parameters: Sequence[str] | None = None,
+    certificate: str | Path | None = None,
+    metric: str | Path | None = None,
+    fmi: str | None = None,
+    lag: float | None = None,
+    step_per_sensor: bool = False,
+    python: bool = False,
+    wasm: bool = False,
+    ros2: bool = False,
+    gate: bool = True,
+    log: Any = None,
+    overwrite: bool = False,
+    overrides: Overrides = (),
+    progress: Progress = notebook_line,
+) -> "ExportResult | RobotFileResult":
+    """Write an observer as C99 for microcontrollers and controllers, or as a unit (.fmu) for simulators.
+
+    It is the observer that `estimate` runs at this sampling rate, with its gate: outliers, holes and missing numbers
+    have the same result codes. The gate judges by the noise of the model file and by the usual speed of the motion,
+    which `estimate` reads from its log.
+
+    Where `out` ends in .urdf, .xml or .json, the robot itself is written with the numbers of its model file, for
+    simulators: its URDF file, an MJCF file, or a table of its servos for configurations of actuators. Such a file takes
+    no options of an observer.
+
+    Args:
+        model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
+        out: The folder to write, or a unit for simulators where it ends in .fmu, or the file of a robot.
+        rate: Sampling rate [Hz] that the observer is made for, or steps in a second of a robot's simulation.
+        observer: Name of the observer; by default the first that fits the model.
+        alpha, beta: As for `estimate`.
+        real: Type of all numbers in C, "double" or "float".
+        name: What all names in C begin with; that of the model by default.
+        parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
+        certificate: A saved certificate (.json) of this observer, for the data sheet. With a certificate for sampled
+            measurements, and doubles, every step also returns a proved bound of the error. The number of substeps is
+            then that of the certificate, and all numbers are constants, since the proof holds only for them.
+        metric: A metric on a grid (.zarr) for the observer riccati, as `design_metric` stores it.
+        fmi: Version of FMI of a unit, "3.0" (the default) or "2.0".
+        lag: Estimate each time this much later [s], from all samples up to then, as `smooth` with this lag does; of a
+            filter with a covariance. None (default) for estimates of the present.
+        step_per_sensor: Of a filter with sensors, write a step for each of them and for the configuration as well,
+            for samples in which nothing else was read: less work, more code.
+        python: Write a Python package that needs NumPy alone beside the C, and a wheel of it.
+        wasm: Compile the observer to WebAssembly as well, with a script for pages and Node.
+        ros2: Write two packages of ROS 2: a node in Python, and one in C.
+        gate: Write the gate of the observer, which refuses outliers.
+        log: The log on which `estimate` runs, for the usual speed in the gate, for encoder ticks, and for sensors that
+            it has no columns of, which are left out; by default the speed is the product of `motion_acceleration` and
+            `motion_time` in the model file.
+        overwrite: Replace files that exist.
+        overrides: Values that replace those of the model file.
+        progress: Called with a description of the work.
+
+    Returns:
+        What was written, with warnings.
+
+    Raises:
+        ValueError: For arguments that do not fit the model or each other, an observer that has no code, and a folder
+            that is not empty.
+
+    Example:
+        >>> import covariant, tempfile
+        >>> folder = tempfile.mkdtemp() + "/c"
+        >>> result = covariant.export("oscillator", folder, rate=500.0, alpha=20.0, beta=200.0)
+        >>> sorted(path.suffix for path in result.files)[:2]
+        ['.c', '.c']
+    """
+    arguments = dict(locals())
+    out = Path(out)
+    if out.suffix in FORMATS:
+        above_zero("rate", rate)
+        return write_robot(export, arguments)
+    unit = out.suffix == ".fmu"
+    above_zero("rate", rate)
+    check_export(out, overwrite)
+    gains = gain_pair(alpha, beta)
+    _check(unit, real, fmi, step_per_sensor, python, wasm, ros2)
+    if name is not None:  # before the work
+        check_export_name(name, python or ros2, wasm)
+    if wasm:  # so that nobody waits for a design that then cannot be written
+        check_wasm_compiler()
+    label = models.spec_name(model)
+    progress("reading the model")
+    file = models.load(model, overrides)
+    family = open_family(model, overrides, parameters) if file.mechanical else None
+    file = file if family is None else family.file
+    logged = None if log is None else load(Job(model, log, overrides), score=False)
+    if logged is not None:
+        file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
+    if not file.mechanical and certificate is not None:
+        raise InputError(f"certificate is for mechanical models; {label} is a state-space model")
+    if not kind_of(file).makes_up_for_delays and float(np.max(file.delay)) > 0:
+        raise InputError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
+    designed = design(file, observer, gains, rate, logged, metric=metric, spec=label)
+    refusals, assumed = designed.explain_gate() if gate else (UNGATED, "")
+    designed = designed if gate else designed.without_gate()
+    measured, chosen = designed.self_test(rate), _plain(designed, gains)
+    entry = next(entry for entry in REGISTRY if entry.name == designed.name)
+    prefix = export_name(file.name, python or ros2, wasm) if name is None else name
+    description = f"{designed.name} observer of {file.name}, for samples {1 / rate:.6g} s apart. {chosen} {refusals}"
+    # As `estimate` runs it: it chooses its substeps in each sample, so that a hole is predicted as exactly as there.
+    runs = designed.observer
+    proved, kept = "", None
+    if certificate is not None:
+        kept, proved = _verify_certificate(Path(certificate), model, overrides, designed, rate)
+        if kept.sampling is not None and kept.sampling.substeps is not None:
+            runs = _with_substeps(runs, kept.sampling.substeps)
+    substeps = getattr(getattr(runs, "observer", runs), "substeps", None)
+    sampling = None if kept is None else kept.sampling
+    # Where the observer chooses its substeps, errors of predictions are not proved, and so is no bound.
+    bounded = sampling is not None and sampling.substeps is not None and real == "double"
+    if bounded and parameters:
+        raise InputError("the certificate is about the numbers of the model as they are; leave out `parameters`")
+    # Only an observer with a model can predict from the time of a late reading to the present.
+    delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
+    late = entry.knows_model and np.any(delay)
+    # With a log the memory is as long as `estimate` has it there.
+    stored = rate if logged is None or not late else densest_rate(np.asarray(logged.record.t), float(np.max(delay)))
+    unwrapped = Unwrapped(runs, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else runs
+    delayed = Delayed(unwrapped, delay, stored) if late else unwrapped
+    if step_per_sensor and not getattr(runs, "sensors", ()):
+        raise InputError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
+    if lag is not None:
+        delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
+    progress(f"writing {prefix}")
+    sent = with_acting_inputs(delayed, file, rate, logged) if entry.knows_model else delayed
+    if sent is not delayed:
+        delayed, description = sent, f"{description} {describe_inputs(file)}"
+    if bounded and delayed is runs and kept is not None:
+        delayed = kept.bounded(runs, radius=kept.radius)
+        description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
+    unbounded = ""
+    if sampling is not None and not delayed.fixed_numbers:
+        reason = "is about measurements without delays and periods, and inputs that act as they are sent"
+        if sampling.substeps is None:
+            reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
+        elif real != "double":
+            reason = "is about doubles"
+        unbounded = f"no bound of the error is a part of the step, since the certificate {reason}"
+        proved = f"{proved}\n\nIn this code {unbounded}."
+    # Other observers have no parameters of the model.
+    opened = family if entry.knows_model and not delayed.fixed_numbers else None
+    written = exported_program(label, delayed, opened, file, parameters, real, measured[0], step_per_sensor)
+    read = tuple(name for part in designed.sensors for name in part.signals)
+    units = {**written.units, **designed.units}
+    written = written._replace(signals=kind_of(file).signals(written.u, read), units=units)
+    warnings = [line for line in (assumed, unbounded) if line]
+    if unit:
+        version: Any = fmi or VERSIONS[0]
+        packed = fmu(written, prefix, description, rate, measured[0], version)
+        write_fmu(packed, out, overwrite)
+        if packed.without_binary:
+            warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
+        files = [out]
+    else:
+        facts = Facts(rate, substeps, proved, refusals)
+        run = vectors(written, measured, rate)
+        texts = export_texts(written, prefix, description, measured, facts, run, python, wasm, ros2)
+        more = python_files(written, texts, prefix, description, rate) if python else {}
+        more |= ros_files(written, texts, prefix, description, rate) if ros2 else {}
+        if python and not any(path.endswith(".whl") for path in more):
+            warnings.append(f"the Python package holds sources and no library: {NO_COMPILER}")
+        more |= wasm_files(written, texts, prefix, description, rate, run) if wasm else {}
+        files = write_folder({**texts, **more}, out, overwrite)
+    about, notes = (label, designed.name, description, chosen), tuple(warnings)
+    return ExportResult(*about, out, tuple(files), written, notes, refusals)
+
+
+@dataclass(frozen=True, repr=False)
+class ExportResult(AbstractResult):
+    """Files of an exported observer, and what they compute.
+
+    Attributes:
+        model_name: The model, by its path or name.
+        observer_name: Name of the observer.
+        about: A sentence on the observer and its numbers.
+        design: A sentence on its numbers.
+        out: The folder, or the unit.
+        files: All files that were written.
+        program: The graphs of the observer and its numbers.
+        notes: The warnings.
+        gate: Sentences on the gate, or why there is none.
+
+    Example:
+        >>> import covariant, tempfile
+        >>> folder = tempfile.mkdtemp() + "/c"
+        >>> noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
+        >>> moves = {"uncertainty.motion_acceleration": 20.0, "uncertainty.motion_time": 0.1}
+        >>> result = covariant.export("oscillator", folder, rate=500.0, overrides=noise | moves)
+        >>> result.observer_name, result.operations > 100
+        ('intrinsic', True)
+        >>> result.gate.partition(". ")[0]
+        'Its gate refuses outliers, by the noise 0.001 m and the usual speed 2 m/s'
+        >>> result.out.name, len(result.files) > 3, result.warnings
+        ('c', True, ())
+    """
+
+    model_name: str
+    observer_name: str
+    about: str
+    design: str
+    out: Path
+    files: tuple[Path, ...]
+    program: Program
+    notes: tuple[str, ...]
+    gate: str = ""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences on what a gate lacks, and on missing binaries."""
+        return self.notes
+
+    @property
+    def operations(self) -> int:
+        """Number of arithmetic operations of a step, all turns of its loops counted."""
+        return operations(self.program.step.graph.nodes)
+
+    @property
+    def headline(self) -> str:
+        return f"{self.observer_name} observer of {self.model_name} in {self.out}, {self.operations} operations a step"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        result: dict[str, Any] = {"model": self.model_name, "observer": self.observer_name, "out": str(self.out)}
+        result |= {"design": self.design, "gate": self.gate, "files": [str(path) for path in self.files]}
+        result |= {"numbers": list(self.program.numbers), "operations": self.operations}
+        return result | ({"warning": "; ".join(self.notes)} if self.notes else {})
+
+    def __str__(self) -> str:
+        if self.files == (self.out,):
+            return f"{self.about}\nwrote {self.out}"
+        how = f"wrote {len(self.files)} files into {self.out}; build and test them as its README.md says"
+        return f"{self.about}\n{how}"
+
+
+def _check(
+    unit: bool,
+    real: str,
+    fmi: str | None,
+    alone: bool,
+    python: bool,
+    wasm: bool,
+    ros2: bool,
+) -> None:
+    """What needs the arguments alone."""
+    if real not in REALS:
+        raise InputError(f"real must be one of {', '.join(REALS)}; got {real!r}")
+    if fmi is not None and not unit:
+        raise InputError("fmi is for a unit: name a file that ends in .fmu by -o")
+    if fmi not in (None, *VERSIONS):
+        raise InputError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
+    if unit and alone:
+        raise InputError("step_per_sensor is for C, and a unit has one step for all; leave it out")
+    if unit and (python or wasm or ros2):
+        raise InputError(
+            f"{'python' if python else 'wasm' if wasm else 'ros2'} is for a folder, and a unit is one file; name a "
+            "folder by -o"
+        )
+
+
+def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> FixedLag:
+    """The observer with estimates that are some samples late."""
+    samples = above_zero("lag", lag) * rate
+    if round(samples) < 1:
+        raise InputError(f"lag {lag:g} is less than half a sample of {1 / rate:g} s; leave it out")
+    if isinstance(observer, Delayed):
+        raise InputError("lag is for positions that are read in time, not for late ones (measurement.delay)")
+    if name not in SMOOTHED:
+        raise InputError(f"lag is for filters with a covariance: {', '.join(SMOOTHED)}; {name} is none")
+    return FixedLag(observer, round(samples))
+
+
+def _with_substeps(observer: Any, substeps: int) -> AbstractObserver:
+    """Set the number of Runge–Kutta steps in each prediction of an observer, which may have a gate."""
+    if isinstance(observer, Gated):
+        return dataclasses.replace(observer, observer=_with_substeps(observer.observer, substeps))
+    return dataclasses.replace(observer, substeps=substeps)
+
+
+def _describe_start(certificate: certificates.ContractionCertificate) -> str:
+    """Describe which initial errors the bound in generated code assumes."""
+    where = certificate.start or f"within {certificate.radius:.4g} in the metric of the certificate"
+    reasons = ", ".join(f"{int(each)} {each.name.lower()}" for each in certificates.Premise if each > 0)
+    return (
+        "position_bound and velocity_bound are proved bounds of the errors of the estimate while premise is 0, else "
+        "infinite, and not a number before the first step; they assume that the errors of the first estimate are "
+        f"within these, all at once: {where}. Other values of premise say what is not known to hold: {reasons}."
+    )
+
+
+def _list_premises() -> list[str]:
+    """List what the numbers of `premise` mean, for the data sheet."""
+    return ["", "Values of `premise`:", "", *(f"- {int(each)}: {each.message}" for each in certificates.Premise)]
+
+
+def _verify_certificate(
+    path: Path, model: Any, overrides: Overrides, designed: Design, rate: float
+) -> tuple[certificates.ContractionCertificate, str]:
+    """Check a saved certificate of this observer, and return it with its statement as lines; raises `ValueError`."""
+    document, name = certificates.parse(path), models.spec_name(model)
+    if not isinstance(model, str | os.PathLike) or document.recipe != (recipe := models.recipe(name, overrides)):
+        raise InputError(f"{path}: the certificate is for another model, or other numbers, than {name}")
+    if document.observer["kind"] != designed.name:
+        raise InputError(
+            f"{path}: the certificate is for the observer {document.observer['kind']}, not for {designed.name}"
+        )
+    certificates.check_observer(document._replace(recipe=recipe), designed.inner)
+    sampling = document.sampling
+    time = "in continuous time" if sampling is None else "with sampled measurements"
+    if sampling is not None:
+        shortest, longest = sampling.interval.tolist()
+        if not shortest <= 1 / rate <= longest:
+            raise InputError(
+                f"{path}: the certificate is for samples {shortest:g} to {longest:g} s apart, and at {rate:g} Hz they "
+                f"are {1 / rate:g} s apart"
+            )
+    # Code that is trusted: the exported model was just built with it.
+    attribute = (document.recipe or {}).get("attribute")
+    checked = certificates.check(document, model=attribute)
+    lines = [
+        f"All {checked.leaves} leaves of `{path.name}` were verified when this was written. It is about the observer "
+        f"{time}, with the default numbers:",
+        "",
+        *(f"    {line}" for line in str(checked.statement).splitlines()),
+    ]
+    if designed.inner is not designed.observer:
+        lines += ["", beyond_proof(0 if sampling is None else sampling.lost)]
+    certificate = certificates.ContractionCertificate.load(path, model=attribute)
+    return certificate._replace(verified=True), "\n".join(lines)
+
+
+def beyond_proof(lost: int) -> str:
+    """What a certificate says of samples that a gate refuses, up to `lost` of which it covers in a row."""
+    covered = f"which it covers up to {lost} in a row" if lost else "which it does not cover"
+    return (
+        "The gate is no part of what is proved. Where a step returns OK it changed nothing, and the statement holds. A "
+        f"measurement that is refused as a whole (OUTLIER) is a lost one, {covered}; of one that is refused in part, "
+        "and after RESTARTED or ASTRAY, nothing is proved until a new start within its radius."
+    )
+
+
+def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
+    """How an observer was designed, in characters that stand in a comment of C."""
+    entry = next(entry for entry in REGISTRY if entry.name == designed.name)
+    if gains is None and entry.tuned_by not in ("gains", "gains and force", "state noise"):
+        return "Tuned from its data sheet."  # the note is on gains that it does not have
+    return designed.notes.replace("²", "^2").replace("±", "+-")

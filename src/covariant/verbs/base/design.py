@@ -1,0 +1,217 @@
+"""The observer of a model file: one place decides its gains, its gate, its sensors and its substeps."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from covariant._errors import InputError
+from covariant.calibration import (
+    DataSheet,
+    estimators,
+    first_estimate,
+    gated,
+    missing_inputs,
+    stored_observer,
+    usual_speeds,
+    with_gains,
+)
+from covariant.certificates import any_configuration
+from covariant.models import ModelFile, input_count
+from covariant.observers import AbstractObserver, Gated, chooses_substeps, with_fixed_substeps
+from covariant.verbs.base.inputs import Loaded
+from covariant.verbs.base.kinds import WITH_FORCE, kind_of
+from covariant.verbs.base.sensors import FileSensor, file_sensors, with_readings
+from covariant.verbs.base.sheet import data_sheet
+
+SPEED_IS_MISSING = (
+    "a machine that is faster than four times that at the start is refused. Give `log`, a log that `estimate` runs "
+    "on, or add `motion_acceleration` and `motion_time`, whose product is that speed, to [uncertainty]"
+)
+
+
+MOST_STATES = 16
+"""Largest number of states, with two for each input, up to which a filter has states for missing inputs: the work grows
+as its cube, and C of 28 states is compiled for many minutes."""
+
+
+class Design(NamedTuple):
+    """An observer of a model file.
+
+    Attributes:
+        file: The model file.
+        name: Name of the observer.
+        observer: The observer, behind its gate, as if its readings were never late.
+        notes: A sentence on its gains, its noise or its metric.
+        sheet: Collects the data sheet that it is designed from, with the usual speeds by which its gate judges.
+        log: The log that was read with the model, if any.
+    """
+
+    file: ModelFile
+    name: str
+    observer: AbstractObserver
+    notes: str
+    sheet: Callable[[], DataSheet]
+    log: Loaded | None
+
+    @property
+    def inner(self) -> Any:
+        """The observer behind the gate, which has the gains and of which a certificate is."""
+        return self.observer.observer if isinstance(self.observer, Gated) else self.observer
+
+    def without_gate(self) -> "Design":
+        """The same observer without any gate, its own and those of its sensors."""
+        observer: Any = self.inner
+        if getattr(observer, "gate", None) is not None:
+            sensors = getattr(observer, "sensors", ())
+            bare = {"sensors": tuple(dataclasses.replace(sensor, gate=None) for sensor in sensors)} if sensors else {}
+            observer = dataclasses.replace(observer, gate=None, **bare)
+        return self._replace(observer=observer)
+
+    def with_substeps_for(self, velocity: Any, step: float) -> Any:
+        """Give the observer without its gate as many substeps as motions up to a velocity (n,) need in one step [s]."""
+        if not chooses_substeps(self.inner):
+            return self.inner
+        model: Any = self.file.model
+        q = jnp.asarray(any_configuration(model))
+        v = jnp.broadcast_to(jnp.asarray(velocity, float), self.file.dimension)
+        u = jnp.zeros((2, input_count(model, self.file.dimension)))
+        return with_fixed_substeps(self.inner, 1 / step, jnp.stack([q, q]), jnp.stack([v, -v]), u)
+
+    def self_test(self, rate: float) -> np.ndarray:
+        """Measurements (T, *n) for a self-test at a rate [Hz]; a gate has to refuse one of them."""
+        judged = getattr(self.observer, "gate", None) is not None
+        y = kind_of(self.file).self_test(rate, self.sheet if judged else None)
+        return with_readings(self.file, self.sensors, y) if getattr(self.observer, "sensors", ()) else y
+
+    @property
+    def sensors(self) -> tuple[FileSensor, ...]:
+        """The sensors of the model file, without those that the log has no columns of."""
+        return log_sensors(self.file, self.log)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the numbers of the gate, if it is one that has some."""
+        if not isinstance(self.observer, Gated):
+            return {}
+        return {key: ", ".join(dict.fromkeys(units)) for key, units in self._gate_units.items()}
+
+    @property
+    def _gate_units(self) -> dict[str, tuple[str, ...]]:
+        units = kind_of(self.file).innovation_units
+        return {"noise": units, "speed": tuple(f"{unit}/s" for unit in units)}
+
+    def explain_gate(self) -> tuple[str, str]:
+        """Sentences on what the gate refuses, or on why there is none; and a warning if its speed is assumed."""
+        gate, kind = self.observer, kind_of(self.file)
+        if not isinstance(gate, Gated):
+            own = getattr(gate, "gate", None)
+            return (
+                kind.without_gate
+                if own is None
+                else f"Its gate refuses what is {own.deviations:g} standard deviations off.",
+                "",
+            )
+        noise, speed = (_with_units(getattr(gate, key), units) for key, units in self._gate_units.items())
+        text = f"Its gate refuses outliers, by the noise {noise} and the usual speed {speed}."
+        if self.log is not None:
+            return f"{text} The speed is that of the motion in a log.", ""
+        if self.file.motion_std is not None and self.file.motion_time is not None:
+            return f"{text} The speed is motion_acceleration times motion_time of the model file.", ""
+        text += " The speed is assumed, since no log was given and the model file tells none."
+        return text, f"the usual speed of the gate is assumed; {SPEED_IS_MISSING}"
+
+
+def design(
+    file: ModelFile,
+    name: str | None = None,
+    gains: tuple[float, float] | None = None,
+    rate: float | None = None,
+    log: Loaded | None = None,
+    *,
+    metric: str | Path | None = None,
+    spec: str | None = None,
+) -> Design:
+    """Design the observer of a model file: the same one for every verb."""
+    model: Any = file.model
+    fitting = estimators(model)
+    name, spec = name or (default_observer(file) if gains is None else fitting[0]), spec or file.name
+    if name not in fitting:
+        raise InputError(f"observer {name} does not fit {spec}; these do: {', '.join(fitting)}")
+    sheet = functools.cache(lambda: log_sheet(file, log))
+    if metric is not None:
+        if name != "riccati":
+            raise InputError(f"`metric` is for the observer riccati; {name} has no metric")
+        notes = f"Its metric is that of {Path(metric).name}; none is outside its grid."
+        return Design(file, name, stored_observer(model, metric, first_estimate(file)[0]), notes, sheet, log)
+    if gains is not None:
+        available = with_gains(model, *gains)
+        if name not in available:
+            known = (
+                f"they do to {', '.join(available)}" if available else "`alpha` and `beta` are for mechanical models"
+            )
+            raise InputError(
+                f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}; "
+                f"{known}"
+            )
+        observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
+        return Design(
+            file, name, observer, f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s².", sheet, log
+        )
+    if rate is None:
+        sheet()  # first names the numbers that the model file lacks, if any
+        raise InputError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")
+    kind = kind_of(file)
+    return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate, name), sheet, log)
+
+
+def default_observer(file: ModelFile) -> str:
+    """Name of the observer of a model file where none is asked for: one that learns a force where the file tells one.
+
+    A natural frequency without a rate at which a force is learnt is that of an observer without a force.
+    """
+    told = file.force_rate
+    if told is None and file.natural_frequency is None:
+        told = file.external_force_time
+    fitting = estimators(file.model)
+    return WITH_FORCE if told and WITH_FORCE in fitting else fitting[0]
+
+
+def runs_otherwise(file: ModelFile, observer: str) -> str:
+    """A sentence if `estimate` and `export` run another observer of a model file, since it tells a force; else ""."""
+    if default_observer(file) != WITH_FORCE or observer == WITH_FORCE:
+        return ""
+    return f" Of this file `estimate` and `export` run {WITH_FORCE} unless they are asked for `observer={observer!r}`."
+
+
+def tells_noise(file: ModelFile) -> bool:
+    """Whether a model file has the numbers of a data sheet, which a gate needs."""
+    return file.measurement_std is not None and file.acceleration_std is not None
+
+
+def log_sensors(file: ModelFile, log: Loaded | None) -> tuple[FileSensor, ...]:
+    """The sensors of a model file, without those that a log has no columns of."""
+    known = None if log is None else {part.sensor.name for part in log.sensors}
+    return tuple(part for part in file_sensors(file) if known is None or part.sensor.name in known)
+
+
+def widens(file: ModelFile, log: Loaded) -> bool:
+    """Whether `intrinsic_kalman` has states for inputs that are missing: of large models they would take minutes."""
+    return file.mechanical and 2 * (file.dimension + np.asarray(log.record.u).shape[1]) <= MOST_STATES
+
+
+def log_sheet(file: ModelFile, log: Loaded | None) -> DataSheet:
+    """The data sheet of a model file, with its sensors, and the usual speeds in a log, zero where there is none."""
+    speed = (0.0,) * file.dimension if log is None else usual_speeds(log.model, log.record)
+    sheet = data_sheet(file, None if log is None else log.log.record)
+    inputs = missing_inputs(log.record) if log is not None and widens(file, log) else None
+    return sheet._replace(speed=speed, sensors=tuple(part.sensor for part in log_sensors(file, log)), inputs=inputs)
+
+
+def _with_units(values: Any, units: tuple[str, ...]) -> str:
+    numbers = np.broadcast_to(values, len(units))
+    return ", ".join(dict.fromkeys(f"{v:.4g} {unit}".strip() for v, unit in zip(numbers, units, strict=True)))

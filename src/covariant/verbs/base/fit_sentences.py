@@ -1,0 +1,130 @@
+"""Sentences of a fit: where its search began, what logs do not determine, which other reading would explain them."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant import scoring
+from covariant.calibration import Fit, RobotFit
+from covariant.calibration.diagnosis import later_line, names_of
+from covariant.calibration.identification import Rival
+from covariant.models import ModelFile, RobotFamily
+from covariant.verbs.base.aligned import Aligned
+
+LEAST_MOTION, LEAST_FOLLOWED = 0.1, 0.7
+"""Motion of a joint relative to that of the one that moves most, and error relative to its motion, from which a fitted
+servo does not explain what its joint does."""
+LONGEST_DELAY = 0.3
+"""A delay [s] longer than that of any servo, which a reversed command looks like in a motion of one frequency."""
+MIRRORED = (
+    "on which side of its link the load is: with the offsets of joints open too, a mirrored load with other offsets "
+    "may explain these logs as well, and the solution nearest to the first values is given"
+)
+
+
+def start_sentence(best: Fit) -> str:
+    """Where the search began that won, and what the others ended at."""
+    (won, _), *others = best.starts or (("", 0.0),)
+    if not won:
+        return ""
+    if not others:
+        return f"The search began from {won}."
+    rest = ", ".join(f"that from {name} by {behind:.3g} worse in log-likelihood" for name, behind in others)
+    return f"The search from {won} ended best, {rest}."
+
+
+def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float, machine: str = "") -> str:
+    """What another reading of the logs explains, or of those of one machine, with the line of the model file that says
+    so; `step` is of its rows."""
+    names, time = ", ".join(map(str, file.columns.u)), abs(rival.rows) * step
+    logs = f" in the logs of {machine}" if machine else ""
+    # The model file is that of all machines.
+    place = "overrides for these logs (from Python)" if machine else "the model file"
+    fit, predicted = ("a fit to these alone", f"those of {machine}") if machine else ("the same fit", held_out)
+    if rival.column >= 0:
+        column = file.columns.u[rival.column]
+        factors = np.where(np.arange(len(file.columns.u)) == rival.column, -1.0, 1.0)
+        claim = f"The input {column}{logs} seems to be logged with the other sign"
+        line = f"{names_of(file).line('u', factors)} in {place}, or by the signs of its positions"
+    elif rival.rows > 0:
+        claim = f"Positions{logs} seem to follow {names} by about {time:.2g} s later than the model file says"
+        line = later_line(file, time) + (f", in {place}" if machine else "")
+    else:
+        claim = f"The stamps of {names}{logs} seem to be about {time:.2g} s later than they act"
+        line = f"taking {time:.2g} s off them"
+    less = f"{fit} then predicts {predicted} with {rival.growth:.2g} times the errors"
+    return f"{claim}: {less}. Mend it by {line}, and fit again; `covariant check` looks closer"
+
+
+def unlike_servos(family: RobotFamily, best: RobotFit, log: Aligned, left: Float[np.ndarray, "n"]) -> str:
+    """A sentence on joints that do not follow their commands as servos do, by the errors left (n,); or ""."""
+    file = log.loaded.file
+    moved = np.nanstd(scoring.unwrap(np.asarray(log.raw.y, float), log.loaded.model.circles), axis=0)
+    wrong = (moved > LEAST_MOTION * moved.max()) & (left > LEAST_FOLLOWED * moved)
+    names = [name for name, one in zip(file.columns.q, wrong, strict=True) if one]
+    for number, value in zip(family.numbers, best.values, strict=True):
+        if (number.group, number.number) == ("servo", "delay") and value > LONGEST_DELAY:
+            names.append(file.columns.q[number.joint] if number.joint >= 0 else number.target)
+    if not names:
+        return ""
+    follow = "follows its command" if len(set(names)) == 1 else "follow their commands"
+    return (
+        f"{', '.join(dict.fromkeys(names))} {follow} as no servo does: look for units, signs and the order of "
+        "commands, as `covariant check` does"
+    )
+
+
+def robot_details(best: RobotFit) -> dict[str, Any]:
+    """What the log does not determine, in sentences, and which combinations it does."""
+    unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
+    combinations = best.combinations
+    sentences = []
+    if unknown:
+        shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
+        sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")
+    sentences += [f"only the combination {text} is determined" for text in combinations.determined]
+    sentences += [
+        f"{name} cannot be told from zero by this log: {value:.3g} ± {error:.2g}"
+        for name, _, value, error, determined in number_rows(best)
+        if np.isfinite(error) and not determined
+    ]
+    places = any(name.startswith("payload.") and not name.partition("@")[0].endswith(".mass") for name in best.names)
+    if places and any(name.startswith("offsets.") for name in best.names):
+        sentences.append(MIRRORED)
+    return {
+        "undetermined": sentences,
+        "unlike": list(best.unlike),
+        "combinations": list(combinations.determined),
+        "redundant": list(combinations.absorbed),
+        "rank": combinations.rank,
+        "window": float(f"{2 * best.half:.4g}"),
+        "residual_torque": [float(f"{size:.4g}") for size in best.torque],
+    }
+
+
+def servo_details(best: RobotFit, family: RobotFamily) -> dict[str, Any]:
+    """What the logs do not determine of servos, and how large the residual positions are."""
+    details = robot_details(best)
+    position = details.pop("residual_torque")
+    at = {number.name: i for i, number in enumerate(family.numbers)}
+    ratios = [
+        number.target
+        for number in family.numbers
+        if (number.group, number.number) == ("servo", "stiffness")
+        and not best.determined[at[number.name]]
+        and (f"servo.{number.target}.armature" in at or f"armature.{number.target}" in at)
+    ]
+    if ratios:
+        sentence = (
+            f"stiffness and inertia of {', '.join(ratios)} act by their ratio alone where no weight pulls: a second "
+            "log with a known mass in the hand separates them, given by overrides of its own, "
+            "[{}, {'parameters.payload': {'LINK': [mass, x, y, z]}}]"
+        )
+        details["undetermined"] = [*details["undetermined"], sentence]
+    return {**details, "residual_position": position, "open_loop": True}
+
+
+def number_rows(best: Fit | RobotFit):
+    """Name, values before and after, standard error and whether it is determined, of each number."""
+    return zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)

@@ -1,0 +1,518 @@
+"""Computes a fit to logs: reads them, solves with held and with linear inputs, and judges on what is held out."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant import models, scoring
+from covariant._errors import InputError
+from covariant._linalg import known_rms
+from covariant._names import refuse_unknown
+from covariant.calibration import (
+    Fit,
+    PredictionErrors,
+    RobotFit,
+    Windows,
+    fit_robot,
+    relations,
+)
+from covariant.calibration.identification import (
+    FITTED,
+    better_reading,
+    error_growth,
+    family_errors,
+    fit_servos,
+    machine_errors,
+    predict_servos,
+    predicts_worse,
+    profile,
+    robot_misfit,
+    search,
+    split_windows,
+    standing_still,
+    window_losses,
+)
+from covariant.signals import Record
+from covariant.verbs.base.aligned import Aligned
+from covariant.verbs.base.fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
+from covariant.verbs.base.fit_sentences import (
+    number_rows,
+    rival_sentence,
+    robot_details,
+    servo_details,
+    start_sentence,
+    unlike_servos,
+)
+from covariant.verbs.base.inputs import Job, MisfitError, coordinates
+from covariant.verbs.base.model_output import check_read_once
+from covariant.verbs.base.outcome import rounded
+from covariant.verbs.base.placeholders import placeholders
+from covariant.verbs.base.progress import Progress
+
+DIGITS = 7
+"""Significant digits of fitted numbers in a model file."""
+CLEAR = 2.0
+"""Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
+ROUNDS, STEPS, ROBOT_ROUNDS = 4, 25, 12
+"""Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
+
+Parts = dict[str, tuple[Windows, Windows]]
+"""Windows to fit and held-out windows, by the way inputs go between stamps."""
+
+
+def fit_to_logs(
+    jobs: list[Job],
+    names: Sequence[str],
+    length: float | None,
+    progress: Progress,
+    sources: Mapping[Path, bytes],
+    own: OwnNumbers | None = None,
+) -> tuple[list[Job], dict[str, dict[str, Any]], dict[str, Any]]:
+    """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out.
+
+    `sources` are the files of the model as they were first read. The contents of model files are by the machine whose
+    own numbers they have, or by "".
+    """
+    progress("reading")
+    kind = _kind_of(jobs[0], names)
+    problem = kind.read(jobs, names, length, own)
+    logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
+    check_read_once(sources)  # from here on no file of the model is read
+    try:
+        parts = {
+            word: split_windows(
+                [problem.acting(log, word) for log in logs.logs], logs.references, logs.length, logs.machines
+            )
+            for word in logs.tried
+        }
+        fits = _solve(problem, parts, progress)
+    except InputError as error:
+        raise InputError(f"{', '.join(logs.names)}: {error}") from error
+    progress("errors on what is held out", 1.0)
+    gain = problem.gain(parts, fits) if len(fits) > 1 else None
+    used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
+    best: Any = problem.judged(fits[used], parts[used][0])
+    # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
+    before = problem.first_errors(parts[logs.tried[0]][1])
+    after = problem.fitted_errors(best, parts[used][1])
+    values = np.array([float(f"{value:.{DIGITS}g}") for value in best.values])[problem.family.parts]
+    contents = {
+        machine: problem.family.with_values(part) for machine, part in zip(problem.machines, values, strict=True)
+    }
+    for content in contents.values():
+        source = content.get("parameters", {}).get("source")
+        if isinstance(source, str):  # a text that says where the numbers are from says where they are from now
+            content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
+        if gain is not None and gain.clear:
+            content.setdefault("inputs", {})["between"] = used
+    progress("other readings of the log", 1.0)
+    suspicion = problem.suspicion(best, *parts[used])
+    details = _details(jobs[0], logs, guessed, best, before, after, suspicion) | {
+        "inputs": _input_details(used, logs.stated, gain)
+    }
+    details |= problem.details(best, parts[used][0])
+    if (origin := logs.logs[0].loaded.origin) is not None:
+        details["t_counts_from"] = origin
+    # A log that is misread says nothing of what it determines.
+    return jobs, contents, details | ({"undetermined": [], "unlike": []} if suspicion else {})
+
+
+def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:
+    """The fit for each way of inputs between stamps, each search from where the one before ended."""
+    tried = problem.logs.tried
+    order = (*tried, *tried[:-1]) if problem.search_again else tried
+    fits: dict[str, Any] = {}
+    start: Any = None
+    for k, word in enumerate(order):
+
+        def report(done: int, fraction: float, k: int = k, word: str = word) -> None:
+            which = f" with {word} inputs" if len(tried) > 1 else ""
+            progress(f"round {done + 1}{which}", (k + fraction) / len(order))
+
+        start = fits[word] = problem.fit(word, parts, start, report)
+    return fits
+
+
+class Gain(NamedTuple):
+    """Log-likelihood with linear inputs minus that with held ones, and its standard error."""
+
+    of_linear: float
+    standard_error: float
+
+    @classmethod
+    def of(cls, less: Float[np.ndarray, "B"]) -> "Gain":
+        """The gain from what linear inputs lower the negative log-likelihood by in each of B independent parts."""
+        # The variance of a sum of independent terms is their number times that of one; errors may be correlated within.
+        return cls(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
+
+    @property
+    def clear(self) -> bool:
+        """Whether the gain exceeds `CLEAR` standard errors."""
+        return abs(self.of_linear) > CLEAR * self.standard_error
+
+
+class _PredictionProblem(NamedTuple):
+    """Parameters of a model, fitted by its predictions over windows."""
+
+    # The first way is searched once more from where the last ended: both then have had the same first values.
+    search_again = True
+
+    family: models.Family
+    logs: FitLogs
+    machines: list[str]
+
+    @classmethod
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_PredictionProblem":
+        refuse_other_parameters(jobs, ("between", "lag"))
+        family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
+        if own is not None:
+            machines, of_log = own.numbered
+            try:
+                family = family.of_machines(machines, own.names)
+            except InputError as error:
+                raise InputError(f"each: {error}") from error
+        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step, without their lag, which may be fitted."""
+        return log.acting(between)
+
+    def fit(self, word: str, parts: Parts, start: Fit | None, report: Callable[[int, float], None]) -> Fit:
+        def progress(done: int, step: int) -> None:
+            report(done, (done + step / STEPS) / ROUNDS)
+
+        found = search(self.family, parts[word][0], progress, None if start is None else start.values)
+        # Which place won is known from the first search; the later ones begin where the one before ended.
+        return found if start is None else found._replace(starts=start.starts)
+
+    def judged(self, best: Fit, fitted: Windows) -> Fit:
+        """The fit after profiles of the likelihood."""
+        return profile(self.family, fitted, best)
+
+    def suspicion(self, best: Fit, fitted: Windows, held_out: Windows) -> str:
+        """A sentence on a reversed input or late positions, where they explain the logs better than the fit; or ""."""
+        rival = better_reading(self.family, fitted, held_out, best)
+        if rival is None:
+            return ""
+        misread = max(rival.machine, 0)
+        log = self.logs.logs[self.logs.machines.index(misread)]
+        step = float(np.median(np.diff(np.asarray(log.raw.t))))
+        machine = self.machines[misread] if rival.machine >= 0 else ""
+        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step, machine)
+
+    def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
+        """Errors are weighed as in both fits, by turns, so that none is ahead."""
+        held, linear = (
+            np.mean([window_losses(self.family, parts[word][0], fits[word], other) for other in fits.values()], axis=0)
+            for word in BETWEEN
+        )
+        return Gain.of(held - linear)
+
+    def first_errors(self, held_out: Windows) -> PredictionErrors:
+        return family_errors(self.family, self.family.first, held_out)
+
+    def fitted_errors(self, best: Fit, held_out: Windows) -> PredictionErrors:
+        return family_errors(self.family, best.values, held_out)
+
+    def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
+        return {
+            "windows": len(fitted.t),
+            "start": start_sentence(best),
+            "undetermined": list(relations(best)),
+            "unlike": list(best.unlike),
+        }
+
+
+class _RobotProblem(NamedTuple):
+    """Numbers of a robot's joints and links, fitted by residual torques."""
+
+    family: models.RobotFamily
+    logs: FitLogs
+    machines: list[str]
+
+    search_again = False
+
+    @classmethod
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_RobotProblem":
+        refuse_other_parameters(jobs, ("between",))
+        family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
+        if own is not None:
+            machines, of_log = own.numbered
+            try:
+                family = family.of_machines(machines, _own_robot_numbers(jobs[0], own.names, family.names))
+            except InputError as error:
+                raise InputError(f"each: {error}") from error
+        # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
+        for name, log in zip(logs.names, logs.logs, strict=True):
+            finding = None if jobs[0].anyway else robot_misfit(family.one, log.loaded.file, log.raw)
+            if finding is not None:
+                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
+        return cls(family, logs, machines)
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step."""
+        return log.acting(between, log.loaded.file.input_lag)
+
+    def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+        last = self.logs.last
+        records = [self.acting(log, word) for log, held_out in zip(self.logs.logs, last, strict=True) if not held_out]
+        machines = [machine for machine, held_out in zip(self.logs.machines, last, strict=True) if not held_out]
+        if not last.any():
+            records = [_first_part(record) for record in records]
+        half = self.logs.logs[0].loaded.file.reference_half
+
+        def progress(done: int) -> None:
+            report(done, min(done / ROBOT_ROUNDS, 1.0))
+
+        return fit_robot(self.family, records, half, progress, start, machines)
+
+    def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
+        del fitted
+        return best
+
+    def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
+        del best, fitted, held_out
+        return ""
+
+    def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
+        return Gain.of(fits["held"].losses - fits["linear"].losses)
+
+    def first_errors(self, held_out: Windows) -> PredictionErrors:
+        # At the first values the family has the program of the fitted model; but a load that it adds was not there.
+        added = any(number.group == "payload" for number in self.family.numbers)
+        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.one.names)))
+        return machine_errors([model] * len(self.machines), held_out)
+
+    def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
+        return machine_errors([self.family.make(x) for x in best.coordinates[self.family.parts]], held_out)
+
+    def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
+        return robot_details(best)
+
+
+class _ServoProblem(NamedTuple):
+    """Numbers of a robot with servos, fitted by predictions from its commands."""
+
+    family: models.RobotFamily
+    logs: FitLogs
+    families: list[models.RobotFamily]
+    window: float | None
+    machines: tuple[str, ...] = ("",)
+
+    search_again = False
+
+    @classmethod
+    def read(
+        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
+    ) -> "_ServoProblem":
+        if own is not None:
+            raise InputError(
+                "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
+                "`covariant fit MODEL LOG... -o FOLDER`"
+            )
+        families = [models.robot_family(job.model_name, names, job.overrides) for job in jobs]
+        for job, family in zip(jobs, families, strict=True):
+            differing = [
+                name for name, a, b in zip(family.names, family.first, families[0].first, strict=True) if a != b
+            ]
+            if differing:
+                raise InputError(
+                    f"{job.log_name}: {', '.join(differing)} is fitted, and so is one number for all logs; "
+                    "overrides of a log are for what is known, such as a gain or a payload"
+                )
+        # What holds for one log alone is not written to the file.
+        same = all(job.overrides == jobs[0].overrides for job in jobs)
+        family = families[0] if same else models.robot_family(jobs[0].model_name, names)
+        # A servo whose numbers are first values explains little of a log, as the fit is for that.
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], None)
+        for name, log in zip(logs.names, logs.logs, strict=True):
+            finding = None if jobs[0].anyway else standing_still(log.loaded.file, log.raw)
+            if finding is not None:
+                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
+        file = logs.logs[0].loaded.file
+        return cls(family, logs._replace(tried=(file.input_between,)), families, length)
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step."""
+        return log.acting(between, log.loaded.file.input_lag)
+
+    def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+        seen = self.logs.seen
+        records = [log.raw for log in self.logs.logs[:seen]]
+        if len(self.logs.logs) == 1:
+            records = [_first_part(records[0])]
+        return fit_servos(
+            self.families[:seen],
+            records,
+            word,
+            lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)),
+            self.window,
+            late=_late(self.logs.logs[0]),
+        )
+
+    def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
+        del fitted
+        return best
+
+    def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
+        """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
+        del fitted, held_out
+        return unlike_servos(self.family, best, self.logs.logs[-1], self._errors(best.coordinates).position)
+
+    def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
+        return Gain.of(fits["held"].losses - fits["linear"].losses)
+
+    def first_errors(self, held_out: Windows) -> PredictionErrors:
+        del held_out
+        return self._errors(np.zeros(len(self.family.names)))
+
+    def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
+        del held_out
+        return self._errors(best.coordinates)
+
+    def _errors(self, x: Float[np.ndarray, "p"]) -> PredictionErrors:
+        """Errors of the motion predicted from the first row and the commands of what is held out."""
+        several = len(self.logs.logs) > 1
+        chosen = range(self.logs.seen, len(self.logs.logs)) if several else range(1)
+        errors = []
+        for i in chosen:
+            log, reference = self.logs.logs[i], self.logs.references[i]
+            t, u, y = (np.asarray(column, float) for column in log.raw[:3])
+            late = np.flatnonzero((several or t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(y).all(axis=1))
+            rows = slice(int(late[0]), None)
+            record = Record(t[rows], u[rows], y[rows])
+            q = predict_servos(self.families[i], x, record, log.loaded.file.input_between, _late(log))
+            off = scoring.unwrap(y[rows], log.loaded.model.circles) - q
+            speed = np.gradient(q, t[rows], axis=0)
+            errors.append((np.diff(off, axis=0), off, reference[rows] - speed))
+        one_step, position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
+        return PredictionErrors(*(known_rms(part) for part in (one_step, position, velocity)))
+
+    def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
+        return servo_details(best, self.family)
+
+
+_Problem = _PredictionProblem | _RobotProblem | _ServoProblem
+
+
+def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
+    """The kind of problem that the names of the numbers, and the inputs of the model, make it."""
+    if not _is_robot_fit(job, names):
+        return _PredictionProblem
+    model = models.load(job.model, job.overrides).model
+    return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
+
+
+def _own_robot_numbers(job: Job, names: Sequence[str], fitted: tuple[str, ...]) -> list[str]:
+    """Those of the fitted numbers that names stand for, each for one at least, as `friction` for all that is fitted of
+    it."""
+    own = []
+    for name in names:
+        stated = models.robot_family(job.model_name, [name], job.overrides).names
+        if not set(stated) & set(fitted):
+            refuse_unknown("number in `parameters`", name.strip(), fitted)
+        own += [number for number in stated if number in fitted]
+    return own
+
+
+def _first_part(record: Record) -> Record:
+    """The rows of a log that a fit to its first part sees."""
+    t, u, y = (np.asarray(column) for column in record[:3])
+    seen = t < t[0] + FITTED * (t[-1] - t[0])
+    return Record(t[seen], u[seen], y[seen])
+
+
+def _late(log: Aligned) -> float:
+    """Time [s] by which positions are late, which their stamps no longer say."""
+    return float(np.max(np.asarray(log.late) - np.asarray(log.loaded.file.input_delay)))
+
+
+def _is_robot_fit(job: Job, names: Sequence[str]) -> bool:
+    """Whether numbers are those of a robot's joints and links, and not plain entries of [parameters]."""
+    try:
+        system = models.document(job.model_name, job.overrides).get("system")
+    except InputError:  # whoever makes the family says what is wrong, with the name of the file
+        return False
+    if system != "robot":
+        return False
+    return not names or any("[" not in name and not name.strip().startswith("inputs.") for name in names)
+
+
+def _details(
+    job: Job,
+    logs: FitLogs,
+    guessed: dict[str, float],
+    best: Fit | RobotFit,
+    before: PredictionErrors,
+    after: PredictionErrors,
+    suspicion: str,
+) -> dict[str, Any]:
+    """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
+    names, units = coordinates(logs.logs[0].loaded.file)
+    reference = logs.logs[-1].loaded.reference
+    ratio = error_growth(before, after)
+    # The number of a machine, viscous@arm1, is no longer the placeholder of the file if one machine shows it.
+    known = {
+        name.partition("@")[0]
+        for name, first, value, _, determined in number_rows(best)
+        if determined or value != first
+    }
+    return {
+        "model": job.model_name,
+        "logs": logs.names,
+        "fitted_to": logs.fitted_to,
+        "held_out": logs.held_out,
+        "horizon": float(f"{logs.length:.4g}"),
+        "scored_against": reference.label if reference else None,
+        "parameters": [
+            {
+                "name": name,
+                "before": float(first),
+                "after": float(f"{value:.{DIGITS}g}"),
+                "standard_error": float(f"{error:.3g}") if np.isfinite(error) else None,
+                "determined": bool(determined) and not suspicion,
+            }
+            for name, first, value, error, determined in number_rows(best)
+        ],
+        "placeholders": {k: value for k, value in guessed.items() if k not in known},
+        "coordinates": list(names),
+        "units": [unit.removesuffix("/s") for unit in units],
+        "held_out_errors": {
+            when: {kind: rounded(np.asarray(values)) for kind, values in errors._asdict().items()}
+            for when, errors in (("before", before), ("after", after))
+        },
+        "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
+        "better": not predicts_worse(before, after) and not suspicion,
+        "suspicion": suspicion,
+    }
+
+
+def _input_details(used: str, stated: bool, gain: Gain | None) -> dict[str, Any]:
+    """How inputs were taken to go between stamps, whether the model file says so, and how well the logs show it."""
+    return {
+        "between": used,
+        "stated": stated,
+        "log_likelihood_gain": None if gain is None else float(f"{abs(gain.of_linear):.4g}"),
+        "gain_standard_error": None if gain is None else float(f"{gain.standard_error:.3g}"),
+        "sentence": "" if gain is None else _input_sentence(used, gain),
+    }
+
+
+def _input_sentence(used: str, gain: Gain) -> str:
+    other = next(word for word in BETWEEN if word != used)
+    size = f"{abs(gain.of_linear):.3g} ± {gain.standard_error:.2g}"
+    if not gain.clear:
+        return (
+            f"Inputs are taken as {used} from one stamp to the next; the log hardly tells that from {other} (the "
+            f"log-likelihoods differ by {size})."
+        )
+    phrase = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
+    return f"Inputs {phrase} explain the log better than {other} ones, by {size} in log-likelihood; they are used."

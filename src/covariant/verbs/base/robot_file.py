@@ -1,0 +1,86 @@
+"""`export` of a robot itself, with its fitted numbers, as a file for simulators."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from covariant import models
+from covariant._errors import InputError
+from covariant._files import utf8, write_together
+from covariant.verbs.base.outputs import check_output
+from covariant.verbs.base.result import AbstractResult
+
+FORMATS = {".urdf": "URDF", ".xml": "MJCF", ".json": "table of actuators"}
+"""Formats of robot files by extension."""
+HEAD_NOTES = {
+    ".urdf": "Positions of joints are those of the log.",
+    ".xml": "Positions of joints are those of the log. There are no shapes, so nothing touches anything.",
+    ".json": "Positions of joints are those of the log. command_offsets are added to commands.",
+}
+"""Notes for the head of a file, by extension."""
+ROBOT_ARGUMENTS = ("model", "out", "rate", "overwrite", "overrides", "progress")
+"""Arguments of `export` that apply to a robot."""
+
+
+def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFileResult":
+    """Write a robot from the arguments of `export`, where the extension of `out` is one of `FORMATS`."""
+    out, model, rate = Path(values["out"]), values["model"], values["rate"]
+    defaults = {name: each.default for name, each in inspect.signature(verb).parameters.items()}
+    for name, value in values.items():
+        if name not in ROBOT_ARGUMENTS and value != defaults[name]:
+            raise InputError(f"{name} is for an observer, and {out} is the file of a robot; leave it out")
+    check_output(out, *FORMATS, overwrite=values["overwrite"])
+    label = models.spec_name(model)
+    if model is not label and not isinstance(model, str | Path):
+        raise InputError(f"{label}: a robot is written from its model file, its own file or its name")
+    recipe = models.recipe(label, values["overrides"])
+    if recipe.get("system") != "robot":
+        raise InputError(f"{label}: only a robot is written as {FORMATS[out.suffix]} ({out.suffix})")
+    parameters, step = dict(recipe["parameters"]), 1 / rate
+    about = [f"Written by covariant export from {Path(label).name}, for steps of {step:.6g} s."]
+    about.append(HEAD_NOTES[out.suffix])
+    text, left_out = models.robots.robot_text(out.suffix, parameters.pop("path"), step, about, **parameters)
+    write_together({out: utf8(text)})
+    return RobotFileResult(label, out, FORMATS[out.suffix], left_out)
+
+
+@dataclass(frozen=True, repr=False)
+class RobotFileResult(AbstractResult):
+    """The file of a robot.
+
+    Attributes:
+        model_name: Path or name of the model.
+        out: Path of the file.
+        kind: Format of the file: URDF, MJCF, or a table of actuators.
+        left_out: Numbers for which the format has no entry, one line for each joint.
+
+    Example:
+        >>> import covariant, tempfile
+        >>> out = tempfile.mkdtemp() + "/arm.urdf"
+        >>> friction = {"parameters.friction": {"elbow": {"viscous": 0.1}}}
+        >>> covariant.export("double_pendulum", out, rate=500.0, overrides=friction).headline.partition(" in ")[0]
+        'double_pendulum as URDF'
+    """
+
+    model_name: str
+    out: Path
+    kind: str
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        return tuple(f"{self.kind} has no entry for {line}" for line in self.left_out)
+
+    @property
+    def headline(self) -> str:
+        return f"{self.model_name} as {self.kind} in {self.out}"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        result = {"model": self.model_name, "out": str(self.out), "kind": self.kind}
+        return result | ({"warning": "; ".join(self.warnings)} if self.warnings else {})
+
+    def __str__(self) -> str:
+        return f"{self.model_name} as {self.kind}\nwrote {self.out}"

@@ -1,0 +1,298 @@
+"""Computes the tuning of noise and gains to logs, and what it says of the model."""
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from covariant import models
+from covariant._errors import InputError
+from covariant.calibration import DataSheet, HeldOut, Tuning, tune, tuned_estimators, usual_speeds
+from covariant.engine import EngineName, run_logs
+from covariant.observers import AbstractObserver
+from covariant.report import EstimateReport
+from covariant.signals import Record, Run
+from covariant.verbs.base.aligned import aligned
+from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
+from covariant.verbs.base.model_output import check_read_once
+from covariant.verbs.base.model_text import advice
+from covariant.verbs.base.outcome import drive, rounded
+from covariant.verbs.base.pages import estimate_report
+from covariant.verbs.base.progress import Progress
+
+DIGITS = 4
+"""Significant digits of tuned numbers in a model file."""
+WORSE = 1.2
+"""Ratio of the velocity errors of Kalman filter and constant gains from which a warning says the filter is worse."""
+COARSER = 1.5
+"""Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
+SEARCHED = 60
+"""Approximate number of runs of a search for gains."""
+NOT_WHITE = 0.3
+"""Correlation of neighbouring innovations from which a warning says that the model does not explain them."""
+STAGES = ("gains", "noise", "held-out rows", "filters without a model")
+"""What a tuning does, in order."""
+
+
+class Tuned(NamedTuple):
+    """Tuning of a model to logs, with what it was computed from.
+
+    Attributes:
+        loaded: Model and log of each job.
+        tuning: Gains and noise.
+        before: The data sheet of the model file; None where that lacks noise.
+        content: Content of the new model file; empty where the model has no file.
+        details: All numbers and sentences as plain data.
+    """
+
+    loaded: list[Loaded]
+    tuning: Tuning
+    before: DataSheet | None
+    content: dict[str, Any]
+    details: dict[str, Any]
+
+
+def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, sources: Mapping[Path, bytes]) -> Tuned:
+    """Tune noise and gains on the first two thirds of each log, and judge them on the rest.
+
+    `sources` are the files of the model as they were first read.
+    """
+    progress("reading", 0.0)
+    has_file = isinstance(jobs[0].model, str | PathLike)
+    content = models.document(jobs[0].model_name, jobs[0].overrides) if has_file else {}
+    loaded, delay = [aligned(job).loaded for job in jobs], models.load(jobs[0].model, jobs[0].overrides).delay
+    check_read_once(sources)  # from here on no file of the model is read
+    file = loaded[0].file
+    before = None
+    if file.typical_std is not None and file.acceleration_std is not None:
+        before = data_sheet(file)
+    # No reading is better than the rounding to its ticks.
+    known = None if file.quantum is None else np.broadcast_to(np.asarray(file.measurement_std), file.dimension)
+    records, velocities = [one.record for one in loaded], [one.reference.v for one in loaded if one.reference]
+    runs = _Runs(engine)
+
+    def report(stage: str) -> None:
+        progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
+
+    try:
+        options = {
+            "std": known,
+            "before": before,
+            "progress": report,
+            "runs": runs,
+            "window": _window(jobs[0], loaded[0]),
+            "names": [Path(job.log_name).name for job in jobs],
+        }
+        tuning = tune(loaded[0].model, records, velocities, **options)
+    except InputError as error:
+        raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+    progress("done", 1.0)
+    tables = _tables(file, tuning, loaded[0].rate)
+    details = _details(jobs, loaded, delay, tuning, tables) | {"engine": runs.description}
+    return Tuned(loaded, tuning, before, _with_tables(content, tables) if has_file else {}, details)
+
+
+def tuned_page(title: str, job: Job, tuned: Tuned, notes: tuple[str, ...], **more: Any) -> EstimateReport:
+    """Collect a page of the constant-gain observer on the last log, before and after."""
+    loaded, tuning = tuned.loaded[-1], tuned.tuning
+    typical = float(np.sqrt(np.mean(np.asarray(tuning.noise.measurement) ** 2)))
+    sheet = tuned.before or DataSheet(typical, float(tuning.noise.acceleration))
+    # Behind the gate that `estimate` has: an outlier is drawn as what it does there.
+    sheet = sheet._replace(speed=usual_speeds(loaded.model, loaded.record))
+    chosen = {
+        "natural_frequency": tuning.natural_frequency,
+        "damping": tuning.damping,
+        "force_rate": tuning.force_rate,
+    }
+    sheets = {"after": sheet._replace(**chosen)}
+    if tuned.before is not None:
+        sheets = {"before": sheet, **sheets}
+    name, n = "intrinsic-force", loaded.file.dimension
+    drawn = {
+        when: tuned_estimators(loaded.model, n, each, loaded.rate, names=(name,))[name] for when, each in sheets.items()
+    }
+    observers = with_sensor_delays(drawn, loaded)
+    runs = {when: drive(observer, loaded) for when, observer in observers.items()}
+    return estimate_report(title, job, loaded, runs, notes, {"drawn": f"{name}, on {job.log_name}"}, **more)
+
+
+def _window(job: Job, loaded: Loaded) -> tuple[float, int, float] | None:
+    """Half width [s] and order of the polynomials of the reference velocities, and rate [Hz] of the positions that they
+    are fitted to, which are those of the whole log; None where they are no such slopes."""
+    slopes = loaded.reference is not None and loaded.log.truth is None and loaded.model.manifold.commuting
+    return (loaded.file.reference_half, int(loaded.file.reference_order), loaded.rate * job.every) if slopes else None
+
+
+class _Runs:
+    """Runs of observers with constant gains; `description` is the engine, with the reason where it is JAX."""
+
+    def __init__(self, engine: EngineName):
+        self.engine: EngineName = engine
+        self.description = ""
+        self._first: Sequence[AbstractObserver] = ()
+
+    def __call__(self, observers: Sequence[AbstractObserver], records: Sequence[Record]) -> list[Run]:
+        self._first = self._first or observers
+        runs, self.description = run_logs(observers, records, ("innovation",), self.engine, self._first, SEARCHED)
+        return runs
+
+
+def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, dict[str, Any]]:
+    """What is written into the model file, by table and key."""
+    time = file.correlation_time or float(f"{1 / (2 * rate):.{DIGITS}g}")
+    # A deviation σ that persists over the time τ acts as white noise of the density σ √(2τ).
+    acceleration = float(tuning.noise.acceleration) / np.sqrt(2 * time)
+    uncertainty = {"acceleration": _short(acceleration), "correlation_time": time}
+    uncertainty |= _force(file, tuning)
+    tables: dict[str, dict[str, Any]] = {
+        "uncertainty": uncertainty,
+        "design": {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)},
+    }
+    if tuning.force_rate:
+        tables["design"]["force_rate"] = _short(tuning.force_rate)
+    # Rounding to ticks has a uniform error, of the standard deviation quantum/√12.
+    ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
+    if file.quantum is None or np.any(np.asarray(tuning.noise.measurement) > COARSER * ticks):
+        std = [_short(value) for value in np.asarray(tuning.noise.measurement)]
+        tables = {"measurement": {"std": std if file.model.manifold.commuting and len(std) > 1 else std[0]}, **tables}
+    return tables
+
+
+def _force(file: models.ModelFile, tuning: Tuning) -> dict[str, Any]:
+    """The external force, as a random walk or one that is forgotten; nothing where there is none."""
+    force, time = np.asarray(tuning.noise.force), float(tuning.noise.force_time)
+    if not force.any():
+        return {}
+    if not np.isfinite(time):
+        return {"external_force": _short(force)}
+    std = [_short(one) for one in np.broadcast_to(force, file.dimension)] if file.dimension > 1 else _short(force.max())
+    return {"external_force_std": std, "external_force_time": _short(time)}
+
+
+def _short(value: Any) -> float:
+    return float(f"{float(value):.{DIGITS}g}")
+
+
+def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The content of the model file with the tuned numbers; without an external force unless the tuning has one."""
+    for table, numbers in tables.items():
+        content.setdefault(table, {}).update(numbers)
+    # The tuned acceleration holds what was torque.
+    optional = {"uncertainty": ("torque", "external_force", "external_force_std", "external_force_time")}
+    for table, keys in (optional | {"design": ("force_rate",)}).items():
+        for key in set(keys) - set(tables[table]):
+            content[table].pop(key, None)
+    # std stands in its place: a model file may not have both.
+    if "measurement" in tables:
+        content["measurement"].pop("quantum", None)
+    return content
+
+
+def _details(
+    jobs: list[Job], loaded: list[Loaded], delay: Any, tuning: Tuning, tables: dict[str, Any]
+) -> dict[str, Any]:
+    names, units = coordinates(loaded[0].file)
+    free = tuning.model_free
+    return {
+        "model": jobs[0].model_name,
+        "logs": [job.log_name for job in jobs],
+        "rows": tuning.rows,
+        "scored_against": loaded[0].reference.label if loaded[0].reference else None,
+        "lines": tables,
+        "coordinates": list(names),
+        "velocities": list(loaded[0].model.sought.names or (f"d{name}/dt" for name in names)),
+        "units": [unit.removesuffix("/s") for unit in units],
+        "held_out": {
+            when: None if judged is None else _round_errors(judged)
+            for when, judged in (("before", tuning.before), ("after", tuning.after))
+        },
+        "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
+        "gains": {
+            "from": tuning.source,
+            "same": None if tuning.same is None else [_short(each) for each in tuning.same],
+            "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
+        },
+        "notes": notes(tuning, units),
+        "warning": warning(
+            tuning,
+            np.atleast_1d(np.equal(delay, np.max(delay))),
+            advice(jobs[0].model, fit="run `covariant fit`") or "look for what it lacks by `covariant check`",
+        ),
+    }
+
+
+def _round_numbers(numbers: dict[str, Any]) -> dict[str, Any]:
+    return {key: value if isinstance(value, str) else _short(value) for key, value in numbers.items()}
+
+
+def notes(found: Tuning, units: Sequence[str]) -> list[str]:
+    """Say where the gains are from, what was kept, and whether the reference is good enough to compare with."""
+    said = []
+    if found.candidates:
+        named = ", ".join(f"{each.source} {_short(each.smoothed):g}" for each in found.candidates)
+        said.append(
+            f"Gains: {found.source}. Distances of held-out velocities to those of a smoother, as fractions of the "
+            f"velocity: {named}."
+        )
+        near = [each.source for each in found.candidates if each.ties]
+        if len(near) > 1:
+            said.append(f"By the rows after each alone these are equally good: {', '.join(near)}.")
+    if found.same is not None:
+        low, high = (f"{_short(each):g}" for each in found.same)
+        said.append(f"Gains with a natural frequency between {low} and {high} rad/s give the same within 2 %.")
+    if found.gains_kept:
+        said.append(
+            "Other gains seemed better, but had a larger velocity error on held-out rows; those of the model file are "
+            "kept."
+        )
+    elif found.source == "model file":
+        said.append(
+            "No other gains give clearly better held-out velocities than those of the model file, which are kept."
+        )
+    if found.noise_kept:
+        why = "readings are likelier" if found.noise_kept == "likelihood" else "velocities are better"
+        said.append(f"Held-out {why} with the noise of the model file, which is kept.")
+    if found.reference_noise is not None:
+        reference, estimate = found.reference_noise
+        worst = int(np.argmax(reference / np.maximum(estimate, 1e-300)))
+        if reference[worst] > estimate[worst]:
+            said.append(
+                f"The reference is noisier than the estimate: about {reference[worst]:.2g} {units[worst]}/s against "
+                f"{estimate[worst]:.2g} of the Kalman filter, so errors against it are largely its own."
+            )
+    return said
+
+
+def _round_errors(judged: HeldOut) -> dict[str, Any]:
+    return {name: (rounded(np.atleast_1d(value))) for name, value in judged._asdict().items()}
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g} %"
+
+
+def warning(found: Tuning, as_logged: np.ndarray | bool = True, remedy: str = "run `covariant fit`") -> str | None:
+    """Warn in one line of a model that is no better than none, or does not explain the innovations."""
+    gains, kalman = found.after.relative
+    name, free = found.model_free or ("", np.inf)
+    without = f"{name}, which knows none, has a velocity error of {_percent(free)}"
+    if min(gains, kalman) >= free:
+        best = _percent(min(gains, kalman))
+        return f"the model does not help here: {without}, the best with the model {best}; {remedy}"
+    if gains >= free:
+        return (
+            f"with constant gains the model does not help here: {without}, constant gains {_percent(gains)}; "
+            f"{remedy}, or estimate with the observer intrinsic-kalman ({_percent(kalman)})"
+        )
+    if kalman > WORSE * gains:
+        return (
+            f"the noise is not white: the velocity error of the most likely Kalman filter is {_percent(kalman)} and "
+            f"that of constant gains {_percent(gains)}; estimate with the observer "
+            f"{'intrinsic-force' if found.force_rate else 'intrinsic'}"
+        )
+    worst = float(np.max(np.abs(found.after.correlation) * as_logged))
+    if worst > NOT_WHITE:
+        return f"the innovations are not white (correlation {worst:.2f}), so the model is wrong somewhere; {remedy}"
+    return None
