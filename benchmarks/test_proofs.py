@@ -7,13 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import proofs
-from covariant._compile import EXACT, compiled
 from covariant.certificates import ContractionCertificate
 from covariant.certificates.base._inequalities import contraction, width_bound
-from covariant.lowering import enclose, expand
-from covariant.lowering.intervals._c_intervals import source
-from covariant.proofs._tests_in_c import source as tests_source
+from scalargraph import enclose, expand, proofs
+from scalargraph.compiler import EXACT, compiled
+from scalargraph.intervals._c_intervals import source
+from scalargraph.proofs._tests_in_c import source as tests_source
 
 FILE = Path(__file__).parents[1] / "examples/certificates/dfki_double_pendulum.json"
 ENGINES = ("numpy", "c")

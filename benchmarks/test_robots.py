@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import lowering
+import scalargraph
 from covariant.engine import Stream
 from covariant.models import MechanicalSystem, acceleration, pendulum_chain, robots
 from covariant.observers import Intrinsic
@@ -79,7 +79,7 @@ def work(kind: str, n: int) -> Work:
 
 def operations(kind: str, n: int) -> int:
     """Scalar operations of a lowered right-hand side."""
-    return lowering.operations(lowering.lower(*_flat(work(kind, n))).graph.nodes)
+    return scalargraph.operations(scalargraph.lower(*_flat(work(kind, n))).graph.nodes)
 
 
 def _flat(given: Work) -> tuple:

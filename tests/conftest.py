@@ -45,16 +45,16 @@ from jaxtyping import install_import_hook
 
 # The long suite checks types and shapes of arguments in every call, which takes time that the core suite has not.
 # What the checker computes with says no shapes. A wrong type there is no `TypeError`, which would count as a refusal.
-CHECKER = ("covariant.proofs.checker", "covariant.proofs._file")
+CHECKER = ("scalargraph.proofs.checker", "scalargraph.proofs._file")
 if os.environ.get("COVARIANT_CHECK_SHAPES"):
     beartype_packages(CHECKER)
 # Types are not checked in lowering, whose inner loops run millions of times, nor in certificates: there files are read
 # that may be forged, and must be refused by what users run.
-UNCHECKED = ("covariant.lowering", "covariant.certificates", *CHECKER)
+UNCHECKED = ("covariant.certificates", *CHECKER)
 ROOMS = {f"covariant.{path.stem}" for path in SOURCE.iterdir() if path.suffix in ("", ".py")}
-PROOFS = {f"covariant.proofs.{path.stem}" for path in (SOURCE / "proofs").iterdir()}
+PROOFS = {f"scalargraph.proofs.{path.stem}" for path in (SOURCE.parent / "scalargraph" / "proofs").iterdir()}
 if os.environ.get("COVARIANT_CHECK_SHAPES"):
-    install_import_hook(sorted((ROOMS | PROOFS) - {"covariant.proofs", *UNCHECKED}), "beartype.beartype")
+    install_import_hook(sorted((ROOMS | PROOFS) - {*UNCHECKED}), "beartype.beartype")
 
 from covariant import geometry, models
 from covariant.geometry import Budget, Metric

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from covariant.proofs import digest
+from scalargraph.proofs import digest
 
 MISSING = object()
 Change = Callable[[dict], Any]

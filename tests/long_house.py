@@ -143,7 +143,7 @@ def derivatives(module: ast.Module, names: set[str]) -> set[tuple[str, str]]:
 def derived_by_jax() -> set[str]:
     """Functions and methods of the library that take a derivative of JAX, and whose name is theirs alone.
 
-    Those of `lowering` and `proofs` are left out, which are where statements and the checker take theirs.
+    Those of `scalargraph` are left out, where statements and the checker take theirs.
     """
     names, taking = Counter(), set()
     for path in FILES:
@@ -151,18 +151,18 @@ def derived_by_jax() -> set[str]:
             for each in getattr(node, "body", ()) if isinstance(node, ast.Module | ast.ClassDef) else ():
                 if isinstance(each, ast.FunctionDef):
                     names[each.name] += 1
-                    if room_of(path) not in ("lowering", "proofs") and derivatives(ast.Module([each], []), DERIVATIVES):
+                    if derivatives(ast.Module([each], []), DERIVATIVES):
                         taking.add(each.name)
     return {name for name in taking if names[name] == 1 and not name.startswith("_")}
 
 
 def test_statements_take_no_derivative_from_jax():
-    """They take it from `covariant.lowering`, the checker from `covariant.proofs.checker`; both see values alone."""
+    """They take it from `scalargraph`, the checker from `scalargraph.proofs.checker`; both see values alone."""
     names = DERIVATIVES | derived_by_jax()
     files = [path for path in FILES if makes_statements(path, tree(path))]
     assert len(files) > 60
     found = {(place(path), *each) for path in files for each in derivatives(tree(path), names)}
-    assert found == set(VALUES_OF_THE_CODE), "take derivatives by `lowering.along` or `lowering.jacobian`"
+    assert found == set(VALUES_OF_THE_CODE), "take derivatives by `scalargraph.along` or `scalargraph.jacobian`"
 
 
 TAKE_DERIVATIVES = [

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from covariant import codegen, observers
-from covariant._templates import PLACEHOLDER
 from covariant.codegen import _fmu, _python_package, _wasm
+from scalargraph.template import PLACEHOLDER
 
 
 @pytest.mark.parametrize("flat", [True, False])

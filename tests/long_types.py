@@ -7,8 +7,8 @@ from beartype.roar import BeartypeCallHintViolation
 
 from covariant import models
 from covariant._linalg import solve
-from covariant.proofs._file import Field
-from covariant.proofs.checker import show_definite
+from scalargraph.proofs._file import Field
+from scalargraph.proofs.checker import show_definite
 
 
 def test_arguments_whose_shapes_disagree_raise_a_type_error():

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from covariant._files import attended, sweep, temporary, write_atomically, write_together
+from scalargraph.files import attended, sweep, temporary, write_atomically, write_together
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from covariant import _files
+from scalargraph import files as _files
 
 path, folder = Path(sys.argv[1]), sys.argv[2] == "folder"
 

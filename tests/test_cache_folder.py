@@ -14,17 +14,19 @@ from pathlib import Path
 
 import pytest
 
-from covariant import _compile, _files, _programs, verbs
-from covariant._compile import EXACT, compiled, compiler, is_kept
-from covariant._files import read_sealed, write_sealed
-from covariant._programs import CHECKED, cache_folder, drop_broken_programs, open_cache_folder
+from covariant import verbs
+from covariant._programs import CHECKED, drop_broken_programs
+from scalargraph import cache as caching, compiler as _compile, files as _files
+from scalargraph.cache import cache_folder, open_cache_folder
+from scalargraph.compiler import EXACT, compiled, compiler, is_kept
+from scalargraph.files import read_sealed, write_sealed
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 needs_owners = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
 HALF = "double half(double x) { return x / 2; }\n"
 LOADS = """
-import ctypes, sys
-from covariant._compile import EXACT, compiled
+import covariant, ctypes, sys
+from scalargraph.compiler import EXACT, compiled
 half = compiled("double half(double x) { return x / 2; }\\n", EXACT, ctypes.CDLL).half
 half.restype, half.argtypes = ctypes.c_double, [ctypes.c_double]
 print(half(3.0))
@@ -200,7 +202,7 @@ def test_so_is_one_below_a_folder_in_which_others_can_rename(mode, refused, cach
 def test_a_folder_of_a_group_counts_as_shared_unless_its_user_is_alone_in_it(cache, tmp_path, monkeypatch):
     (tmp_path / "cache").chmod(0o775)
     for alone in (True, False):
-        monkeypatch.setattr(_programs, "_is_own_group", lambda place, group, alone=alone: alone)
+        monkeypatch.setattr(caching, "_is_own_group", lambda place, group, alone=alone: alone)
         if alone:
             assert cache_folder() == cache
         else:
@@ -258,7 +260,7 @@ def test_a_link_is_followed_before_the_check_and_none_takes_the_place_of_the_fol
 def test_without_a_home_nothing_is_cached_and_no_folder_is_left(tmp_path, monkeypatch):
     monkeypatch.delenv("COVARIANT_CACHE")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(_programs, "user_cache_path", lambda *names, **options: Path("~/.cache/covariant"))
+    monkeypatch.setattr(caching, "user_cache_path", lambda *names, **options: Path("~/.cache/covariant"))
     assert cache_folder() is None
     assert not list(tmp_path.iterdir())
     monkeypatch.setenv("COVARIANT_CACHE", "~no-such-user/cache")
@@ -280,7 +282,7 @@ def test_nothing_is_compiled_where_others_can_replace_it(tmp_path, monkeypatch):
 
 def test_a_warning_is_not_repeated(cache):
     cache.chmod(0o777)
-    script = "import covariant\nfrom covariant._programs import cache_folder\nfor _ in range(3): cache_folder()"
+    script = "import covariant\nfrom scalargraph.cache import cache_folder\nfor _ in range(3): cache_folder()"
     done = python(script)
     assert done.returncode == 0
     assert done.stderr.count("RuntimeWarning: compiled programs are not cached") == (1 if hasattr(os, "getuid") else 0)

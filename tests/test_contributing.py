@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 COPIED = (
     *("src", "tools", "docs", "benchmarks", "pyproject.toml", "mkdocs.yml", "README.md"),
-    *("tests/conftest.py", "tests/test_house.py", "tests/laws", "tests/geometry"),
+    *("tests/conftest.py", "tests/test_house.py", "tests/house.toml", "tests/laws", "tests/geometry"),
 )
 
 

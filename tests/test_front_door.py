@@ -13,10 +13,10 @@ import covariant
 from covariant.certificates import CHECKERS
 from covariant.cli._commands import COMMANDS
 from covariant.engine import EngineName
-from covariant.proofs import MOST_BOXES
 from covariant.verbs._certify import OBSERVERS as CERTIFIED
 from covariant.verbs._reproduce import PAPERS
 from covariant.verbs.base.find import FIND
+from scalargraph.proofs import MOST_BOXES
 
 
 def python(script: str, **variables: str) -> str:

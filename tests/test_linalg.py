@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from covariant._linalg import BLOCK, WHOLE, ldl, solve
-from covariant.lowering import lower, numbers
+from scalargraph import lower, numbers
 
 SIZES = (*range(1, 8), WHOLE + 1, 2 * BLOCK, 2 * BLOCK + 1)
 BATCH = 16

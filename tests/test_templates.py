@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import covariant
-from covariant._templates import fill
+from scalargraph.template import fill
 
 SOURCE = Path(covariant.__file__).parent
 TEMPLATES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.glob("*/templates/*"))}
@@ -34,7 +34,7 @@ def test_every_template_is_used_in_its_room():
 
 def test_a_placeholder_without_a_text_is_an_error():
     with pytest.raises(KeyError, match="NAME"):
-        fill("codegen", "__main__.py", {})
+        fill("covariant.codegen", "__main__.py", {})
 
 
 def test_templates_of_python_are_python_and_those_of_xml_are_xml():

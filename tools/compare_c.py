@@ -3,7 +3,7 @@
     python tools/compare_c.py [NAME ...] [--states 1000] [--real float] [--lanes 8]
 
 Prints for each observer the largest difference of any number of the new state, as a part of what is allowed: ten times
-what roundings at random make of it (`covariant.lowering.perturbed`), in the same precision. Exits with 1 where one is
+what roundings at random make of it (`scalargraph.perturbed`), in the same precision. Exits with 1 where one is
 larger.
 """
 
@@ -21,9 +21,9 @@ from covariant import models
 from covariant.codegen import Program, program, with_open_numbers
 from covariant.engine._compile import library
 from covariant.geometry import Budget, Interpolated
-from covariant.lowering import c_function, c_helpers, c_rows, evaluate, perturbed
 from covariant.models import marine
 from covariant.observers import Geodesic, Intrinsic, IntrinsicKalman, Riccati, StateEKF, craft_observer
+from scalargraph import c_function, c_helpers, c_rows, evaluate, perturbed
 
 LANES, ALLOWED = 12, 10.0
 DTYPES = {"double": np.float64, "float": np.float32}

@@ -31,7 +31,7 @@ RESOLVE = "python -m pip install --dry-run --ignore-installed --quiet --disable-
 TESTS = "pytest -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0 -m 'not long'"
 ALL = (RESOLVE, TESTS, "python gallery/run_all.py")
 SHORT = (
-    "pytest -n 2 --dist loadgroup tests/lowering/test_jax_forms.py tests/lowering/test_lowering.py",
+    "pytest -n 2 --dist loadgroup tests/scalargraph/test_jax_forms.py tests/scalargraph/test_lowering.py",
     "covariant certify --check examples/certificates/ball_and_beam.json",
     "pytest tests/pages/test_examples.py -k README.md",
     "python gallery/demo.py --out {environment}/demo",

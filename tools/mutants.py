@@ -49,7 +49,6 @@ FITTING = ("fit", "innovations", "least_squares", "predict", "windows")
 RELEVANT = {
     "geometry/lie/_left_invariant.py": "geometry/test_left_invariant",
     "geometry/lie/*": "geometry/test_lie_groups geometry/test_lie_accuracy geometry/test_left_invariant",
-    "proofs/checker/*": "proofs/test_taylor_models certificates/test_check",
     "models/robots/*": "models/test_robots models/test_mjcf",
     "models/marine/*": "models/test_marine reference/test_jouffroy_fossen",
     "geometry/_interpolated.py": "geometry/test_interpolated",
@@ -86,22 +85,21 @@ RELEVANT = {
     "metrics/_metric_on_grid.py": "metrics/test_metric_grid",
     **{f"metrics/_{name}.py": "metrics/test_grids" for name in ("grid", "map", "optional", "store")},
     "metrics/*": "metrics/test_gramians metrics/test_outcomes metrics/test_laws metrics/test_analytic_metric",
-    "lowering/_loops.py": "lowering/test_c",
-    "lowering/_jax_forms.py": "lowering/test_jax_forms lowering/test_lowering",
-    "lowering/_fingerprint.py": "lowering/test_fingerprint",
-    **{f"lowering/_{name}.py": "lowering/test_to_c" for name in ("c_names", "to_c")},
-    "lowering/_c*.py": "lowering/test_c lowering/test_lowering",
-    "lowering/_peephole.py": "lowering/test_c",
-    "lowering/_rounding.py": "lowering/test_c",
-    "lowering/_[dgrtl]*.py": "lowering/test_lowering lowering/test_intervals",
-    "lowering/_arrays.py": "lowering/test_lowering lowering/test_intervals",
-    "lowering/_p[lr]*.py": "lowering/test_lowering lowering/test_intervals",
-    "lowering/*": "lowering/test_intervals lowering/test_lowering",
-    "proofs/_balls.py": "certificates/test_check",
-    "proofs/_file.py": "attacks/test_files certificates/test_check",
-    "proofs/_saved.py": "attacks/test_files certificates/test_check",
-    "proofs/_form.py": "certificates/test_contraction certificates/test_cascade",
-    "proofs/*": "certificates/test_proofs",
+    "scalargraph/_loops.py": "scalargraph/test_c",
+    "scalargraph/_jax_forms.py": "scalargraph/test_jax_forms scalargraph/test_lowering",
+    "scalargraph/_fingerprint.py": "scalargraph/test_fingerprint",
+    **{f"scalargraph/_{name}.py": "scalargraph/test_to_c" for name in ("c_names", "to_c")},
+    "scalargraph/_c*.py": "scalargraph/test_c scalargraph/test_lowering",
+    "scalargraph/_peephole.py": "scalargraph/test_c",
+    "scalargraph/_rounding.py": "scalargraph/test_c",
+    "scalargraph/proofs/checker/*": "scalargraph/test_taylor_models certificates/test_check",
+    "scalargraph/_balls.py": "certificates/test_check",
+    "scalargraph/_file.py": "attacks/test_files certificates/test_check",
+    "scalargraph/_saved.py": "attacks/test_files certificates/test_check",
+    "scalargraph/_form.py": "certificates/test_contraction certificates/test_cascade",
+    "scalargraph/proofs/*": "certificates/test_proofs",
+    "scalargraph/[cft]*.py": "test_cache_folder test_atomic_files test_templates",
+    "scalargraph/*": "scalargraph/test_lowering scalargraph/test_intervals",
     "models/fluid.py": "models/test_fluid",
     "models/systems/_satellite*.py": "models/test_group_systems",
     "models/files/*": "models/test_model_file models/test_family cli/test_model_command",
@@ -168,12 +166,12 @@ RELEVANT = {
 
 def in_room(file: str) -> str:
     """A file by its room and name, without its sub-room: files move within a room."""
-    path = Path(file)
+    path = Path(file.removeprefix("covariant/"))
     return f"{path.parts[0]}/{path.name}"
 
 
 def relevant(file: str) -> list[str]:
-    places = (file, in_room(file))
+    places = (file.removeprefix("covariant/"), in_room(file))
     names = next(tests for pattern, tests in RELEVANT.items() if any(fnmatch.fnmatch(p, pattern) for p in places))
     found = [place for name in names.split() for place in (f"tests/{name}.py", f"tests/{name.replace(*LONG)}.py")]
     return [place for place in found if (ROOT / place).exists()]
@@ -199,7 +197,7 @@ class _Watch:
 
     def pytest_collection_finish(self):
         found = importlib.import_module("covariant").__file__
-        assert found == str(self.package / "__init__.py"), f"the tests import {found}"
+        assert found == str(self.package / "covariant" / "__init__.py"), f"the tests import {found}"
 
     def pytest_runtest_logreport(self, report):
         self.seconds[report.nodeid.split("::")[0]] += report.duration
@@ -215,7 +213,7 @@ class Workshop:
     """A folder in which mutants are tested: links to the package, and a cache of compiled programs."""
 
     def __init__(self, folder: Path, options: Sequence[str] = ()):
-        self.folder, self.package, self.stamp = folder, folder / "src" / "covariant", 0
+        self.folder, self.package, self.stamp = folder, folder / "src", 0
         self.options = ["-q", *options]
         for path in SOURCE.rglob("*"):
             if path.is_file() and "__pycache__" not in path.parts:
@@ -256,8 +254,8 @@ class Workshop:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             output = os.open(self.folder / "output.txt", os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
             os.dup2(output, 1), os.dup2(output, 2)
-            sys.path.insert(0, str(self.package.parent))
-            os.environ["PYTHONPATH"] = str(self.package.parent)
+            sys.path.insert(0, str(self.package))
+            os.environ["PYTHONPATH"] = str(self.package)
             watch = _Watch(self.package, tests)
             known = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # some plugins are imported already
             status = int(pytest.main([*self.options, *known, *options, *tests], plugins=[watch]))
@@ -364,9 +362,9 @@ def _run_all(chosen: list[Mutant], workshop: Workshop, options: argparse.Namespa
     left = [result for result in results if result["verdict"] in ("survived", "undecided")]
     for result in left:
         print(f"\n{result['id']}\n-   {result['line']}\n+   {result['mutant']}")
-    rooms = {room: Counter(r["verdict"] for r in results if r["id"].startswith(room)) for room in ROOMS}
+    rooms = {room: Counter(r["verdict"] for r in results if r["id"].startswith(f"{room}/")) for room in ROOMS}
     for room, verdicts in rooms.items():
-        print(f"{room:12} " + ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items()))
+        print(f"{room:22} " + ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items()))
     summary = {"seed": options.seed, "seconds": time.monotonic() - began, "rooms": rooms, "mutants": results}
     if options.out:
         options.out.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")

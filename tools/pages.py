@@ -127,7 +127,7 @@ VERBS = ("check", "fit", "tune", "estimate", "smooth", "compare", "simulate", "d
 """The verbs in the order in which a user meets them."""
 ROOMS = (
     *("models", "models.robots", "models.marine", "observers", "logs", "simulation", "calibration", "engine"),
-    *("codegen", "certificates", "geometry", "geometry.lie", "metrics", "lowering", "proofs"),
+    *("codegen", "certificates", "geometry", "geometry.lie", "metrics"),
     *("verbs", "many", "report"),
 )
 """Rooms with public names, in the order in which a user meets them."""
@@ -141,10 +141,10 @@ def api_page() -> str:
     )
     parts = [_api_of("covariant", covariant, [*VERBS, "Record", "Run", "StepCode"])]
     assert set(VERBS) == {name for name in covariant.__all__ if inspect.isfunction(getattr(covariant, name))}
-    for room in ROOMS:
-        module = importlib.import_module(f"covariant.{room}")
+    for room in [*(f"covariant.{room}" for room in ROOMS), "scalargraph"]:
+        module = importlib.import_module(room)
         names = [name for name in module.__all__ if not inspect.ismodule(getattr(module, name))]
-        parts.append(_api_of(f"covariant.{room}", module, sorted(names, key=partial(_use, module))))
+        parts.append(_api_of(room, module, sorted(names, key=partial(_use, module))))
     return head + "\n\n".join(parts) + "\n"
 
 

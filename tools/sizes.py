@@ -31,12 +31,13 @@ def _docstrings(tree: ast.AST) -> Iterator[ast.Expr]:
 
 
 def rooms() -> dict[str, int]:
-    """Lines of code of each room; those of the files beside the rooms are `common`."""
+    """Lines of code of `scalargraph` and of each room; those of the files beside the rooms are `common`."""
     lines: Counter[str] = Counter()
     for path in SOURCE.rglob("*"):
         if path.is_file() and (path.suffix == ".py" or path.parent.name == "templates"):
-            _, *folders = path.relative_to(SOURCE).parent.parts
-            lines[folders[0] if folders else "common"] += code_lines(path)
+            package, *folders = path.relative_to(SOURCE).parent.parts
+            room = package if package != "covariant" else folders[0] if folders else "common"
+            lines[room] += code_lines(path)
     return dict(lines.most_common())
 
 

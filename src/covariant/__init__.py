@@ -10,11 +10,13 @@ import sys
 import lazy_loader
 
 from covariant._programs import keep_programs
+from scalargraph.cache import name_cache
 
 # JAX reads this variable when it is imported, which may happen long after this, or may have happened already.
 os.environ["JAX_ENABLE_X64"] = "1"
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
+name_cache("covariant", "COVARIANT_CACHE")
 keep_programs()
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -21,9 +21,9 @@ from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from covariant._errors import InputError
-from covariant._files import read_sealed, write_sealed
 from covariant._optional import load_optional
+from scalargraph.errors import InputError
+from scalargraph.files import read_sealed, write_sealed
 
 optional = functools.partial(load_optional, use="many cases need", extra="scale")
 

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -123,7 +123,7 @@ def check_numbers(function: Function) -> Function:
         >>> half(-3.0)
         Traceback (most recent call last):
             ...
-        covariant._errors.InputError: half: width must be a positive, finite number; got -3.0
+        scalargraph.errors.InputError: half: width must be a positive, finite number; got -3.0
     """
     signature, annotations = inspect.signature(function), inspect.get_annotations(function)
 

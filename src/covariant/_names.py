@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Collection
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 
 def did_you_mean(name: str, known: Collection[str]) -> str:

@@ -2,7 +2,7 @@
 
 import re
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 DECIMAL = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 """A decimal number in ASCII. Python's own `float` would also accept `1_0` and the digits of other scripts."""

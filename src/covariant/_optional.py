@@ -3,7 +3,7 @@
 import importlib
 from typing import Any
 
-from covariant._errors import MissingPackageError
+from scalargraph.errors import MissingPackageError
 
 
 def load_optional(module: str, *, use: str, extra: str) -> Any:

@@ -1,7 +1,7 @@
 """Array types by their role. Leading batch axes come from `jax.vmap`, never from the functions themselves."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any
 
 from jaxtyping import Array, ArrayLike, Bool, Float, Inexact, Int
 
@@ -23,9 +23,6 @@ Bounds = tuple[Float[Array, "n"], Float[Array, "n"]]
 """Lower and upper bounds of coordinates."""
 Controller = Callable[[Array, Array, Any], Array]
 """`(t, y, estimate) -> u (m,)`: the input as a function of the measurement and of an observer's estimate."""
-
-Arithmetic = Literal["auto", "numpy", "c"]
-"""Implementation of interval arithmetic: compiled C where it pays, or always NumPy, or always C."""
 
 Numbers = ArrayLike | Sequence[float] | Sequence[Sequence[float]] | Sequence[Sequence[Sequence[float]]]
 """Types that are accepted for an array of numbers, which is converted at once."""

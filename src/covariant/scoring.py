@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 NumpyArray = np.ndarray
 

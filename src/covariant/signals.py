@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 MOST_MISSING = 0.05
 """How much of a lagged input may come from inputs that are missing, before it is missing itself."""

@@ -11,7 +11,7 @@ from covariant.certificates import certify, check
 from covariant.certificates.checking import _check
 from covariant.geometry import lie
 from covariant.observers import Intrinsic
-from covariant.proofs import _prove
+from scalargraph.proofs import _prove
 
 
 def test_another_force_is_not_within_its_bounds_or_not_defined(harmless, monkeypatch):

@@ -19,7 +19,7 @@ from covariant.certificates import (
     sampled_system,
 )
 from covariant.certificates.base import corrections
-from covariant.lowering import along, jacobian
+from scalargraph import along, jacobian
 
 
 def bent(x):

@@ -15,7 +15,7 @@ from covariant.certificates import ContractionCertificate, error_system, falsify
 from covariant.geometry.lie import SO3
 from covariant.models import GroupSystem
 from covariant.observers import Intrinsic
-from covariant.proofs import box
+from scalargraph.proofs import box
 
 FOLDER = Path(__file__).parents[2] / "examples/certificates"
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "12"))

@@ -18,7 +18,7 @@ from covariant.certificates import (
     observer_gain,
 )
 from covariant.models import StateSpace
-from covariant.proofs import as_form, box
+from scalargraph.proofs import as_form, box
 
 COUNT = int(os.environ.get("COVARIANT_ATTACKS", "8"))
 

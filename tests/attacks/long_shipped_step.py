@@ -16,9 +16,9 @@ import pytest
 
 import covariant
 from covariant import models
-from covariant._compile import compiler
 from covariant.certificates import ContractionCertificate, certify
 from covariant.observers import Intrinsic
+from scalargraph.compiler import compiler
 
 RUNS, SAMPLES = 200 * int(os.environ.get("COVARIANT_ATTACKS", "12")), 30
 INTERVAL, RATE, GAINS = (0.008, 0.012), 100.0, (10.0, 50.0)

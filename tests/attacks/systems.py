@@ -24,9 +24,9 @@ from covariant.certificates import (
 from covariant.certificates.base._error_system import Point
 from covariant.certificates.checking._checked import CHECKER
 from covariant.geometry import lie
-from covariant.lowering import LoweringError
 from covariant.observers import Intrinsic
-from covariant.proofs import prove
+from scalargraph import LoweringError
+from scalargraph.proofs import prove
 
 ALPHA, BETA, RATE = 10.0, 50.0, 2.0
 """Gains [1/s], [1/s²] and the rate of squared lengths [1/s] that is asked for: the gains alone allow 10 1/s."""

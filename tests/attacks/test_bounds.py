@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from systems import ALPHA, BETA, Case, attempt, line, simulate, size_of, verdict, wheel
 
-from covariant.proofs import box
+from scalargraph.proofs import box
 
 USUAL = Case(lambda xp, x, v: -v).bounds()
 OBSERVER = line(lambda xp, x, v: -v)

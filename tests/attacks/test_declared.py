@@ -16,9 +16,9 @@ from covariant.certificates import (
     observability,
     reduced_order,
 )
-from covariant.lowering import LoweringError, change, lower, to_jax
 from covariant.models import StateSpace, marine
 from covariant.simulation import Backstepping, set_point
+from scalargraph import LoweringError, change, lower, to_jax
 
 
 def with_rule(function):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from systems import Case, line, proved, verdict
 
-from covariant.proofs import _enclosure, box
+from scalargraph.proofs import _enclosure, box
 
 LINE = box(x=(-1.0, 1.0))
 
-# Each operation by itself is tried in `tests/lowering/test_conditions.py`.
+# Each operation by itself is tried in `tests/scalargraph/test_conditions.py`.
 UNDEFINED = {
     "zero times a root": lambda xp, x: 1 + 0 * xp.sqrt(x),
     "a root less itself": lambda xp, x: 1 + xp.sqrt(x) - xp.sqrt(x),

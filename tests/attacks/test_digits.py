@@ -8,7 +8,7 @@ from systems import Case, falsehood, line, proved, verdict
 
 from covariant import models, observers
 from covariant.certificates import Hypothesis, certify, certify_distance
-from covariant.proofs import box
+from scalargraph.proofs import box
 
 LINE = box(x=(-1.0, 1.0))
 

@@ -50,7 +50,7 @@ def scattered(xp, x, v):
     return jnp.zeros((2,)).at[(v > 0).astype(int)].set(50.0)[1:] - 25.0
 
 
-# Operations by themselves are tried in `tests/lowering/test_conditions.py`, declared derivatives in `test_declared.py`.
+# `tests/scalargraph/test_conditions.py` tries operations by themselves, `test_declared.py` declared derivatives.
 WRITTEN = {
     "where": Case(lambda xp, x, v: 50 * xp.where(v > 0, 1.0, -1.0)),
     "sign": Case(anti),

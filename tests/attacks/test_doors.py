@@ -13,11 +13,11 @@ import pytest
 
 from covariant import InputError, StepCode, cli, logs, many, metrics, models, observers
 from covariant._cases import CaseTable
-from covariant._compile import compiler
 from covariant._door import BINARY_LOG, MODEL, STORE, TEXT_LOG
 from covariant.engine import Stream
 from covariant.logs import _columns
 from covariant.models.files import _source
+from scalargraph.compiler import compiler
 
 
 @pytest.fixture(autouse=True)
@@ -183,7 +183,7 @@ def test_studies_that_are_none_are_refused(content):
 
 INSTALLED = (
     *("subprocess:getoutput", "os:system", "builtins:exec", "posix:system", "numpy:array", "jax.numpy:sin", "this:c"),
-    *("os.path:join", ".os:system", "../os:system", "covariant._compile:built", "importlib:import_module"),
+    *("os.path:join", ".os:system", "../os:system", "scalargraph.compiler:built", "importlib:import_module"),
     *("folder:x", "code:x", "missing:x", ":x"),
 )
 

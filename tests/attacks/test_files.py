@@ -14,12 +14,11 @@ from forging import MISSING, forged, mended, put, together
 from jax.experimental.compilation_cache import compilation_cache
 
 from covariant import models
-from covariant._door import CERTIFICATE
 from covariant.certificates import ContractionCertificate, check, parse
 from covariant.certificates.checking._check import follows
 from covariant.cli import main
 from covariant.models.files import _systems
-from covariant.proofs._file import MOST_VALUES
+from scalargraph.proofs._file import CERTIFICATE, MOST_VALUES
 
 SHIPPED = Path(__file__).parents[2] / "examples/certificates"
 BEAM = (SHIPPED / "ball_and_beam.json").read_text(encoding="utf-8")

@@ -25,7 +25,7 @@ from covariant.certificates import (
 from covariant.certificates.base._error_system import Point
 from covariant.models import StateSpace
 from covariant.observers import Contracting, Intrinsic
-from covariant.proofs import Box, prove_at_corners
+from scalargraph.proofs import Box, prove_at_corners
 
 REGION = {"velocity": 1.0, "error": 0.1, "position": (-0.5, 0.5), "rate": 1.0}
 

@@ -14,7 +14,7 @@ from covariant.geometry import AbstractSpace, Coordinates, KineticEnergy, Metric
 from covariant.geometry.lie import SO3, LeftInvariant
 from covariant.models import GroupSystem, Lagrangian, MechanicalSystem
 from covariant.observers import ImplicitGeodesic, Intrinsic
-from covariant.proofs import box
+from scalargraph.proofs import box
 
 PENDULUM = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
 GIVEN = {"velocity": 0.5, "error": 0.05, "position": (-0.5, 0.5), "rate": 1.0, "checker": "off", "boxes": 20_000}

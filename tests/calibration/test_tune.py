@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant._errors import InputError
 from covariant.calibration import tune
 from covariant.calibration.tuning._tuning_log import TuningLog, prepared, refuse_noise_free, tuning_logs
 from covariant.models import Lagrangian, Parametric
 from covariant.signals import Record
+from scalargraph.errors import InputError
 
 RATE, STD, ACCELERATION = 100.0, 1e-3, 0.3
 STIFFNESS = 20.0

@@ -90,7 +90,7 @@ LARGE = {
     "the rate of a claim that is wrong": (put("rate", 40.0), r"claims\[0\] is not shown to hold where"),
     "the other sign of the gain": (put("observer.alpha", 0.01), r"claims\[0\] is not shown to hold where"),
 }
-"""What is wrong in a file with thousands of leaves; trees that lack a box are in `tests/proofs`."""
+"""What is wrong in a file with thousands of leaves; trees that lack a box are in `tests/scalargraph`."""
 
 
 @pytest.mark.parametrize("name", LARGE)

@@ -6,7 +6,7 @@ import pytest
 from test_closed_loops import four_bar, observer, reduced
 
 from covariant import certificates, observers
-from covariant.lowering import lower, numbers
+from scalargraph import lower, numbers
 
 
 def test_in_the_angle_of_its_crank_the_observer_of_a_loop_is_the_same_to_first_order(four_bar):

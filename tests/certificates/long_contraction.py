@@ -24,7 +24,7 @@ from covariant.certificates import (
 )
 from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
-from covariant.proofs import Box
+from scalargraph.proofs import Box
 
 
 def rate_at(about, z):

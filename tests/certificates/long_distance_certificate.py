@@ -13,7 +13,7 @@ from covariant.certificates import certify_distance
 from covariant.certificates.theory._distance_certificate import _curvature, _Model, _stiffness
 from covariant.models import source
 from covariant.observers import ImplicitGeodesic
-from covariant.proofs import box
+from scalargraph.proofs import box
 
 BEAM = np.array([-2.5, -4.0]), np.array([2.5, 4.0])
 

@@ -10,15 +10,15 @@ from forging import forged, put
 from test_joint_friction import two_links
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.certificates import certify, check, error_system, optimal_lyapunov
 from covariant.certificates.base._inequalities import contraction
 from covariant.certificates.checking import _check
 from covariant.certificates.proving import _certify
 from covariant.certificates.proving._joint_bounds import friction_bounds
-from covariant.lowering import numbers
 from covariant.models import MechanicalSystem
 from covariant.observers import Intrinsic
+from scalargraph import numbers
+from scalargraph.errors import InputError
 
 Q = optimal_lyapunov(10.0, 50.0, 3.0)
 

@@ -13,7 +13,7 @@ from covariant import models
 from covariant.certificates import Statement, certify, contraction, error_system, falsify, in_coordinates, rate_of
 from covariant.geometry import hyperbolic
 from covariant.observers import Intrinsic
-from covariant.proofs import Box, _prove, box, prove
+from scalargraph.proofs import Box, _prove, box, prove
 
 
 @functools.cache

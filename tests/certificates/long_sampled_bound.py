@@ -30,7 +30,8 @@ from test_sampled_bound import (
 )
 
 import covariant
-from covariant import lowering, models
+import scalargraph
+from covariant import models
 from covariant.certificates import (
     Bounded,
     ContractionCertificate,
@@ -195,15 +196,15 @@ def test_lost_samples_choose_the_errors_that_belong_to_their_age():
 def test_a_bounded_step_is_lowered_to_c_with_the_same_numbers():
     observer = bounded(LOST_ONCE)
     state = starting(observer, jnp.array([0.1]), jnp.array([1.0]), 0.01)
-    graph = lowering.lower(observer.step, state, jnp.zeros(1), jnp.array([0.111]), jnp.asarray(0.011))
+    graph = scalargraph.lower(observer.step, state, jnp.zeros(1), jnp.array([0.111]), jnp.asarray(0.011))
     for y, dt in ((0.111, 0.011), (0.111, 0.022), (2.0, 0.011), (np.nan, 0.011), (1e30, 0.011), (0.111, -1.0)):
         arguments = state, jnp.zeros(1), jnp.array([y]), jnp.asarray(dt)
         by_jax = observer.step(*arguments)
         for mine, other in zip(
-            jax.tree.leaves(lowering.numbers(graph, *arguments)), jax.tree.leaves(by_jax), strict=True
+            jax.tree.leaves(scalargraph.numbers(graph, *arguments)), jax.tree.leaves(by_jax), strict=True
         ):
             assert np.allclose(mine, other, rtol=1e-12, atol=1e-15, equal_nan=True)
-    assert "void beside(const double *x, double *y)" in lowering.c_function(graph, "beside").text
+    assert "void beside(const double *x, double *y)" in scalargraph.c_function(graph, "beside").text
 
 
 class Faults(NamedTuple):

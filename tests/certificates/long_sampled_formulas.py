@@ -23,9 +23,9 @@ from covariant.certificates.checking import _matrices
 from covariant.certificates.sampled._prediction import defect_bound, defect_matrix
 from covariant.certificates.sampled._sampled_step import sampled_prediction
 from covariant.geometry.lie import SO3
-from covariant.lowering import numbers
 from covariant.observers import Intrinsic
-from covariant.proofs.checker import jacobian
+from scalargraph import numbers
+from scalargraph.proofs.checker import jacobian
 
 H = 0.03
 

@@ -23,7 +23,7 @@ from covariant.certificates.base._document import parse
 from covariant.certificates.checking import _check
 from covariant.geometry import lie
 from covariant.observers import Geodesic, Intrinsic
-from covariant.proofs.checker import TaylorEnclosure
+from scalargraph.proofs.checker import TaylorEnclosure
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from test_shipped_certificates import FOLDER
 
 from covariant.certificates import ContractionCertificate, check, check_sample, follow_estimates
 from covariant.certificates.base._inequalities import contraction
-from covariant.proofs import PROVED, leaves
-from covariant.proofs._enclosure import Expansions
-from covariant.proofs._judge import judge
+from scalargraph.proofs import PROVED, leaves
+from scalargraph.proofs._enclosure import Expansions
+from scalargraph.proofs._judge import judge
 
 
 @functools.cache

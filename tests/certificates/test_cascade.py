@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.calibration import contracting_gain
 from covariant.certificates import (
     Constants,
@@ -25,7 +24,8 @@ from covariant.certificates.base._error_system import Point
 from covariant.certificates.theory._cascade import _constants, _forms, _Search
 from covariant.observers import Contracting
 from covariant.papers.jouffroy_fossen import COUNTEREXAMPLES, Scalar
-from covariant.proofs import Box, blocks, box, prove, prove_at_corners
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, blocks, box, prove, prove_at_corners
 
 ZERO = jnp.zeros(())
 

@@ -131,7 +131,7 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
     own = {name for name in imported if name.startswith("covariant")}
     kinds = {f"certificates.base.{kind.__name__}" for kind in (AbstractClaim, *CLAIMS.values())}
     allowed = {f"covariant.{name}" for name in (*SHARED.split(), *kinds, "_errors.InputError")}
-    assert {name for name in own if not name.startswith("covariant.proofs.checker.")} <= allowed
+    assert {name for name in own if not name.startswith("scalargraph.proofs.checker.")} <= allowed
 
 
 def test_each_kind_of_claim_has_a_matrix_of_the_prover_and_one_of_the_checker():

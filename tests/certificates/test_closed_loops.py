@@ -9,8 +9,8 @@ import pytest
 import covariant
 from covariant import certificates, models, observers, verbs
 from covariant.geometry import Coordinates, Euclidean, KineticEnergy, Leaf, Metric
-from covariant.lowering import lower, numbers
 from covariant.models import MechanicalSystem
+from scalargraph import lower, numbers
 
 CRANK, COUPLER, ROCKER, FRAME = 0.15, 0.4, 0.3, 0.35
 """Lengths of the links [m]."""

@@ -27,8 +27,8 @@ from covariant._domains import (
     check_numbers,
     domain_of,
 )
-from covariant._errors import InputError
 from covariant.models import StateSpace
+from scalargraph.errors import InputError
 
 NAN, INF = math.nan, math.inf
 NUMBERS = (NAN, INF, -INF, -1.0, 0.0, 0.5, 1, 1.5, "1", (2.0, 1.0), (1.0, 2.0), (-2.0, -1.0), (1.0, NAN), 1j)

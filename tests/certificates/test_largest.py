@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import covariant
-from covariant._errors import InputError
 from covariant.certificates import ContractionCertificate, Hypothesis, Start, Statement, largest
-from covariant.proofs import box
+from scalargraph.errors import InputError
+from scalargraph.proofs import box
 
 REGION = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
 

@@ -22,7 +22,7 @@ from covariant.certificates.base._error_system import Point
 from covariant.certificates.base._region import _inputs
 from covariant.observers import Intrinsic
 from covariant.papers._errata import PrintedBallAndBeam
-from covariant.proofs import Box, _judge, box, prove
+from scalargraph.proofs import Box, _judge, box, prove
 
 ALPHA, BETA = math.sqrt(2), 0.5
 PAPER = lyapunov(ALPHA, BETA)

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.proofs.checker import series
+from scalargraph.proofs.checker import series
 
 
 def test_series_of_a_choice_that_the_number_does_not_make():

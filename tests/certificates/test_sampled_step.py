@@ -13,7 +13,7 @@ from covariant.certificates import (
 from covariant.certificates.base import UNPROVED, Given, PredictionClaim, Setting, StartClaim
 from covariant.certificates.base._radius_recursion import Recursion
 from covariant.observers import Intrinsic
-from covariant.proofs import Field
+from scalargraph.proofs import Field
 
 RECIPE = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
 NO_BOUNDS = Given(np.zeros((2, 1)), np.zeros((2, 0)), np.zeros(2), np.zeros(1), np.zeros(1), np.zeros((1, 1)))

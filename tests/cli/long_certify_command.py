@@ -11,11 +11,12 @@ import pytest
 from commands import command, leave, refused
 from test_certify_command import GAINS, ONE, certificate, folder, inside, proved
 
-from covariant import certificates, models, proofs, verbs
+from covariant import certificates, models, verbs
 from covariant.certificates.base import StartClaim
 from covariant.certificates.checking import _check
 from covariant.observers import Intrinsic
-from covariant.proofs import digest
+from scalargraph import proofs
+from scalargraph.proofs import digest
 
 
 @pytest.mark.exhaustive

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from commands import command, leave, refused
 
-from covariant import certificates, models, proofs
+from covariant import certificates, models
+from scalargraph import proofs
 
 PENDULUM = """
 system = "pendulum_chain"

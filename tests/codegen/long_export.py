@@ -18,7 +18,7 @@ import covariant
 from covariant import metrics, models
 from covariant.cli import main
 from covariant.codegen import ROWS, fmu, program
-from covariant.lowering.graph import _places
+from scalargraph.graph import _places
 
 
 @needs_compiler

@@ -9,8 +9,9 @@ import pytest
 from test_python_package import RATE, ROWS, log, needs_compiler, observer, package
 
 import covariant
-from covariant import _compile, models, observers
+from covariant import models, observers
 from covariant.engine import Stream, run_log
+from scalargraph import compiler as _compile
 
 
 @needs_compiler

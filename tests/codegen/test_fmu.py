@@ -6,8 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from covariant import _compile, observers
+from covariant import observers
 from covariant.codegen import fmu, program, with_open_numbers
+from scalargraph import compiler as _compile
 
 needs_compiler = pytest.mark.skipif(
     shutil.which("cc") is None or (platform.system(), platform.machine()) != ("Linux", "x86_64"),

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from covariant.lowering import LoweringError
+from scalargraph import LoweringError
 
 PROCESS = """
 import sys
@@ -17,7 +17,7 @@ import numpy as np
 from covariant import models
 from covariant.codegen import _program
 from covariant.engine import Stream, run_log
-from covariant.lowering import LoweringError
+from scalargraph import LoweringError
 from covariant.observers import Intrinsic
 from covariant.signals import Record
 

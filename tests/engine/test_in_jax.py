@@ -10,8 +10,8 @@ import pytest
 
 from covariant import models
 from covariant.engine import _in_jax, compiled
-from covariant.lowering import LoweringError
 from covariant.models import Motion
+from scalargraph import LoweringError
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 PENDULUM = models.pendulum_chain(viscous=(0.1, 0.1), coulomb=(0.05, 0.02))

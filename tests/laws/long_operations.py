@@ -7,7 +7,7 @@ import jax
 import pytest
 from test_operations import TABLE, counts
 
-from covariant.lowering import operations
+from scalargraph import operations
 
 COUNTED_WITH = "0.9"
 """Release of JAX with which operations are counted; others write the same functions as other primitives."""

@@ -16,9 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import codegen, lowering, models, observers
-from covariant.lowering import operations
+import scalargraph
+from covariant import codegen, models, observers
 from covariant.models import input_count, robots
+from scalargraph import operations
 
 TABLE = Path(__file__).with_name("operations.json")
 
@@ -109,14 +110,14 @@ def dimension(system: System) -> int:
 
 def of_right_hand_side(name: str) -> int:
     function, arguments = right_hand_side(made(name))
-    return operations(lowering.lower(function, *arguments, loops="any").graph.nodes)
+    return operations(scalargraph.lower(function, *arguments, loops="any").graph.nodes)
 
 
 def of_enclosure(name: str) -> int:
     """Of the right-hand side with its slopes in q and v, whose bounds are a proof."""
     function, arguments = right_hand_side(made(name))
-    lowered = lowering.lower(function, *arguments, real=True)
-    return operations(lowering.expand(lowered, range(arguments[0].size + arguments[1].size), 1).graph.nodes)
+    lowered = scalargraph.lower(function, *arguments, real=True)
+    return operations(scalargraph.expand(lowered, range(arguments[0].size + arguments[1].size), 1).graph.nodes)
 
 
 def of_step(name: str, observer: str) -> int:

@@ -11,8 +11,8 @@ from commands import leave
 
 import covariant
 from covariant import many
-from covariant._errors import file_name
 from covariant.verbs.base.among_logs import LogRow, among_logs
+from scalargraph.errors import file_name
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ from test_loops import BUILT, JOINT, LINK, four_bar, urdf
 
 import covariant
 from covariant import models
-from covariant.lowering import evaluate_batch
 from covariant.models import acceleration, robots
 from covariant.models.robots import located, robot_space
 from covariant.verbs import MisfitError
+from scalargraph import evaluate_batch
 
 LOOPED = ("four_bar", "five_bar", "parallel_ankle", "delta")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_robots import ARM, NAMES, arm, folder, inertial, state
 
-from covariant import lowering
+import scalargraph
 from covariant.geometry.lie import SE3
 from covariant.models import ModelError, acceleration, friction, load, robots
 from covariant.observers import Intrinsic
@@ -122,7 +122,7 @@ def operations(model) -> int:
         rate = observer.flow(jnp.zeros(()), state._replace(q=q, v=v), u, y)
         return rate.q, rate.v
 
-    return lowering.operations(lowering.lower(right_hand_side, zero, zero, zero, zero).graph.nodes)
+    return scalargraph.operations(scalargraph.lower(right_hand_side, zero, zero, zero, zero).graph.nodes)
 
 
 @pytest.mark.exhaustive

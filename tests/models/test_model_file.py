@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.logs import Columns
 from covariant.models import Lagrangian
 from covariant.models.files import _source
 from covariant.models.files._check import check_metric
 from covariant.models.files._load import load
 from covariant.models.files._model_file import ModelError, ModelFile
+from scalargraph.errors import InputError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

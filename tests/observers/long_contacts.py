@@ -10,12 +10,12 @@ from test_contacts import ALPHA, BETA, LEG, error, held, lift_off, touch_down
 
 import covariant
 from covariant import engine, models, observers
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant.certificates import dwell_time, jump_growth
 from covariant.geometry import Euclidean, Leaf
 from covariant.signals import Record, StepCode
 from covariant.simulation import simulate_contacts
+from scalargraph.errors import InputError
 
 STEP = 1e-25
 

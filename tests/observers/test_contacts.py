@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant._errors import InputError
 from covariant.certificates import JumpGrowth, dwell_time, jump_growth
 from covariant.geometry import Metric
+from scalargraph.errors import InputError
 
 LEG = models.hopping_leg()
 ALPHA, BETA = 30.0, 400.0

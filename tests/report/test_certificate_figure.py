@@ -17,8 +17,8 @@ from covariant.certificates import (
     trajectories,
 )
 from covariant.observers import Intrinsic
-from covariant.proofs import Box, Proof
 from covariant.report import _certificate, draw_certificate, new_figure
+from scalargraph.proofs import Box, Proof
 
 SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
 HALVED = [np.array([0]), np.array([1, -1]), np.array([-1, -2])]

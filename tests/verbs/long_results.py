@@ -10,7 +10,7 @@ from commands import command, leave
 from test_results import MODEL, log
 
 import covariant
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 2.0}
 

@@ -7,9 +7,9 @@ import pytest
 
 import covariant
 from covariant import logs, many, models, verbs
-from covariant._errors import InputError
 from covariant.signals import Record
 from covariant.verbs import fit, simulate, smooth, tune
+from scalargraph.errors import InputError
 
 ARM = {"columns.q": ["shoulder", "elbow"], "parameters.mass": [1.0, 0.5], "parameters.length": [0.5, 0.4]}
 T = np.arange(0, 3.0, 0.01)

@@ -5,9 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.models import ModelFile
 from covariant.observers import StateNoise
+from scalargraph.errors import InputError
 
 
 def state_noise(file: ModelFile, rate: float) -> StateNoise:

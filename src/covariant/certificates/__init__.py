@@ -1,5 +1,5 @@
 """Certificates: statements about observers with domain, margin and evidence, which can be saved, read and checked."""
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -14,9 +14,9 @@ def main() -> None:
     A log that does not fit its model at all gives exit code 1. Any other exception is a bug of this library, or of a
     model that the user wrote in Python: it is shown with its traceback, and the exit code is 70.
     """
-    from covariant._errors import InputError
     from covariant.cli._app import app
     from covariant.cli._terminal import BUG, INTERNAL_ERROR, say
+    from scalargraph.errors import InputError
 
     try:
         app()  # leaves by SystemExit, with code 2 when the options are wrong

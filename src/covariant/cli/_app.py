@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from covariant._errors import InputError
 from covariant.cli._command import Command
 from covariant.cli._commands import COMMANDS
 from covariant.cli._signature import signature
+from scalargraph.errors import InputError
 
 WIDEST = 120
 """Columns of the help in a terminal that has as many; longer lines are hard to read."""

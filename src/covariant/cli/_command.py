@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from covariant import many
-from covariant._errors import InputError
 from covariant.cli._console import progress_bar, show
 from covariant.cli._options import COLUMNS, FLAG, TEXT, Kind, Option, flags_of, in_options, of_verb
 from covariant.cli._signature import function, signature
 from covariant.cli._terminal import BUG, INTERNAL_ERROR, say
 from covariant.verbs import check_output, columns_of
+from scalargraph.errors import InputError
 
 OVER_LOGS = (
     Option("workers", Kind(int), "Of many logs: processes, as many as processors by default.", None, ("--workers",)),

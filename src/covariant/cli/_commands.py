@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from covariant import verbs
-from covariant._errors import InputError
 from covariant.cli import _parse
 from covariant.cli._command import Command, Invocation
 from covariant.cli._options import FLAG, PATH, TEXT, Kind, Option
@@ -15,6 +14,7 @@ from covariant.cli._terminal import say
 from covariant.logs import WRITTEN
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
 from covariant.verbs import FIGURES, TABLES, check_machine_files, check_model_output, check_output
+from scalargraph.errors import InputError
 
 
 def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:

@@ -5,11 +5,11 @@ Each function takes the option, for its message, and the text of its value.
 
 from pathlib import Path
 
-from covariant._errors import InputError
 from covariant._names import did_you_mean, unknown
 from covariant._numbers import integer, number
 from covariant.models import check_spec
 from covariant.observers import OBSERVER_NAMES, STATE_OBSERVER_NAMES
+from scalargraph.errors import InputError
 
 
 def number_list(option: str, text: str) -> list[float]:

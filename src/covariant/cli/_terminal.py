@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from covariant._errors import printable
+from scalargraph.errors import printable
 
 INTERNAL_ERROR = 70
 """Exit code of a command that ended with a bug: `EX_SOFTWARE` of sysexits.h."""

@@ -12,8 +12,8 @@ import numpy as np
 
 from covariant.codegen._program import Program
 from covariant.codegen._source import Source, step_of
-from covariant.lowering import turn_operations
 from covariant.signals import StepCode
+from scalargraph import turn_operations
 
 ARITHMETIC = ("add", "sub", "mul", "div", "neg", "abs", "min", "max", "sign", "sqrt")
 LOGIC = ("lt", "le", "eq", "and", "or", "not", "is_finite", "select", "either")

@@ -17,14 +17,14 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from covariant._compile import NO_COMPILER, built, compiler_command
-from covariant._files import write_atomically, zipped
-from covariant._templates import Words, fill, template
 from covariant.codegen._program import Program
 from covariant.codegen._source import common_words, entries, write_source
 from covariant.codegen._write import check_export
-from covariant.lowering import c_number
 from covariant.signals import StepCode
+from scalargraph import c_number
+from scalargraph.compiler import NO_COMPILER, built, compiler_command
+from scalargraph.files import write_atomically, zipped
+from scalargraph.template import Words, fill, template
 
 Version = Literal["3.0", "2.0"]
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
@@ -151,7 +151,7 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
         "modelDescription.xml": _describe(name, about, rate, variables, version),
     }
     if version == "3.0":
-        drafts["sources/buildDescription.xml"] = fill("codegen", "build.xml", words)
+        drafts["sources/buildDescription.xml"] = fill("covariant.codegen", "build.xml", words)
     # A token by content, not at random: equal units are equal files, and description and binary fit together.
     identifier = uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha256("".join(drafts.values()).encode()).hexdigest())
     files = {path: text.replace(_TOKEN, f"{{{identifier}}}").encode() for path, text in drafts.items()}
@@ -245,8 +245,9 @@ def _unit_source(program: Program, words: Words, variables: Sequence[UnitVariabl
         **SPELLINGS[version],
     }
     kind = f"fmi{version[0]}"
-    refused = re.findall(r"^(void \*|int )(\w+)\(([^)]*)\);$", template("codegen", f"{kind}_refused.h"), re.MULTILINE)
-    texts = [fill("codegen", "fmu.c", words), fill("codegen", f"{kind}.c", words)]
+    declarations = template("covariant.codegen", f"{kind}_refused.h")
+    refused = re.findall(r"^(void \*|int )(\w+)\(([^)]*)\);$", declarations, re.MULTILINE)
+    texts = [fill("covariant.codegen", "fmu.c", words), fill("covariant.codegen", f"{kind}.c", words)]
     return "".join(texts) + "\n".join(_refusing_function(*declared) for declared in refused)
 
 

@@ -8,8 +8,8 @@ import keyword
 import re
 import sys
 
-from covariant._errors import InputError
-from covariant.lowering import check_name
+from scalargraph import check_name
+from scalargraph.errors import InputError
 
 LONGEST = 63
 """Number of letters of a name that every C99 compiler distinguishes (C99, 5.2.4.1)."""

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant._errors import InputError
-from covariant.lowering import Lowered, TracedFunction, lower_traced, trace
 from covariant.models import Family, Motion, Parameter, input_count
 from covariant.observers import AbstractObserver
+from scalargraph import Lowered, TracedFunction, lower_traced, trace
+from scalargraph.errors import InputError
 
 Real = Literal["double", "float"]
 DTYPES = {"double": np.float64, "float": np.float32}

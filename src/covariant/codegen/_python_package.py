@@ -13,13 +13,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from covariant._compile import built, compiler_command
-from covariant._files import zipped
-from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
 from covariant.codegen._program import DTYPES, Member, Program
 from covariant.codegen._source import common_words
 from covariant.signals import StepCode
+from scalargraph.compiler import built, compiler_command
+from scalargraph.files import zipped
+from scalargraph.template import Words, fill
 
 FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
 """Flags of the compiler, for all processors of a kind: results are the same on all of them, but for `<math.h>`."""
@@ -61,11 +61,11 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
     version = f"1.0.0+x{token[:8]}"  # another export is another version, so that installing it replaces the former
     words = common_words(program, name, about) | _words(program, about, rate, token[:32], version)
     package = {
-        "__init__.py": fill("codegen", "module.py", words).encode(),
-        "__main__.py": fill("codegen", "__main__.py", words).encode(),
+        "__init__.py": fill("covariant.codegen", "module.py", words).encode(),
+        "__main__.py": fill("covariant.codegen", "__main__.py", words).encode(),
         f"{name}.h": texts[f"{name}.h"].encode(),
         f"{name}.c": texts[f"{name}.c"].encode(),
-        f"{name}_rows.c": fill("codegen", "rows.c", words).encode(),
+        f"{name}_rows.c": fill("covariant.codegen", "rows.c", words).encode(),
     }
     command = compiler_command()
     wheel: dict[str, bytes] = {}

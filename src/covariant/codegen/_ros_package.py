@@ -10,11 +10,11 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
-from covariant._errors import InputError
-from covariant._templates import Words, fill
 from covariant.codegen._program import Program
 from covariant.codegen._python_package import python_files
 from covariant.codegen._source import common_words
+from scalargraph.errors import InputError
+from scalargraph.template import Words, fill
 
 LONGEST_GAP, SET_BACK = 1.0, 5
 """Gap [s] and number of late samples in a row after which the estimate starts anew, as in `engine.Stream`."""
@@ -66,18 +66,18 @@ def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str,
     files = {path.removeprefix("python/"): data for path, data in module.items() if not path.endswith(".whl")}
     files |= {
         "package.xml": _manifest(package, about, "ament_python"),
-        "setup.py": fill("codegen", "ros_setup.py", words),
+        "setup.py": fill("covariant.codegen", "ros_setup.py", words),
         "setup.cfg": f"[develop]\nscript_dir=$base/lib/{package}\n[install]\ninstall_scripts=$base/lib/{package}\n",
         f"resource/{package}": "",
         f"{package}/__init__.py": "",
-        f"{package}/node.py": fill("codegen", "ros_node.py", words),
-        f"launch/{name}.launch.py": fill("codegen", "ros_launch.py", words),
-        f"config/{name}.yaml": fill("codegen", "ros_config.yaml", words),
+        f"{package}/node.py": fill("covariant.codegen", "ros_node.py", words),
+        f"launch/{name}.launch.py": fill("covariant.codegen", "ros_launch.py", words),
+        f"config/{name}.yaml": fill("covariant.codegen", "ros_config.yaml", words),
     }
     in_c = {
         "package.xml": _manifest(native, about, "ament_cmake"),
-        "CMakeLists.txt": fill("codegen", "ros_CMakeLists.txt", words | {"PACKAGE": native}),
-        "src/node.c": fill("codegen", "ros_node.c", words),
+        "CMakeLists.txt": fill("covariant.codegen", "ros_CMakeLists.txt", words | {"PACKAGE": native}),
+        "src/node.c": fill("covariant.codegen", "ros_node.c", words),
         f"src/{name}.c": texts[f"{name}.c"],
         f"src/{name}.h": texts[f"{name}.h"],
     }
@@ -133,4 +133,4 @@ def _manifest(package: str, about: str, build: str) -> str:
     depends = [f"  <{tag}>{each}</{tag}>" for each in names]
     depends += ["  <buildtool_depend>ament_cmake</buildtool_depend>"] if build == "ament_cmake" else []
     words = {"PACKAGE": package, "DESCRIPTION": escape(about), "LICENSE": "Proprietary", "BUILD": build}
-    return fill("codegen", "ros_package.xml", words | {"DEPENDS": depends})
+    return fill("covariant.codegen", "ros_package.xml", words | {"DEPENDS": depends})

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from covariant._templates import Words, fill
 from covariant.codegen._program import Program
 from covariant.codegen._source import entries
 from covariant.codegen._vectors import Vectors
-from covariant.lowering import c_number
+from scalargraph import c_number
+from scalargraph.template import Words, fill
 
 
 def write_test(program: Program, words: Words, vectors: Vectors) -> str:
@@ -45,4 +45,4 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
         "OUTCOMES": ", ".join(map(str, vectors.result.tolist())),
         "READ": [f"        found[{i}] = {e};" for i, e in enumerate(outputs)],
     }
-    return fill("codegen", "self_test.c", words | placeholders)
+    return fill("covariant.codegen", "self_test.c", words | placeholders)

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
-from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
 from covariant.codegen._program import Member, Program, part_text
-from covariant.lowering import C_KEYWORDS, C_MACROS, CText, Lowered, Signature, c_function, c_helpers, c_number
 from covariant.signals import StepCode
+from scalargraph import C_KEYWORDS, C_MACROS, CText, Lowered, Signature, c_function, c_helpers, c_number
+from scalargraph.errors import InputError
+from scalargraph.template import Words, fill
 
 RESERVED = C_KEYWORDS | C_MACROS | {"info"}
 """Words that cannot name a number in C; `info` is the name of the diagnostics of a step."""
@@ -70,7 +70,7 @@ def write_source(program: Program, name: str, about: str) -> Source:
         >>> program = codegen.program(recipe, np.zeros(1))
         >>> codegen.write_source(program, "double", "A filtered derivative.")
         Traceback (most recent call last):
-        covariant._errors.InputError: 'double' is a keyword of C or C++; take another name, such as 'my_double'
+        scalargraph.errors.InputError: 'double' is a keyword of C or C++; take another name, such as 'my_double'
     """
     check_export_name(name)
     core = {"init": _init(program, name), "step": _step(program, name, program.step, program.measurements)}
@@ -136,13 +136,13 @@ def _header(program: Program, words: Words) -> str:
         "OUTPUT": members(program.output),
         "PART_STEPS": _part_steps(program, words, "part_step.h"),
     }
-    return fill("codegen", "observer.h", words | own)
+    return fill("covariant.codegen", "observer.h", words | own)
 
 
 def _part_steps(program: Program, words: Words, file: str) -> list[str]:
     """Declarations or definitions of the steps in which only one part of a measurement was read."""
     return [
-        fill("codegen", file, words | {"STEP": step_of(part), "COUNT": count, "PART": part_text(part)})
+        fill("covariant.codegen", file, words | {"STEP": step_of(part), "COUNT": count, "PART": part_text(part)})
         for part, count in (program.parts if program.alone else ())
     ]
 
@@ -235,7 +235,7 @@ def _source(program: Program, words: Words, functions: dict[str, CText]) -> str:
     # for missing measurements. If a compiler does not define a macro for these options, the self-test detects them. C90
     # is refused, since functions of <math.h> that are not declared would return an int there. C++ has no `restrict`,
     # which only permits faster code.
-    return fill("codegen", "observer.c", words | inputs | own)
+    return fill("covariant.codegen", "observer.c", words | inputs | own)
 
 
 def _defaults(program: Program) -> str:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.codegen._program import DTYPES, Program
-from covariant.lowering import Lowered, evaluate, perturbed
+from scalargraph import Lowered, evaluate, perturbed
+from scalargraph.errors import InputError
 
 # Half the distance from 1 to the next number: the largest relative error of one rounding.
 UNITS = {"double": 2.0**-53, "float": 2.0**-24}

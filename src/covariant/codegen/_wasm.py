@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from covariant._compile import built, zig
-from covariant._errors import InputError
-from covariant._templates import Words, fill
 from covariant.codegen._names import check_export_name
 from covariant.codegen._program import Member, Program
 from covariant.codegen._source import common_words
 from covariant.codegen._vectors import Vectors
 from covariant.signals import StepCode
+from scalargraph.compiler import built, zig
+from scalargraph.errors import InputError
+from scalargraph.template import Words, fill
 
 FLAGS = (
     "--target=wasm32-wasi",
@@ -70,14 +70,14 @@ def wasm_files(
     """
     check_export_name(name, wasm=True)
     words = common_words(program, name, about) | _words(program, rate)
-    calls = fill("codegen", "wasm.c", words)
+    calls = fill("covariant.codegen", "wasm.c", words)
     binary = _compiled({f"{name}.h": texts[f"{name}.h"], f"{name}.c": texts[f"{name}.c"], "calls.c": calls})
-    script = fill("codegen", "wasm.js", words | {"WASM": base64.b64encode(binary).decode()})
+    script = fill("covariant.codegen", "wasm.js", words | {"WASM": base64.b64encode(binary).decode()})
     return {
         f"{name}.wasm": binary,
         f"{name}.js": script.encode(),
         f"{name}_wasm.c": calls.encode(),
-        f"test/{name}_test.js": fill("codegen", "wasm_test.js", words | _rows(run)).encode(),
+        f"test/{name}_test.js": fill("covariant.codegen", "wasm_test.js", words | _rows(run)).encode(),
     }
 
 

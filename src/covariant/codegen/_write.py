@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from covariant._errors import InputError
-from covariant._files import temporary, write_together
-from covariant._templates import fill
 from covariant.codegen._data_sheet import Facts, data_sheet
 from covariant.codegen._program import Program
 from covariant.codegen._self_test import write_test
 from covariant.codegen._source import common_words, field, write_source
 from covariant.codegen._vectors import Vectors, vectors
+from scalargraph.errors import InputError
+from scalargraph.files import temporary, write_together
+from scalargraph.template import fill
 
 
 def export_texts(
@@ -75,10 +75,10 @@ def export_texts(
         f"{name}.c": source.source,
         f"test/{name}_test.c": write_test(program, words, run or vectors(program, measured, facts.rate)),
         "DATASHEET.md": data_sheet(program, source, about, facts),
-        "CMakeLists.txt": fill("codegen", "CMakeLists.txt", words),
-        "library.properties": fill("codegen", "library.properties", words),
-        f"{name}.hpp": fill("codegen", "observer.hpp", words),
-        "README.md": fill("codegen", "README.md", words),
+        "CMakeLists.txt": fill("covariant.codegen", "CMakeLists.txt", words),
+        "library.properties": fill("covariant.codegen", "library.properties", words),
+        f"{name}.hpp": fill("covariant.codegen", "observer.hpp", words),
+        "README.md": fill("covariant.codegen", "README.md", words),
     }
 
 
@@ -141,7 +141,7 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
         ['exported/a.h', 'exported/test/a.c']
         >>> write_folder({"a.h": ""}, Path("exported"))
         Traceback (most recent call last):
-        covariant._errors.InputError: exported: the folder is not empty; name a new one, or ...
+        scalargraph.errors.InputError: exported: the folder is not empty; name a new one, or ...
     """
     check_export(folder, overwrite)
     contents = {path: file.encode() if isinstance(file, str) else file for path, file in files.items()}

@@ -1,7 +1,7 @@
 """Generated C is cached on disk between processes, keyed by what the observer computes.
 
-The key of a text is a hash of the traced observer (`lowering.fingerprint`), which is quicker to compute than the C: it
-covers every operation and every constant, so it is the same for equal observers of library models, of model files and
+The key of a text is a hash of the traced observer (`scalargraph.fingerprint`), quicker to compute than the C: it covers
+every operation and every constant, so it is the same for equal observers of library models, of model files and
 of a user's functions, and differs as soon as any of them computes something else. For an observer that is made of this
 library alone, the key and the layout are cached too, by what it is made of (`_description`): then nothing is traced.
 """
@@ -13,16 +13,16 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from covariant._files import read_sealed, write_sealed
-from covariant._programs import cache_folder, evict_unused
 from covariant.codegen import TracedProgram
 from covariant.engine._layout import Layout
 from covariant.engine._sources import source_files
-from covariant.lowering import LoweringError, fingerprint
+from scalargraph import LoweringError, fingerprint
+from scalargraph.cache import cache_folder, evict_unused
+from scalargraph.files import read_sealed, write_sealed
 
 PACKAGES = ("jax", "jaxlib", "numpy")
 """They compute the constants of a text."""
-_WRITERS = source_files("_templates.py", "lowering", "codegen/_program.py", "engine")
+_WRITERS = source_files("scalargraph", "covariant/codegen/_program.py", "covariant/engine")
 WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).hexdigest()
 """A hash of the files that write the C, so that a change of any of them invalidates the cache."""
 

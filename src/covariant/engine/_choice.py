@@ -5,12 +5,12 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from covariant._errors import InputError
-from covariant._programs import cache_folder
 from covariant.engine._compile import missing
 from covariant.engine._kernel import Kernel, KernelForm, NoKernelError, prepared
 from covariant.engine._numbers import open_numbers
 from covariant.observers import AbstractObserver
+from scalargraph.cache import cache_folder
+from scalargraph.errors import InputError
 
 EngineName = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000

@@ -3,7 +3,7 @@
 import functools
 from typing import Any
 
-from covariant._compile import FAST, compiled, compiler
+from scalargraph.compiler import FAST, compiled, compiler
 
 
 @functools.cache

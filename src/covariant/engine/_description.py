@@ -24,11 +24,11 @@ import numpy as np
 
 from covariant import _programs
 from covariant.engine._numbers import Places
-from covariant.engine._sources import ROOT, source_files
+from covariant.engine._sources import LIBRARY, ROOT, source_files
+from scalargraph.cache import cache_folder
 
 PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
 """They trace an observer and compute the constants in it."""
-LIBRARY = "covariant"
 
 
 class _UnknownError(Exception):
@@ -37,7 +37,7 @@ class _UnknownError(Exception):
 
 def description_key(observer: Any, places: Places, *form: Any) -> str | None:
     """Key of a compiled observer, by what the observer is made of."""
-    if _programs.cache_folder() is None or _source_may_differ():
+    if cache_folder() is None or _source_may_differ():
         return None
     leaves = jax.tree.leaves(eqx.filter(observer, eqx.is_inexact_array))
     opened: dict[int, tuple[int, ...] | None] = {}
@@ -113,7 +113,7 @@ def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
 def _name(x: Any) -> str:
     """The name by which this library's modules hold a class or a function."""
     module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None)
-    if not isinstance(module, str) or not isinstance(name, str) or module.partition(".")[0] != LIBRARY:
+    if not isinstance(module, str) or not isinstance(name, str) or module.partition(".")[0] not in LIBRARY:
         raise _UnknownError
     held: Any = sys.modules.get(module)
     for part in name.split("."):  # a function that another one made has no such path
@@ -125,7 +125,7 @@ def _name(x: Any) -> str:
 
 @functools.cache
 def _files() -> list[Path]:
-    return source_files("")
+    return source_files(*LIBRARY)
 
 
 def _source_may_differ() -> bool:

@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._compile import FAST, compiled as load, compiler, vector_bytes
-from covariant._errors import InputError
-from covariant._templates import fill
-from covariant.lowering import Lowered, c_rows, lower
+from scalargraph import Lowered, c_rows, lower
+from scalargraph.compiler import FAST, compiled as load, compiler, vector_bytes
+from scalargraph.errors import InputError
+from scalargraph.template import fill
 
 REALS: dict[Any, Literal["double", "float"]] = {np.dtype(np.float64): "double", np.dtype(np.float32): "float"}
 
@@ -98,9 +98,8 @@ def _register_target(lowered: Lowered, real: Literal["double", "float"]) -> str:
     """Register the compiled function with XLA, and return the name of the target."""
     lanes = vector_bytes() // {"double": 8, "float": 4}[real]
     # The version is in the text, so that another release, with other headers, gets another library.
-    return _load_library(
-        fill("engine", "ffi.c", {"ROWS": [c_rows(lowered, "rows", lanes, real)], "VERSION": version("jaxlib")})
-    )
+    words = {"ROWS": [c_rows(lowered, "rows", lanes, real)], "VERSION": version("jaxlib")}
+    return _load_library(fill("covariant.engine", "ffi.c", words))
 
 
 @functools.cache

@@ -8,15 +8,15 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from covariant._templates import fill
 from covariant.codegen import Recipe, TracedProgram, trace_program
 from covariant.engine._cache import cache_key, cache_layout, cached_layout, cached_text, result_index
 from covariant.engine._compile import library
 from covariant.engine._description import description_key
 from covariant.engine._layout import Layout
 from covariant.engine._numbers import Places, filled
-from covariant.lowering import CText, Lowered, LoweringError, Signature, c_function, c_helpers, split
 from covariant.observers import AbstractObserver
+from scalargraph import CText, Lowered, LoweringError, Signature, c_function, c_helpers, split
+from scalargraph.template import fill
 
 DECLARED = """
 void kernel_init(const double *open, const double *y, const double *t, double *state);
@@ -233,4 +233,4 @@ def _c_text(traced: TracedProgram, lanes: int) -> str:
         "REAL": "double" if lanes == 1 else "lanes",
         "CORE": [text.text for text in texts],
     }
-    return fill("engine", "kernel.c", words)
+    return fill("covariant.engine", "kernel.c", words)

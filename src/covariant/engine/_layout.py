@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.codegen import TracedProgram
+from covariant.engine._sources import LIBRARY
+from scalargraph.errors import InputError
 
 
 class Layout(NamedTuple):
@@ -73,7 +74,7 @@ def _tree(data: Any) -> Any:
 
 def _tuples(module: str, name: str) -> Any:
     """A NamedTuple of this library, of a module that is loaded; a file names nothing else."""
-    held = getattr(sys.modules.get(module), name, None) if module.partition(".")[0] == "covariant" else None
+    held = getattr(sys.modules.get(module), name, None) if module.partition(".")[0] in LIBRARY else None
     if not (isinstance(held, type) and issubclass(held, tuple) and hasattr(held, "_fields")):
         raise InputError(f"{module}.{name} is not a tuple of this library")
     return held

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from covariant._compile import vector_bytes
-from covariant._errors import InputError
 from covariant.engine._choice import EngineName, choose_open
 from covariant.engine._kernel import Kernel, KernelForm
 from covariant.observers import AbstractObserver, checked, run
 from covariant.signals import Record, Run, StepCode
+from scalargraph.compiler import vector_bytes
+from scalargraph.errors import InputError
 
 RUNS_A_CORE = 4
 """Runs per core above which they go through lanes: a step in all lanes takes about as long as four of one run."""

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.observers import AbstractObserver
+from scalargraph.errors import InputError
 
 MODEL = {"model", "metric"}
 """Fields of observers that hold a model, or a metric designed for it, which stays in the code as tables do."""

@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
+LIBRARY = ("covariant", "scalargraph")
+"""The packages whose files trace an observer and write its C."""
 
 
 def source_files(*places: str, root: Path = ROOT) -> list[Path]:

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.engine._backends import backend
 from covariant.engine._choice import EngineName
 from covariant.models import Motion
 from covariant.observers import AbstractObserver
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 LONGEST_GAP = 1.0
 """Longest gap [s] between samples that the model predicts over; after a longer one the estimate starts anew."""

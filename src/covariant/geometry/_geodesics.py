@@ -13,12 +13,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from covariant._errors import InputError
 from covariant._integrate import rk4, rk8
 from covariant._linalg import pivots, solve
 from covariant._typing import Code, Flag, Matrix, Scalar, Vector, Vectors
 from covariant.geometry._manifold import AbstractManifold, Configuration
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 NEWTON_LIMIT = 40
 """Damped Newton iterations after which a search stops without success."""

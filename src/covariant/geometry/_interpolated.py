@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import ldl
 from covariant._typing import Flag, Matrix, Vector
+from scalargraph.errors import InputError
 
 
 class Interpolated(eqx.Module):

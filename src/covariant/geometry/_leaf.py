@@ -21,7 +21,6 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant._linalg import pivots, solve
 from covariant._typing import Flag, Matrix, Vector, Vectors
 from covariant.geometry import _geodesics as geodesics
@@ -29,6 +28,7 @@ from covariant.geometry._geodesics import Budget, Shot, Transported
 from covariant.geometry._leaf_rows import CLOSED, SINGULAR, Look, closed, independent, rows_of
 from covariant.geometry._manifold import AbstractManifold, Configuration
 from covariant.geometry._space import AbstractSpace, derivative, differential
+from scalargraph.errors import InputError
 
 NEWTON_STEPS = 2
 """Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant.geometry._manifold import Configuration
-from covariant.lowering import on_batches
+from scalargraph import on_batches
+from scalargraph.errors import InputError
 
 SINGULAR = 1e-6
 """Smallest pivot, of a matrix with ones on its diagonal, with which it counts as regular."""

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Flag, Vector
+from scalargraph.errors import InputError
 
 Configuration = Inexact[Array, "..."]
 """An array that is a configuration: (n,) in coordinates, (N, N) on a matrix group, flat in a product."""

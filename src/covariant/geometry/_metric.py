@@ -8,11 +8,11 @@ import equinox as eqx
 import jax
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Matrix, MatrixField, Vector
 from covariant.geometry._manifold import AbstractManifold, Configuration, Coordinates
 from covariant.geometry._space import AbstractSpace
+from scalargraph.errors import InputError
 
 
 class AbstractMetric(AbstractSpace):

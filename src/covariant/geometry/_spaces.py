@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant._typing import Flag, Matrix, Scalar, Vector, Vectors
 from covariant.geometry._geodesics import Budget, Shot, Transported
 from covariant.geometry._manifold import split
 from covariant.geometry._metric import AbstractMetric
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 
 def _found(velocity: Vector, arrival: Vector) -> Shot:

@@ -1,5 +1,5 @@
 """Logs: text, Parquet and messages of ROS are read into a `Record` in SI units, and columns of numbers are written."""
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._mcap import check_checksums
+from scalargraph.errors import InputError
 
 HEADER, RECEIVED = "t", "received"
 """Columns of stamps: the time in the header, at which the content was true, and the time at which it was recorded."""

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from covariant._files import temporary
 from covariant._optional import load_optional
 from covariant.logs._bag import FIELDS, POSITION, QUATERNION
 from covariant.logs._columns import LogError
 from covariant.logs._mcap import write_checksums
+from scalargraph.files import temporary
 
 VERSION = 8
 """Version of the layout of a rosbag2; ROS reads it since 2023."""

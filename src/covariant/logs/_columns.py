@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._door import BINARY_LOG, MOST_ROWS, STORE, TEXT_LOG, check_file
-from covariant._errors import InputError, MissingPackageError
+from covariant._door import BINARY_LOG, MOST_ROWS, STORE, TEXT_LOG
 from covariant.signals import Record
+from scalargraph.errors import InputError, MissingPackageError
+from scalargraph.files import check_file
 
 
 class LogError(InputError):

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from covariant._door import STORE, bounded, read_bytes
+from covariant._door import STORE
 from covariant.logs._columns import pyarrow
 from covariant.logs._tables import LogSource
+from scalargraph.files import bounded, read_bytes
 
 MOST_ENTRIES = 256
 """Longest list whose entries are columns; longer ones are pictures and scans."""

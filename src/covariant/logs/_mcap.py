@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, CHUNK, DATA_END = 0x02, 0x06, 0x0F

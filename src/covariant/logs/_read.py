@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._door import bounded
-from covariant._errors import InputError, MissingPackageError
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
@@ -28,6 +26,8 @@ from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name, unknow
 from covariant.logs._units import check_unit, unit_factor
 from covariant.scoring import unwrap
 from covariant.signals import Record, StampError
+from scalargraph.errors import InputError, MissingPackageError
+from scalargraph.files import bounded
 
 OPTIONAL = ("v", "truth")
 """Fields of `Columns` that are used for comparison only."""

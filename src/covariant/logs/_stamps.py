@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant.logs._cells import fault, numbers
 from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._text import DATE
 from covariant.logs._units import unit_factor
 from covariant.signals import LATEST_STAMP, check_rounding
+from scalargraph.errors import InputError
 
 LATEST = 1e8
 """Stamps beyond this [s], three years, count from 1970 and not from the start of the machine."""

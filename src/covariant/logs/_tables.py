@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import file_name
 from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 from covariant.signals import Record
+from scalargraph.errors import file_name
 
 _UNIT_KEY = re.compile(r"(?:.*[_ .:])?units?(?:_of_measure(?:ment)?)?", re.IGNORECASE)
 """Keys of the metadata of a column under which its unit stands, and of a table under which those of its columns do."""

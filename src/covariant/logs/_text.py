@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from covariant._door import MOST_COLUMNS, TEXT_LOG, read_bytes
+from covariant._door import MOST_COLUMNS, TEXT_LOG
 from covariant._numbers import DECIMAL, NUMBER
 from covariant.logs._columns import LogError
+from scalargraph.files import read_bytes
 
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "strokes", " ": "spaces"}
 """Delimiters of cells, the least ambiguous first, and their names; any number of spaces is one."""

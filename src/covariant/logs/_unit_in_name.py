@@ -5,8 +5,8 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-from covariant._errors import InputError
 from covariant.logs._units import check_unit
+from scalargraph.errors import InputError
 
 MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
 MEANT |= {"truth": (*MEANT["v"], *MEANT["u"]), "position": ("m",), "angle": ("rad",)}

@@ -4,8 +4,8 @@ import math
 import re
 from typing import NamedTuple
 
-from covariant._errors import InputError
 from covariant._numbers import DECIMAL
+from scalargraph.errors import InputError
 
 
 class _Unit(NamedTuple):
@@ -123,7 +123,7 @@ def check_unit(text: str, wanted: str) -> None:
         >>> check_unit("deg", "rad")
         >>> check_unit("mm", "rad")
         Traceback (most recent call last):
-        covariant._errors.InputError: unit 'mm' is no unit of what is measured in rad
+        scalargraph.errors.InputError: unit 'mm' is no unit of what is measured in rad
     """
     parsed = _unit(text)
     try:

@@ -9,10 +9,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from covariant._files import write_atomically
 from covariant.logs._bag_write import write_bag
 from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._endings import MESSAGES, WRITTEN
+from scalargraph.files import write_atomically
 
 
 def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_ns: int | None = None) -> None:

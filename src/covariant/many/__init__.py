@@ -3,6 +3,6 @@
 A verb of `covariant.verbs` takes one log. Here `check`, `estimate` and `smooth` take a list of them as well.
 """
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

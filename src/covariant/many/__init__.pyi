@@ -2,4 +2,4 @@ from ._each import check as check, estimate as estimate, smooth as smooth
 from ._over_logs import LogsResult as LogsResult, over_logs as over_logs
 from ._sweep import SweepResult as SweepResult, sweep as sweep
 
-__all__ = ["over_logs", "sweep"]
+__all__ = ["over_logs"]

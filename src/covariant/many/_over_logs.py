@@ -21,7 +21,6 @@ import numpy as np
 
 from covariant import models, verbs
 from covariant._cases import CaseTable, Crew, content_hash, run_chunks
-from covariant._errors import InputError, file_name, printable
 from covariant.logs import check_log, source_name
 from covariant.verbs.base.among_logs import Among, LogRow, among_logs
 from covariant.verbs.base.arguments import Scheduler
@@ -29,6 +28,7 @@ from covariant.verbs.base.model_output import model_hash
 from covariant.verbs.base.outputs import write_table
 from covariant.verbs.base.progress import Progress, notebook_line, time_left
 from covariant.verbs.base.result import AbstractTable
+from scalargraph.errors import InputError, file_name, printable
 
 FILES = {"estimate": ".parquet", "check": "", "fit": ".toml", "smooth": "_smoothed.parquet"}
 """End of the name of the file of each log, by the verb, so that verbs can share a folder; `check` has none."""

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._door import STUDY, read_toml
-from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.metrics import Grid
+from scalargraph.errors import InputError
 
 
 def _number(value: Any, least: float = -math.inf) -> bool:

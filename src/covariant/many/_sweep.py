@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.many._study import Axis, Study, read_study
 from covariant.many._sweep_runs import Runs, plain
 from covariant.metrics import map_grid, open_grid
@@ -21,6 +20,7 @@ from covariant.verbs.base.outputs import check_output, write_table
 from covariant.verbs.base.pages import write_result_page
 from covariant.verbs.base.progress import Progress, notebook_line, time_left
 from covariant.verbs.base.result import AbstractTable
+from scalargraph.errors import InputError
 
 HEADINGS = {"nees": "NEES", "nis": "NIS", "band": "in band"}
 """Columns of their means over the runs that converged."""

@@ -12,8 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import engine, models
-from covariant._compile import compiler
-from covariant._errors import InputError
 from covariant._names import did_you_mean, unknown
 from covariant.many._study import KEYS, STATES, Axis, Study, designed_with, of_run, parse_study
 from covariant.metrics import Variable
@@ -21,6 +19,8 @@ from covariant.observers import with_velocity
 from covariant.verbs.base.arguments import numbers
 from covariant.verbs.base.design import design
 from covariant.verbs.base.simulated_log import DETUNED, pushed, pushes
+from scalargraph.compiler import compiler
+from scalargraph.errors import InputError
 
 SETTLED = 0.8
 """Part of a run after which errors count."""

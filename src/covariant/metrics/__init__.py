@@ -23,6 +23,6 @@ continues where it stopped. Dask, Zarr and xarray are optional packages, install
     open_grid(path, complete=True).energy.sel(rate=0.0).max()
 """
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -4,11 +4,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import half_solve
 from covariant._typing import Matrix, MatrixField, Number, Vector
-from covariant.lowering import along, jacobian
 from covariant.models import StateSpace
+from scalargraph import along, jacobian
+from scalargraph.errors import InputError
 
 
 class Equation(eqx.Module):

@@ -9,7 +9,7 @@ from typing import NamedTuple, SupportsFloat, SupportsIndex
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 
 @dataclass(frozen=True)

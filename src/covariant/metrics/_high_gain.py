@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._typing import Matrix, MatrixField, Number, Vector
 from covariant.metrics._equation import model_input
 from covariant.models import StateSpace
+from scalargraph.errors import InputError
 
 
 def high_gain(model: StateSpace, rate: Number) -> MatrixField:

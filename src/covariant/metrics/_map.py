@@ -14,11 +14,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._cases import Crew, run_chunks
-from covariant._errors import InputError
-from covariant.lowering import fingerprint
 from covariant.metrics import _store
 from covariant.metrics._grid import Blocks, Grid, cut
 from covariant.metrics._store import Variable
+from scalargraph import fingerprint
+from scalargraph.errors import InputError
 
 Index = tuple[int, ...]
 BATCH = 256

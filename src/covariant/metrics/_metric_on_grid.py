@@ -14,12 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Bounds
 from covariant.geometry import Interpolated
 from covariant.metrics import Equation, Grid, Variable, map_grid, metric_at, open_grid
 from covariant.models import StateSpace
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 
 def metric_on_grid(

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._integrate import rk8
 from covariant._linalg import whiten
 from covariant._typing import Bounds, Code, Matrix, Number, Scalar, Vector
@@ -16,6 +15,7 @@ from covariant.metrics._equation import Equation, check_state
 from covariant.metrics._window import Window, backward, no_past, window_at
 from covariant.models import StateSpace
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 MOST_STEPS = 1024
 """Integration steps after which the past counts as too short in any case."""

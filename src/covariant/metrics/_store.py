@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from covariant._cases import content_hash, optional
-from covariant._door import STORE, bounded, check_file
-from covariant._errors import InputError
-from covariant._files import attended, sweep, temporary
+from covariant._door import STORE
 from covariant.metrics._grid import Blocks, Grid
+from scalargraph.errors import InputError
+from scalargraph.files import attended, bounded, check_file, sweep, temporary
 
 if TYPE_CHECKING:
     import xarray

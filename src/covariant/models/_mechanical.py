@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._integrate import rk4_step
 from covariant._typing import Element, MatrixField, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, as_space, differential
 from covariant.geometry.lie import AbstractGroup, LeftInvariant
 from covariant.models._parameters import Parameter, Parametric
+from scalargraph.errors import InputError
 
 
 class Motion(NamedTuple):

@@ -12,8 +12,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
+from scalargraph.errors import InputError
 
 AnyArray = Array | np.ndarray
 

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import Coordinates, wrap
 from covariant.models._mechanical import MechanicalSystem, Sought, acceleration, check_shapes, input_count
 from covariant.models._parameters import Parameter
+from scalargraph.errors import InputError
 
 
 class StateSpace(Functional):

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import half_solve
 from covariant.geometry import sectional_curvature
-from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
+from scalargraph import evaluate_batch
+from scalargraph.errors import InputError
 
 
 class Survey(NamedTuple):

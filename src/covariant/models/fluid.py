@@ -21,12 +21,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from covariant._errors import InputError
 from covariant._linalg import at_places
 from covariant._typing import Element, Vector
 from covariant.geometry.lie import SU, AbstractInertia
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter
+from scalargraph.errors import InputError
 
 Modes = Complex[Array, "N N"]
 """Fourier coefficients f_m of a real field at [m₁, m₂] modulo N, the order of `jnp.fft.fft2`; the mean f_0 is not used.

@@ -1,5 +1,5 @@
 """Observers: each in a file of its own, and the baselines they are compared with, all in one form."""
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -4,6 +4,6 @@ matplotlib and plotly are optional packages, loaded by the functions that draw a
 `pip install 'covariant[report]'`.
 """
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -7,10 +7,10 @@ from html import escape
 from pathlib import Path
 from types import MappingProxyType
 
-from covariant._errors import printable
-from covariant._files import utf8, write_atomically
-from covariant._templates import fill, template
 from covariant.report._html import facts_html, table_html, verdict_html
+from scalargraph.errors import printable
+from scalargraph.files import utf8, write_atomically
+from scalargraph.template import fill, template
 
 Block = str | Path | Sequence[Mapping[str, object]]
 """A paragraph ("# …" makes it a heading), lines that stay as they are, a PNG file, or the rows of a table."""
@@ -50,8 +50,8 @@ def write_article(
     for block in blocks:
         heading = block[2:] if isinstance(block, str) and block.startswith("# ") else heading
         parts.append(block_html(block, heading))
-    words = {"TITLE": escape(printable(title)), "STYLE": template("report", "page.css"), "BLOCKS": parts}
-    page = fill("report", "article.html", words)
+    words = {"TITLE": escape(printable(title)), "STYLE": template("covariant.report", "page.css"), "BLOCKS": parts}
+    page = fill("covariant.report", "article.html", words)
     return write_atomically(path, lambda file: file.write(utf8(page)))
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.certificates import (
     ContractionCertificate,
     Projection,
@@ -19,6 +18,7 @@ from covariant.certificates import (
 )
 from covariant.report._optional import optional
 from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, figure_format, new_figure, save_figure
+from scalargraph.errors import InputError
 
 if TYPE_CHECKING:
     import matplotlib.axes

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 MEASURED = "measured"
 """Legend entry of the measured positions."""

@@ -16,9 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from covariant._errors import printable
-from covariant._files import utf8, write_together
-from covariant._templates import fill, template
 from covariant.report._condensed import condensed
 from covariant.report._estimate import EstimateReport
 from covariant.report._glossary import glossary
@@ -29,6 +26,9 @@ from covariant.report._png import draw_png
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
 from covariant.report._whiteness import autocorrelation
+from scalargraph.errors import printable
+from scalargraph.files import utf8, write_together
+from scalargraph.template import fill, template
 
 
 def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
@@ -71,7 +71,7 @@ def page(report: EstimateReport) -> str:
     sections, figures = _sections(report, panels, styled)
     words = {
         "TITLE": escape(printable(report.title)),
-        "STYLE": template("report", "page.css"),
+        "STYLE": template("covariant.report", "page.css"),
         "VERDICT": verdict_html(report.headline, report.warnings),
         "FACTS": facts_html(report.facts) + _code(report),
         "TABLE": table_html(report.rows, report.best, report.pale),
@@ -81,9 +81,9 @@ def page(report: EstimateReport) -> str:
         "SECTIONS": sections,
         "FIGURES": _pack_text("figures", _with_common_stamps(figures)) + _csv(report),
         "LIBRARY": library,
-        "SCRIPT": template("report", "page.js"),
+        "SCRIPT": template("covariant.report", "page.js"),
     }
-    return fill("report", "page.html", words)
+    return fill("covariant.report", "page.html", words)
 
 
 _SAID_BETTER = ("position", "distance")

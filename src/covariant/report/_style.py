@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
-from covariant._files import write_atomically
 from covariant.report._estimate import DIFFERENCE, MARKS, MEASURED, EstimateReport
 from covariant.report._optional import optional
+from scalargraph.errors import InputError
+from scalargraph.files import write_atomically
 
 if TYPE_CHECKING:
     import matplotlib.figure

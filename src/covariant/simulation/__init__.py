@@ -1,5 +1,5 @@
 """Simulation of models, alone or with an observer, and of sensors."""
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import solve_square
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.geometry import wrap
 from covariant.models.marine import Craft
 from covariant.simulation._reference import Path
+from scalargraph.errors import InputError
 
 
 class Backstepping(eqx.Module):

@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant._integrate import compiled
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, advance, applied_force, resistance, standing
 from covariant.signals import Record
+from scalargraph.errors import InputError
 
 Torques = Callable[[Scalar, Motion, Bool[Array, "k"]], Vector]
 """Inputs `(t, motion, down) -> (m − k,)` without the contacts; `down` are the feet on the ground."""

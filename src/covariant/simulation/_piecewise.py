@@ -13,12 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from covariant._errors import InputError
 from covariant._integrate import compiled
 from covariant._typing import Number
 from covariant.models import MechanicalSystem, StateSpace
 from covariant.signals import Record
 from covariant.simulation._simulate import simulate
+from scalargraph.errors import InputError
 
 DIGITS = 12
 """Decimals of the times [s] at which intervals begin."""

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Numbers, Scalar, Vector
+from scalargraph.errors import InputError
 
 
 class Reference(NamedTuple):

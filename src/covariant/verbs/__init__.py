@@ -5,6 +5,6 @@ references and ranking. The command line turns words into arguments of these fun
 script or a notebook calls the same functions.
 """
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
-from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.certificates import (
     AbstractClaim,
@@ -25,7 +24,6 @@ from covariant.certificates import (
     check_interval,
 )
 from covariant.models import MechanicalSystem, Overrides, input_count
-from covariant.proofs import read_file
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, verdict
 from covariant.verbs.base.design import design, runs_otherwise
@@ -34,6 +32,8 @@ from covariant.verbs.base.inputs import numbered
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
+from scalargraph.errors import InputError
+from scalargraph.proofs import read_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,7 +13,6 @@ import numpy as np
 
 from covariant import logs, models
 from covariant._door import parse_toml
-from covariant._errors import InputError
 from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_clock
 from covariant.models import Overrides
 from covariant.observers import on_legs
@@ -22,6 +21,7 @@ from covariant.verbs.base.among_logs import IDLE
 from covariant.verbs.base.inputs import ColumnNames, Job, Loaded, load
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
+from scalargraph.errors import InputError
 
 
 def check(

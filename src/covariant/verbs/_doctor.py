@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
 
-from covariant._compile import EXACT, compiled, compiler
-from covariant._programs import SharedFolderError, open_cache_folder
 from covariant.verbs.base.result import AbstractResult
+from scalargraph.cache import SharedFolderError, open_cache_folder
+from scalargraph.compiler import EXACT, compiled, compiler
 
 
 @dataclass(frozen=True)

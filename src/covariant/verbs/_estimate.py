@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from covariant._errors import InputError
 from covariant._names import unknown as unknown_name
 from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
@@ -14,6 +13,7 @@ from covariant.verbs.base.estimates import EstimateResult, choose_observer
 from covariant.verbs.base.inputs import ColumnNames, Job, load, with_sensor_delays
 from covariant.verbs.base.outcome import drive
 from covariant.verbs.base.progress import Progress, notebook_line
+from scalargraph.errors import InputError
 
 
 def estimate(

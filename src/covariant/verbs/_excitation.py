@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from covariant import logs
-from covariant._errors import InputError
 from covariant.verbs.base.arguments import Amounts, Overrides, Region, above_zero
 from covariant.verbs.base.outputs import TABLES, check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
+from scalargraph.errors import InputError
 
 FEWEST_ROWS = 10
 """Least number of rows in a period of the highest harmonic."""

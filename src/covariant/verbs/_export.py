@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 
 from covariant import certificates, models
-from covariant._compile import NO_COMPILER
-from covariant._errors import InputError
 from covariant.codegen import (
     Facts,
     Program,
@@ -28,7 +26,6 @@ from covariant.codegen import (
     write_fmu,
     write_folder,
 )
-from covariant.lowering import operations
 from covariant.models import Overrides
 from covariant.observers import (
     REGISTRY,
@@ -48,6 +45,9 @@ from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
 from covariant.verbs.base.robot_file import FORMATS, RobotFileResult, write_robot
 from covariant.verbs.base.sensors import reading_delays
+from scalargraph import operations
+from scalargraph.compiler import NO_COMPILER
+from scalargraph.errors import InputError
 
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.verbs.base.among_logs import machine_of
 from covariant.verbs.base.arguments import ColumnNames, Overrides, OverridesOfLogs
 from covariant.verbs.base.model_output import as_logs, check_model_output, read_sources, urdf_beside, write_models
@@ -18,6 +17,7 @@ from covariant.verbs.base.model_text import WRITTEN_BY
 from covariant.verbs.base.placeholders import placeholder_sentence
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
+from scalargraph.errors import InputError
 
 
 def fit(

@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from covariant import logs, models
-from covariant._errors import InputError
-from covariant._files import utf8, write_together
-from covariant._templates import fill
 from covariant.calibration import Draft, draft
 from covariant.models import Overrides
 from covariant.verbs.base.inputs import ColumnNames, column_names
@@ -29,6 +26,9 @@ from covariant.verbs.base.servo_draft import (
     servo_lines,
     with_joints,
 )
+from scalargraph.errors import InputError
+from scalargraph.files import utf8, write_together
+from scalargraph.template import fill
 
 SETTABLE = ("units.t", "units.q", "units.u", "units.v", "parameters.path")
 """Values of a draft that may be given before it is written."""
@@ -387,8 +387,9 @@ def _equations(guess: Draft) -> str:
         "PUSHES": f"the first {m} of {n} positions" if m else "no position",
         "REST": n - m,
     }
-    machine = fill("verbs", "machine.py", words).splitlines()
-    return fill("verbs", "cart_pole.py" if _is_cart_pole(guess) else "separate_masses.py", {"MACHINE": machine})
+    machine = fill("covariant.verbs", "machine.py", words).splitlines()
+    file = "cart_pole.py" if _is_cart_pole(guess) else "separate_masses.py"
+    return fill("covariant.verbs", file, {"MACHINE": machine})
 
 
 def _sensor(guess: Draft) -> str:

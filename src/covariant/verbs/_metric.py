@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.metrics import Equation, Grid, MetricSummary, metric_on_grid, metric_summary, rate_from_gramian
 from covariant.models import Overrides, StateSpace
 from covariant.verbs.base.arguments import Amounts, Region, Scheduler, above_zero, bounds, numbers
@@ -22,6 +21,7 @@ from covariant.verbs.base.inputs import numbered
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
+from scalargraph.errors import InputError
 
 PATIENCE = 4.0
 """Seconds after which a scheduler that does not answer counts as absent."""

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
+from scalargraph.errors import InputError
 
 PAPERS = {
     "aghannan-rouchon": "aghannan_rouchon",
@@ -38,7 +38,7 @@ def reproduce_paper(paper: str, *, progress: Progress = notebook_line) -> "Repro
         >>> verbs.reproduce_paper("kalman")
         Traceback (most recent call last):
             ...
-        covariant._errors.InputError: unknown paper 'kalman'. Known: aghannan-rouchon, maithripala, ...
+        scalargraph.errors.InputError: unknown paper 'kalman'. Known: aghannan-rouchon, maithripala, ...
     """
     if paper not in PAPERS:
         raise InputError(unknown("paper", paper, PAPERS))

@@ -8,7 +8,6 @@ import jax
 import numpy as np
 
 from covariant import logs
-from covariant._errors import InputError
 from covariant.calibration import estimators
 from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
@@ -22,6 +21,7 @@ from covariant.verbs.base.inputs import (
 from covariant.verbs.base.outcome import KEPT, deviations, rounded, scored, with_units
 from covariant.verbs.base.pages import AbstractEstimates, estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
+from scalargraph.errors import InputError
 
 
 def smooth(

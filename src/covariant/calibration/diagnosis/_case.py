@@ -11,10 +11,10 @@ from covariant.calibration.diagnosis._finding import Finding, Names, Rows
 from covariant.calibration.diagnosis._readings import known_ticks, outlier_findings, outliers, readings
 from covariant.calibration.diagnosis._smooth import FEWEST, NARROWEST, ORDER, Smooth, slowest, smooth
 from covariant.calibration.diagnosis._thresholds import CLEAR
-from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem, ModelFile, acceleration
 from covariant.scoring import unwrap
 from covariant.signals import Record, acting_inputs, lag_inputs
+from scalargraph import on_batches
 
 POINTS = 2048
 """Grid points per batch. With a fixed number, one compiled program serves all logs of a model without a graph."""

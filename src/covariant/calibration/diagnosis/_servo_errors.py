@@ -18,8 +18,8 @@ from covariant.calibration.diagnosis._case import Case, averaged
 from covariant.calibration.diagnosis._smooth import Smooth, held_inputs, smooth
 from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Unexplained
 from covariant.geometry import differential
-from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem
+from scalargraph import on_batches
 
 FIRST_DELAYS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1)
 """Delays [s] of a command that are tried first."""

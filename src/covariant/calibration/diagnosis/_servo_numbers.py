@@ -23,8 +23,8 @@ from covariant.calibration.diagnosis._thresholds import (
     COMMON_GAIN,
     DELAY_ROWS,
 )
-from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem, applied_force, resistance
+from scalargraph import on_batches
 
 ROUNDS, DELAY_DIFFERENCE, MAX_STEP = 5, 1e-3, 0.02
 """Gauss–Newton steps for a delay, shift [s] of the finite difference for its slope, and the longest step [s]."""

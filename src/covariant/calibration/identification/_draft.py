@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant.calibration.diagnosis import periods, without_full_turns
 from covariant.calibration.identification._commands import is_slope
 from covariant.calibration.identification._roles import REGISTERS, role
@@ -43,6 +42,7 @@ from covariant.logs import (
     words_of,
 )
 from covariant.scoring import unwrap
+from scalargraph.errors import InputError
 
 CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
 """Upper bounds of the median step of the stamps, and the unit in which they then are."""

@@ -20,7 +20,6 @@ import numpy as np
 from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.identification._expected import ExpectedErrors, Sensing, expected_errors
 from covariant.calibration.identification._fourier import FourierMotion, fourier_basis, one_sine_a_joint, resting_basis
@@ -34,6 +33,7 @@ from covariant.calibration.identification._robot_torques import (
     usual_sizes,
 )
 from covariant.models import RobotFamily
+from scalargraph.errors import InputError
 
 COARSE, FINE, DENSE = 20, 200, 2000
 """Points in a period of the highest harmonic: on the grids of the search, the last scaling and the verification."""

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel, second_derivative_weights
 from covariant.calibration.identification._fourier import FourierMotion
@@ -33,6 +32,7 @@ from covariant.calibration.identification._robot_torques import (
     usual_sizes,
 )
 from covariant.models import RobotFamily
+from scalargraph.errors import InputError
 
 FINE = 4
 """Points of the grid in half of the shortest window."""

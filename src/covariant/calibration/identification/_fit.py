@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant.calibration._least_squares import (
     MOST_STEPS,
     PRIOR,
@@ -36,6 +35,7 @@ from covariant.calibration.identification._regression import starts
 from covariant.calibration.identification._unknowns import Unknowns
 from covariant.calibration.identification._windows import Windows
 from covariant.models import Family, Motion
+from scalargraph.errors import InputError
 
 ROUNDS = 4
 """Number of searches: without a filter, with one, and two with undetermined combinations fixed; scales follow each."""

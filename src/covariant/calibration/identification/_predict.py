@@ -15,12 +15,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.calibration.identification._windows import LONGEST_GAP, Windows
-from covariant.lowering import evaluate_batch
 from covariant.models import Family, MechanicalSystem, Motion, advance, friction
 from covariant.signals import Record
+from scalargraph import evaluate_batch
+from scalargraph.errors import InputError
 
 LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction."""

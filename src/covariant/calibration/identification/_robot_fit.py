@@ -21,7 +21,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from covariant import scoring
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
 from covariant.calibration.diagnosis import held_inputs
@@ -43,6 +42,7 @@ from covariant.calibration.identification._robot_torques import (
 )
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, resistance
 from covariant.signals import Record
+from scalargraph.errors import InputError
 
 FINE = 12
 """Points of the grid in half of the shortest window."""

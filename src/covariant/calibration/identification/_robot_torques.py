@@ -14,9 +14,9 @@ from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.diagnosis import acceleration_kernel
 from covariant.calibration.identification._robot_combinations import Combinations, combinations
 from covariant.geometry import differential
-from covariant.lowering import on_batches
 from covariant.models import MechanicalSystem, RobotFamily, applied_force, input_count, resistance
 from covariant.models.robots import servos_in
+from scalargraph import on_batches
 
 KNOWN = 0.1
 """The log shows a number if its standard error is below this fraction of its standard deviation in the prior."""

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant.calibration.identification._commands import (
     FOLLOWS,
     FOLLOWS_CLOSELY,
@@ -20,6 +19,7 @@ from covariant.calibration.identification._commands import (
     pairs_by_name,
 )
 from covariant.logs import MEANT, unit_in_name, words_of
+from scalargraph.errors import InputError
 
 POSITION_WORDS = words_of("action actions leader goal goals target targets pos position positions angle q qpos")
 """Words in the name of a column that mark it as the command of a position."""

@@ -16,7 +16,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.identification._excitation import Excitation, ExcitationPlan, JointLimits
 from covariant.calibration.identification._expected import Sensing
@@ -31,6 +30,7 @@ from covariant.calibration.identification._robot_torques import (
 )
 from covariant.models import RobotFamily, acceleration, resistance
 from covariant.models.robots import Servos, servos_in
+from scalargraph.errors import InputError
 
 PROBE_FRACTION = 1 / 3
 """Fraction of the periods that have reversals and steps in place of the motion."""

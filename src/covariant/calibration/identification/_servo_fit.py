@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
 from covariant.calibration.identification._robot_fit import RobotFit, minimise_above_bounds
 from covariant.calibration.identification._robot_torques import Determined
 from covariant.calibration.identification._servo_motion import ServoLog
 from covariant.models import RobotFamily
 from covariant.signals import Record
+from scalargraph.errors import InputError
 
 WINDOW = 2.0
 """Length of a window [s]: the effect of the initial state decays within a few tenths of a second."""
@@ -80,7 +80,7 @@ def fit_servos(
         >>> from covariant.calibration.identification import fit_servos
         >>> fit_servos([], [])
         Traceback (most recent call last):
-        covariant._errors.InputError: give a family and a log for each of the logs
+        scalargraph.errors.InputError: give a family and a log for each of the logs
     """
     if not records or len(families) != len(records):
         raise InputError("give a family and a log for each of the logs")

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant.calibration.identification._commands import (
     FEWEST_CHANGES,
     FOLLOWS,
@@ -16,6 +15,7 @@ from covariant.calibration.identification._commands import (
 )
 from covariant.calibration.identification._servo_columns import Inputs
 from covariant.logs import KNOWN, MEANT, is_unit_of, unit_factor, unit_in_name, unknown_unit, words_of
+from scalargraph.errors import InputError
 
 MIN_STIFF_SLOPE = 0.7
 """Least slope of a position over its command from which their mean distance is an offset and not a sag."""

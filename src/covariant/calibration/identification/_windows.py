@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant._errors import InputError
 from covariant._linalg import known_rms
 from covariant.signals import AnyArray, Record
+from scalargraph.errors import InputError
 
 MOST_ROWS = 20_000
 """Largest number of rows in the windows of a fit; beyond it windows are left out evenly."""

@@ -19,13 +19,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant._errors import InputError
 from covariant.calibration.identification import ErrorModel, Filtered, NoiseLevels, mean_square
 from covariant.calibration.tuning._gains import gains, predict_sampled_errors
 from covariant.calibration.tuning._noise_search import RunErrors, later_errors, smoothed_errors
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, constant_gains
 from covariant.models import MechanicalSystem
 from covariant.signals import Record
+from scalargraph.errors import InputError
 
 FREQUENCIES, DAMPINGS = (2e-3, 3.0), (0.3, 3.0)
 """Bounds of natural frequencies, in radians a sample, and damping ratios. For white disturbances √½ is the best, for

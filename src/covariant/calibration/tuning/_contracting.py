@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._domains import FINITE, Finite, NotNegative, check_numbers
-from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates import MetricDesign, observer_gain
 from covariant.certificates.base import show_no_jumps
-from covariant.lowering import jacobian
 from covariant.models import StateSpace
+from scalargraph import jacobian
+from scalargraph.errors import InputError
 
 
 @check_numbers

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Matrix, Vector
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
@@ -27,6 +26,7 @@ from covariant.observers import (
     StateNoise,
     external_force,
 )
+from scalargraph.errors import InputError
 
 ESTIMATORS = OBSERVER_NAMES
 """Names of all estimators of mechanical systems: as in `covariant.observers.REGISTRY`."""

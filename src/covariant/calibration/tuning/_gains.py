@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._typing import Number
+from scalargraph.errors import InputError
 
 
 class Gains(NamedTuple):

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant.metrics import load_metric, open_metric
 from covariant.models import StateSpace
 from covariant.observers import Riccati
+from scalargraph.errors import InputError
 
 
 def stored_observer(model: StateSpace, path: str | os.PathLike[str], start: Float[Array, "n"]) -> Riccati:

@@ -101,8 +101,8 @@ class Tuning(NamedTuple):
         >>> one = np.array([0.01])
         >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
         >>> noise = NoiseLevels(jnp.array(0.05), jnp.array([1e-3]), jnp.array(0.0))
-        >>> Tuning(5.0, 0.7, noise, None, errors, ("savitzky-golay", 0.05), rows=1000).model_helps
-        True
+        >>> Tuning(5.0, 0.7, noise, None, errors, ("savitzky-golay", 0.05), rows=1000).model_free
+        ('savitzky-golay', 0.05)
     """
 
     natural_frequency: float
@@ -119,11 +119,6 @@ class Tuning(NamedTuple):
     gains_kept: bool = False
     noise_kept: str = ""
     reference_noise: Float[NumpyArray, "2 n"] | None = None
-
-    @property
-    def model_helps(self) -> bool:
-        """Whether an estimator with the model has a smaller error than the best filter without one."""
-        return self.model_free is None or bool(min(self.after.relative) < self.model_free[1])
 
 
 def tune(

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant._errors import InputError
 from covariant.calibration.diagnosis import ROUNDING, outliers
 from covariant.calibration.identification import FITTED
 from covariant.models import MechanicalSystem
 from covariant.observers import IntrinsicForce, run
 from covariant.scoring import find_holes, near_holes, scored_window
 from covariant.signals import Record, Run
+from scalargraph.errors import InputError
 
 MOST_ROWS = 8000
 """Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""

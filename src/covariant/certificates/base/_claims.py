@@ -19,7 +19,7 @@ from covariant.certificates.base._assumed import PREDICTIONS, SMOOTH_FACTOR
 from covariant.certificates.base._box import Given, prediction_places, prediction_variables
 from covariant.certificates.base._sampling import Sampling
 from covariant.certificates.base._statement import Evidence, Hypothesis, exact, rounded_up
-from covariant.proofs import Box, Field, Proof, saved_levels, to_letters
+from scalargraph.proofs import Box, Field, Proof, saved_levels, to_letters
 
 Ends = tuple[np.ndarray, np.ndarray]
 UNPROVED = Proof("undecided", Box((), (), np.zeros(0), np.zeros(0)), [], None, np.zeros((0, 2, 0)), 0, math.nan)
@@ -75,7 +75,7 @@ class AbstractClaim(abc.ABC):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.certificates import CLAIMS
-        >>> from covariant.proofs import box, prove
+        >>> from scalargraph.proofs import box, prove
         >>> proof = prove(lambda z: jnp.array([[2.0 - z[0]]]), box(v=(-1.0, 1.0)))
         >>> claim = CLAIMS["reach"](proof, row=0, square=4.0, limit=0.5)
         >>> claim.document()

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._domains import ABOVE_ZERO, FINITE, KNOWN, check_numbers
-from covariant._errors import InputError
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Scalar, Vector
-from covariant.lowering import along, jacobian
+from scalargraph import along, jacobian
+from scalargraph.errors import InputError
 
 Flow = Callable[[Scalar, Vector], Array]
 """The right-hand side of a flow, `(t, x (n,)) -> x' (n,)`."""

@@ -14,15 +14,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
-from covariant._files import write_atomically
 from covariant.certificates.base._box import Given, first_velocity
 from covariant.certificates.base._claims import CLAIMS, AbstractClaim, Setting, reach_squares
 from covariant.certificates.base._error_system import ErrorSystem
 from covariant.certificates.base._intrinsic import OBSERVERS, Intrinsics
 from covariant.certificates.base._sampling import Loss, Sampling, unit_reach
 from covariant.certificates.base._steady import claimed_drift, loss_of, steady_of
-from covariant.proofs import (
+from scalargraph.errors import InputError
+from scalargraph.files import write_atomically
+from scalargraph.proofs import (
     LETTERS,
     MOST_LETTERS,
     Box,
@@ -195,7 +195,7 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
         >>> parse("proved.json", b'{"format": "other"}')
         Traceback (most recent call last):
         ...
-        covariant._errors.InputError: proved.json: ...
+        scalargraph.errors.InputError: proved.json: ...
     """
     top = parse_file(path, read_file(path) if content is None else content)
     top.need(isinstance(top.value, dict) and "format" in top.value, "a certificate with a format")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from covariant.certificates.base._claims import AnyClaim
-from covariant.proofs import Box, Form, Proof, prove
+from scalargraph.proofs import Box, Form, Proof, prove
 
 
 @dataclasses.dataclass
@@ -24,7 +24,7 @@ class Effort:
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.certificates.base._effort import Effort
-        >>> from covariant.proofs import as_form, box
+        >>> from scalargraph.proofs import as_form, box
         >>> effort = Effort(box(a=(0.0, 1.0)), 10, None, 1, None)
         >>> effort.prove("it", as_form(lambda z: jnp.array([[1 + z[0]]]))).verdict, effort.boxes
         ('holds', 9)

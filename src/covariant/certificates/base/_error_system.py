@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.certificates.base._contraction import StateMetric
-from covariant.lowering import Lowered, lower
-from covariant.proofs import Box, graph_rows
+from scalargraph import Lowered, lower
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, graph_rows
 
 
 def _empty() -> Matrix:

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant.certificates.base._intrinsic import configuration_shape, entries_read
-from covariant.lowering import Conditions, enclose, expand, lower
 from covariant.models import MechanicalSystem, applied_force, input_count
-from covariant.proofs import Box, check_box, show_conditions
+from scalargraph import Conditions, enclose, expand, lower
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, check_box, show_conditions
 
 
 def force_bounds(
@@ -36,7 +36,7 @@ def force_bounds(
         >>> import numpy as np
         >>> from covariant.certificates import force_bounds
         >>> from covariant.models import oscillator
-        >>> from covariant.proofs import box
+        >>> from scalargraph.proofs import box
         >>> inputs = np.array([[-0.5], [0.5]])
         >>> force_bounds(oscillator(), box(q=(-1.0, 1.0)), inputs, (0.0, 0.0)).round(6).tolist()  # u − q
         [[-1.5], [1.5]]

@@ -18,7 +18,7 @@ from covariant.certificates.base._claims import (
 from covariant.certificates.base._contraction import lengths
 from covariant.certificates.base._document import Resolved
 from covariant.certificates.base._error_system import ErrorSystem, corrections, values
-from covariant.proofs import Form, as_form, derivative_form
+from scalargraph.proofs import Form, as_form, derivative_form
 
 
 @check_numbers

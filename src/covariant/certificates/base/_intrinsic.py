@@ -20,16 +20,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._domains import FINITE, check_numbers
-from covariant._errors import InputError
 from covariant._typing import Vector
 from covariant.certificates.base._contraction import StateMetric
 from covariant.certificates.base._error_system import ErrorSystem, Point, entries_read
 from covariant.certificates.base._properties import need_known, need_symmetry
 from covariant.certificates.base._tangent_metric import TwoByTwo, tangent_metric
 from covariant.geometry.lie import AbstractGroup
-from covariant.lowering import expand, lower
 from covariant.models import MechanicalSystem, input_count, resistance
 from covariant.observers import Geodesic, Intrinsic, second_order
+from scalargraph import expand, lower
+from scalargraph.errors import InputError
 
 Intrinsics = Intrinsic | Geodesic
 OBSERVERS: dict[str, dict[str, Any]] = {

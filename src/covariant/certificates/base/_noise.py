@@ -9,9 +9,9 @@ from typing import Annotated
 import numpy as np
 
 from covariant._domains import FINITE, NotNegative, Positive, check_numbers
-from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.certificates.base._tangent_metric import TwoByTwo, check_q, rate_of
+from scalargraph.errors import InputError
 
 
 @check_numbers

@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.certificates.base._error_system import inputs_of
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, ProductManifold
 from covariant.geometry.lie import SE2, SE3, SO2, SO3, SU, MatrixGroup, Product
-from covariant.lowering import Graph, Lowered, expand, lower, numbers
 from covariant.models import GroupSystem, Lagrangian, MechanicalSystem, applied_force, input_count, resistance
+from scalargraph import Graph, Lowered, expand, lower, numbers
+from scalargraph.errors import InputError
 
 PERIODIC = "the model is the same after a turn of each coordinate that it calls a circle"
 SYMMETRIC = "metric, connection, curvature and friction are the same at every configuration of the group"

@@ -5,13 +5,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.certificates.base._document import Document
 from covariant.certificates.base._intrinsic import Intrinsics, observer_document
 from covariant.certificates.base._properties import lower_model
 from covariant.certificates.base._statement import exact
 from covariant.models import MechanicalSystem, StateSpace, rebuild
-from covariant.proofs import graph_rows
+from scalargraph.errors import InputError
+from scalargraph.proofs import graph_rows
 
 NAMES = "coordinates", "units", "velocities", "velocity_units", "inputs", "circles"
 
@@ -77,7 +77,7 @@ def check_observer(document: Document, observer: Intrinsics) -> None:
         >>> check_observer(document, observers.Intrinsic(models.oscillator(), 11.0, 50.0))
         Traceback (most recent call last):
         ...
-        covariant._errors.InputError: proved.json: the certificate is for alpha = 10, beta = 50; ...
+        scalargraph.errors.InputError: proved.json: the certificate is for alpha = 10, beta = 50; ...
     """
     made, saved = observer_document(observer), document.observer
     (alpha, beta), (its_alpha, its_beta) = ([exact(each[key]) for key in ("alpha", "beta")] for each in (saved, made))

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._domains import POSITIVE
-from covariant._errors import InputError
 from covariant.certificates.base._force_bounds import force_reads_time
 from covariant.geometry.lie import SO2, SO3
 from covariant.models import MechanicalSystem, input_count
-from covariant.proofs import Box, check_box
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, check_box
 
 Bounds = tuple[ArrayLike, ArrayLike]
 

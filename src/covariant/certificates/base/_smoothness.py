@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.certificates.base._statement import Hypothesis
-from covariant.lowering import LoweringError, lower
-from covariant.proofs import Box, show_conditions
+from scalargraph import LoweringError, lower
+from scalargraph.proofs import Box, show_conditions
 
 JUMPS = ("decided", "whole")
 """Kinds of conditions that exclude jumps."""

@@ -13,9 +13,9 @@ from covariant.certificates.base._claims import UNPROVED, AbstractClaim, StartCl
 from covariant.certificates.base._effort import Effort
 from covariant.certificates.base._error_system import ErrorSystem
 from covariant.certificates.base._inequalities import start_bound
-from covariant.lowering import numbers
 from covariant.models import MechanicalSystem
-from covariant.proofs import Box
+from scalargraph import numbers
+from scalargraph.proofs import Box
 
 MARGIN = 1.05
 """Factor of margin on the sampled factor, so that it can be proved quickly."""

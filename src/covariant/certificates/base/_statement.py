@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 Verdict = Literal["holds", "fails", "undecided"]
 Evidence = Literal["proved", "sampled", "claimed", "assumed"]

@@ -16,11 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._domains import FINITE, POSITIVE, Finite, Positive, check_numbers
-from covariant._errors import InputError
 from covariant._typing import MatrixField, Number, Numbers
 from covariant.certificates.base._contraction import StateMetric
 from covariant.certificates.base._properties import need_no_loops
 from covariant.geometry import as_space
+from scalargraph.errors import InputError
 
 TwoByTwo = Float[np.ndarray, "2 2"]
 

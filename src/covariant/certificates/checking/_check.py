@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.certificates.base import (
     AbstractClaim,
     DisturbanceClaim,
@@ -36,7 +35,8 @@ from covariant.certificates.base import (
 from covariant.certificates.checking import _check_sampled as sampled, _matrices as matrices
 from covariant.certificates.checking._saved import observer_from, system_of
 from covariant.models import input_count
-from covariant.proofs.checker import ROUND, SavedTree, TaylorEnclosure, show_definite, show_tree
+from scalargraph.errors import InputError
+from scalargraph.proofs.checker import ROUND, SavedTree, TaylorEnclosure, show_definite, show_tree
 
 DEPTH, DEEPEST = 24, 200
 """How often a leaf may be halved, and how often the box of inputs may be."""

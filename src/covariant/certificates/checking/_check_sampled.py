@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.certificates.base import (
     CorrectionClaim,
     Document,
@@ -21,7 +20,8 @@ from covariant.certificates.base import (
 from covariant.certificates.checking import _matrices as matrices
 from covariant.certificates.sampled import step_values
 from covariant.models import MechanicalSystem
-from covariant.proofs.checker import TaylorEnclosure, jacobian
+from scalargraph.errors import InputError
+from scalargraph.proofs.checker import TaylorEnclosure, jacobian
 
 PREDICTED = "the definedness of predictions, without jumps,"
 FRICTION_JOBS = "the bound of the friction", "the bound of the friction's slopes", "the smoothness of the friction"

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from covariant._domains import Count, check_numbers
-from covariant._errors import InputError
 from covariant.certificates.base import Document, Hypothesis, Resolved, Statement, contraction_statement
 from covariant.certificates.checking._check import Shown, show, show_found
+from scalargraph.errors import InputError
 
 CHECKER = "the checker, which forms the matrices of the claims anew and bounds them in another way, accepts"
 
@@ -73,7 +73,7 @@ def check(
         >>> check("missing.json")
         Traceback (most recent call last):
         ...
-        covariant._errors.InputError: missing.json: No such file or directory; give the path of a saved certificate
+        scalargraph.errors.InputError: missing.json: No such file or directory; give the path of a saved certificate
     """
     shown = show(source, model=model, processes=processes, progress=progress)
     document = shown.resolved.document

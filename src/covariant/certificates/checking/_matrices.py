@@ -23,7 +23,7 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.sampled import Prediction, defect_matrix, sampled_prediction
 from covariant.models import applied_force
-from covariant.proofs.checker import ROUND, along, jacobian, value_and_jacobian
+from scalargraph.proofs.checker import ROUND, along, jacobian, value_and_jacobian
 
 Matrix = Callable[[Any], Any]
 SLACK = 2.0**-20

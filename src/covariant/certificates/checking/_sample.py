@@ -21,8 +21,8 @@ from covariant.certificates.base import (
 from covariant.certificates.checking._check import follows
 from covariant.certificates.checking._matrices import prediction_of_steps, sizes
 from covariant.certificates.sampled import defect_bound
-from covariant.proofs import BITS, MOST_DERIVED, BallMatrix, Form
-from covariant.proofs.checker import leaves
+from scalargraph.proofs import BITS, MOST_DERIVED, BallMatrix, Form
+from scalargraph.proofs.checker import leaves
 
 PART = 64
 """Ratio of a leaf with many variables to its examined part, in every direction."""

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.certificates.base import (
     OBSERVER_KINDS,
     Document,
@@ -20,6 +19,7 @@ from covariant.certificates.base import (
 from covariant.certificates.sampled import sampled_system
 from covariant.models import MechanicalSystem
 from covariant.observers import Intrinsic
+from scalargraph.errors import InputError
 
 
 def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:

@@ -26,7 +26,6 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._domains import NOT_NEGATIVE, SPAN, Count, Interval, Positive, check_numbers
-from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import (
     SPEED,
@@ -78,9 +77,10 @@ from covariant.certificates.sampled import (
     prediction_claims,
     sampled_claims,
 )
-from covariant.lowering import Lowered, lower, numbers
 from covariant.models import MechanicalSystem
-from covariant.proofs import MOST_BOXES, Box, check_box
+from scalargraph import Lowered, lower, numbers
+from scalargraph.errors import InputError
+from scalargraph.proofs import MOST_BOXES, Box, check_box
 
 CheckerName = Literal["auto", "all", "off"]
 CHECKERS = typing.get_args(CheckerName)

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from covariant._errors import InputError
 from covariant.certificates.base import (
     FORMAT,
     AbstractClaim,
@@ -38,7 +37,8 @@ from covariant.certificates.base import (
 from covariant.certificates.checking import check, follows
 from covariant.certificates.sampled import ROUND, Bounded, SampledBound
 from covariant.observers import AbstractObserver
-from covariant.proofs import Box, digest
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
 """Kinds of variables that a box has with samples only, beside the age."""
@@ -68,7 +68,7 @@ class ContractionCertificate(NamedTuple):
     Example:
         >>> import numpy as np
         >>> from covariant.certificates import ContractionCertificate, Given, Hypothesis, Statement
-        >>> from covariant.proofs import box
+        >>> from scalargraph.proofs import box
         >>> statement = Statement("the observer contracts", (), (Hypothesis("it contracts", "proved"),), 2.0)
         >>> domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
         >>> given = Given(*np.zeros((2, 2, 1)), np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))

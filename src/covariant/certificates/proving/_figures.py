@@ -11,7 +11,7 @@ from jaxtyping import Float
 from covariant._domains import Count, check_numbers
 from covariant.certificates.base import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
-from covariant.proofs import OPEN, PROVED, leaves
+from scalargraph.proofs import OPEN, PROVED, leaves
 
 
 class Projection(NamedTuple):

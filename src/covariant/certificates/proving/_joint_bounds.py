@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant.certificates.base import any_configuration, friction_of, need_joint_friction
-from covariant.lowering import enclose, expand, lower
 from covariant.models import MechanicalSystem
-from covariant.proofs import Box, check_box, show_conditions
+from scalargraph import enclose, expand, lower
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, check_box, show_conditions
 
 
 class JointBounds(NamedTuple):

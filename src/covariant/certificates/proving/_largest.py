@@ -7,9 +7,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from covariant._domains import POSITIVE, Count, NotNegative, Positive, check_numbers
-from covariant._errors import InputError
 from covariant.certificates.base import Verdict
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
+from scalargraph.errors import InputError
 
 RUNS = 10
 """Largest number of certificates that a search tries."""

@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._domains import Count, Positive, Whole, check_numbers
-from covariant._errors import InputError
 from covariant.certificates.base import error_matrix
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 from covariant.certificates.theory import Decay, lower_distance, upper_distance
 from covariant.models import Motion
 from covariant.simulation import observe, simulate
+from scalargraph.errors import InputError
 
 INSIDE = 0.98
 """Fraction of the bounds that a simulated motion may use, so that it also keeps them between its stamps."""

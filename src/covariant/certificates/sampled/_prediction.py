@@ -30,10 +30,10 @@ from jaxtyping import Array
 
 from covariant._typing import Scalar, Vector
 from covariant.certificates.base import ANALYTIC, StateMetric, first_velocity, prediction_variables
-from covariant.lowering import jacobian, lower
 from covariant.models import MechanicalSystem, MomentumChart, acceleration
-from covariant.proofs import Form, derivative_form
-from covariant.proofs.checker import series
+from scalargraph import jacobian, lower
+from scalargraph.proofs import Form, derivative_form
+from scalargraph.proofs.checker import series
 
 ORDER = 4
 """Order of the Runge–Kutta steps, the highest at which derivatives of the defect are bounded."""

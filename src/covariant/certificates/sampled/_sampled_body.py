@@ -24,13 +24,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant._typing import Scalar, Vector
 from covariant.certificates.base import Point, Sampling, StateMetric, TwoByTwo, entries_read
 from covariant.geometry import differential
 from covariant.geometry.lie import SO2, SO3
 from covariant.models import MechanicalSystem, acceleration, source
 from covariant.observers import Intrinsic, second_order
+from scalargraph.errors import InputError
 
 
 class BodyVariables(NamedTuple):

@@ -17,12 +17,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.certificates.base import Recursion, is_same_observer
 from covariant.models import MechanicalSystem
 from covariant.observers import AbstractWrapper, Gated, Info, LastInput, SampledState, without_last_input
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 ROUND = 1e-9
 """Relative margin that covers the rounding of the recursion, which runs in doubles."""

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._domains import SPAN, Domain
-from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import (
     MOST_LOST,
@@ -42,9 +41,10 @@ from covariant.certificates.base import (
 from covariant.certificates.sampled._prediction import ORDER, defect_bound
 from covariant.certificates.sampled._sampled_metric import Found, SampledMetric, random_points
 from covariant.certificates.sampled._sampled_step import sampled_prediction, sampled_system
-from covariant.lowering import Lowered, numbers
 from covariant.observers import Intrinsic
-from covariant.proofs import LETTERS, Box, Form, Proof
+from scalargraph import Lowered, numbers
+from scalargraph.errors import InputError
+from scalargraph.proofs import LETTERS, Box, Form, Proof
 
 LostRows = Literal["empty", "missing"]
 LOST_ROWS = typing.get_args(LostRows)

@@ -25,8 +25,8 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.sampled._sampled_step import sampled_system
 from covariant.certificates.theory import minimise
-from covariant.lowering import Lowered, numbers
-from covariant.proofs import Box
+from scalargraph import Lowered, numbers
+from scalargraph.proofs import Box
 
 DEGREE = 2
 """Degree of R(τ) in the age."""

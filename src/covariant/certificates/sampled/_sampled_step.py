@@ -25,7 +25,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant.certificates.base import (
     ErrorSystem,
     Intrinsics,
@@ -47,6 +46,7 @@ from covariant.certificates.sampled._prediction import Prediction, prediction_of
 from covariant.certificates.sampled._sampled_body import body_matrix, body_metric, body_point, body_variables
 from covariant.models import MechanicalSystem, acceleration, input_count, source
 from covariant.observers import Intrinsic
+from scalargraph.errors import InputError
 
 
 def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> ErrorSystem:

@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._domains import Count, Positive, Whole, check_numbers
-from covariant._errors import InputError
 from covariant.certificates.base import (
     ErrorSystem,
     Evidence,
@@ -30,8 +29,9 @@ from covariant.certificates.base import (
     need_steady,
 )
 from covariant.certificates.theory._falsify import Pencil, pencil, slowest
-from covariant.lowering import jacobian
-from covariant.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
+from scalargraph import jacobian
+from scalargraph.errors import InputError
+from scalargraph.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
 """`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))`, a function of variables z in a box."""
@@ -243,7 +243,7 @@ def cascade(
         >>> import numpy as np
         >>> from covariant import models, observers
         >>> from covariant.certificates import cascade, virtual
-        >>> from covariant.proofs import box
+        >>> from scalargraph.proofs import box
         >>> model = models.StateSpace(lambda t, x, u: -x, lambda t, x, u: x, coordinates=("x",))
         >>> system = virtual(observers.Contracting(model, jnp.eye(1), jnp.zeros(1)), np.eye(1))
         >>> part = system, box(x=(-1.0, 1.0), z_y1=(-1.0, 1.0), zdot_y1=(0.0, 0.0))  # serves as plant and as observer

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from covariant._domains import Count, check_numbers
 from covariant.certificates.base import Hypothesis, Statement
-from covariant.proofs import MOST_BOXES, Box, Form, Proof, blocks, prove_at_corners
+from scalargraph.proofs import MOST_BOXES, Box, Form, Proof, blocks, prove_at_corners
 
 
 class Corners(NamedTuple):
@@ -19,7 +19,7 @@ class Corners(NamedTuple):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.certificates import at_corners
-        >>> from covariant.proofs import as_form, box
+        >>> from scalargraph.proofs import as_form, box
         >>> matrix = as_form(lambda z: jnp.diag(jnp.stack([1 + z[0], 2 - z[0]])))
         >>> result = at_corners(matrix, box(a=(-0.5, 0.5)), ("a",), "it is definite")
         >>> len(result.proofs), result.statement.proved
@@ -55,7 +55,7 @@ def at_corners(matrix: Form, domain: Box, affine: Sequence[str], claim: str, *, 
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.certificates import at_corners
-        >>> from covariant.proofs import as_form, box
+        >>> from scalargraph.proofs import as_form, box
         >>> matrix = as_form(lambda z: jnp.diag(jnp.stack([1 + z[0], 2 - z[0]])))
         >>> at_corners(matrix, box(a=(-0.5, 0.5)), ("a",), "it is definite").statement.short
         'holds (proved)'

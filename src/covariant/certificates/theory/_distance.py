@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 
 from covariant._adaptive import solve
 from covariant._domains import FINITE, KNOWN, Finite, check_numbers
-from covariant._errors import InputError
 from covariant._linalg import solve as solve_linear
 from covariant._typing import Scalar, Vector
 from covariant.certificates.base import Flow, Hypothesis, Statement, StateMetric
 from covariant.signals import check_rounding
+from scalargraph.errors import InputError
 
 NODES, WEIGHTS = ((np.polynomial.legendre.leggauss(12)[0] + 1) / 2, np.polynomial.legendre.leggauss(12)[1] / 2)
 SOLVED = 1e-9

@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from covariant._domains import NOT_NEGATIVE, Count, NotNegative, Positive, check_numbers
-from covariant._errors import InputError
 from covariant.certificates.base import (
     ANALYTIC,
     PERIODIC,
@@ -40,10 +39,11 @@ from covariant.certificates.base import (
     region_of,
 )
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
-from covariant.lowering import LoweringError, lower, numbers
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
 from covariant.observers import ImplicitGeodesic
-from covariant.proofs import MOST_BOXES, Box, Form, Proof, check_box, derivative_form, prove
+from scalargraph import LoweringError, lower, numbers
+from scalargraph.errors import InputError
+from scalargraph.proofs import MOST_BOXES, Box, Form, Proof, check_box, derivative_form, prove
 
 MARGIN = 0.01
 """Part of a sampled bound that is added before it is proved."""

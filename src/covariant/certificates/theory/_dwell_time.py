@@ -25,10 +25,10 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._domains import FACTOR, FINITE, POSITIVE, Domain, Positive, check_numbers
-from covariant._errors import InputError
 from covariant._typing import Number, Vector
 from covariant.certificates.base import Hypothesis, Statement
 from covariant.geometry import CLOSED, Leaf
+from scalargraph.errors import InputError
 
 ASSUMED = (
     "the times of all contacts are known, and the estimate jumps at the same instants as the motion",

@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._domains import Count, Finite, Whole, check_numbers
-from covariant._errors import InputError
 from covariant.certificates.base import ErrorSystem, Hypothesis, Statement, length_change, need_steady
-from covariant.lowering import Lowered, expand, numbers
-from covariant.proofs import Box, check_box
+from scalargraph import Lowered, expand, numbers
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, check_box
 
 BATCH = 4096
 STEPS = 60
@@ -57,7 +57,7 @@ def falsify(
         >>> from covariant.certificates import falsify, virtual
         >>> from covariant.models import StateSpace
         >>> from covariant.observers import Contracting
-        >>> from covariant.proofs import box
+        >>> from scalargraph.proofs import box
         >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x, coordinates=("x",))
         >>> system = virtual(Contracting(model, jnp.eye(1), jnp.zeros(1)), np.eye(1))  # x' = −x + (z − x)
         >>> domain = box(x=(-1.0, 1.0), z_y1=(-1.0, 1.0), zdot_y1=(0.0, 0.0))

@@ -30,7 +30,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from covariant._domains import INTERVAL, Finite, NotNegative, Positive, check_numbers
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 Damping = Annotated[
     tuple[float, float],

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._domains import FINITE, Finite, NotNegative, check_numbers
-from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant._typing import Numbers
 from covariant.certificates.base import Hypothesis, Statement
+from scalargraph.errors import InputError
 
 AffineMatrix = Callable[[np.ndarray], np.ndarray]
 """Unknowns (d,) -> a symmetric matrix, affine in the unknowns, that has to be positive semidefinite."""

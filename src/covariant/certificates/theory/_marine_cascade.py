@@ -15,9 +15,9 @@ from covariant._typing import Numbers
 from covariant.certificates.base import ErrorSystem, Point, in_coordinates
 from covariant.certificates.theory._cascade import Coupling
 from covariant.certificates.theory._virtual import OutputMetric
-from covariant.lowering import jacobian
 from covariant.models.marine import Craft
 from covariant.simulation import Backstepping
+from scalargraph import jacobian
 
 
 def tracking(controller: Backstepping) -> ErrorSystem:

@@ -19,15 +19,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._domains import FINITE, KNOWN, Finite, check_numbers
-from covariant._errors import InputError
 from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, Vector
 from covariant.certificates.base import Hypothesis, Statement, lowered_christoffel, show_no_jumps
 from covariant.geometry import Budget, exp
-from covariant.lowering import LoweringError, jacobian, lower, to_jax
 from covariant.metrics import lie_derivative
 from covariant.models import StateSpace
-from covariant.proofs import Box, prove
+from scalargraph import LoweringError, jacobian, lower, to_jax
+from scalargraph.errors import InputError
+from scalargraph.proofs import Box, prove
 
 DEPENDENT = 1e-9
 """Least ratio of the singular values of dh from which its rows count as independent."""

@@ -30,12 +30,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._domains import FINITE, Count, NotNegative, Positive, check_numbers
-from covariant._errors import InputError
 from covariant.certificates.base import Hypothesis, Statement
 from covariant.certificates.theory._lmi import observer_gain
-from covariant.lowering import Lowered, enclose, lower
 from covariant.models import StateSpace
-from covariant.proofs import MOST_BOXES, Box, Form, Proof, derivative_form, prove
+from scalargraph import Lowered, enclose, lower
+from scalargraph.errors import InputError
+from scalargraph.proofs import MOST_BOXES, Box, Form, Proof, derivative_form, prove
 
 CORNERS = 10
 """Most variables of which all corners of the box are tried; of more, and beside them, states at random."""

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant._typing import Numbers
 from covariant.certificates.base import ErrorSystem, Point, StateMetric, in_coordinates
 from covariant.observers import Contracting
+from scalargraph.errors import InputError
 
 OutputMetric = Callable[[Array, Array], Array]
 """`(z, x) -> M (n, n)`: a metric on states that may depend on the measured output."""

@@ -1,5 +1,5 @@
 """Lie groups as matrices, and the Riemannian geometry of left-invariant metrics on them."""
 
-from covariant._rooms import attach
+from scalargraph.rooms import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

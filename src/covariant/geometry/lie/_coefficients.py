@@ -6,7 +6,7 @@ Source: Stiefel & Scheifele 1971, Linear and Regular Celestial Mechanics, sectio
 import jax.numpy as jnp
 
 from covariant._typing import Scalar
-from covariant.lowering import stumpff
+from scalargraph import stumpff
 
 
 def _alternating(coefficients: list[float], x: Scalar) -> Scalar:

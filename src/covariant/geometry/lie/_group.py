@@ -17,10 +17,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Inexact
 
-from covariant._errors import InputError
 from covariant._linalg import traced_once
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry._manifold import AbstractManifold
+from scalargraph.errors import InputError
 
 
 class AbstractGroup(AbstractManifold):

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Element, Matrix, Vector
 from covariant.geometry._space import AbstractSpace
 from covariant.geometry.lie._group import AbstractGroup
+from scalargraph.errors import InputError
 
 
 class AbstractInertia(eqx.Module):

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._linalg import at_places
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry.lie._group import AbstractGroup
+from scalargraph.errors import InputError
 
 # A turn by π becomes one by π/64, at which the series of 8 terms errs by less than tan(π/128)¹⁶/17 < 1e-26 of it.
 HALVINGS = 6

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Element, Flag, Vector
 from covariant.geometry._manifold import split
 from covariant.geometry.lie._group import AbstractGroup
+from scalargraph.errors import InputError
 
 
 class Product(AbstractGroup):

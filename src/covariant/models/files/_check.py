@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
-from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
+from scalargraph import evaluate_batch
+from scalargraph.errors import InputError
 
 
 def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> None:

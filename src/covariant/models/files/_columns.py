@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-from covariant._errors import InputError
 from covariant.geometry import AbstractManifold, Coordinates
 from covariant.geometry.lie import SE2, SE3, SO2, SO3, AbstractGroup
 from covariant.logs import ATTITUDES, Columns, check_unit
@@ -10,6 +9,7 @@ from covariant.models._mechanical import MechanicalSystem, check_model, input_co
 from covariant.models._state_space import StateSpace
 from covariant.models.files._source import Model
 from covariant.models.robots import servos_in
+from scalargraph.errors import InputError
 
 
 class _Needs(NamedTuple):

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models._mechanical import input_count, resistance
 from covariant.models.files import _source
 from covariant.models.files._file import document, finish, made
 from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._toml import Overrides
+from scalargraph.errors import InputError
 
 POINTS, ROUNDING = 4, 1e-9
 """Configurations at which energies are compared, and relative differences that are rounding."""

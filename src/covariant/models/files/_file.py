@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from covariant._door import MODEL, parse_toml, read_text
-from covariant._errors import InputError
 from covariant.models.files import _source, _toml
 from covariant.models.files._check import check_metric
 from covariant.models.files._columns import model_columns
@@ -17,6 +16,7 @@ from covariant.models.files._source import Model
 from covariant.models.files._systems import ROBOT_FILES, SYSTEMS, unknown_model
 from covariant.models.files._toml import Overrides
 from covariant.models.robots import ROBOTS, complete_tables, servos_in
+from scalargraph.errors import InputError
 
 
 def finish(spec: str, content: dict[str, Any]) -> ModelFile:

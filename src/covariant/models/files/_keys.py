@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from covariant._errors import InputError
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE
+from scalargraph.errors import InputError
 
 _EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
 

@@ -6,13 +6,13 @@ from contextvars import ContextVar
 from os import PathLike, fspath
 from typing import Any
 
-from covariant._errors import InputError
 from covariant.models.files import _toml
 from covariant.models.files._family import family
 from covariant.models.files._file import document, finish, finish_object, from_recipe, parameters_of
 from covariant.models.files._model_file import ModelFile, named
 from covariant.models.files._source import Model
 from covariant.models.files._toml import Overrides
+from scalargraph.errors import InputError
 
 _KEPT: ContextVar[dict[tuple[str, str], ModelFile] | None] = ContextVar("models that are loaded once", default=None)
 

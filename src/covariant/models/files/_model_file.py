@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple, get_origin, get_type_hints
 
-from covariant._errors import InputError
 from covariant.logs import Columns
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import ANY_SIGN, ZERO_OR_MORE
 from covariant.models.files._columns import unnamed_attitudes
 from covariant.models.files._keys import Choice, Deviations, Key, Number
 from covariant.models.files._source import Model, first_line
+from scalargraph.errors import InputError
 
 Several = float | tuple[float, ...]
 Unknown = Several | None

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models.files._model_file import ModelFile
 from covariant.models.robots import (
@@ -17,6 +16,7 @@ from covariant.models.robots import (
     FrictionLaw,
     numbers_of,
 )
+from scalargraph.errors import InputError
 
 GROUPS = ("friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets", "servo")
 """What may be open: `GROUP`, `GROUP.NAME` of a joint or link, by name or number, and `GROUP.NAME.NUMBER`."""

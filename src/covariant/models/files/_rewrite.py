@@ -5,8 +5,8 @@ import re
 from typing import Any
 
 from covariant._door import parse_toml
-from covariant._errors import InputError
 from covariant.models.files import _toml
+from scalargraph.errors import InputError
 
 _TOKEN = re.compile(
     r"""(?P<skip>#[^\n]*|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')|(?P<number>[+-]?(?:[0-9][0-9_]*\.?[0-9_]*)(?:[eE][+-]?[0-9]+)?)"""

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models._parameters import AnyArray
 from covariant.models.files._file import document, finish, made, parameters_of
@@ -35,6 +34,7 @@ from covariant.models.robots import (
     inertia_of,
     read,
 )
+from scalargraph.errors import InputError
 
 LINEAR = ("mass", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 """Names of the ten numbers of a link in which torques are linear."""

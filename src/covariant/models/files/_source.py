@@ -19,12 +19,12 @@ import jax
 import numpy as np
 
 from covariant._door import MOST_COORDINATES
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._state_space import StateSpace, state_space
 from covariant.models.files._systems import SYSTEMS
+from scalargraph.errors import InputError
 
 Model = MechanicalSystem | StateSpace
 """The kinds of models, `MechanicalSystem` and `StateSpace`."""

@@ -5,9 +5,9 @@ import os
 from os import PathLike
 from pathlib import Path
 
-from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.models.robots import ROBOTS
+from scalargraph.errors import InputError
 
 LOG_FILES = (".csv", ".txt", ".parquet", ".mcap", ".db3", ".bag")
 """Suffixes of logs, which are sometimes given in place of a model."""

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from covariant._door import parse_toml
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.logs import ATTITUDES, Columns, unit_factor
 from covariant.models._parameters import ZERO_OR_MORE
 from covariant.models.files._keys import Counts, Number
 from covariant.models.files._model_file import KEYS
 from covariant.models.files._sensor_keys import EVERY_SENSOR, SENSOR_KEYS
+from scalargraph.errors import InputError
 
 Overrides = Sequence[str] | Mapping[str, Any]
 """Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""

@@ -13,13 +13,13 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Matrix, Numbers, Scalar, Vector
 from covariant.geometry.lie import SE2, SE3
 from covariant.models._mechanical import check_shapes
 from covariant.models._parameters import Parameter, Parametric
 from covariant.models._state_space import StateSpace, state_space
+from scalargraph.errors import InputError
 
 
 class Craft(eqx.Module):

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Scalar, Vector
 from covariant.models._parameters import Parameter
 from covariant.models._state_space import StateSpace
 from covariant.models.marine._craft import Craft, yaw_rotation
+from scalargraph.errors import InputError
 
 
 class Waves(eqx.Module):

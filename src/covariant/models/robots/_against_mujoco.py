@@ -15,15 +15,15 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant._optional import load_optional
-from covariant.lowering import evaluate_batch
 from covariant.models.robots._assemble import geometry_of
 from covariant.models.robots._description import BodyInertia, Description, Joint, Motor
 from covariant.models.robots._forces import with_motors
 from covariant.models.robots._loops import gap
 from covariant.models.robots._mjcf import names_of
 from covariant.models.robots._write_mjcf import gathered, mjcf_text
+from scalargraph import evaluate_batch
+from scalargraph.errors import InputError
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
 """Sizes of the random states and inputs; what acts from some state on, like a spring that yields, shows at the large

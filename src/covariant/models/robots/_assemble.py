@@ -9,11 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
-from covariant.lowering import evaluate_batch
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
@@ -30,6 +28,8 @@ from covariant.models.robots._loops import close_loops
 from covariant.models.robots._servos import ServoForce, loss, servo_of
 from covariant.models.robots._space import RobotSpace
 from covariant.models.robots._tree import KinematicTree, Links
+from scalargraph import evaluate_batch
+from scalargraph.errors import InputError
 
 TWIST = ("v1", "v2", "v3", "w1", "w2", "w3")
 """Names of the components of the twist of the base."""

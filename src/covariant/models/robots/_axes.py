@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint, turn_about
+from scalargraph.errors import InputError
 
 
 class Axis(NamedTuple):

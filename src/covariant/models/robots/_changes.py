@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant._typing import Number
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known, namespace
@@ -18,6 +17,7 @@ from covariant.models.robots._description import (
 )
 from covariant.models.robots._loops import loops_of
 from covariant.models.robots._servos import checked_law, with_servos
+from scalargraph.errors import InputError
 
 OF_INERTIA = ("mass", "cx", "cy", "cz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 """The ten inertial parameters of a link, in its frame: mass [kg], centre of mass [m], inertia about that [kg m²]."""

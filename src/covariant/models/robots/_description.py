@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant._door import MOST_COORDINATES, MOST_LINKS, check_count
-from covariant._errors import InputError
 from covariant.models._parameters import namespace
+from scalargraph.errors import InputError
 
 MOST_TURNS = 4
 """Number of turns beyond which the limits of a joint are suspected to be degrees."""

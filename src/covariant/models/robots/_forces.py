@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Scalar
 from covariant.geometry.lie import SO3
@@ -17,6 +16,7 @@ from covariant.models.robots._axes import Axis, Freedom
 from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor, numbers
 from covariant.models.robots._servos import Driven, Servos, servo_of, servos_of
 from covariant.models.robots._space import RobotSpace
+from scalargraph.errors import InputError
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `friction (2/π) atan(100 v)` [s/rad or s/m]."""

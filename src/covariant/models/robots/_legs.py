@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._linalg import solve_square
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models.robots._space import RobotSpace
+from scalargraph.errors import InputError
 
 
 class Legs(Functional):

@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from covariant._door import bounded
-from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models.robots._against_mujoco import refuse_difference
@@ -17,6 +15,8 @@ from covariant.models.robots._mjcf import read_mjcf
 from covariant.models.robots._mjcf_bounds import check_bounds
 from covariant.models.robots._urdf import read_urdf
 from covariant.models.robots._xml import parse
+from scalargraph.errors import InputError
+from scalargraph.files import bounded
 
 
 def read(path: str | Path, *, motor_torques: bool = False) -> Description:

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._names import refuse_unknown
 from covariant._typing import Vector
@@ -23,6 +22,7 @@ from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import known
 from covariant.models.robots._description import Coincide, Coupled, Description, rows, turn_about
 from covariant.models.robots._space import RobotSpace
+from scalargraph.errors import InputError
 
 FARTHEST = 0.1
 """Largest distance [rad or m] from the stated positions to those in which the loops close: few digits, and no guess."""

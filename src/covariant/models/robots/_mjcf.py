@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.models.robots._description import (
     NO_INERTIA,
@@ -28,6 +27,7 @@ from covariant.models.robots._description import (
 )
 from covariant.models.robots._mjcf_compile import compiled_model
 from covariant.models.robots._mjcf_equalities import anchor_of, assembly_of, couple_joints, kind_of, rotation_of
+from scalargraph.errors import InputError
 
 IGNORED = {
     "ngeom": "geom (contacts, shapes)",

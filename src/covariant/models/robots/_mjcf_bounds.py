@@ -5,9 +5,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from covariant._door import MESH, MOST_CELLS, MOST_ENTRIES, MOST_LINKS, check_count, check_file
-from covariant._errors import InputError
+from covariant._door import MESH, MOST_CELLS, MOST_ENTRIES, MOST_LINKS, check_count
 from covariant.models.robots._xml import parse
+from scalargraph.errors import InputError
+from scalargraph.files import check_file
 
 CELLS = {"hfield": ("nrow", "ncol"), "texture": ("width", "height"), "numeric": ("size",)}
 """Attributes that are sizes of an array, by entry."""

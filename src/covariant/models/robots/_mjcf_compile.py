@@ -4,7 +4,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from covariant._errors import InputError
+from scalargraph.errors import InputError
 
 PLACEHOLDER_SIZE = 0.01
 """Radius [m] of the spheres that take the place of shapes without a meaning here."""

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from covariant._errors import InputError
 from covariant.models.robots._description import Coincide, Coupled, Follows, Joint, exact, rows
+from scalargraph.errors import InputError
 
 CLOSES = 1e-3
 """Largest gap [m or rad] of a pose, written to a few digits, in which the loops of a file count as closed."""

@@ -16,12 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._names import refuse_unknown
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known
 from covariant.models.robots._axes import Axis, Freedom
 from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor, Servo, numbers
+from scalargraph.errors import InputError
 
 FLAGS = ("switch", "logged_supply")
 """Keys of a servo table that are true or false."""

@@ -10,9 +10,9 @@ from collections import Counter
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
-from covariant._errors import InputError
 from covariant.models.robots._description import Joint
 from covariant.models.robots._xml import attribute, finite, name_of, number
+from scalargraph.errors import InputError
 
 REDUCTIONS = ("mechanicalReduction", "gear_ratio")
 ROTOR = "rotor_inertia"

@@ -10,7 +10,6 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from covariant._door import MOST_LINKS, check_count
-from covariant._errors import InputError
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
@@ -24,6 +23,7 @@ from covariant.models.robots._description import (
 )
 from covariant.models.robots._transmission import with_rotors
 from covariant.models.robots._xml import attribute, name_of, number, vector
+from scalargraph.errors import InputError
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating", "ball", "spherical")
 WITHOUT_AXIS = ("fixed", "floating", "ball")

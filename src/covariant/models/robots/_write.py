@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.models.robots._assemble import still_joints
 from covariant.models.robots._axes import locked_pose
@@ -18,6 +17,7 @@ from covariant.models.robots._write_isaac import isaac_text
 from covariant.models.robots._write_mjcf import ONE_AXIS, mjcf_text
 from covariant.models.robots._write_urdf import urdf_text
 from covariant.models.robots._write_xml import numbers_left_out
+from scalargraph.errors import InputError
 
 LAW = ("asymmetry", "stribeck", "load", "load_external")
 """Numbers of a `FrictionLaw` beyond viscous and Coulomb friction."""

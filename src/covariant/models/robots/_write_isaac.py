@@ -10,10 +10,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from covariant._errors import InputError
 from covariant.models.robots._description import Description, FrictionLaw, Joint
 from covariant.models.robots._servos import drive_limit
 from covariant.models.robots._write_mjcf import ROUNDING, lasting_delay, plain_friction
+from scalargraph.errors import InputError
 
 
 def isaac_text(robot: Description, step: float, about: Sequence[str] = (), left_out: Sequence[str] = ()) -> str:

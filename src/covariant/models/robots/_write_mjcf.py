@@ -10,7 +10,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
@@ -23,6 +22,7 @@ from covariant.models.robots._description import (
 )
 from covariant.models.robots._servos import drive_limit
 from covariant.models.robots._write_xml import numbers_text, xml_text
+from scalargraph.errors import InputError
 
 KINDS = {"floating": "free", "ball": "ball", "prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 ONE_AXIS = ("prismatic", "revolute", "continuous")

@@ -7,7 +7,6 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._names import refuse_unknown
 from covariant.models.robots._changes import numbers_of
 from covariant.models.robots._description import Description, Joint, turn_about
@@ -18,6 +17,7 @@ from covariant.models.robots._urdf import read_urdf
 from covariant.models.robots._write_mjcf import ONE_AXIS, plain_friction
 from covariant.models.robots._write_xml import numbers_text, xml_text
 from covariant.models.robots._xml import name_of, parse
+from scalargraph.errors import InputError
 
 KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 DRAKE = "http://drake.mit.edu"

@@ -7,8 +7,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.models.robots._description import FrictionLaw, Joint, Servo
+from scalargraph.errors import InputError
 
 NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 """Characters that XML 1.0 cannot hold, not even as references."""

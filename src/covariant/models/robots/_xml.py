@@ -7,8 +7,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from covariant._door import MOST_ENTRIES, ROBOT, check_count, read_bytes
-from covariant._errors import InputError
+from covariant._door import MOST_ENTRIES, ROBOT, check_count
+from scalargraph.errors import InputError
+from scalargraph.files import read_bytes
 
 
 def parse(path: Path) -> Element:

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from covariant._errors import InputError
 from covariant.models._parameters import Parameter, Parametric, check_parameters, values
 from covariant.models._state_space import StateSpace
+from scalargraph.errors import InputError
 
 _SOURCE = "Marino, Peresada & Valigi 1993"
 

@@ -2,10 +2,10 @@
 
 import jax.numpy as jnp
 
-from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
 from covariant.models._parameters import Parameter, Parametric
+from scalargraph.errors import InputError
 
 
 def oscillator(chart: str = "q", stiffness: Number = 1.0) -> Lagrangian:

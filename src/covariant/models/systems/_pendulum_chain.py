@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.models._mechanical import Lagrangian
 from covariant.models._parameters import AnyArray, Parameter, Parametric, known, namespace
+from scalargraph.errors import InputError
 
 COULOMB_STEEPNESS = 100.0
 """Slope at rest of the smoothed Coulomb friction `coulomb * atan(100 v)` [s/rad]."""

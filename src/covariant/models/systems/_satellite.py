@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._typing import Number
 from covariant.geometry.lie import SO2, SO3, Product
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter, Parametric, namespace
+from scalargraph.errors import InputError
 
 _SOURCE = "chosen: of the size of a small satellite"
 

@@ -9,11 +9,11 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.observers.base._protocol import check_finite
+from scalargraph.errors import InputError
 
 Covariance = Scalar | Matrix | Callable[[Any], Matrix]
 """A covariance of vectors at a configuration, in the frame of the space: a number is a variance in metric units, the

@@ -25,11 +25,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant._linalg import half_solve
 from covariant._typing import Flag, Matrix, Vector
 from covariant.geometry import AbstractManifold
 from covariant.observers.base._gate_memory import BEND, GateMemory, Judged, Line, Sample, Velocity
+from scalargraph.errors import InputError
 
 BELIEVED = 4.0
 """Cap on a squared innovation in the average, as a multiple of the average, so that an outlier changes it little."""

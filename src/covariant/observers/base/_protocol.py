@@ -33,12 +33,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
 from covariant._domains import FINITE_ENTRIES, NOT_NEGATIVE, POSITIVE
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion, input_count
 from covariant.observers.base._restart import all_finite, started
 from covariant.signals import Record, Run, StepCode, check_rounding, largest_measurement
+from scalargraph.errors import InputError
 
 LastInput = Float[Array, "m"] | None
 """The last finite input, in the field `last_input` of a state; None where the state stores none."""

@@ -24,12 +24,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Code, Flag, Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, advance, friction
 from covariant.observers.base._protocol import since
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 Observer = TypeVar("Observer", bound=Any)
 

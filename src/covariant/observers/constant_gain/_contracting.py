@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._integrate import rk4
 from covariant._linalg import solve
 from covariant._typing import Number, Numbers, Scalar, Vector
@@ -21,6 +20,7 @@ from covariant.models import StateSpace, state_space
 from covariant.models.marine import Craft
 from covariant.observers.base import AbstractFlowObserver, Info, LastInput, as_gain, check_finite, no_input, still
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 Injected = Callable[[Array, Array, Array, Array], Array]
 """`(t, x, u, z) -> (n,)`: the model's f with measured outputs z replacing states; it equals f where z = h(x)."""

@@ -11,7 +11,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, Motion, friction, source
@@ -33,6 +32,7 @@ from covariant.observers.base import (
     still,
     time_since_measurement,
 )
+from scalargraph.errors import InputError
 
 
 class Intrinsic(AbstractMechanicalObserver):

@@ -14,12 +14,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
 from covariant.models.marine import Station, positive_definite, yaw_rotation
 from covariant.observers.base import AbstractFlowObserver, Info, as_gain
 from covariant.observers.constant_gain._contracting import Contracting, ContractingState
+from scalargraph.errors import InputError
 
 
 class PassiveGains(NamedTuple):

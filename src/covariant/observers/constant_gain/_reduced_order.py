@@ -12,12 +12,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._integrate import rk4
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import StateSpace
 from covariant.observers.base import AbstractObserver, Info, LastInput, check_finite, no_input
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 Outputs = Float[Array, "p"]
 

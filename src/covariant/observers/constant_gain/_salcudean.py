@@ -10,7 +10,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3, quaternion_from_rotation
 from covariant.models import MechanicalSystem, Motion, applied_force, body_velocity, resistance, spatial_momentum
@@ -27,6 +26,7 @@ from covariant.observers.base import (
     still,
     uniqueness,
 )
+from scalargraph.errors import InputError
 
 
 class SalcudeanState(NamedTuple):

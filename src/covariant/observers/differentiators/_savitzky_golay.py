@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import wrap
 from covariant.observers.base import outcome
 from covariant.observers.differentiators._model_free import AbstractLinearFilter, FilterInfo
+from scalargraph.errors import InputError
 
 
 class WindowState(NamedTuple):

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Matrix, Number, Scalar
 from covariant.models import MechanicalSystem
 from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput
@@ -28,6 +27,7 @@ from covariant.observers.filters._smoother import (
     recorded,
     smoothed_state,
 )
+from scalargraph.errors import InputError
 
 OF_NOW = ("gate", "last_input", "readings", "sensor_gates")
 """Fields of the state of a filter that only its next step needs; the buffers leave them out."""

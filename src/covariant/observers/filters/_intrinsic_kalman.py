@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._linalg import semidefinite_root, triangular
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, Budget
@@ -63,6 +62,7 @@ from covariant.observers.sensors import (
     missing_now,
 )
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 # Three such deviations are about a quarter turn, where sin has its maximum and a linearisation fails.
 FARTHEST_TURN = 0.5

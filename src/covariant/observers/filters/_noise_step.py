@@ -27,7 +27,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant._linalg import cholesky, lower_solve, solve_square, upper_solve
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.observers.base import AbstractObserver, Rows, checked, covariance_at, in_jax, scan
@@ -36,6 +35,7 @@ from covariant.observers.filters._intrinsic_kalman import IntrinsicKalman
 from covariant.observers.filters._smoother import Recorder, Smoothing, Step, backward_map, error_before
 from covariant.observers.filters._ukf import UKF
 from covariant.signals import Record, StepCode
+from scalargraph.errors import InputError
 
 
 class NoiseStep(NamedTuple):

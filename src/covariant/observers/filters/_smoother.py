@@ -31,7 +31,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact, Int
 
-from covariant._errors import InputError
 from covariant._linalg import (
     lower_solve,
     semidefinite_root,
@@ -44,6 +43,7 @@ from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
 from covariant.observers.base import AbstractObserver, AbstractWrapper, Rows, checked, in_jax, kept, scan
 from covariant.observers.filters._gated_filter import AbstractGatedFilter
 from covariant.signals import Record, Run, StepCode
+from scalargraph.errors import InputError
 
 FARTHEST = 1e3
 """Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Matrix, Vector
 from covariant.metrics import Equation, RiccatiMetric, metric_at
 from covariant.models import StateSpace
 from covariant.observers.filters._riccati import InformationEKF, Riccati
 from covariant.observers.filters._state_ekf import StateEKF
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 SETTLED = 0.1
 """A past is long enough if its metric is within this affine-invariant distance of that of an infinite past."""

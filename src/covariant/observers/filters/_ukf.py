@@ -20,7 +20,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._linalg import semidefinite_root, triangular, upper_solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
@@ -46,6 +45,7 @@ from covariant.observers.base import (
 from covariant.observers.filters._ekf import EKFInfo, ekf_info, moved
 from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
 from covariant.observers.filters._noise_scale import NoiseScale, scaled
+from scalargraph.errors import InputError
 
 
 class UKFState(NamedTuple):

@@ -18,13 +18,13 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry import derivative
 from covariant.models import MechanicalSystem, applied_force, resistance
 from covariant.observers.base import as_gain, check_positive
 from covariant.signals import StampError, check_rounding
+from scalargraph.errors import InputError
 
 
 class ForceState(NamedTuple):

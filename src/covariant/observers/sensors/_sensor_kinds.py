@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.geometry.lie import SO3
@@ -24,6 +23,7 @@ from covariant.models.robots import RobotSpace, robot_space
 from covariant.observers.base import as_numbers, check_positive
 from covariant.observers.sensors._sensors import Instant, Sensor
 from covariant.observers.sensors._slow import SlowVariables, SlowVector
+from scalargraph.errors import InputError
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 """Gravity in the frame of the world [m/s²] of an accelerometer, by default."""

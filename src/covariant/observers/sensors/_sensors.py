@@ -20,13 +20,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._typing import Scalar, Vector
 from covariant.geometry import Coordinates
 from covariant.models import MechanicalSystem, acceleration
 from covariant.observers.base import Gate, GateMemory, Sample, Velocity, check_covariance, diagonal, judged, updated
 from covariant.observers.sensors._slow import SlowVariables, SlowVector
+from scalargraph.errors import InputError
 
 Readings = Float[Array, "K"]
 """Readings of all sensors, one after the other; NaN where there is none."""

@@ -24,13 +24,13 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._functional import Functional
 from covariant._gauss_markov import gauss_markov
 from covariant._linalg import semidefinite_root
 from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
 from covariant.models import Family, MechanicalSystem, Motion, Parametric, acceleration, input_count, resistance
 from covariant.observers.base import as_gain, check_covariance, check_positive, diagonal
+from scalargraph.errors import InputError
 
 SlowVector = Float[Array, "k"]
 

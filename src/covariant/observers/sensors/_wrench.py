@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._typing import Number, Numbers, Vector
 from covariant.geometry import AbstractSpace
 from covariant.models.robots import RobotSpace, robot_space
 from covariant.observers.base import as_numbers, check_positive
 from covariant.observers.sensors._slow import SlowVariables, forgotten_force
+from scalargraph.errors import InputError
 
 FRAMES = ("link", "world")
 _AXES = ("fx", "fy", "fz", "tx", "ty", "tz")

@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Number, Scalar
 from covariant.observers.base import AbstractObserver, AbstractWrapper, as_numbers
 from covariant.signals import LEAST_MISSING, MOST_MISSING, SAME_TIME
+from scalargraph.errors import InputError
 
 SPARE_ROWS = 2
 """Rows in addition to those for regular stamps, since irregular stamps may put a few more into the same time."""

@@ -18,7 +18,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from covariant._errors import InputError
 from covariant._typing import Number, Scalar
 from covariant.models import MechanicalSystem, Motion, contacts, standing
 from covariant.observers.base import (
@@ -30,6 +29,7 @@ from covariant.observers.base import (
 )
 from covariant.observers.filters import IntrinsicKalman, apart, parallel
 from covariant.observers.wrappers._gated import without_last_input
+from scalargraph.errors import InputError
 
 
 class ContactsState(NamedTuple):

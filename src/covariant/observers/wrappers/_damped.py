@@ -28,7 +28,6 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._errors import InputError
 from covariant._linalg import solve
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
@@ -44,6 +43,7 @@ from covariant.observers.base import (
 from covariant.observers.sensors import Instant, Readings, Sensor, Sensors, as_groups
 from covariant.observers.wrappers._gated import Gated, without_last_input
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 
 class DampedState(NamedTuple):

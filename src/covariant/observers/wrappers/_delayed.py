@@ -27,11 +27,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Number, Scalar, Vector
 from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput, check_whole
 from covariant.observers.sensors import Sensors
 from covariant.signals import SAME_TIME, StepCode
+from scalargraph.errors import InputError
 
 OF_ESTIMATE = ("velocity_std", "state_std", "slow", "slow_std", "bias")
 """Fields of an info that describe the estimate."""

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
-from covariant._errors import InputError
 from covariant._typing import Number, Scalar
 from covariant.observers.base import AbstractObserver, AbstractWrapper
+from scalargraph.errors import InputError
 
 
 class Unwrapped(AbstractWrapper):

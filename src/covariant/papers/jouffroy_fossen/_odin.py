@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.certificates import Corners, at_corners, contraction, crossed_metric, falsify, virtual
-from covariant.lowering import jacobian
 from covariant.models import marine, state_space
 from covariant.observers import Contracting, craft_observer
-from covariant.proofs import Box
 from covariant.simulation import Backstepping, lissajous, observe
+from scalargraph import jacobian
+from scalargraph.proofs import Box
 
 KP, KD, LAMBDA = 100.0, 200.0, 0.5
 """Gains K_p, K_d and Λ of the controller of ODIN."""

@@ -8,7 +8,7 @@ import numpy as np
 from covariant import models
 from covariant.certificates import contraction, virtual
 from covariant.observers import Contracting
-from covariant.proofs import Box, Proof, prove
+from scalargraph.proofs import Box, Proof, prove
 
 
 class Scalar(NamedTuple):

@@ -5,7 +5,7 @@ import numpy as np
 from covariant.certificates import CascadeCertificate, cascade, crossed_metric, feedthrough, tracking, virtual
 from covariant.models import state_space
 from covariant.papers.jouffroy_fossen._odin import CROSS, K2, odin_box, odin_controller, odin_observer
-from covariant.proofs import Box, box
+from scalargraph.proofs import Box, box
 
 
 def odin_cascade(

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from covariant._errors import InputError
 from covariant._names import unknown
+from scalargraph.errors import InputError
 
 Region = Mapping[str, Sequence[float | int]]
 """Low and high ends of coordinates by name, such as `{"theta": (-1.0, 1.0)}`."""

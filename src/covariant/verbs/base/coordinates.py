@@ -1,9 +1,9 @@
 """A model as a state-space model in named coordinates, and the box of its states."""
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.models import ModelFile, StateSpace
 from covariant.verbs.base.arguments import Region, bounds
+from scalargraph.errors import InputError
 
 
 def system_in_coordinates(name: str, file: ModelFile) -> StateSpace:

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.calibration import (
     DataSheet,
     estimators,
@@ -27,6 +26,7 @@ from covariant.verbs.base.inputs import Loaded
 from covariant.verbs.base.kinds import WITH_FORCE, kind_of
 from covariant.verbs.base.sensors import FileSensor, file_sensors, with_readings
 from covariant.verbs.base.sheet import data_sheet
+from scalargraph.errors import InputError
 
 SPEED_IS_MISSING = (
     "a machine that is faster than four times that at the start is refused. Give `log`, a log that `estimate` runs "

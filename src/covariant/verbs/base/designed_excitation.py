@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import logs, models
-from covariant._errors import InputError
 from covariant.calibration import (
     ExcitationPlan,
     ExpectedErrors,
@@ -24,6 +23,7 @@ from covariant.verbs.base.arguments import Amounts, Region, amounts, bounds, num
 from covariant.verbs.base.kind import numbered
 from covariant.verbs.base.kinds import kind_of
 from covariant.verbs.base.progress import Progress
+from scalargraph.errors import InputError
 
 TORQUE_NOISE = 0.01
 """Standard deviation of logged torques, as a fraction of the largest ones, where none is given."""

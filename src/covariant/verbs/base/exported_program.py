@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from covariant import models
-from covariant._errors import InputError
 from covariant._names import unknown
 from covariant.codegen import Program, Recipe, of_family, program, with_open_numbers
-from covariant.lowering import LoweringError
 from covariant.models import Family, ModelFile, Overrides
 from covariant.observers import AbstractObserver
+from scalargraph import LoweringError
+from scalargraph.errors import InputError
 
 GEOMETRY = ("*rotation", "*place", "*turn", "*slide", "coordinates", "motors", "joints", "base*")
 """Arrays of a robot that say how it is put together: as constants they save nine tenths of the work."""

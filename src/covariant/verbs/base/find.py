@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from covariant import certificates
-from covariant._errors import InputError
 from covariant.certificates import Attempt, ContractionCertificate
+from scalargraph.errors import InputError
 
 FIND = {
     "error": "multiple of the errors",

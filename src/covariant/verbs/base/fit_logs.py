@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.calibration import horizon, outliers
 from covariant.calibration.identification import FITTED, held_out_logs
 from covariant.verbs.base.aligned import Aligned, aligned
 from covariant.verbs.base.inputs import Job
+from scalargraph.errors import InputError
 
 BETWEEN = ("held", "linear")
 """How inputs may go between stamps; the first is what a model file means that does not say."""

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import models, scoring
-from covariant._errors import InputError
 from covariant._linalg import known_rms
 from covariant._names import refuse_unknown
 from covariant.calibration import (
@@ -51,6 +50,7 @@ from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.outcome import rounded
 from covariant.verbs.base.placeholders import placeholders
 from covariant.verbs.base.progress import Progress
+from scalargraph.errors import InputError
 
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import logs, models, scoring
-from covariant._errors import InputError
 from covariant.calibration import misfit
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, ActingInputs, Delayed
@@ -21,6 +20,7 @@ from covariant.verbs.base.outputs import check_output as check_output
 from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
 from covariant.verbs.base.sensors import FileSensor, file_sensors, reading_delays, readings
 from covariant.verbs.base.sheet import data_sheet as data_sheet
+from scalargraph.errors import InputError
 
 FEWEST_MOVES = 50
 """Fewest changes of positions that decide whether the log's ticks are coarser than those of the model file."""

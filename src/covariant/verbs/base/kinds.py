@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant import logs, models, scoring, simulation
-from covariant._errors import InputError
 from covariant._integrate import rk4
 from covariant.calibration import (
     DataSheet,
@@ -29,6 +28,7 @@ from covariant.observers import AbstractObserver, on_legs
 from covariant.simulation import PositionSensor
 from covariant.verbs.base.arguments import Amounts, numbers
 from covariant.verbs.base.kind import AbstractKind, Labels, numbered
+from scalargraph.errors import InputError
 
 CENTRE, SWING = 0.7, 0.2
 """Centre and amplitude of the positions in the self-test, in units of the coordinates; on circles the centre is π."""

@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from covariant._door import MESH, MODEL, ROBOT, parse_toml, read_bytes, read_toml
-from covariant._errors import InputError
-from covariant._files import utf8
+from covariant._door import MESH, MODEL, ROBOT, parse_toml, read_toml
 from covariant.models.robots import ROBOTS
 from covariant.verbs.base.model_text import OF_ROBOTS, model_text
 from covariant.verbs.base.outputs import check_output
+from scalargraph.errors import InputError
+from scalargraph.files import read_bytes, utf8
 
 
 def as_logs(log: Any) -> tuple[Any, ...]:
@@ -50,7 +50,7 @@ def check_model_output(model: Any, path: str | Path | None, overwrite: bool = Fa
         >>> verbs.check_model_output("oscillator", "fitted.csv")
         Traceback (most recent call last):
             ...
-        covariant._errors.InputError: fitted.csv: the file to write must end in .toml
+        scalargraph.errors.InputError: fitted.csv: the file to write must end in .toml
     """
     if path is None:
         return
@@ -136,7 +136,7 @@ def code_hash(spec: str, folder: Path | None = None) -> list[str]:
     module, beside = spec.partition(":")[0], os.path.abspath(folder or "")
     top = module.partition(".")[0]
     found = importlib.machinery.PathFinder.find_spec(top, [beside, *sys.path]) if ":" in spec and top else None
-    if found is None or found.origin is None or top == __name__.partition(".")[0]:
+    if found is None or found.origin is None or top in ("covariant", "scalargraph"):
         return []
     root = Path(found.origin).parents[found.submodule_search_locations is not None]
     others = [each.stem for each in root.iterdir() if each.stem != top] if "site-packages" in root.parts else []
@@ -184,7 +184,7 @@ def write_models(
     `sources`, the files as they were first read.
     """
     from covariant import models
-    from covariant._files import write_together
+    from scalargraph.files import write_together
 
     sources = read_sources(model) if sources is None else sources
     texts: dict[Path, bytes] = {}

@@ -8,8 +8,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from covariant._door import MODEL, read_bytes
+from covariant._door import MODEL
 from covariant.models.robots import ROBOTS
+from scalargraph.files import read_bytes
 
 OF_ROBOTS = (".urdf", ".xml")
 WRITTEN_BY = {"fit": "# Fitted by covariant fit to ", "tune": "# Tuned by covariant tune to "}

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from covariant._door import BINARY_LOG, check_file
-from covariant._errors import InputError
-from covariant._files import utf8, write_atomically
+from covariant._door import BINARY_LOG
 from covariant._optional import load_optional
+from scalargraph.errors import InputError
+from scalargraph.files import check_file, utf8, write_atomically
 
 FIGURES = (".png", ".pdf", ".svg")
 """Suffixes of figures."""
@@ -42,7 +42,7 @@ def check_output(
         >>> verbs.check_output(Path("ranking.txt"), ".csv")
         Traceback (most recent call last):
             ...
-        covariant._errors.InputError: ranking.txt: the file to write must end in .csv
+        scalargraph.errors.InputError: ranking.txt: the file to write must end in .csv
     """
     if path is None:
         return

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant._optional import load_optional
 from covariant.verbs.base.outputs import FIGURES, check_output, has_columns
+from scalargraph.errors import InputError
 
 
 class WrittenFiles(list[Path]):

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from covariant import models
-from covariant._errors import InputError
-from covariant._files import utf8, write_together
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.result import AbstractResult
+from scalargraph.errors import InputError
+from scalargraph.files import utf8, write_together
 
 FORMATS = {".urdf": "URDF", ".xml": "MJCF", ".json": "table of actuators"}
 """Formats of robot files by extension."""

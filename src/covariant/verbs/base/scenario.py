@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.simulation import PositionSensor, stamps
 from covariant.verbs.base.arguments import Amounts, amounts, finite
+from scalargraph.errors import InputError
 
 FORCE = "external_force"
 """Name of an external force in a log, followed by the number of its component, as filters call their estimates."""

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs
-from covariant._errors import InputError
 from covariant.models import MechanicalSystem, ModelFile, Motion, acceleration, input_count
 from covariant.observers import Instant, Sensor
 from covariant.observers.sensors import SENSOR_KINDS
+from scalargraph.errors import InputError
 
 LOGGED = ("kind", "columns", "units", "delay", "attitude")
 """Keys of a table that say how readings are logged; the others are settings of the sensor."""

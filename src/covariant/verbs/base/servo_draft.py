@@ -10,11 +10,11 @@ from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.calibration import Draft
 from covariant.calibration.identification import DraftedServo
 from covariant.logs import unit_factor
 from covariant.verbs.base.placeholders import marked
+from scalargraph.errors import InputError
 
 FIRST_STIFFNESS = 10.0
 """First stiffness [N m/rad] of a servo; without gravity a fit determines only its ratio to the inertia."""

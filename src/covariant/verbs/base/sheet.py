@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from covariant._errors import InputError
 from covariant.calibration import DataSheet, suggest_noise
 from covariant.models import ModelFile
 from covariant.observers import SlowVariables, sensor_bias, uncertain_parameters, wrench
 from covariant.signals import Record
+from scalargraph.errors import InputError
 
 
 def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs, models, simulation
-from covariant._errors import InputError
 from covariant.models import ModelFile, Overrides, Parametric
 from covariant.signals import Record
 from covariant.simulation import PiecewiseInputs, PositionSensor
@@ -20,6 +19,7 @@ from covariant.verbs.base.kinds import kind_of, or_zeros
 from covariant.verbs.base.progress import Progress
 from covariant.verbs.base.scenario import FORCE, Scenario
 from covariant.verbs.base.sensors import FileSensor, file_sensors, sensed
+from scalargraph.errors import InputError
 
 DIGITS = 12
 """Decimals of a time [s] in a log: times that agree in all of them are one, however they were computed."""

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant._errors import InputError
 from covariant.calibration import DataSheet, HeldOut, Tuning, tune, tuned_estimators, usual_speeds
 from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver
@@ -21,6 +20,7 @@ from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.outcome import drive, rounded
 from covariant.verbs.base.pages import estimate_report
 from covariant.verbs.base.progress import Progress
+from scalargraph.errors import InputError
 
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""

@@ -1,0 +1,182 @@
+"""Shared libraries of C, compiled once by the system's compiler and cached in the user's cache folder."""
+
+import contextlib
+import functools
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from scalargraph.cache import cache_folder, need_private
+from scalargraph.files import read_sealed, write_sealed
+
+Library = TypeVar("Library")
+
+EXACT = (
+    "-std=c99",
+    "-O3",
+    "-march=native",
+    "-ffp-contract=off",
+    "-fno-fast-math",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fwrapv",
+    "-fPIC",
+    "-shared",
+)
+"""Flags for C whose results are those of IEEE 754, operation by operation: none permits the compiler to change one.
+
+Products and sums are not contracted; the flags for errno, traps and integers that wrap change no value of a double.
+"""
+
+
+FAST = (
+    "-std=c99",
+    "-O2",
+    "-march=native",
+    "-ffp-contract=fast",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-Wno-psabi",
+    "-fPIC",
+    "-shared",
+)
+"""Flags for C of this very processor whose results may differ by roundings: a product and a sum may be one operation.
+
+The warning that is disabled concerns vectors as arguments of functions that other libraries call; there are none.
+"""
+
+
+SEALED = "sealed"
+"""Part of each cache key, so that versions whose files do not begin with a SHA-256 do not load these."""
+NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
+"""What is said where `compiler_command` is None."""
+
+
+@functools.cache
+def compiler() -> str | None:
+    """Path of the compiler that the environment variable CC names, or of `cc`; None where there is none."""
+    path = shutil.which(os.environ.get("CC") or "cc")
+    return os.path.abspath(path) if path else None  # the compiler is called in another folder
+
+
+def compiler_command() -> list[str] | None:
+    """Command of `compiler` or, where there is none, of the package ziglang; None where there is neither."""
+    path = compiler()
+    return [path] if path else zig()
+
+
+def zig() -> list[str] | None:
+    """Command of the C compiler in the package ziglang; None where it is not installed."""
+    return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
+
+
+def built(command: Sequence[str], flags: Sequence[str], files: Mapping[str, str | bytes], what: str) -> bytes:
+    """Compile the C sources among some files into one library, and return its content."""
+    with tempfile.TemporaryDirectory(dir=_temporary_folder()) as place:
+        for path, content in files.items():
+            (Path(place) / path).parent.mkdir(exist_ok=True)
+            (Path(place) / path).write_bytes(content.encode() if isinstance(content, str) else content)
+        words = [*command, *flags, *(path for path in files if path.endswith(".c")), "-o", "made", "-lm"]
+        done = subprocess.run(words, cwd=place, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise OSError(f"{' '.join(command)} does not compile {what}: {done.stderr.strip()[:200]}")
+        return (Path(place) / "made").read_bytes()
+
+
+def _temporary_folder() -> Path:
+    """Return the folder for temporary files of code; raises `OSError` if another user could replace them."""
+    folder = Path(tempfile.gettempdir()).resolve()
+    need_private(folder, setting="TMPDIR")
+    return folder
+
+
+def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:
+    """Load a C source as a shared library, which is compiled first if none is cached or the cached file was changed.
+
+    The cache key is a hash of the source, the flags, the compiler and, for code of this very processor, the processor.
+    With `COVARIANT_CACHE=off` the source is compiled anew.
+
+    Args:
+        source: Text of the C file.
+        flags: Flags of the compiler, as `EXACT` or `FAST`.
+        load: Loads a shared library from its path.
+
+    Returns:
+        The result of `load`.
+
+    Raises:
+        OSError: The compiler does not accept the source.
+    """
+    path = _cached_path(source, flags)
+    library = None if path is None else read_sealed(path)
+    if library is None:
+        library = built([str(compiler())], flags, {"source.c": source}, "a source of C")
+        if path is not None:
+            with contextlib.suppress(OSError):  # such as a full disk
+                write_sealed(path, library)
+    return _load(library, None if path is None else path.parent, load)
+
+
+def _load(library: bytes, folder: Path | None, load: Callable[[str], Library]) -> Library:
+    """Load a shared library from a copy of its content, so that later changes of the cached file have no effect."""
+    if folder is not None:
+        # The cache folder is tried first: the temporary folder may forbid programs (`noexec`).
+        with contextlib.suppress(OSError):  # such as a full disk
+            return _load_copy(library, folder, load)
+    return _load_copy(library, _temporary_folder(), load)
+
+
+def _load_copy(library: bytes, folder: Path, load: Callable[[str], Library]) -> Library:
+    # Each copy gets a new name, since the system takes two libraries of the same path for one.
+    handle, copy = tempfile.mkstemp(".tmp", dir=folder)
+    try:
+        with open(handle, "wb") as file:
+            file.write(library)
+        return load(copy)
+    finally:
+        with contextlib.suppress(OSError):  # Windows keeps a file that is loaded
+            os.unlink(copy)
+
+
+def is_kept(source: str, flags: Sequence[str]) -> bool:
+    """Whether a source is compiled and cached, so that it is only loaded."""
+    path = _cached_path(source, flags)
+    return path is not None and read_sealed(path) is not None
+
+
+def _cached_path(source: str, flags: Sequence[str]) -> Path | None:
+    machine = _processor() if "-march=native" in flags else ""
+    # With the compiler's version: another one may make other code of the same source.
+    parts = (SEALED, source, *flags, _version(), machine)
+    key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
+    folder = cache_folder()
+    return None if folder is None else folder / f"{key}.so"
+
+
+@functools.cache
+def _processor() -> str:
+    """Features of the processor, part of the cache key since a home may be shared by machines that differ."""
+    known = Path("/proc/cpuinfo")
+    lines = known.read_text(encoding="utf-8").splitlines() if known.exists() else []
+    return next((line for line in lines if line.lower().startswith(("flags", "features"))), platform.processor())
+
+
+@functools.cache
+def vector_bytes() -> int:
+    """Size [bytes] of the vectors that the processor adds and multiplies at once."""
+    features = _processor().split()
+    return 64 if "avx512f" in features else 32 if "avx2" in features else 16
+
+
+@functools.cache
+def _version() -> str:
+    done = subprocess.run([str(compiler()), "--version"], capture_output=True, text=True, check=False)
+    return f"{compiler()}\n{done.stdout}"

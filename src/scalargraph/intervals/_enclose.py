@@ -1,0 +1,234 @@
+"""A graph evaluated in intervals: bounds on a function over boxes, and boxes on which it is defined without jumps."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scalargraph.errors import InputError
+from scalargraph.graph import LARGEST, Conditions, Domain, Lowered, evaluate_nodes
+from scalargraph.intervals._intervals import INTERVALS, as_number, both, constant, eq, le, lt
+from scalargraph.intervals._tape import Interval, Truth, kernel
+
+
+class Enclosure(NamedTuple):
+    """Bounds on the values of a function over boxes.
+
+    Attributes:
+        low: Lower bounds (B, outputs); NaN where nothing is known.
+        high: Upper bounds (B, outputs); NaN where nothing is known.
+        smooth: Which boxes (B,) have every choice decided, so that the function does not jump there.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> import scalargraph
+        >>> lowered = scalargraph.lower(lambda x: jnp.sign(x), jnp.array(0.0))
+        >>> low, high = np.array([[1.0], [-1.0]]), np.array([[2.0], [1.0]])
+        >>> scalargraph.enclose(lowered, low, high, engine="numpy").smooth.tolist()
+        [True, False]
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    smooth: np.ndarray
+
+
+JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
+"""Operations whose values may jump."""
+
+
+@kernel
+def decided(p: Truth) -> Truth:
+    """Boxes on which a choice by a statement does not jump: it holds on all of the box, or nowhere on it."""
+    known = p.must | ~p.may
+    return Truth(known, known)
+
+
+@kernel
+def unequal(a: Interval, b: Interval) -> Truth:
+    """Boxes on which two numbers are nowhere equal."""
+    known = (a.high < b.low) | (a.low > b.high)
+    return Truth(known, known)
+
+
+@kernel
+def not_zero(a: Interval) -> Truth:
+    """Boxes on which a sign does not jump: zero has the sign 0, which is neither of the others."""
+    known = (a.low > 0) | (a.high < 0)
+    return Truth(known, known)
+
+
+@kernel
+def off_the_cut(y: Interval, x: Interval) -> Truth:
+    """Boxes on which the angle atan2(y, x) does not jump.
+
+    The cut is the negative half-axis with the origin; values on it belong to the upper side.
+    """
+    # The cut is y = 0, x ≤ 0. From y ≥ 0 the angle is continuous onto it for x < 0, hence the second part.
+    known = ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
+    return Truth(known, known)
+
+
+@kernel
+def one_value(found: Interval) -> Truth:
+    """Boxes on which a function that is constant between its jumps, such as floor, has one value."""
+    known = found.low == found.high
+    return Truth(known, known)
+
+
+def _no_jump(op: str, arguments: tuple, result: Any) -> Truth:
+    """Boxes on which an operation of `JUMPS` does not jump."""
+    match op:
+        case "select":
+            return decided(arguments[0])
+        case "either":
+            return unequal(*arguments[:2])
+        case "sign":
+            return not_zero(*arguments)
+        case "atan2":
+            return off_the_cut(*arguments)
+    return one_value(result)
+
+
+def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
+    """Bound the values of a function over boxes by NumPy."""
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    with np.errstate(all="ignore"):
+        values, smooth = bounds(lowered, inputs)
+    ends = np.empty((2, len(values), len(low)))
+    for k, value in enumerate(values):
+        ends[0, k], ends[1, k] = value
+    return Enclosure(ends[0].T, ends[1].T, np.broadcast_to(smooth.must, len(low)).copy())
+
+
+def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval], Truth]:
+    """Bound the values of a function, in NumPy or as steps of a tape."""
+    # A loop in intervals may never end, since its condition stays undecided; a table would be read at one place only.
+    if odd := {node.op for node in lowered.graph.nodes} & {"loop", "table"}:
+        raise InputError(f"a function with a {min(odd)} has no bounds; lower it with loops='unrolled'")
+    smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
+
+    def watched(op: str) -> Callable:
+        def apply(*arguments: Any) -> Any:
+            nonlocal smooth
+            result = INTERVALS[op](*arguments)
+            smooth = both(smooth, _no_jump(op, arguments, result))
+            return result
+
+        return apply
+
+    domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
+    values = evaluate_nodes(lowered.graph, lowered.outputs, domain, inputs)
+    for value in values:
+        if isinstance(value, Truth):
+            smooth = both(smooth, decided(value))
+    return [as_number(value) for value in values], smooth
+
+
+def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Check corners of boxes and convert them to arrays of doubles (B, inputs)."""
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
+        raise InputError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
+    # Negated, so that NaN, which fails every comparison, is invalid too.
+    invalid = np.argwhere(~(low <= high))
+    if invalid.size:
+        box, entry = invalid[0]
+        raise InputError(
+            f"a box has low <= high; box {box} has low {low[box, entry]} and high {high[box, entry]} in input {entry}"
+        )
+    return low, high
+
+
+# Where a function is defined and does not jump. Here a comparison is decided only strictly: where both sides may be
+# equal, on a face of a box or at a variable that is held fixed, what depends on the comparison may jump there.
+
+
+class Step(Interval):
+    """A number that is constant around each point of a box where its conditions hold, such as a floor.
+
+    Attributes:
+        low: Lower bound (B,).
+        high: Upper bound (B,).
+    """
+
+
+def _strictly(a: Interval | Truth, b: Interval | Truth) -> Truth:
+    """a < b; also for a ≤ b, since equality counts as undecided."""
+    a, b = as_number(a), as_number(b)
+    return Truth(a.high < b.low, ~(a.low > b.high))
+
+
+def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
+    """A rule for arguments that are locally constant, and another for arguments that change."""
+
+    return lambda *arguments: (_stepping(rule) if all(isinstance(a, Step | Truth) for a in arguments) else otherwise)(
+        *arguments
+    )
+
+
+def _stepping(rule: Callable) -> Callable:
+    def apply(*arguments: Any) -> Any:
+        result = rule(*arguments)
+        return Step(*result) if isinstance(result, Interval) else result
+
+    return apply
+
+
+def _same(a: Any, b: Any) -> Truth:
+    """Equality of numbers that change: decided only where they are the same node, or have disjoint intervals."""
+    return eq(a, b) if a is b else Truth(np.zeros_like(eq(a, b).must), eq(a, b).may)
+
+
+STRICT: Domain = {
+    **{op: _on_steps(rule, rule) for op, rule in INTERVALS.items()},
+    "constant": _stepping(constant),
+    "lt": _on_steps(lt, _strictly),
+    "le": _on_steps(le, _strictly),
+    "eq": _on_steps(eq, _same),
+    **{op: _stepping(INTERVALS[op]) for op in ("floor", "ceil", "round", "sign")},
+}
+
+
+def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Prove conditions on boxes.
+
+    A comparison is decided only strictly here: where both sides may be equal, a choice by it may jump.
+
+    Args:
+        conditions: The conditions of a function, `Lowered.conditions`.
+        low: Lower corners of the boxes (B, inputs).
+        high: Upper corners (B, inputs), low ≤ high.
+
+    Returns:
+        Which conditions hold on all of which boxes, (B, conditions): True only where it is proved.
+
+    Raises:
+        ValueError: The corners have another shape, are NaN, or low exceeds high.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> import scalargraph
+        >>> conditions = scalargraph.lower(lambda x: jnp.log(x), jnp.array(1.0), real=True).conditions  # 0 < x
+        >>> scalargraph.fulfilled(conditions, np.array([[0.5], [-1.0]]), np.array([[2.0], [1.0]])).tolist()
+        [[True], [False]]
+    """
+    low, high = corners(low, high, conditions.inputs)
+    proved = np.zeros((len(low), len(conditions.conditions)), bool)
+    if not proved.size:
+        return proved
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    with np.errstate(all="ignore"):
+        values = evaluate_nodes(conditions.graph, [c.node for c in conditions.conditions], STRICT, inputs)
+    for k, (condition, value) in enumerate(zip(conditions.conditions, values, strict=True)):
+        if condition.kind == "finite":
+            proved[:, k] = (value.low > -LARGEST) & (value.high < LARGEST)
+        elif condition.kind == "whole":
+            # Strictly between two neighbouring integers, so that the number neither equals nor crosses one.
+            below = np.floor(value.low)
+            proved[:, k] = isinstance(value, Step) or (below < value.low) & (np.floor(value.high) == below)
+        else:
+            proved[:, k] = value.must if condition.kind == "true" else value.must | ~value.may
+    return proved

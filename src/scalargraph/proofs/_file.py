@@ -1,0 +1,321 @@
+"""Reading of files of proofs: JSON data, read once, with every value checked where it is used.
+
+A file may come from an untrusted source. Each fault raises a `ValueError` of one line, which names the file, the key,
+the value and the expected one. Nothing in a file is executed or imported. The digest detects damage, not forgery: an
+attacker can recompute it.
+"""
+
+import functools
+import hashlib
+import json
+import reprlib
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from scalargraph.errors import InputError, file_name
+from scalargraph.files import FileKind, read_bytes
+
+CERTIFICATE = FileKind("a saved certificate", 2**26, "ask for the certificate as it was saved, or certify again")
+MOST_VALUES, DEEPEST = 2_000_000, 8
+"""Largest number of values in a file, and depth of nesting, checked before it is parsed."""
+CHUNK = 2**20
+"""Number of bytes that are examined at once."""
+LARGEST = 1e150
+"""Largest number in a file, so that products of two numbers, and sums of these, are finite."""
+REMEDY = "ask for the file as it was saved, or certify again"
+
+
+def read_file(path: str | Path) -> bytes:
+    """The content of a saved certificate, read only once.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        Its bytes, at most `MOST_BYTES` of them; they are not yet parsed.
+
+    Raises:
+        ValueError: There is no such file, it cannot be read, or it is larger; the message is one line.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from scalargraph.proofs import read_file
+        >>> _ = Path("claims.json").write_text("[1, 2]")
+        >>> read_file("claims.json")
+        b'[1, 2]'
+    """
+    return read_bytes(path, CERTIFICATE)
+
+
+def parse_file(path: str | Path, content: bytes) -> "Field":
+    """The parsed content of a file, as one field.
+
+    Args:
+        path: Path of the file, for messages only.
+        content: Its bytes, as from `read_file`.
+
+    Returns:
+        The field of the whole content, with the key "".
+
+    Raises:
+        ValueError: The content is not JSON in UTF-8, has a backslash or a key that occurs twice, or is too large or too
+            deep; the message is one line.
+
+    Example:
+        >>> from scalargraph.proofs import parse_file
+        >>> parse_file("claims.json", b'{"rate": 2.5}').at("rate").positive()
+        2.5
+    """
+    file = file_name(path)
+    return Field(file, "", _values(file, content))
+
+
+def digest(document: dict[str, Any]) -> str:
+    """SHA-256 of a certificate without its digest, in a canonical form.
+
+    Args:
+        document: The certificate as data of JSON; the key "digest" is left out.
+
+    Returns:
+        64 hexadecimal digits. They detect damage, not forgery.
+
+    Example:
+        >>> from scalargraph.proofs import digest
+        >>> digest({"rate": 1.0, "digest": ""}) == digest({"rate": 1.0})
+        True
+    """
+    rest = {key: value for key, value in document.items() if key != "digest"}
+    # Sorted keys without spaces: equal data have equal text, however the file is laid out.
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def _values(file: str, content: bytes) -> Any:
+    try:
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file} is no text in UTF-8, at byte {error.start}; {REMEDY}") from error
+    # Without escapes a quotation mark always opens or closes a string, on which the count of brackets below relies.
+    if "\\" in text:
+        line = 1 + text.count("\n", 0, text.index("\\"))
+        raise InputError(f"{file} has a backslash on line {line}, and the strings of a certificate have none; {REMEDY}")
+    if text.count(",") >= MOST_VALUES:
+        raise InputError(f"{file} holds more than {MOST_VALUES} values; {REMEDY}")
+    if _depth(content) > DEEPEST:
+        raise InputError(f"{file} is nested more than {DEEPEST} deep; {REMEDY}")
+
+    try:
+        # Numbers beyond the range of doubles become infinite here, and are refused where they are used.
+        return json.loads(
+            text, object_pairs_hook=functools.partial(_once, file), parse_constant=float, parse_int=_whole
+        )
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise InputError(f"{file} is not JSON: {error.msg} at {where}; {REMEDY}") from error
+
+
+def _once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """An object in which no key occurs twice."""
+    record = dict(pairs)
+    if len(record) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise InputError(f"{file}: the key {brief(twice)} is there twice; {REMEDY}")
+    return record
+
+
+def _depth(content: bytes) -> int:
+    """Depth of nested brackets outside strings; a string that is not closed ends with the file."""
+    depth, deepest, quoted = 0, 0, False
+    for start in range(0, len(content), CHUNK):
+        letters = np.frombuffer(content[start : start + CHUNK], np.uint8)
+        # Each quotation mark toggles whether the bytes after it are inside a string; the state is carried between
+        # chunks.
+        inside = np.logical_xor.accumulate(np.append(quoted, letters == ord('"')))[1:]
+        opened, closed = np.isin(letters, list(b"[{")) & ~inside, np.isin(letters, list(b"]}")) & ~inside
+        depths = depth + np.cumsum(opened.astype(int) - closed)
+        depth, deepest, quoted = int(depths[-1]), max(deepest, int(depths.max())), bool(inside[-1])
+    return deepest
+
+
+def _whole(digits: str) -> int | float:
+    # Shorter integers are exact as floats; `int` is slow for many digits and refuses thousands, so these become
+    # floats.
+    return int(digits) if len(digits) < 16 else float(digits)
+
+
+def brief(value: Any) -> str:
+    """A value as one short line, for messages."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = short.maxlong = 60
+    return short.repr(value)
+
+
+class Field(NamedTuple):
+    """A value of a file and its place. Its methods return the checked value.
+
+    Each of them raises a `ValueError` of one line that names file and key, the value and what was expected.
+
+    Attributes:
+        file: Name of the file.
+        key: Key from the top, such as `claims[2].levels`; "" for the whole content.
+        value: The value, of any type of JSON.
+
+    Example:
+        >>> from scalargraph.proofs import parse_file
+        >>> field = parse_file("claims.json", b'{"rate": -1.5}').at("rate")
+        >>> field.key, field.number()
+        ('rate', -1.5)
+        >>> field.positive()
+        Traceback (most recent call last):
+        scalargraph.errors.InputError: claims.json: rate must be a positive number; found -1.5; ...
+    """
+
+    file: str
+    key: str
+    value: Any
+
+    def refuse(self, wanted: str) -> NoReturn:
+        """Raise the `ValueError` of this field.
+
+        Args:
+            wanted: Expected value, in words that follow "must be".
+
+        Raises:
+            ValueError: Always.
+        """
+        what = f"{self.file}: {self.key}" if self.key else self.file
+        raise InputError(f"{what} must be {wanted}; found {brief(self.value)}; {REMEDY}")
+
+    def need(self, holds: Any, wanted: str) -> None:
+        """Refuse the field unless a condition holds.
+
+        Args:
+            holds: Condition, a truth value.
+            wanted: Expected value, as for `refuse`.
+
+        Raises:
+            ValueError: The condition does not hold.
+        """
+        if not holds:
+            self.refuse(wanted)
+
+    def at(self, key: str) -> "Field":
+        """The entry of an object; its key must be there.
+
+        Args:
+            key: Key of the entry.
+
+        Raises:
+            KeyError: There is no such key; `record` checks that.
+        """
+        return Field(self.file, f"{self.key}.{key}" if self.key else key, self.value[key])
+
+    def record(self, keys: list[str]) -> dict[str, "Field"]:
+        """The entries of an object that has exactly these keys.
+
+        Args:
+            keys: All keys, in any order.
+
+        Returns:
+            The fields of the entries by key.
+        """
+        self.need(isinstance(self.value, dict), f"an object with {', '.join(keys)}")
+        for wrong, how in (
+            (self.value.keys() - set(keys), "is not known"),
+            (set(keys) - self.value.keys(), "is missing"),
+        ):
+            if wrong:
+                key = f"{self.key}.{brief(min(wrong))}" if self.key else brief(min(wrong))
+                raise InputError(f"{self.file}: the key {key} {how}; wanted are {', '.join(keys)}; {REMEDY}")
+        return {key: self.at(key) for key in keys}
+
+    def rows(self, least: int, most: int) -> list["Field"]:
+        """The entries of a list.
+
+        Args:
+            least: Smallest number of entries.
+            most: Largest number of entries.
+        """
+        several = f"{least}" if least == most else f"{least} to {most}"
+        self.need(isinstance(self.value, list) and least <= len(self.value) <= most, f"a list of {several} entries")
+        return [Field(self.file, f"{self.key}[{k}]", value) for k, value in enumerate(self.value)]
+
+    def number(self) -> float:
+        """A finite number of magnitude `LARGEST` at most, as a float; a truth value is not one."""
+        self.need(is_number(self.value), f"a finite number, below {LARGEST:g}")
+        return float(self.value)
+
+    def positive(self) -> float:
+        """A number above zero, as a float."""
+        amount = self.number()
+        self.need(amount > 0, "a positive number")
+        return amount
+
+    def whole(self, least: int, most: int) -> int:
+        """An integer; a truth value is not one.
+
+        Args:
+            least: Smallest value.
+            most: Largest value.
+        """
+        self.need(type(self.value) is int and least <= self.value <= most, f"a whole number from {least} to {most}")
+        return self.value
+
+    def text(self, most: int) -> str:
+        """A printable string.
+
+        Args:
+            most: Largest number of characters.
+        """
+        fits = type(self.value) is str and len(self.value) <= most and self.value.isprintable()
+        self.need(fits, f"a text of {most} letters at most")
+        return self.value
+
+    def one_of(self, choices: Any) -> Any:
+        """One of several values, of the same type as that value, so that true is not 1.
+
+        Args:
+            choices: Allowed values.
+        """
+        fits = any(type(self.value) is type(choice) and self.value == choice for choice in choices)
+        self.need(fits, f"one of {', '.join(map(repr, choices))}")
+        return self.value
+
+    def vector(self, fewest: int, most: int, least: float = -LARGEST) -> np.ndarray:
+        """A list of numbers, as an array.
+
+        Args:
+            fewest: Smallest number of entries.
+            most: Largest number of entries.
+            least: Smallest value of each entry; by default the number −`LARGEST`.
+        """
+        numbers = self.rows(fewest, most)
+        for number in numbers:
+            number.need(number.number() >= least, f"{least:g} or larger")
+        return np.array([number.number() for number in numbers], float)
+
+    def pair(self, fewest: int, most: int) -> np.ndarray:
+        """Bounds of k variables, from an object {"low": [...], "high": [...]}.
+
+        Args:
+            fewest: Smallest number of variables.
+            most: Largest number of variables.
+
+        Returns:
+            Lower and upper bounds (2, k), in order.
+        """
+        fields = self.record(["low", "high"])
+        low = fields["low"].vector(fewest, most)
+        high = fields["high"].vector(len(low), len(low))
+        for k, field in enumerate(fields["high"].rows(0, most)):
+            field.need(low[k] <= high[k], f"{low[k]:g} or larger, as its lower bound")
+        return np.stack([low, high])
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite number; a truth value is not one."""
+    # The exact type excludes bool, a subclass of int; NaN fails the comparison.
+    return type(value) in (int, float) and abs(value) <= LARGEST

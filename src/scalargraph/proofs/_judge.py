@@ -1,0 +1,136 @@
+"""Decision on a box: the matrix is proved positive definite on it, or shown not to be, or the box is halved.
+
+A box that is not decided is halved across the variable that widens the enclosure most.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from scalargraph import enclose, pairs
+from scalargraph.proofs._box import Box
+from scalargraph.proofs._definite import definite, factors, indefinite, weights
+from scalargraph.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
+from scalargraph.proofs._models import polynomials
+from scalargraph.proofs._tests_in_c import tests_in_c
+from scalargraph.proofs._tree import OPEN, PROVED, middle_of
+
+MODELLED = 128
+"""Number of boxes whose Taylor models are computed at once."""
+
+
+def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
+    """Evaluate boxes: prove each, choose the variable across which to halve it, or find a counter-example."""
+    proved, weight, smooth = _test_boxes(matrix, low, high)
+    codes = np.full(len(low), PROVED)
+    rest = np.flatnonzero(~proved)
+    if not len(rest):
+        return codes, None
+    # Middles of boxes that resist are the likeliest places of a counter-example, and one ends the whole search.
+    counterexample = counterexample_at(matrix, middle_of(low[rest], high[rest]))
+    if counterexample is not None:
+        return codes, counterexample
+    weight = weight[rest]
+    blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & smooth[rest]))
+    if len(blind):
+        weight[blind] = _weight_at_centre(matrix, low[rest][blind], high[rest][blind])
+    relative = ((high - low)[rest] / np.where(matrix.width > 0, matrix.width, 1.0))[:, matrix.free]
+    lost = ~np.isfinite(weight).all(axis=1)
+    weight[lost] = relative[lost]
+    # Where every variable has no effect, or cannot be halved any more, the widest one is halved.
+    middle = middle_of(low[rest], high[rest])[:, matrix.free]
+    possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
+    # The relative widths only break ties between variables of equal weight; −1 marks those that cannot be halved.
+    weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
+    # A box of adjacent floats, or one without free variables, stays open.
+    codes[rest] = np.where(possible.any(axis=1), matrix.free[weight.argmax(axis=1)] if len(matrix.free) else OPEN, OPEN)
+    return codes, None
+
+
+def _test_boxes(
+    matrix: Expansions, low: np.ndarray, high: np.ndarray
+) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
+    """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
+    if matrix.first is None or matrix.second is None:
+        return _test_by_models(matrix, low, high)
+    centre = middle_of(low, high)
+    at = enclose(matrix.first, centre, centre, matrix.engine)
+    on = enclose(matrix.second, low, high, matrix.engine)
+    k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
+    tests = tests_in_c(matrix.engine, matrix.size)
+    enclosures = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
+    test = tests.definite if tests else definite
+    # First the form with terms: under one congruence its terms cancel between entries, which bounds of entries cannot.
+    proved, c = test(enclosures.centre, enclosures.rest, enclosures.terms)
+    rest = np.flatnonzero(~proved)
+    # Bounds of the entries also hold where the matrix is not smooth, where Taylor's form says nothing.
+    proved[rest] = test(enclosures.middle[:, rest], enclosures.radius[:, rest])[0]
+    rest = np.flatnonzero(~proved)
+    parts = np.zeros((len(enclosures.terms), len(low)))
+    parts[:, rest] = (tests.weights if tests else weights)(
+        c[..., rest], enclosures.terms[..., rest], enclosures.shares[..., rest]
+    )
+    return proved, _weight(parts, np.arange(f), f), enclosures.smooth
+
+
+def _test_by_models(
+    matrix: Expansions, low: np.ndarray, high: np.ndarray
+) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
+    """The same by Taylor models, some boxes after the other. They hold at kinks too, where they are the hulls."""
+    tests, f = tests_in_c(matrix.engine, matrix.size), len(matrix.free)
+    proved, weight = np.empty(len(low), bool), np.empty((len(low), f))
+    for start in range(0, len(low), MODELLED):
+        chunk = slice(start, start + MODELLED)
+        models = polynomials(matrix.value, low[chunk], high[chunk], matrix.free)
+        proved[chunk], c = (tests.definite if tests else definite)(models.centre, models.rest, models.terms)
+        rest = np.flatnonzero(~proved[chunk])
+        shares = np.zeros_like(models.terms[..., rest])
+        shares[:f] = models.shares[..., rest]
+        parts = np.zeros((len(models.terms), len(c.T)))
+        parts[:, rest] = weights(c[..., rest], models.terms[..., rest], shares)
+        blind = np.asarray(models.blame.any(axis=0))
+        weight[chunk] = np.where(blind[:, None], models.blame.T, _weight(parts, models.owners, f))
+    return proved, weight, np.ones(len(low), bool)
+
+
+def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
+    """Search random points of a box for one at which the matrix is not positive definite."""
+    rng = np.random.default_rng(0)
+    inside = rng.uniform(size=(count, len(domain.low)))
+    inside[::2] = np.round(inside[::2])  # corners, where the smallest eigenvalue often is
+    points = np.clip(domain.low + inside * (domain.high - domain.low), domain.low, domain.high)
+    return counterexample_at(matrix, points)
+
+
+def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
+    """The first of some points at which the matrix is shown not to be positive definite."""
+    at = enclose(matrix.value, points, points, matrix.engine)
+    wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
+    # A box of one point: its two corners are equal.
+    return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
+
+
+def _weight(parts: np.ndarray, owners: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
+    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its.
+
+    `owners`: the variable to which each symbol of the terms belongs.
+    """
+    weight = np.zeros((f, parts.shape[1]))
+    for number, owner in enumerate(owners):
+        weight[owner] += parts[number]
+    for number, (i, j) in enumerate(pairs(len(owners)), start=len(owners)):
+        weight[owners[i]] += parts[number]
+        if owners[i] != owners[j]:
+            weight[owners[j]] += parts[number]
+    return weight.T
+
+
+def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The weights from derivatives at the centre alone, for boxes on which nothing is bounded; NaN without them."""
+    if matrix.second is None:
+        return np.full((len(low), len(matrix.free)), np.nan)
+    centre = middle_of(low, high)
+    at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
+    with np.errstate(invalid="ignore", over="ignore"):
+        value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
+    f = len(matrix.free)
+    return _weight(weights(factors(value.middle)[0], terms, shares), np.arange(f), f)
