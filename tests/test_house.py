@@ -81,6 +81,7 @@ def test_no_room_is_larger_than_its_budget_and_the_sum_only_falls():
     assert {room: count - budget[room] for room, count in lines.items() if count > budget[room]} == {}
     assert sum(budget.values()) <= BUDGET["most"]
     assert sum(budget.values()) - sum(lines.values()) <= SLACK
+    assert sizes.names() <= BUDGET["names"]
 
 
 def test_files_import_each_other_in_no_circle():

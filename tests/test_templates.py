@@ -13,8 +13,8 @@ import pytest
 import covariant
 from scalargraph.template import fill
 
-SOURCE = Path(covariant.__file__).parent
-TEMPLATES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.glob("*/templates/*"))}
+SOURCE = Path(covariant.__file__).parents[1]
+TEMPLATES = {path.relative_to(SOURCE).as_posix(): path for path in sorted(SOURCE.glob("**/templates/*.*"))}
 
 
 def of_suffix(suffix: str) -> list[Path]:
@@ -27,9 +27,11 @@ def modules(room: str) -> str:
 
 
 def test_every_template_is_used_in_its_room():
-    unused = [name for name, path in TEMPLATES.items() if f'"{path.name}"' not in modules(name.partition("/")[0])]
+    unused = [
+        name for name, path in TEMPLATES.items() if f'"{path.name}"' not in modules(name.rpartition("/templates/")[0])
+    ]
     # Names of these have the version of FMI in them.
-    assert unused == [f"codegen/templates/fmi{k}{rest}" for k in (2, 3) for rest in (".c", "_refused.h")]
+    assert unused == [f"covariant/codegen/templates/fmi{k}{rest}" for k in (2, 3) for rest in (".c", "_refused.h")]
 
 
 def test_a_placeholder_without_a_text_is_an_error():

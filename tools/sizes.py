@@ -121,6 +121,14 @@ def _used(parts: list[str], local: dict[str, str]) -> set[str]:
     return {place} if place else set()
 
 
+def names() -> int:
+    """Number of names that rooms offer each other and users, by the stubs of `scalargraph` and of each room."""
+    rooms = [
+        name for name in modules() if name == "scalargraph" or (name.startswith("covariant.") and name.count(".") == 1)
+    ]
+    return sum(len(_offered(name)) for name in rooms)
+
+
 def reached(module: str) -> set[str]:
     """All modules that one needs, directly or through others."""
     found, rest = set(), [module]
@@ -135,6 +143,7 @@ def reached(module: str) -> set[str]:
 def main() -> None:
     """Print both tables."""
     counted = rooms() | {"in all": sum(rooms().values())}
+    print(f"{names():7d}  names in stubs")
     for title, table in (("lines of code", counted), ("lines that a verb reaches", verbs())):
         print(title, *(f"{count:7d}  {name}" for name, count in table.items()), sep="\n")
 

@@ -10,7 +10,8 @@ from test_docstrings import SOURCE
 RUN = Path(__file__).with_name("run_docstrings.py")
 
 
-WITH_EXAMPLES = [path for path in sorted(SOURCE.rglob("*.py")) if ">>>" in path.read_text(encoding="utf-8")]
+FILES = sorted(path for package in (SOURCE, SOURCE.parent / "scalargraph") for path in package.rglob("*.py"))
+WITH_EXAMPLES = [path for path in FILES if ">>>" in path.read_text(encoding="utf-8")]
 
 
 def name_of(path: Path) -> str:
@@ -19,7 +20,8 @@ def name_of(path: Path) -> str:
 
 
 def room_of(path: Path) -> str:
-    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+    package, *rest = path.relative_to(SOURCE.parent).parts
+    return rest[0].removesuffix(".py") if package == "covariant" else package
 
 
 @pytest.mark.parametrize("room", sorted({room_of(path) for path in WITH_EXAMPLES}))

@@ -15,7 +15,7 @@ from ._program import (
 from ._python_control import closed_loop as closed_loop, observer_system as observer_system, plant as plant
 from ._python_package import python_files as python_files
 from ._ros_package import ros_files as ros_files
-from ._source import Source as Source, write_source as write_source
+from ._source import write_source as write_source
 from ._vectors import ROWS as ROWS, Vectors as Vectors, vectors as vectors
 from ._wasm import check_wasm_compiler as check_wasm_compiler, wasm_files as wasm_files
 from ._write import check_export as check_export, export_texts as export_texts, write_folder as write_folder

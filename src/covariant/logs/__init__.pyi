@@ -6,16 +6,10 @@ from ._columns import (
     LogError as LogError,
     check_log as check_log,
 )
-from ._configuration import (
-    Body as Body,
-    bodies as bodies,
-    coordinates as coordinates,
-    matrices as matrices,
-    to_columns as to_columns,
-)
+from ._configuration import bodies as bodies, coordinates as coordinates, matrices as matrices, to_columns as to_columns
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
 from ._episodes import episode_columns as episode_columns, episodes_fault as episodes_fault
-from ._read import OPTIONAL as OPTIONAL, LogSurvey as LogSurvey, read as read, record as record, survey as survey
+from ._read import OPTIONAL as OPTIONAL, read as read, record as record, survey as survey
 from ._sign_bit import has_sign_bit as has_sign_bit, sign_bit_fault as sign_bit_fault
 from ._stamps import odd_clock as odd_clock
 from ._tables import source_name as source_name

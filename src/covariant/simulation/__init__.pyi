@@ -5,7 +5,7 @@ from ._piecewise import (
     logged_inputs as logged_inputs,
     simulate_piecewise as simulate_piecewise,
 )
-from ._reference import Reference as Reference, follow as follow, lissajous as lissajous, set_point as set_point
+from ._reference import follow as follow, lissajous as lissajous, set_point as set_point
 from ._sensors import PositionSensor as PositionSensor, sense as sense, stamps as stamps
 from ._simulate import hold as hold, no_input as no_input, observe as observe, simulate as simulate
 

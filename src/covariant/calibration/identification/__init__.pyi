@@ -34,7 +34,6 @@ from ._predict import (
     prediction_errors as prediction_errors,
     predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
-    size as size,
 )
 from ._rivals import Rival as Rival, better_reading as better_reading
 from ._robot_combinations import Combinations as Combinations

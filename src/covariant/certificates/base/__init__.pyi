@@ -1,15 +1,9 @@
 from ._assumed import ASSUMED as ASSUMED
-from ._box import (
-    Given as Given,
-    first_velocity as first_velocity,
-    prediction_places as prediction_places,
-    prediction_variables as prediction_variables,
-)
+from ._box import Given as Given, first_velocity as first_velocity, prediction_variables as prediction_variables
 from ._claims import (
     CLAIMS as CLAIMS,
     UNPROVED as UNPROVED,
     AbstractClaim as AbstractClaim,
-    AnyClaim as AnyClaim,
     ContractionClaim as ContractionClaim,
     CorrectionClaim as CorrectionClaim,
     DisturbanceClaim as DisturbanceClaim,
@@ -18,7 +12,6 @@ from ._claims import (
     ReachClaim as ReachClaim,
     Setting as Setting,
     StartClaim as StartClaim,
-    Terms as Terms,
     reach_squares as reach_squares,
     select as select,
 )
@@ -64,12 +57,10 @@ from ._inequalities import (
     length_change as length_change,
     missing_bound as missing_bound,
     squared_widths as squared_widths,
-    start_bound as start_bound,
     width_bound as width_bound,
 )
 from ._intrinsic import (
     OBSERVER_KINDS as OBSERVER_KINDS,
-    OBSERVERS as OBSERVERS,
     Intrinsics as Intrinsics,
     any_configuration as any_configuration,
     check_unique as check_unique,
@@ -88,13 +79,7 @@ from ._noise import (
     noise_disturbance as noise_disturbance,
     steady_distance as steady_distance,
 )
-from ._properties import (
-    PERIODIC as PERIODIC,
-    lower_model as lower_model,
-    need_known as need_known,
-    need_no_loops as need_no_loops,
-    need_symmetry as need_symmetry,
-)
+from ._properties import PERIODIC as PERIODIC, need_known as need_known, need_symmetry as need_symmetry
 from ._radius_recursion import Recursion as Recursion
 from ._recipe import (
     check_observer as check_observer,

@@ -21,9 +21,6 @@ from ._implicit_distances import (
 )
 from ._implicit_limits import (
     CurvedErrors as CurvedErrors,
-    ImplicitGains as ImplicitGains,
-    PartLimits as PartLimits,
-    ProvedDecay as ProvedDecay,
     implicit_gains as implicit_gains,
     longest_interval as longest_interval,
     part_limits as part_limits,

@@ -1,24 +1,15 @@
-from ._contracting import (
-    Contracting as Contracting,
-    ContractingState as ContractingState,
-    craft_observer as craft_observer,
-)
+from ._contracting import Contracting as Contracting, craft_observer as craft_observer
 from ._copy import ModelCopy as ModelCopy
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
 from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
-from ._intrinsic_force import (
-    IntrinsicForce as IntrinsicForce,
-    IntrinsicForceInfo as IntrinsicForceInfo,
-    IntrinsicForceState as IntrinsicForceState,
-)
+from ._intrinsic_force import IntrinsicForce as IntrinsicForce, IntrinsicForceState as IntrinsicForceState
 from ._passive_ship import (
-    PassiveGains as PassiveGains,
     PassiveShip as PassiveShip,
     lyapunov_gains as lyapunov_gains,
     lyapunov_rate as lyapunov_rate,
     notch_gains as notch_gains,
     printed_rate as printed_rate,
 )
-from ._reduced_order import ReducedOrder as ReducedOrder, ReducedOrderState as ReducedOrderState
-from ._salcudean import Salcudean as Salcudean, SalcudeanState as SalcudeanState, of_mean_inertia as of_mean_inertia
+from ._reduced_order import ReducedOrder as ReducedOrder
+from ._salcudean import Salcudean as Salcudean, of_mean_inertia as of_mean_inertia

@@ -1,7 +1,6 @@
-from ._filtered_derivative import FilteredDerivative as FilteredDerivative, FilteredState as FilteredState
+from ._filtered_derivative import FilteredDerivative as FilteredDerivative
 from ._high_gain import HighGain as HighGain
 from ._levant import Levant as Levant
-from ._model_free import AbstractLinearFilter as AbstractLinearFilter, FilterInfo as FilterInfo, response as response
+from ._model_free import AbstractLinearFilter as AbstractLinearFilter, response as response
 from ._pll import PLL as PLL
-from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay, WindowState as WindowState
-from ._tracking_loop import LoopState as LoopState
+from ._savitzky_golay import SavitzkyGolay as SavitzkyGolay
