@@ -3,6 +3,7 @@ from ._craft import (
     coriolis_matrix as coriolis_matrix,
     euler_rates as euler_rates,
     euler_rotation as euler_rotation,
+    euler_transform as euler_transform,
     positive_definite as positive_definite,
     yaw_rotation as yaw_rotation,
 )
