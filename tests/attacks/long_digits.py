@@ -21,7 +21,6 @@ def test_stamps_that_single_precision_rounds_together_are_refused():
         uses = [
             lambda later: observers.run(ekf, record._replace(t=t + later)),
             lambda later: observers.smooth(ekf, record._replace(t=t + later)),
-            lambda later: observers.noise_step(ekf, record._replace(t=t + later)),
             lambda later: observers.observed_forces(momentum, t + later, zeros, record.y, zeros),
             lambda later: decay(lambda t, x: 5.0 * x, metric, -2.0, *pair, t[::200] + later),
         ]

@@ -65,7 +65,6 @@ from .filters import (
     StateEKF as StateEKF,
     StateNoise as StateNoise,
     legged_base as legged_base,
-    noise_step as noise_step,
     smooth as smooth,
 )
 from .sensors import (

@@ -9,7 +9,6 @@ from ._legged_base import (
     LeggedBaseState as LeggedBaseState,
     legged_base as legged_base,
 )
-from ._noise_step import noise_step as noise_step
 from ._riccati import (
     Estimate as Estimate,
     InformationEKF as InformationEKF,
