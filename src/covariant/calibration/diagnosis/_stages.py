@@ -1,0 +1,440 @@
+"""The stages of a diagnosis, in their order: each removes what would hide the faults that the later ones look for."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from covariant.calibration.diagnosis._case import (
+    Case,
+    Residual,
+    best_window,
+    busiest,
+    case_without_outliers,
+    clearly,
+    in_coordinates,
+    long_enough,
+    names_of,
+    smoothed,
+    smoothed_residual,
+)
+from covariant.calibration.diagnosis._clock import set_forward, stamps
+from covariant.calibration.diagnosis._columns import COLUMNS
+from covariant.calibration.diagnosis._edges import edge_findings
+from covariant.calibration.diagnosis._finding import Finding, Rows
+from covariant.calibration.diagnosis._jumps import (
+    moved_zeros,
+    period_findings,
+    periods,
+    second_sender,
+    sender_finding,
+    without_full_turns,
+)
+from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
+from covariant.calibration.diagnosis._on_group import group_findings
+from covariant.calibration.diagnosis._on_legs import late_encoders
+from covariant.calibration.diagnosis._readings import (
+    known_ticks,
+    missing_cells,
+    readings,
+    still_findings,
+)
+from covariant.calibration.diagnosis._repeats import repeated_findings, stuck, without_repeated
+from covariant.calibration.diagnosis._sensor_checks import sensor_checks
+from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
+from covariant.calibration.diagnosis._sensor_motion import Beside
+from covariant.calibration.diagnosis._servo_faults import servo_findings
+from covariant.calibration.diagnosis._suspicion import (
+    Comparison,
+    Suspicion,
+    choose,
+    clearly_unexplained,
+    compare_all,
+    judge,
+    unexplained_at,
+)
+from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, FEW_ROWS, MOST_ROWS, THRESHOLDS
+from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
+from covariant.calibration.diagnosis._unexplained import constant_inputs, unexplained
+from covariant.models import ModelFile
+from covariant.observers import on_legs
+from covariant.scoring import unwrap
+from covariant.signals import Record
+
+SHIFTED = (1.0, 2.0, 4.0)
+"""Half windows to look for shifts by whole rows in, in those that explain most."""
+NOISY = 0.01
+"""Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
+MOST_PAIRS = 6
+"""Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
+AROUND_PART, FEWEST_AROUND = 3, 150
+"""Rows on either side of a part of the log that judge it, if many do not show it: relative to its own rows with the
+windows beside it, and the fewest."""
+MOST_CHANGES = 3
+"""Suspicions about columns that are accepted one after another."""
+COMPARED = (
+    *("units", "order and signs of columns", "scales of inputs", "delays"),
+    *("friction and rotor inertia", "accelerations"),
+)
+"""Checks that compare accelerations."""
+LATE = ("delay", "delay against the inputs")
+"""Findings that friction looks like."""
+
+
+@dataclass
+class Examination:
+    """A log, its model, and what the stages have made of them so far.
+
+    Attributes:
+        file: The model and its data sheet.
+        record: The log as it was read; once the stages have found them, without wraps, and with stuck parts mended.
+        quantum: Ticks that the model file states, or None.
+        rows: Stamps, and where the rows are in the file.
+        sensors: Sensors beside the positions.
+        findings: Findings of the stages so far.
+        checks: Names of the checks that were made.
+        case: The log without outliers, as it is compared with the model.
+        as_read: The same with the readings as they are in the log, for what only depends on these.
+        wraps: Period at which each position begins anew, 0 for none.
+        still, outliers, edges, repeated: Findings on the readings, which later stages add or replace.
+    """
+
+    file: ModelFile
+    record: Record
+    quantum: float | tuple[float, ...] | None
+    rows: Rows
+    sensors: Sequence[Beside]
+    findings: list[Finding] = field(default_factory=list)
+    checks: tuple[str, ...] = ("clock", "missing rows", "irregular stamps", "missing measurements")
+    case: Case = field(init=False)
+    as_read: Case = field(init=False)
+    wraps: np.ndarray = field(init=False)
+    still: list[Finding] = field(default_factory=list)
+    outliers: list[Finding] = field(default_factory=list)
+    edges: list[Finding] = field(default_factory=list)
+    repeated: list[Finding] = field(default_factory=list)
+
+    @property
+    def y(self) -> np.ndarray:
+        """Readings (T, n) of the record."""
+        return np.asarray(self.record.y)
+
+    def drop(self, *names: str) -> None:
+        """Drop findings that another one explains."""
+        self.findings = [each for each in self.findings if each.what not in names]
+
+
+Stage = Callable[[Examination], bool]
+"""What a stage is: it looks, and says whether the examination ends with it."""
+
+
+def look_at_clock(log: Examination) -> bool:
+    """Stamps and missing cells."""
+    log.findings += [*stamps(log.rows.t), *missing_cells(log.y)]
+    return False
+
+
+def look_without_coordinates(log: Examination) -> bool:
+    """All there is to a machine that is not in coordinates."""
+    if in_coordinates(log.file):
+        return False
+    if not log.file.mechanical:
+        late = late_encoders(log.file, log.record) if on_legs(log.file.model) else None
+        log.findings += late or []
+        log.checks += () if late is None else ("delays",)
+        return True
+    model: Any = log.file.model
+    on_group = group_findings(model, log.record, log.file.columns.t, log.rows)
+    clock = [] if any(each.what == "unit of time" for each in on_group) else log.findings
+    log.findings = [*on_group, *clock]
+    log.checks += ("unit of time", "repeated rows")
+    return True
+
+
+def look_for_rest(log: Examination) -> bool:
+    """Positions that stand still in the whole log."""
+    log.checks += ("periods", "several senders", "outliers", "repeated rows", "ticks", "noise")
+    names = names_of(log.file)
+    log.still, whole = still_findings(log.y, names.q, names.units)
+    log.findings += log.still if whole else []
+    return whole
+
+
+def look_for_senders(log: Examination) -> bool:
+    """Readings of a second sender, which hide everything else, as jumps of a period do, which are removed first."""
+    log.wraps = periods(log.rows.t, log.y, known_ticks(log.record, (), log.quantum))
+    log.record = log.record._replace(y=unwrap(log.y, (), log.wraps))
+    log.case, log.outliers = case_without_outliers(log.file, log.record, log.rows, log.quantum)
+    senders = _second_senders(log.case, log.record, log.outliers, log.rows)
+    if senders:
+        # Two motions in one column look like noise, outliers, delays and wrong units.
+        log.drop("missing rows", "irregular stamps")
+        log.findings += [*log.still, *senders]
+    return bool(senders)
+
+
+def mend_broken_parts(log: Examination) -> bool:
+    """Parts of the log in which a position is stuck, or from which on its zero is another one."""
+    broken = [] if log.file.input_kind == "command" else _broken_parts(log.case, log.y, log.rows)
+    for each, _ in broken:
+        log.record = each.apply(log.case._replace(record=log.record)).record
+    if broken:
+        log.findings += [finding for _, finding in broken]
+        log.case, log.outliers = case_without_outliers(log.file, log.record, log.rows, log.quantum)
+    return False
+
+
+def look_at_readings(log: Examination) -> bool:
+    """Rows that come only at the edges of an encoder, and readings that repeat; the rest takes the busiest rows."""
+    case, names = log.case, log.case.names
+    log.as_read = case._replace(record=log.record)
+    log.edges = edge_findings(log.rows.t, log.y, case.ticks, names, log.quantum)
+    if log.edges:
+        log.drop("missing rows", "irregular stamps")
+    log.repeated = repeated_findings(log.y, case.ticks, names.q, log.rows)
+    if any(each.wrong for each in log.repeated):
+        case = case._replace(record=case.record._replace(y=without_repeated(np.asarray(case.record.y), case.ticks)))
+    log.case = case._replace(record=busiest(case.record, MOST_ROWS))
+    return False
+
+
+def look_at_servos(log: Examination) -> bool:
+    """All there is to a machine whose inputs are commands of servos."""
+    if log.file.input_kind != "command":
+        return False
+    ticks = log.case.ticks
+    on_servos, case = servo_findings(log.case)
+    log.findings += [*log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *on_servos]
+    log.findings += [*_sensors(case, log.quantum, log.edges), *sensor_checks(case, log.rows.t, log.sensors)]
+    log.checks += ("sensors beside the positions",) if log.sensors else ()
+    log.checks += ("units, signs and order of commands", "servos", "delays of commands")
+    return True
+
+
+def look_at_columns(log: Examination) -> bool:
+    """Units, order and signs of columns, and then the readings in the units of the model."""
+    y, ticks = log.y, log.as_read.ticks
+    corrections, changes, log.case = _correct_columns(log.case)
+    for each in corrections:
+        log.as_read = each.apply(log.as_read) if each.what.startswith("unit of") else log.as_read
+    case, changed = log.case, np.asarray(log.as_read.record.y)
+    if not np.array_equal(changed, y, equal_nan=True):
+        # Angles in another unit jump at other places, so the readings are looked at anew, in that of the model.
+        again, log.outliers = case_without_outliers(log.file, log.record._replace(y=changed), log.rows, log.quantum)
+        largest = np.nanargmax(np.abs(y), axis=0), np.arange(y.shape[1])
+        log.wraps = log.wraps * np.abs(changed[largest] / y[largest])
+        ticks = again.ticks
+        log.repeated = repeated_findings(changed, ticks, case.names.q, log.rows)
+    noise = np.maximum(np.nan_to_num(readings(log.record._replace(y=changed), case.model.circles).std), ticks)
+    forward = set_forward(log.rows.t, unwrap(changed, case.model.circles), noise, log.rows)
+    log.findings += [*forward, *log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *changes]
+    # In another unit of time the readings have other rates too: they are judged once it is right.
+    log.sensors = () if any(each.what == "unit of time" for each in changes) else log.sensors
+    log.checks += ("sensors beside the positions",) if log.sensors else ()
+    return False
+
+
+def compare_accelerations(log: Examination) -> bool:
+    """Torques that the model lacks, delays, scales, noise: what the accelerations tell, if there are any."""
+    case, best = log.case, best_window(log.case)
+    constant = constant_inputs(log.record, case.names)
+    if best is None or not best[1].told.any():
+        log.findings += [*_sensors(case, log.quantum, log.edges), *sensor_checks(case, log.rows.t, log.sensors)]
+        log.findings.append(standstill(case.record, case.model.circles, case.names, case.ticks))
+        return True
+    log.checks += COMPARED
+    lacking, case, timing = _torques_or_timing(case, *best)
+    delays = timing.findings(case, best[0])
+    if lacking and not timing.explains_most(case, best[0]):
+        delays = [_until_fitted(each) if each.what in LATE else each for each in delays]
+    in_time = timing.apply(case)
+    small = _rows_and_inputs(in_time, best[0], not any(each.what == "delay" for each in delays))
+    # Readings of a column that is rows late are those of a sensor only in their own rows.
+    shift = [sum(int(each.numbers["rows"]) for each in small if each.where == name) for name in case.names.q]
+    moved = case._replace(
+        record=case.record._replace(y=moved_rows(np.asarray(case.record.y), timing.rows + np.array(shift)))
+    )
+    left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0], constant)
+    beside = sensor_checks(case, log.rows.t, log.sensors, timing.delay - timing.delay.min())
+    log.findings += [*_sensors(moved, log.quantum, log.edges), *beside, *lacking, *delays, *small, *left]
+    return True
+
+
+STAGES: tuple[Stage, ...] = (
+    *(look_at_clock, look_without_coordinates, look_for_rest, look_for_senders, mend_broken_parts, look_at_readings),
+    *(look_at_servos, look_at_columns, compare_accelerations),
+)
+"""The stages in their order."""
+
+
+def _periods(log: Examination, case: Case, ticks: np.ndarray) -> list[Finding]:
+    return period_findings(without_full_turns(log.wraps, case.model.circles), ticks, case.names)
+
+
+def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspicion, Finding]]:
+    """What is accepted about parts of the log in which a position is stuck, or from which on its zero is another one.
+
+    Readings name the rows, and the model judges them on those around: a joint may rest, and its readings may jump over
+    rows that are missing.
+    """
+    found: list[tuple[Suspicion, Finding]] = []
+    for _ in range(MOST_CHANGES):
+        suspicions = itertools.chain(stuck(case, read, rows), moved_zeros(case, read, rows))
+        judged = [one for each in suspicions if (one := _judge_around(case, each)) is not None]
+        if not judged:
+            break
+        # A stuck encoder that is read again jumps, and beside a jump a turn may look stuck.
+        accepted = min(judged, key=lambda one: one[1].numbers["unexplained_after"])
+        found.append(accepted)
+        case = accepted[0].apply(case)
+        read = np.asarray(accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y)
+    # The rows before the first one are right; those before another one are not, as they stand.
+    found.sort(key=lambda each: each[1].numbers["begin"])
+    return [
+        (each, one if k == 0 else one._replace(line=one.line.split("; or ")[-1])) for k, (each, one) in enumerate(found)
+    ]
+
+
+def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding] | None:
+    """Judge a suspicion about a part of the log on many rows around it, or, if it is short, on few."""
+    t = np.asarray(case.record.t)
+    begin, end = np.searchsorted(t, [suspicion.numbers["begin"], suspicion.numbers["end"]])
+    # Of 30 blocks of so few rows some that are held out see it.
+    few = int(AROUND_PART * (end - begin + 2 * case.file.reference_half / case.spacing))
+    for beside in (FEW_ROWS // 2, np.clip(few, FEWEST_AROUND, FEW_ROWS // 2)):
+        near = slice(max(begin - beside, 0), min(end, begin + FEW_ROWS) + beside)
+        around = case._replace(record=Record(*(np.asarray(a)[near] for a in case.record[:3])))
+        if (accepted := judge(around, [suspicion], clearly_unexplained)) is not None:
+            return accepted
+    return None
+
+
+def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
+    """What is accepted of `COLUMNS`, the findings on it, and the case with it."""
+    accepted, findings = [], []
+    # One after another: in wrong units a swap of columns explains nothing.
+    for _ in range(MOST_CHANGES):
+        # Many are tried, and such faults are large, so that fewer rows show them.
+        short = case._replace(record=busiest(case.record, FEW_ROWS))
+        suspicions = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
+        tried = compare_all(short, suspicions, clearly_unexplained)
+        best = choose(tried)
+        columns = {id(each): each for each, _ in tried}
+        if tried and not (best and best[1].numbers["unexplained_after"] < EXPLAINED):
+            pairs = _with_torques(short, tried)
+            columns |= {id(pair): column for pair, column in pairs}
+            best = choose([*tried, *compare_all(short, [pair for pair, _ in pairs], clearly_unexplained)])
+        change = None if best is None else columns[id(best[0])]
+        if best is None or change is None:
+            break
+        accepted.append(change)
+        findings.append(best[1])
+        case = change.apply(case)
+    return accepted, findings, case
+
+
+def _with_torques(
+    case: Case, tried: Sequence[tuple[Suspicion, Comparison]]
+) -> list[tuple[Suspicion, Suspicion | None]]:
+    """Suspicions about columns, and none, each with torques that are missing then, and the one about columns.
+
+    Missing torques are reported later, in narrower windows; here they keep a wrong column from being blamed for them.
+    """
+    pairs: list[tuple[Suspicion, Suspicion | None]] = []
+    for column in (None, *(each for each, _ in tried)):
+        changed = case if column is None else column.apply(case)
+        log = clearly(changed)
+        for torques in missing_torques(changed, log) if log is not None else ():
+            if column is None:
+                pairs.append((torques, None))
+            elif torques.threshold != "rotors":
+                words, apply = f"{column.words} and {torques.words}", _both(column, torques)
+                pair = column._replace(words=words, apply=apply, threshold="columns and torques")
+                pairs.append((pair._replace(expected=torques.expected), column))
+    best = sorted(pairs, key=lambda pair: pair[0].expected)[:MOST_PAIRS]
+    # Torques alone come first: without gravity, its zero and its sign are nothing.
+    return sorted(best, key=lambda pair: pair[1] is not None)
+
+
+def _both(first: Suspicion, second: Suspicion) -> Callable[[Case], Case]:
+    return lambda case: second.apply(first.apply(case))
+
+
+def _until_fitted(delay: Finding) -> Finding:
+    """A delay that explains little beside torques that the model lacks, as a note: a law of friction with other numbers
+    or of another form than was tried looks like one."""
+    evidence = f"{delay.evidence}; friction that is not fitted yet looks like this"
+    return delay._replace(evidence=evidence, line="fit what the model lacks, then check again", wrong=False)
+
+
+def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[list[Finding], Case, Timing]:
+    """Findings on torques that the model lacks, the case with these, and its delays and scales.
+
+    Friction looks like a delay and like a scale of an input, so these are judged against each other, alone and
+    together; where the model lacks torques, delays and scales are looked for in the model that has them.
+    """
+    timing = fit_timing(case, half)
+    log = smoothed(case, half)
+    torques, beside = list(missing_torques(case, log)), list(friction_beside_scales(case, log))
+    if not torques and not beside:
+        return [], case, timing
+    plain = [each for each in torques if each.threshold == "torques"]
+    rotors = [each for each in torques if each.threshold == "rotors"]
+    both, timings = [], {id(each): each for each in torques}
+    for each in (*torques, *beside):
+        later = fit_timing(each.apply(case), half)
+        if later.suspicions:
+            both.append(each._replace(apply=_both(each, later.together), threshold="torques and fitted"))
+            timings[id(both[-1])] = each
+    accepted = judge(case, [*plain, timing.together, *rotors, *both], unexplained_at(half))
+    if accepted is None or id(accepted[0]) not in timings:
+        return [], case, timing
+    suspicion, finding = timings[id(accepted[0])], accepted[1]
+    # A note as long as the data sheet admits what the model leaves.
+    wrong = as_it_is.misfit > BARELY or bool(unexplained(case, as_it_is, half))
+    case = suspicion.apply(case)
+    return [finding._replace(wrong=wrong)], case, fit_timing(case, half)
+
+
+def _rows_and_inputs(case: Case, half: float, rows: bool) -> list[Finding]:
+    """At most one finding on a column that is whole rows late, if `rows`, or on how inputs go from row to row.
+
+    Wider windows show shifts in time below the noise of narrower ones. Where these see so little noise that they would
+    show the smallest shift that is reported, wider ones only show what they smooth away.
+    """
+    for wide in (w * half for w in SHIFTED):
+        if not long_enough(case, wide):
+            break
+        compare = unexplained_at(wide)
+        now = compare(case)
+        suspicions = [*(row_shifts(case) if rows else ()), *inputs_between_rows(case)]
+        accepted = judge(case, suspicions, lambda each, now=now, at=compare: now if each is case else at(each))
+        if accepted is not None:
+            return [accepted[1]]
+        if now is not None and now.most <= THRESHOLDS["rows"].least:
+            break
+    return []
+
+
+def _sensors(case: Case, stated: float | tuple[float, ...] | None, edges: list[Finding]) -> list[Finding]:
+    found = sensor_findings(case.record, case.model.circles, case.names, stated, case.file.measurement_std)
+    return [*edges, *(each for each in found if not (edges and each.what == "ticks"))]
+
+
+def _second_senders(case: Case, record: Record, outliers: list[Finding], rows: Rows) -> list[Finding]:
+    """The findings on columns whose readings come from two motions in turn."""
+    stated, continuous = case.file.measurement_std, unwrap(np.asarray(record.y), case.model.circles)
+    usual = np.maximum(np.broadcast_to(0.0 if stated is None else stated, len(case.names.q)), case.ticks)
+    noise = np.nan_to_num(readings(case.record, case.model.circles).noise)
+    many = [each.where for each in outliers if each.wrong]
+    findings = []
+    for i, name in enumerate(case.names.q):
+        # The search is long, so that only columns that are no single motion with the stated noise are looked at.
+        if name not in many and not noise[i] > max(NOISIER * usual[i], NOISY * np.nanstd(continuous[:, i])):
+            continue
+        second = second_sender(np.asarray(record.t), continuous[:, i])
+        if second is not None:
+            findings.append(sender_finding(second, name, rows))
+    return findings
