@@ -61,13 +61,12 @@ types: env
 tests: env
 	$(BIN)/pytest $(PARALLEL) -m "not long"
 
-long exhaustive: export COVARIANT_CHECK_SHAPES := 1
-
 # Of some rooms alone: make long ROOMS="tests/logs tests/cli".
 long: env
 	$(BIN)/pytest $(PARALLEL) $(EVERY_FILE) -m long $(ROOMS)
 
 # Larger members of the laws, many trials, every page without a compiler and without a cache, and the benchmarks. Two hours.
+exhaustive: export COVARIANT_CHECK_SHAPES := 1
 exhaustive: env bench
 	$(BIN)/pytest $(PARALLEL) $(EVERY_FILE) --exhaustive -m exhaustive
 

@@ -43,7 +43,7 @@ import pytest
 from beartype.claw import beartype_packages
 from jaxtyping import install_import_hook
 
-# The long suite checks types and shapes of arguments in every call, which takes time that the core suite has not.
+# `make exhaustive` checks types and shapes of arguments in every call, which takes time that the other suites have not.
 # What the checker computes with says no shapes. A wrong type there is no `TypeError`, which would count as a refusal.
 CHECKER = ("scalargraph.proofs.checker", "scalargraph.proofs._file")
 if os.environ.get("COVARIANT_CHECK_SHAPES"):
