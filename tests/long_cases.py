@@ -11,6 +11,7 @@ from test_cases import CHUNKS, RIGHT, Squares
 from covariant._cases import Crew, run_chunks
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_a_part_that_kills_its_process_takes_no_other_with_it(scheduled):
     with contextlib.ExitStack() as stack:
@@ -28,6 +29,7 @@ def test_a_part_that_kills_its_process_takes_no_other_with_it(scheduled):
     assert sorted(squares) == [(number, number**2) for number in range(20) if number != 7]
 
 
+@pytest.mark.exhaustive
 def test_a_worker_of_a_cluster_that_is_killed_loses_nothing(tmp_path):
     """A client is taken as it is, and left open."""
     with (

@@ -66,6 +66,7 @@ def test_other_parameters_and_gains_compile_nothing(count, system, first, other)
     assert count.programs == before
 
 
+@pytest.mark.exhaustive
 def test_the_observer_in_continuous_time_compiles_once(count):
     t = np.linspace(0.0, 0.1, 5)
     for round_ in range(3):
@@ -86,6 +87,7 @@ def test_state_space_systems_compile_once(count):
     assert count.programs == before
 
 
+@pytest.mark.exhaustive
 def test_a_second_model_of_ones_own_compiles_nothing(count):
     """As the page on models says: functions of a module, and their numbers in a `Parametric`."""
     for mass in (1.0, 2.0):

@@ -7,6 +7,7 @@ import pytest
 from test_contributing import house, python
 
 
+@pytest.mark.exhaustive
 def test_an_observer_in_one_file_and_one_entry_is_run_and_compared(house):
     """On the log of a model that was added in one file and one line."""
     script = """
@@ -46,6 +47,7 @@ print("RUN", run(made["tracker"], record).estimate.shape)
     assert "RUN (301, 2)" in said
 
 
+@pytest.mark.exhaustive
 def test_it_is_put_to_the_laws_and_a_law_to_every_observer(house):
     laws = "tests/laws/test_every_observer.py"
     done = python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", "-rA", laws, "-k", "tracker and beam")
@@ -55,6 +57,7 @@ def test_it_is_put_to_the_laws_and_a_law_to_every_observer(house):
     assert "test_what_is_measured_later_changes_nothing_before" in passed
 
 
+@pytest.mark.exhaustive
 def test_a_kind_of_claim_is_proved_written_read_and_checked(house):
     python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", "tests/certificates/test_ceiling.py")
 
@@ -66,6 +69,7 @@ def laws_of_geometry(house: Path, chosen: str) -> set[str]:
     return set(re.findall(r"PASSED \S+::(\w+)\[hills\]", done))
 
 
+@pytest.mark.exhaustive
 def test_a_space_is_put_to_the_laws_at_a_point(house):
     assert laws_of_geometry(
         house, "hills and (symmetric_positive or torsion or its_symmetries or christoffel_is or curvature_is_that)"
@@ -78,6 +82,7 @@ def test_a_space_is_put_to_the_laws_at_a_point(house):
     }
 
 
+@pytest.mark.exhaustive
 def test_a_space_is_put_to_the_laws_of_geodesics(house):
     assert laws_of_geometry(house, "hills and (there_and_back or geodesic_is_found)") >= {
         "test_transport_there_and_back_is_the_identity",
@@ -85,6 +90,7 @@ def test_a_space_is_put_to_the_laws_of_geodesics(house):
     }
 
 
+@pytest.mark.exhaustive
 def test_a_kind_of_sensor_is_simulated_read_and_checked(house):
     script = """
 import doctest, pathlib
@@ -118,6 +124,7 @@ print([(each.where, each.line) for each in covariant.check("arm.toml", frame).fi
     assert """('tilt', '[sensors.tilt] units = "rad"')""" in python(house, "-c", script)
 
 
+@pytest.mark.exhaustive
 def test_a_verb_is_a_function_and_a_command(house):
     script = """
 import sys
@@ -142,11 +149,13 @@ command("gaps", "oscillator", "gaps.csv", "--json")
     python(house, "-m", "pytest", "-q", "-p", "no:xdist", "tests/verbs/test_gaps.py")
 
 
+@pytest.mark.exhaustive
 def test_a_suspicion_in_one_function_is_judged_with_the_others(house):
     test = "tests/calibration/test_absolute_angles.py"
     assert "1 passed" in python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--no-header", test)
 
 
+@pytest.mark.exhaustive
 def test_examples_in_docstrings_of_the_page_run(house):
     script = """
 import doctest, importlib
@@ -157,11 +166,13 @@ for name in ("covariant.geometry._surface", "covariant.verbs._gaps"):
     python(house, "-c", script)
 
 
+@pytest.mark.exhaustive
 def test_the_code_of_the_page_keeps_the_house_rules(house):
     rules = "left or private or circle or opens_with or defined_once or agreed"
     python(house, "-m", "pytest", "-q", "-p", "no:xdist", "--noconftest", "tests/test_house.py", "-k", rules)
 
 
+@pytest.mark.exhaustive
 def test_it_is_in_the_table_of_the_docs(house):
     python(house, "tools/pages.py")
     row = "| `tracker` | `Tracker` | prediction by the model, correction along the error | as a first example |"

@@ -156,6 +156,7 @@ def derived_by_jax() -> set[str]:
     return {name for name in taking if names[name] == 1 and not name.startswith("_")}
 
 
+@pytest.mark.exhaustive
 def test_statements_take_no_derivative_from_jax():
     """They take it from `scalargraph`, the checker from `scalargraph.proofs.checker`; both see values alone."""
     names = DERIVATIVES | derived_by_jax()

@@ -73,6 +73,7 @@ def test_a_program_that_solves_can_be_stored():
         assert "callback" not in program.lower(STATE).as_text()
 
 
+@pytest.mark.exhaustive
 def test_solve_goes_back_in_time_and_is_differentiable(exact):
     times = jnp.array([START + DURATION, 1.0, START])
     there = jax.tree.map(lambda a, b: jnp.reshape(a, jnp.shape(b)), {"position": exact[:2], "speed": exact[2]}, STATE)
@@ -85,6 +86,7 @@ def test_solve_goes_back_in_time_and_is_differentiable(exact):
     np.testing.assert_allclose(jax.jit(jax.jacfwd(end))(jnp.array(0.7)), -2.0 * np.exp(-0.7), rtol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_steps_end_where_a_condition_or_a_border_says():
     """A falling stone: after the first step below half its height, and where it meets the ground, each in a batch."""
 

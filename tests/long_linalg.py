@@ -12,6 +12,7 @@ from covariant import _linalg
 from covariant._linalg import BLOCK, WHOLE, lower_solve, pivots, solve, triangular_with_rank, upper_solve
 
 
+@pytest.mark.exhaustive("float-23", "float32-23")
 @pytest.mark.parametrize("n", [1, 2, BLOCK, BLOCK + 1, 23])
 @pytest.mark.parametrize("real", [float, np.float32])
 def test_loops_take_the_steps_that_are_written_out(n, real, monkeypatch):
@@ -24,6 +25,7 @@ def test_loops_take_the_steps_that_are_written_out(n, real, monkeypatch):
     np.testing.assert_allclose(*found, rtol=0, atol=20 * np.finfo(real).eps * np.abs(found[0]).max())
 
 
+@pytest.mark.exhaustive("matrix")
 @pytest.mark.exhaustive("loops")
 @pytest.mark.parametrize(("n", "columns"), [(1, ()), (2, (2,)), (WHOLE + 1, ())], ids=["number", "matrix", "loops"])
 def test_solve_has_the_derivatives_that_differences_show(n, columns):

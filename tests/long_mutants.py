@@ -42,6 +42,7 @@ def test_a_mutant_is_another_program_and_differs_in_one_place():
         assert old.encode() in source
 
 
+@pytest.mark.exhaustive
 def test_the_draw_is_reproducible_and_gives_every_room_its_share():
     assert draw(7, 150) == drawn() != draw(8, 150)
     assert len(set(drawn())) == 150

@@ -59,6 +59,7 @@ def static_part(model):
     return eqx.partition(model, eqx.is_array)[1]
 
 
+@pytest.mark.exhaustive("legged_base")
 @pytest.mark.core(5)
 @pytest.mark.long("robot")
 @pytest.mark.parametrize("name", FACTORIES)

@@ -28,6 +28,7 @@ def test_solve_is_that_of_lapack(n, columns):
     np.testing.assert_allclose(jax.jit(jax.vmap(solve))(a, b), expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.exhaustive("side by side-21")
 @pytest.mark.core(1)
 @pytest.mark.long("side by side-20", "side by side-21")
 @pytest.mark.parametrize("n", SIZES)
@@ -80,6 +81,7 @@ def test_solve_keeps_single_precision():
     np.testing.assert_allclose(solve(a, b), np.linalg.solve(a, b), rtol=1e-5)
 
 
+@pytest.mark.exhaustive("21")
 @pytest.mark.core(1)
 @pytest.mark.exhaustive("20")
 @pytest.mark.parametrize("n", SIZES)

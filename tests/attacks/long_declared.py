@@ -26,6 +26,7 @@ def bent(x):
     return jnp.stack([jnp.sin(x[0]) * x[1], x[1] ** 3 + x[0]])
 
 
+@pytest.mark.exhaustive("in a branch")
 @EVERY
 def test_derivatives_are_those_of_the_values(lie):
     lying, direction = lie(bent), jnp.array([0.3, 2.0])
@@ -60,6 +61,7 @@ OF_OBSERVABILITY = {
 }
 
 
+@pytest.mark.exhaustive("without a graph-h", "without a graph-metric")
 @pytest.mark.parametrize("where", OF_OBSERVABILITY)
 @pytest.mark.parametrize("name", ["stop_gradient", "custom_jvp", "custom_vjp", "without a graph"])
 def test_both_conditions_are_those_of_the_values(where, name):
@@ -92,6 +94,7 @@ def test_distances_need_the_connection_of_the_metric(name):
     assert "the connection of the model's space" in str(statement)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["stop_gradient", "custom_jvp"])
 def test_the_shear_is_a_choice_and_its_change_is_not(name):
     """The metric of a sampled step takes a derivative of the potential by JAX. Whatever it is, lengths in this metric

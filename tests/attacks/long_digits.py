@@ -10,6 +10,7 @@ from covariant import Record, models, observers
 from covariant.certificates import decay, in_coordinates
 
 
+@pytest.mark.exhaustive
 def test_stamps_that_single_precision_rounds_together_are_refused():
     """Without double precision in JAX, seconds since 1970 are multiples of 128 s: no step would take any time."""
     t = np.linspace(0.0, 4.0, 401)

@@ -8,6 +8,7 @@ from test_doors import folder
 from covariant import Record, models, observers
 
 
+@pytest.mark.exhaustive
 def test_a_smoother_goes_on_after_a_restart():
     t = np.arange(0, 0.3, 0.01)
     u = np.zeros((30, 1))

@@ -7,6 +7,7 @@ from test_injectivity import PAIR, beyond_half_a_turn, damped, on
 from covariant.certificates import certify
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("0.3")
 @pytest.mark.parametrize("error", [0.3, 3.0])
 def test_smaller_errors_are_proved(error):

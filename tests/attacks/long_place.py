@@ -24,6 +24,7 @@ def test_potentials_may_depend_on_place():
     assert verdict(observer, velocity=1.0, error=0.3, input=1.0) == "holds"
 
 
+@pytest.mark.exhaustive
 def test_friction_without_the_place_is_proved():
     for law in (lambda xp, g, v: -v, lambda xp, g, v: -2 * v * xp.abs(v), lambda xp, g, v: -v + 0 * g[0, 0]):
         assert verdict(wheel(law), velocity=1.0, error=0.3, input=1.0) == "holds"

@@ -170,6 +170,7 @@ def excess(certificate, runs, found, real):
     return worst, int(measured.sum())
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "real"), [("double", np.float64), ("float", np.float32)])
 def test_no_run_of_the_step_in_c_or_jax_is_farther_off_than_what_is_proved(name, real, made, tmp_path):
     command = compiler()
@@ -202,6 +203,7 @@ def test_no_run_of_the_step_in_c_or_jax_is_farther_off_than_what_is_proved(name,
     assert worst < 0
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("change", ["gains", "longer intervals", "late samples", "a start outside"])
 def test_what_is_not_proved_is_found_false(change, made):
     """The same search finds what is wrong, where something is."""

@@ -196,6 +196,7 @@ FAULTS = st.lists(
 )
 
 
+@pytest.mark.exhaustive("filtered derivative", "ukf", "joint kalman")
 @pytest.mark.exhaustive(
     *("copy", "craft", "ekf", "geodesic", "group", "group, riemannian", "information ekf", "intrinsic"),
     *("intrinsic kalman", "intrinsic kalman, body", "intrinsic, second order", "invariant ekf", "passive ship"),
@@ -223,6 +224,7 @@ def test_no_stream_spoils_an_observer(name):
     holds()
 
 
+@pytest.mark.exhaustive
 def test_a_repeated_stamp_changes_nothing_and_is_said():
     ekf = EKF(ONE, jnp.eye(1), jnp.eye(1))  # which could take a measurement in without moving on
     for observer in (WATCHER, ekf):

@@ -34,6 +34,9 @@ def test_most_faults_are_named():
     assert len(missed) <= max(1, MOST_MISSED * len(FAULTS) * each), missed
 
 
+@pytest.mark.exhaustive(
+    "compensated-thousandths", "unknown friction-thousandths", "delay-milliseconds", "unknown friction-milliseconds"
+)
 @pytest.mark.parametrize(("first", "second"), PAIRS)
 def test_two_faults_are_named_together(first, second):
     fault = with_two_faults(first, second, 0)

@@ -8,6 +8,7 @@ from covariant.calibration import diagnose
 from covariant.signals import Record
 
 
+@pytest.mark.exhaustive("0.9")
 @pytest.mark.parametrize("coulomb", [0.3, 0.6, 0.9])
 def test_a_unit_by_its_prefix_and_friction_are_no_delay_and_no_odd_scale(coulomb):
     found = diagnose(pendulum(), Record(T, 1e3 * TORQUE[:, None], read(swing(coulomb=coulomb)))).findings
@@ -44,6 +45,7 @@ def test_torques_beyond_gravity_compensation_are_no_rotor(coulomb, factor, whats
     assert "gravity" not in wrong(weightless, log._replace(u=log.u / factor))
 
 
+@pytest.mark.exhaustive
 def test_a_wrong_mass_is_not_called_gravity_compensation():
     for mass in (0.3, 3.0):
         found = wrong(

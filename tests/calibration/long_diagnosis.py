@@ -97,12 +97,14 @@ def test_a_late_joint_is_found_to_half_a_millisecond(pendulum, clean, joint, tim
     assert [finding.what for finding in diagnose(told, one_late(clean, joint, time)).findings if finding.wrong] == []
 
 
+@pytest.mark.exhaustive
 def test_the_scale_of_an_input_is_found(pendulum, clean):
     (found,) = diagnose(pendulum, clean._replace(u=clean.u * [1.0, 2.0])).findings
     assert (found.what, found.where) == ("scale of an input", "tau2")
     assert abs(found.numbers["scale"] - 0.5) < 0.01 + 3 * found.numbers["std"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("scales", [(0.02, -0.05), (1.6, 0.5)])
 def test_wrong_scales_of_all_inputs_do_not_hide_each_other(pendulum, clean, scales):
     """As where torques of motors are taken for those of the joints."""
@@ -112,6 +114,7 @@ def test_wrong_scales_of_all_inputs_do_not_hide_each_other(pendulum, clean, scal
         assert abs(found.numbers["scale"] * scale - 1) < 0.02 + 3 * found.numbers["std"] * abs(scale)
 
 
+@pytest.mark.exhaustive
 def test_two_faults_are_found_one_after_the_other(pendulum, clean):
     changed = one_late(clean, 1, 6e-3)._replace(t=clean.t * 1e3)
     done = diagnose(pendulum, changed._replace(u=clean.u * [1.0, 1.6]))
@@ -137,6 +140,7 @@ def test_noise_beyond_the_data_sheet_is_found(pendulum, clean):
     assert abs(found.numbers["std"] / 3e-3 - 1) < 0.1
 
 
+@pytest.mark.exhaustive
 def test_outliers_are_found_and_what_is_left_is_compared(pendulum, clean):
     random = np.random.default_rng(0)
     y, bad = clean.y.copy(), random.random(clean.y.shape) < 0.05
@@ -178,6 +182,7 @@ def test_nothing_is_told_of_a_machine_that_stands_still(pendulum, clean):
     assert misfit(pendulum, Record(*(array[:20] for array in clean[:3]))) is None
 
 
+@pytest.mark.exhaustive
 def test_a_model_of_another_machine_is_refused(clean):
     other = load("examples/demo_double_pendulum.toml", ("parameters.gravity=0.5", "parameters.com=[0.01, 0.01]"))
     found = misfit(other, clean)
@@ -221,6 +226,7 @@ def test_a_row_late_is_found_in_a_recorded_log(data_folder, name, joint):
     assert abs(found.numbers["delay"] - 2e-3) < 1e-3  # joint 1 of that log seems to be late already
 
 
+@pytest.mark.exhaustive
 @pytest.mark.data
 def test_faults_of_a_recorded_log_are_found(data_folder):
     file, record = real(data_folder, "dircol")
@@ -247,6 +253,7 @@ def test_single_outliers_are_named_by_row_and_spoil_nothing(pendulum, clean):
     assert "by 0.4 rad: row 811 (0.8 s), row 3011 (3 s)" in found.evidence
 
 
+@pytest.mark.exhaustive
 def test_a_log_in_which_nothing_moves_is_said_to_be_one(pendulum, clean):
     done = diagnose(pendulum, clean._replace(y=np.broadcast_to([0.5, -0.25], clean.y.shape)))
     assert [(found.what, found.wrong) for found in done.findings] == [("nothing moves", True)]
@@ -298,6 +305,7 @@ def test_a_joint_that_rests_and_then_moves_is_not_called_stuck(pendulum, exact):
     assert not [each for each in found if each.wrong]
 
 
+@pytest.mark.exhaustive
 def test_inputs_that_never_change_are_named_before_an_uncertainty(pendulum, clean):
     u = np.where([True, False], 0.0, clean.u)[:1000]
     short = clean._replace(t=clean.t[:1000], y=clean.y[:1000])
@@ -348,6 +356,7 @@ def test_friction_and_rotors_that_a_robot_lacks_are_named(unknown, what, line):
                 assert 0.7 * value < found[0].numbers[f"{kind} of {joint}"] < 1.3 * value
 
 
+@pytest.mark.exhaustive
 def test_a_wrong_centre_of_mass_is_not_called_a_rotor(pendulum, clean):
     """A rotor explains half of it and more, and leaves a quarter."""
     wrong = load("examples/demo_double_pendulum.toml", ("measurement.std=2e-4", "parameters.com=[0.1, 0.2]"))
@@ -356,6 +365,7 @@ def test_a_wrong_centre_of_mass_is_not_called_a_rotor(pendulum, clean):
     assert not {each.what for each in found.findings} & {"friction", "rotor inertia", "friction and rotor inertia"}
 
 
+@pytest.mark.exhaustive
 def test_what_a_model_lacks_is_named_before_an_estimate_and_for_chains():
     fault = with_fault("unknown rotor", 1)
     (found,) = (each for each in diagnose(fault.file, fault.record).findings if each.wrong)

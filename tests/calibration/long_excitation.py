@@ -96,6 +96,7 @@ def test_what_no_motion_shows_is_named():
     assert "inertia.lower.Ixx" in found.expected.combinations.absorbed
 
 
+@pytest.mark.exhaustive
 def test_limits_that_cannot_be_kept_are_refused(robot):
     weak = LIMITS._replace(low=np.array([0.8, -1.5]), effort=np.array([0.5, 1.0]))
     with pytest.raises(ValueError, match=r"cannot hold the joints still .* joint 'shoulder' takes .* larger effort"):

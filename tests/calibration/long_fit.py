@@ -113,6 +113,7 @@ def make(mass, viscous, coulomb):
 """
 
 
+@pytest.mark.exhaustive
 def test_friction_too_steep_for_the_steps_of_the_first_values_is_found(tmp_path, monkeypatch):
     """The true friction needs a hundred Runge–Kutta steps where that of the first values needs one."""
     monkeypatch.syspath_prepend(tmp_path)

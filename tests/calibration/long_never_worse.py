@@ -18,6 +18,7 @@ def bench(tmp_path_factory) -> dict:
         return runpy.run_path(str(BENCHMARKS / "degraded.py"))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("name", "most"), [("acrobot late", 1.05), ("passive elbow", 1.05)])
 def test_the_tuned_default_is_near_the_best_constant_gains(bench, name, most):
     twin = bench["TWINS"][name]()

@@ -161,6 +161,7 @@ def test_a_log_in_degrees_is_named_whatever_the_friction_and_the_rotors_are(name
     assert finding.line == '[units] q = "deg"'
 
 
+@pytest.mark.exhaustive
 def test_a_joint_without_a_motor_hides_no_wrong_unit_and_is_none():
     """All its torques sum to zero: relative to their sum nothing of it would be explained."""
     truth = Truth((0.002, 0.05), (0.001, 0.05), (0.0, 0.0), armature=(0.0, 0.004), constants=(0.0, 1.0))
@@ -203,6 +204,7 @@ def test_a_load_and_an_offset_have_a_mirrored_solution():
     assert np.abs(accelerations(-x, offset + turn) - true).max() > 0.1
 
 
+@pytest.mark.exhaustive
 def test_robots_of_one_make_share_their_rotors_and_have_their_own_friction():
     truths = Truth(), Truth(viscous=(0.2, 0.1), coulomb=(0.24, 0.07), asymmetry=(0.0, 0.0))
     records = [Record(t, u[0], y[0]) for k, each in enumerate(truths) for t, u, y in [swing(1, each, 8.0, seed=k)]]

@@ -113,6 +113,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.exhaustive("columns")
 @pytest.mark.exhaustive("all signs")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_one_fault_is_one_finding_with_its_setting(chain, fault):
@@ -199,6 +200,7 @@ def test_faults_of_sensors_in_space(tmp_path):
         assert line in found[0][2]
 
 
+@pytest.mark.exhaustive("3")
 @pytest.mark.exhaustive("0", "1")
 @pytest.mark.parametrize("seed", range(10))
 def test_there_are_no_false_alarms(seed, tmp_path):

@@ -48,6 +48,7 @@ def found(model):
     return covariant.design_excitation(model, ASKED, **PLAN)
 
 
+@pytest.mark.exhaustive
 def test_every_number_that_is_asked_is_shown_better_than_by_a_sine(found):
     assert list(found.columns) == ["t", "lift", "v1", "torque_lift", "cmd_lift"]
     assert found.units["torque_lift"], found.units["cmd_lift"] == ("N m", "rad")
@@ -81,6 +82,7 @@ def test_mujoco_does_the_motion_within_the_limits(model, found, tmp_path):
     assert np.all((commands > -1.5) & (commands < 1.2))
 
 
+@pytest.mark.exhaustive
 def test_fits_of_noisy_logs_scatter_as_expected(model, found):
     """Gauss–Newton from the true numbers: one step, with the noise of the encoder."""
     family = models.robot_family(str(model), ASKED.split(","))
@@ -93,6 +95,7 @@ def test_fits_of_noisy_logs_scatter_as_expected(model, found):
     assert np.all((ratio > 0.6) & (ratio < 1.5)), ratio
 
 
+@pytest.mark.exhaustive
 def test_derivatives_of_the_simulation_are_those_of_finite_differences(model, found):
     family = models.robot_family(str(model), ["servo.delay", "servo.stiffness"])
     simulation = _Simulation.of(family, 50.0)

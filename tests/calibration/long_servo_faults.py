@@ -33,6 +33,7 @@ def wrong(findings):
     return [(each.what, each.where, each.evidence) for each in findings if each.wrong]
 
 
+@pytest.mark.exhaustive("4-True", "7-True")
 @pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("seed", range(12))
 def test_a_log_without_faults_is_not_called_wrong(seed, known, tmp_path):
@@ -54,6 +55,7 @@ def test_a_fault_of_a_servo_is_named_first(kind, tmp_path):
     assert log.joint in found[0][1], found
 
 
+@pytest.mark.exhaustive("off-until = 13.")
 @pytest.mark.parametrize(("kind", "line"), [("sign", "[units] u = "), ("off", "until = 13.")])
 def test_a_remedy_is_pasted_and_checked_again(kind, line, tmp_path):
     log = with_fault(kind, 1)

@@ -21,6 +21,7 @@ def assert_near(result: Any, truth: dict[str, float], least: int) -> None:
         assert abs(row["after"] - truth[name]) < 4 * row["standard_error"], (name, row)
 
 
+@pytest.mark.exhaustive
 def test_numbers_of_a_servo_are_found_through_delay_ticks_and_friction(arm):
     result = covariant.fit(arm(), simulated(), "servo")
     assert result.better
@@ -30,6 +31,7 @@ def test_numbers_of_a_servo_are_found_through_delay_ticks_and_friction(arm):
     assert result.summary["held_out_errors"]["after"]["position"][0] < 2 * TICK
 
 
+@pytest.mark.exhaustive
 def test_a_servo_that_counts_the_other_way_is_not_fitted_away(arm):
     """Commands of the wrong sign are no motion of these commands: no numbers predict what is held out."""
     record = simulated(20.0)
@@ -39,6 +41,7 @@ def test_a_servo_that_counts_the_other_way_is_not_fitted_away(arm):
     assert "as no servo does" in result.summary["suspicion"]
 
 
+@pytest.mark.exhaustive
 def test_logs_with_other_gains_share_the_numbers_of_the_servo(arm):
     gains = (0.5, 2.0, 1.0)
     logs = [simulated(16.0, gain=gain, seed=i) for i, gain in enumerate(gains)]
@@ -49,6 +52,7 @@ def test_logs_with_other_gains_share_the_numbers_of_the_servo(arm):
     assert "gain" not in result.content["servo"]["elbow"]  # what holds for one log alone is not written
 
 
+@pytest.mark.exhaustive
 def test_stiffness_and_inertia_without_weight_act_by_their_ratio(arm):
     record = simulated(20.0, hanging=False, feedforward=0.0, viscous=0.0)
     names = "servo.stiffness,servo.armature,servo.damping,servo.coulomb"

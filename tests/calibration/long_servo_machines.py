@@ -42,6 +42,7 @@ def judged(case, folder):
     return numbers, ours / theirs
 
 
+@pytest.mark.exhaustive
 def test_a_fit_finds_servos_that_mujoco_moves_and_velocities_profit(tmp_path):
     numbers, ratio = judged(bench["draw_case"]("two", 4, seconds=30.0), tmp_path)
     assert len(numbers.within) >= 14, "the log determines most of the numbers"
@@ -49,6 +50,7 @@ def test_a_fit_finds_servos_that_mujoco_moves_and_velocities_profit(tmp_path):
     assert (ratio <= 0.5).all(), ratio
 
 
+@pytest.mark.exhaustive
 def test_an_so101_in_mujoco_is_fitted_and_its_velocities_profit(tmp_path):
     if not (Path(os.environ.get("COVARIANT_DATA", "/none")) / "so101").exists():
         pytest.skip("COVARIANT_DATA has no so101")

@@ -53,6 +53,7 @@ FITTED = ("cart_mass", "com", "inertia", "viscous", "coulomb")
 KNOWN = {"parameters.pole_mass": POLE, "inputs.between": "held"}
 
 
+@pytest.mark.exhaustive
 def test_guesses_of_the_draft_end_at_the_truth_and_the_place_that_won_is_said(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     model, log = drafted(tmp_path)
@@ -65,6 +66,7 @@ def test_guesses_of_the_draft_end_at_the_truth_and_the_place_that_won_is_said(tm
     assert result.summary["start"] in str(result)
 
 
+@pytest.mark.exhaustive
 def test_numbers_that_stand_for_each_other_are_not_called_determined(tmp_path, monkeypatch):
     """Only both masses together, the moment of the pole, and its inertia about the pivot are shown: three of four."""
     monkeypatch.chdir(tmp_path)
@@ -83,6 +85,7 @@ def held_friction() -> dict:
     return {"parameters.viscous": list(VISCOUS), "parameters.coulomb": list(COULOMB), "inputs.between": "held"}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
@@ -112,6 +115,7 @@ MACHINES = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", MACHINES)
 def test_guesses_off_by_up_to_ten_times_end_within_four_standard_errors(name):
     truth, known, motion = MACHINES[name]

@@ -38,6 +38,7 @@ def test_coordinates_of_different_units_have_ticks_of_their_own(beam):
     assert wrong.wrong
 
 
+@pytest.mark.exhaustive
 def test_noise_beyond_that_of_the_file_is_said_for_each_coordinate(beam):
     rough = np.stack([0.1 * np.sin(3 * T) + noise(1e-3), 0.4 * np.cos(2 * T) + 1e-4 * noise(1.0)[::-1]], axis=1)
     log = Record(T, np.zeros((len(T), 1)), rough)

@@ -40,12 +40,14 @@ def test_a_certificate_is_found_right_from_the_file_alone(saved, tmp_path):
     assert seen[-1][0] == seen[-1][1]
 
 
+@pytest.mark.exhaustive
 def test_processes_find_the_same(saved, monkeypatch):
     alone = check(saved)
     monkeypatch.setattr(_check, "SHARE", 100)
     assert check(saved, processes=2).leaves == alone.leaves
 
 
+@pytest.mark.exhaustive
 def test_a_small_certificate_starts_no_processes(saved, monkeypatch):
     """By the number of its leaves, so the same on every machine."""
 
@@ -259,6 +261,7 @@ def test_the_statement_says_how_far_the_checker_came(sectors, monkeypatch):
         sector(checker="on")
 
 
+@pytest.mark.exhaustive
 def test_a_leaf_that_takes_long_does_not_keep_anybody_waiting():
     """Steep friction over a wide box is one leaf for the prover, and thousands of boxes for the checker.
 
@@ -295,6 +298,7 @@ def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(se
     assert found.radius == pytest.approx(sectors.radius, rel=0.05)
 
 
+@pytest.mark.exhaustive("nothing-1.000001")
 @pytest.mark.exhaustive("square")
 @pytest.mark.parametrize("more", [1 + 1e-6, 1.5, 100.0])
 @pytest.mark.parametrize("mended", ["nothing", "limit", "square"])

@@ -9,6 +9,7 @@ from covariant import certificates, observers
 from scalargraph import lower, numbers
 
 
+@pytest.mark.exhaustive
 def test_in_the_angle_of_its_crank_the_observer_of_a_loop_is_the_same_to_first_order(four_bar):
     # One freedom has no curvature, and that of the loop would take most of the time.
     space, single = four_bar.space, observers.Intrinsic(reduced(), 20.0, 200.0, curvature=False)
@@ -33,6 +34,7 @@ def test_in_the_angle_of_its_crank_the_observer_of_a_loop_is_the_same_to_first_o
     assert (apart[2] / apart[1] > 3.5).all(), apart
 
 
+@pytest.mark.exhaustive
 def test_in_the_angle_of_its_crank_it_is_certified():
     certificate = certificates.certify(
         observers.Intrinsic(reduced(), 20.0, 200.0),

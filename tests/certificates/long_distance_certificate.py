@@ -23,6 +23,7 @@ def with_part(model, part, sigma, interval):
     return ImplicitGeodesic(model, alpha, sigma * alpha)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("beam")
 @pytest.mark.parametrize("model", [models.ball_and_beam(), models.pendulum_chain()], ids=["beam", "pendulum"])
 def test_curvature_and_stiffness_are_those_of_the_geometry(model):

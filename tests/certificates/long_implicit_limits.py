@@ -69,6 +69,7 @@ def check_a_pendulum(count):
         assert worst_share(2 - limits.least / 2, limits.before, count) > 1.01
 
 
+@pytest.mark.exhaustive
 def test_errors_of_a_pendulum_fall_as_proved_however_large():
     check_a_pendulum(5_000)
 
@@ -135,6 +136,7 @@ SPACES = {
 }
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("SO(3)", "hyperbolic plane")
 @pytest.mark.parametrize("name", SPACES)
 def test_a_correction_follows_the_jacobi_field(name):

@@ -55,6 +55,7 @@ def moved(x, u, dt):
     return jnp.concatenate([new.q, new.v])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("off", [1e30, -np.inf, 7e9, -1e30, np.inf], ids=str)
 def test_what_the_observer_does_not_use_is_a_lost_sample(off):
     observer = bounded(LOST_ONCE)
@@ -69,6 +70,7 @@ def test_what_the_observer_does_not_use_is_a_lost_sample(off):
     assert np.isinf(after(bounded(), *2 * [(off, 0.011)])[1].velocity_bound).all()
 
 
+@pytest.mark.exhaustive
 def test_what_a_gate_refuses_is_a_lost_sample_and_a_restart_is_not_covered():
     plain = plain_pendulum()
     observer = bounded(LOST_ONCE, Gated(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0)))
@@ -158,6 +160,7 @@ def test_stamps_that_are_rounded_are_covered():
         assert after(observer, *samples)[1].premise == Premise.HOLDS
 
 
+@pytest.mark.exhaustive
 def test_a_tube_that_is_left_and_a_part_of_a_measurement_are_premises():
     wild = bounded(PROVED._replace(force=1.0))
     assert after(wild, (0.0, 0.011), start=RADIUS)[1].premise == Premise.TUBE
@@ -324,6 +327,7 @@ def never_false(plant, runs, steps, seed=0):
     assert failed <= set(np.unique(premise).tolist())
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("missing_rows", [False, True])
 def test_no_fault_of_a_log_makes_a_bound_false(missing_rows):
     """50 000 rows, a seventh of them with a fault of one of eight kinds."""
@@ -335,6 +339,7 @@ def test_no_fault_of_a_million_rows_makes_a_bound_false():
     never_false(pendulum_plant(), 2000, 500, seed=7)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["ball_and_beam_100hz", "heavy_top_100hz"])
 def test_no_fault_makes_a_bound_of_a_shipped_certificate_false(name):
     """100 000 rows each."""
@@ -349,6 +354,7 @@ def test_no_fault_makes_a_bound_of_a_shipped_certificate_false(name):
     never_false(plant, 200, 500)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("change", ["corrects by what is lost", "no contradiction"])
 def test_the_attack_finds_a_bound_that_decides_for_itself(change, monkeypatch):
     honest = SampledBound.step
@@ -432,6 +438,7 @@ def test_a_certificate_in_continuous_time_says_what_start_it_covers_and_has_no_b
 MASS_ON_A_SPRING = {"position": (-2.0, 2.0), "velocity": 3.0, "error": 0.3, "interval": (0.01, 0.01), "lost": 1}
 
 
+@pytest.mark.exhaustive
 def test_rows_that_may_be_missing_are_proved_and_checked_by_their_longer_steps(tmp_path):
     recipe = models.recipe("oscillator")
     model = models.from_recipe(recipe)
@@ -460,6 +467,7 @@ def test_rows_that_may_be_missing_are_proved_and_checked_by_their_longer_steps(t
         check(forged(path, tmp_path, put("sampling.missing_rows", False)))
 
 
+@pytest.mark.exhaustive
 def test_the_verb_fixes_the_number_of_steps_and_proves_their_errors():
     """An observer that chose it would have predictions that are assumed to be exact, and no bound."""
     bounds = {"velocity": 3.0, "error": 0.3, "region": {"q": (-2.0, 2.0)}, "interval": (0.01, 0.03), "checker": "off"}

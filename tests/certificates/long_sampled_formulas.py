@@ -118,6 +118,7 @@ OPTIONS, ESTIMATED = ({}, {"order": 2}, {"curvature": False}), ("two links", {"c
 BOTH = pytest.mark.parametrize("name", MACHINES)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("{'curvature': False}", "{'coefficients': 'estimated'}", "{'order': 2}", "top-{}")
 @pytest.mark.parametrize(("name", "options"), [*itertools.product(MACHINES, OPTIONS), ESTIMATED], ids=str)
 def test_the_correction_is_that_of_the_step_that_runs_and_changes_curves_as_its_jacobian_says(name, options):
@@ -162,6 +163,7 @@ def test_predictions_change_curves_as_their_jacobian_says(name):
     assert (np.abs(transition - shipped).max(0) < 1e-4 * np.abs(shipped).max(0)).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("top", "True")
 @pytest.mark.parametrize("shear", [False, True])
 @BOTH
@@ -222,6 +224,7 @@ def vectors(prediction, z, order):
     return lambda z: numbers(graph, np.asarray(z)).reshape(prediction.size + 1, -1)[1:, 0]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("0", "3")
 @pytest.mark.parametrize("order", range(5))
 def test_the_defect_of_a_step_is_what_remains_of_its_series(order):

@@ -71,6 +71,7 @@ def test_where_simulation_grows_nothing_is_proved():
     assert result.radius == 0.0
 
 
+@pytest.mark.exhaustive
 def test_a_factor_that_takes_the_whole_rate_is_named_and_no_steps_are_tried():
     result = certify(pendulum(), **BOUNDS, interval=(0.1, 0.1), rate=0.3, checker="off", boxes=5000)
     assert result.statement.verdict == "undecided"
@@ -165,6 +166,7 @@ FORGERIES = {
 }
 
 
+@pytest.mark.exhaustive("shorter interval", "one more lost")
 @pytest.mark.exhaustive(
     *("errors of the steps", "force box", "gain", "input", "length of the error", "longer interval"),
     *("longer interval and box", "metric after the measurement", "no box of ages", "no slopes", "rate"),
@@ -261,6 +263,7 @@ def test_a_double_pendulum_with_dry_friction_is_proved_and_checked_at_500_hz(los
     assert 0 < sum(boxes) < checked.leaves / 4
 
 
+@pytest.mark.exhaustive("options1-the certificate is about the numbers of the model as they are")
 @pytest.mark.parametrize(
     ("options", "words"),
     [

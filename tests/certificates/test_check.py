@@ -53,6 +53,7 @@ def finely(letters="abcd", depth=14):
     return put("claims[0].levels", [letters[k % len(letters)] * 2**k for k in range(depth)] + ["." * 2**depth])
 
 
+@pytest.mark.exhaustive("abcd")
 @pytest.mark.exhaustive("dbca")
 @pytest.mark.long("abcd")
 @pytest.mark.parametrize("letters", ["abcd", "dbca"])
@@ -88,6 +89,7 @@ FORGERIES = {
 """What reads well, and is not true; files that do not read well are in `tests/attacks/test_files.py`."""
 
 
+@pytest.mark.exhaustive("radius and limit")
 @pytest.mark.core(1)
 @pytest.mark.long("Q", "gain", "leaves joined", "radius and limit", "square")
 @pytest.mark.exhaustive("box beyond the metric", "box enlarged", "rate")

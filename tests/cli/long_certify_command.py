@@ -32,6 +32,7 @@ def test_a_proof_says_how_fast_from_how_far_and_where(proved):
     assert (proved["model"], proved["out"]) == ("pendulum.toml", "proved.json")
 
 
+@pytest.mark.exhaustive
 def test_the_file_is_the_certificate(proved):
     document = json.loads(Path("proved.json").read_text(encoding="utf-8"))
     assert (document["rate"], document["radius"]) == (proved["rate"], proved["radius"])
@@ -87,6 +88,7 @@ def pendulum(mass, length):
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("2")
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_model_of_ones_own_is_given_by_who_checks(processes, proved, folder, monkeypatch):

@@ -39,6 +39,7 @@ def test_a_log_that_fits_is_told_to():
     assert "801 rows at 200 Hz" in text
 
 
+@pytest.mark.exhaustive
 def test_what_is_wrong_is_printed_with_the_remedy():
     code, text, _ = leave("check", "model.toml", "ms.csv")
     assert code == 1

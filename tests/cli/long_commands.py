@@ -41,6 +41,7 @@ def test_simulate_repeats_by_seed():
     assert Path("other.csv").read_bytes() != Path("log.csv").read_bytes()
 
 
+@pytest.mark.exhaustive
 def test_estimate_prints_what_it_found(estimated):
     assert estimated["rows"] == 801
     assert estimated["scored_against"] == "true velocity"
@@ -66,6 +67,7 @@ def test_a_filter_that_knows_how_accurate_it_is_writes_that_too():
     assert "whole ticks" not in command(*quick)["design"]
 
 
+@pytest.mark.exhaustive
 def test_estimate_writes_stamps_positions_and_velocities(estimated):
     assert Path(estimated["out"]).read_text().splitlines()[0] == "t,q1,v1"
     log = logs.read("v.csv", READ)
@@ -123,6 +125,7 @@ def test_people_get_the_same_in_words(estimated):
     assert "engine" not in out
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("arguments1")
 @pytest.mark.parametrize("arguments", [("estimate",), ("compare", "--truth", "true_v1")])
 def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, monkeypatch):
@@ -234,6 +237,7 @@ def test_a_run_keeps_what_is_asked_for():
         np.testing.assert_array_equal(getattr(few.info, name), getattr(all_of_it.info, name))
 
 
+@pytest.mark.exhaustive
 def test_a_simulated_drive_lags_as_the_model_file_says(tmp_path, monkeypatch):
     """The log holds what is commanded; the machine feels it later, by `[inputs] delay` and behind `[inputs] lag`."""
     monkeypatch.chdir(tmp_path)
@@ -246,6 +250,7 @@ def test_a_simulated_drive_lags_as_the_model_file_says(tmp_path, monkeypatch):
     assert errors["told"] < 0.05 * errors["untold"]
 
 
+@pytest.mark.exhaustive
 def test_estimate_writes_a_recording_and_joint_states_with_velocities(tmp_path):
     rerun = pytest.importorskip("rerun")
     pytest.importorskip("rerun.chunk")

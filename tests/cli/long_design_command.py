@@ -48,6 +48,7 @@ def test_the_summary_is_that_of_the_store(made):
     assert store.attrs["provenance"]["equation"] == {"rate": 8.0, "process_cov": None, "measurement_cov": None}
 
 
+@pytest.mark.exhaustive
 def test_a_finished_store_is_summed_up_again_for_a_person(made):
     text = said("unknown_frequency", *SHAPE, "--rate", "8", "-o", "paper.zarr")
     first, codes, least, bounds, error_bound = text.splitlines()

@@ -42,6 +42,7 @@ def test_a_fit_that_is_worse_on_what_it_has_not_seen_is_not_written():
 FIRST = ("--set", "parameters.length=[0.4]", "--set", "parameters.gravity=9.0")
 
 
+@pytest.mark.exhaustive
 def test_robots_of_one_make_have_their_friction_and_files_of_their_own(tmp_path, monkeypatch):
     """Three arms from a URDF file: one unknown link, each with its friction; the last log of each is held out."""
     monkeypatch.chdir(tmp_path)

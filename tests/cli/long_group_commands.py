@@ -73,6 +73,7 @@ def test_simulate_writes_attitude_inputs_and_truth():
     np.testing.assert_allclose(column("log.csv", *TRUTH.split(","))[0], [0.5, 1.0, 8.0])
 
 
+@pytest.mark.exhaustive
 def test_the_truth_of_a_simulation_turns_the_body():
     """The true attitudes and the true body rates belong together."""
     t, w = column("log.csv", "t")[:, 0], column("log.csv", *TRUTH.split(","))
@@ -100,6 +101,7 @@ def test_machines_get_the_documented_keys(estimated):
     assert all(len(estimated[key]) == 3 for key in ("velocity_rmse", "innovation_rms"))
 
 
+@pytest.mark.exhaustive
 def test_the_estimate_has_the_columns_of_the_log_and_the_names_of_the_model(estimated):
     assert Path("v.csv").read_text().splitlines()[0] == "t,qw,qx,qy,qz,w1,w2,w3"
     q, true_q = column("v.csv", *WXYZ), column("log.csv", *(f"true_{name}" for name in WXYZ))
@@ -107,6 +109,7 @@ def test_the_estimate_has_the_columns_of_the_log_and_the_names_of_the_model(esti
     assert np.abs(np.abs(np.einsum("ki,ki->k", q, true_q)) - 1)[200:].max() < 1e-5
 
 
+@pytest.mark.exhaustive
 def test_the_report_is_one_page_and_figures(estimated):
     assert [Path(p).suffix for p in estimated["report"]] == [".html", ".png", ".png", ".png"]
     figures = unpacked(Path("report.html").read_text(), "figures")

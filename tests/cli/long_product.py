@@ -149,6 +149,7 @@ def number(x: Any) -> float | None:
         return None
 
 
+@pytest.mark.exhaustive("chart-csv", "group-csv", "state-space-csv")
 @pytest.mark.parametrize("output", ESTIMATE)
 def test_both_engines_estimate_the_same(estimates, output):
     by_c, by_jax = (estimates[engine][output] for engine in ENGINES)
@@ -159,6 +160,7 @@ def test_both_engines_estimate_the_same(estimates, output):
         assert by_c["engine"] == "c" or shutil.which("cc") is None
 
 
+@pytest.mark.exhaustive("state-space-table", "state-space-comparison report")
 @pytest.mark.parametrize("output", COMPARE)
 def test_both_engines_compare_the_same(comparisons, output):
     by_c, by_jax = (comparisons[engine][output] for engine in ENGINES)

@@ -67,6 +67,7 @@ def log(simulated):
     return "log.csv"
 
 
+@pytest.mark.exhaustive
 def test_estimate_writes_states_and_how_certain_they_are(log):
     words = ("-o", "states.csv", "--report", "page.html", "--engine", "jax")
     done = command("estimate", "model.toml", log, *words, *TRUTH)

@@ -22,6 +22,7 @@ def errors(velocity, x) -> np.ndarray:
     return np.sqrt(np.mean((velocity - x[:, 2:])[SETTLED:] ** 2, axis=0))
 
 
+@pytest.mark.exhaustive
 def test_the_model_alone_follows_the_machine():
     """With a limit, dead bands, a switch, friction as steep as 15 N m s/rad and commands that jump, at 50 Hz."""
     log, x = servo_machine.run()
@@ -31,6 +32,7 @@ def test_the_model_alone_follows_the_machine():
     assert (errors(velocity, x) < 0.2).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["intrinsic", "ekf", "implicit-geodesic"])
 def test_a_velocity_is_estimated_from_commands(name, file):
     log, x = servo_machine.run()
@@ -42,6 +44,7 @@ def test_a_velocity_is_estimated_from_commands(name, file):
         assert errors(early.velocity, x)[0] > 2 * errors(result.velocity, x)[0]
 
 
+@pytest.mark.exhaustive
 def test_a_torque_on_a_joint_is_estimated_from_commands(file):
     log, _ = servo_machine.run(pushed=True)
     result = covariant.estimate(file, log, observer="intrinsic-kalman", overrides=FORCE)
@@ -54,6 +57,7 @@ def test_a_torque_on_a_joint_is_estimated_from_commands(file):
     assert ((np.abs(force - true) < 2 * std)[SETTLED:].mean(0) > 0.9).all()
 
 
+@pytest.mark.exhaustive
 def test_stiff_friction_takes_as_many_substeps_as_it_needs():
     model, u = arm(), jnp.array([0.5, -0.5, 1.0])
     still, fast = (needed_substeps(model, 0.0, jnp.zeros(2), jnp.full(2, v), u, 0.02).item() for v in (0.0, 3.0))

@@ -10,6 +10,7 @@ import pytest
 loop = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "loop.py"))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
 def test_equal_ripple_allows_a_higher_gain(tmp_path, monkeypatch):
     """At less ripple 1.8 times the gain and half of the tracking error, on an arm that tuned neither."""

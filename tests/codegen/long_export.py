@@ -113,6 +113,7 @@ int main(void)
 """
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_a_step_by_one_sensor_alone_is_the_whole_step_without_the_rest(exported, tmp_path):
     folder = exported("sensors").folder

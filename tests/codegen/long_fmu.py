@@ -207,6 +207,7 @@ def test_no_odd_step_silences_a_unit(version, paths, tmp_path):
     unit.calls.freeFMUState(state)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("3.0")
 @needs_compiler
 @pytest.mark.parametrize("version", ["3.0", "2.0"])

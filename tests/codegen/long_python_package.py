@@ -14,6 +14,7 @@ from covariant.engine import Stream, run_log
 from scalargraph import compiler as _compile
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_samples_are_those_of_the_log_and_of_a_stream(package):
     chosen, y, _ = observer("pendulum")
@@ -42,6 +43,7 @@ def test_samples_are_those_of_the_log_and_of_a_stream(package):
     assert stepped.step([np.nan] * 2, 0.004, [np.nan, 0.0]).name == "INPUT_HELD"
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_numbers_may_be_changed(package):
     made = package("pendulum")

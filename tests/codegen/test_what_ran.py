@@ -156,16 +156,20 @@ class Member(NamedTuple):
 TOP = Path(__file__).parents[2] / "examples" / "heavy_top.toml"
 MEMBERS = {
     "speed": Member("filtered-derivative", suite=""),
-    "joint": Member("joint-kalman"),
+    "joint": Member("joint-kalman", suite="exhaustive"),
     "kalman": Member("intrinsic-kalman"),
     "holes": Member("intrinsic-kalman", hole=HOLES[0]),
-    "ekf": Member("ekf"),
-    "implicit": Member("implicit-geodesic"),
+    "ekf": Member("ekf", suite="exhaustive"),
+    "implicit": Member("implicit-geodesic", suite="exhaustive"),
     "geodesic": Member("geodesic", suite="exhaustive"),
     "late": Member("copy", (MODEL + FASTER).replace("std = 1e-3", "std = 1e-3\ndelay = 0.023"), suite="exhaustive"),
     "sent": Member("copy", INPUTS + "delay = 0.013\nlag = 0.02\nlead = 0.015"),
-    "servos": Member("intrinsic", servo_machine.TEXT, lambda: servo_machine.run(1 / RATE, 2 * ROWS)[0]),
-    "between": Member("copy", INPUTS + 'delay = 0.004\nlag = 0.01\nlead = 0.02\nbetween = "linear"'),
+    "servos": Member(
+        "intrinsic", servo_machine.TEXT, lambda: servo_machine.run(1 / RATE, 2 * ROWS)[0], suite="exhaustive"
+    ),
+    "between": Member(
+        "copy", INPUTS + 'delay = 0.004\nlag = 0.01\nlead = 0.02\nbetween = "linear"', suite="exhaustive"
+    ),
     "commands": Member("intrinsic-kalman", INPUTS + "delay = 0.037", suite="exhaustive", hole="an input missing"),
     "group": Member("intrinsic", TOP.read_text(encoding="utf-8"), turn),
 }

@@ -63,6 +63,7 @@ def variants(x, where: str = ""):
 SHORT = ("oscillator", "free_body")
 
 
+@pytest.mark.exhaustive("free_body", "pendulum_chain")
 @pytest.mark.parametrize("name", [n if n in SHORT else pytest.param(n, marks=pytest.mark.long) for n in MODELS])
 def test_observers_that_differ_in_anything_have_other_keys(name):
     """In one number by one unit in its last place, in a setting, a type, a shape, a function, or in their kind."""

@@ -118,6 +118,7 @@ parameters = {{mass = [{mass}], length = [{length}], viscous = [0.1]}}
 """
 
 
+@pytest.mark.exhaustive
 @needs_compiler
 def test_after_another_number_in_the_model_file_nothing_is_compiled(tmp_path, monkeypatch):
     """Neither traced, nor lowered, nor compiled; and the estimates are those of the model with that number."""
@@ -155,6 +156,7 @@ def stream(request) -> Stream:
     return stream
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("c")
 def test_a_stream_does_what_the_loop_by_hand_does(stream):
     observer, (t, u, y, _) = stream.observer, record()

@@ -61,6 +61,7 @@ def test_a_search_ends_where_newtons_method_has_converged(monkeypatch):
     assert 2 <= len(steps) <= 6
 
 
+@pytest.mark.exhaustive
 def test_missing_measurement_is_not_converged():
     shot = shoot(P, jnp.array([jnp.nan, jnp.nan]), jnp.zeros(2))
     assert shot.result == StepCode.NOT_CONVERGED

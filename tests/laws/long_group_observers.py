@@ -53,6 +53,7 @@ def test_the_exact_observer_on_the_arm_is_the_approximate_one_to_first_order():
     assert np.polyfit(np.log(sizes), np.log(found), 1)[0] == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.exhaustive
 def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error():
     model = system("SO(3)")
     small, large = (worst(OBSERVERS["intrinsic"](model, ALPHA, BETA), model, 3.0, size) for size in (1e-4, 1e-3))

@@ -36,6 +36,7 @@ CUT_ELSEWHERE = Linkage(
 """The five-bar, opened at the elbow of its second arm."""
 
 
+@pytest.mark.exhaustive
 @linkages
 def test_connection_has_no_torsion_and_keeps_vectors_along_each_leaf(name):
     system, q, _ = made(name)
@@ -47,6 +48,7 @@ def test_connection_has_no_torsion_and_keeps_vectors_along_each_leaf(name):
     np.testing.assert_allclose(rows @ space.connection(aside, a, b), change, atol=1e-11)
 
 
+@pytest.mark.exhaustive
 @linkages
 def test_connection_keeps_lengths(name):
     system, q, _ = made(name)
@@ -64,6 +66,7 @@ def test_connection_keeps_lengths(name):
     np.testing.assert_allclose(change, space.inner(q, derivative(b), c) + space.inner(q, b, derivative(c)), atol=1e-11)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("four-bar")
 @linkages
 def test_curvature_by_gauss_is_that_of_the_connection(name):
@@ -90,6 +93,7 @@ def pinned() -> tuple[models.MechanicalSystem, models.GroupSystem, Callable]:
     return system, top, lambda w: jnp.concatenate([-jnp.cross(w, point), w])
 
 
+@pytest.mark.exhaustive
 def test_a_body_with_a_pinned_point_is_a_top():
     system, top, twist = pinned()
     g, turned = system.space.assembly, system.space.assembly[:3, :3]
@@ -103,6 +107,7 @@ def test_a_body_with_a_pinned_point_is_a_top():
     np.testing.assert_allclose(torsion, system.manifold.bracket(g, x, y), atol=1e-13)
 
 
+@pytest.mark.exhaustive
 @linkages
 def test_flow_is_that_of_the_equations_with_multipliers(name):
     linkage = LINKAGES[name]
@@ -193,6 +198,7 @@ def test_estimates_are_the_same_in_other_angles_and_for_another_cut(kind):
     assert np.abs(by_joints - v)[1].max() > 1e-3 > np.abs(by_joints - v)[-1].max() or kind == "geodesic"
 
 
+@pytest.mark.exhaustive
 def test_constant_gains_find_the_motion_from_the_motors_and_stay_on_the_leaf():
     record, v = log()
     system, *_ = made("five-bar")
@@ -255,6 +261,7 @@ def squares(model, estimate, root, true) -> float:
     return float(error @ np.linalg.solve(spread @ spread.T, error))
 
 
+@pytest.mark.exhaustive
 def test_a_covariance_is_made_regular_across_the_leaf_alone():
     model, q, _ = made("four-bar")
     observer = observers.IntrinsicKalman(model, jnp.asarray(PROCESS), NOISE**2 * jnp.eye(3), 1.0)
@@ -295,6 +302,7 @@ def in_line() -> np.ndarray:
     return np.array([crank, 0.0, np.arctan2(end[1], end[0])])
 
 
+@pytest.mark.exhaustive
 def test_dead_centre_of_what_is_measured_is_said():
     system, *_ = made("four-bar")
     q, rocker = in_line(), np.array([False, False, True])

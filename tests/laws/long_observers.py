@@ -71,6 +71,7 @@ def test_what_the_linear_law_leaves_out_is_of_first_order_in_the_error(observer)
     assert np.log10(large / small) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("ball and beam", "curvature sign")
 @pytest.mark.parametrize("mistake", ["curvature sign", "Γ(q) for Γ(q̂)", "no source transport"])
 @pytest.mark.parametrize("name", ["hyperbolic plane", "ball and beam"])
@@ -90,6 +91,12 @@ DAMPED = {
 }
 
 
+@pytest.mark.exhaustive(
+    "double pendulum-geodesic",
+    "double pendulum-geodesic, converged",
+    "heavy top-geodesic",
+    "heavy top-geodesic, converged",
+)
 @pytest.mark.parametrize("observer", OBSERVERS)
 @pytest.mark.parametrize("name", DAMPED)
 def test_without_an_error_the_estimate_moves_as_the_plant(observer, name):

@@ -166,6 +166,7 @@ def kinds(tree: Any) -> list:
     return [(a.shape, a.dtype, jax.typeof(a).weak_type) for a in jax.tree.leaves(tree)]
 
 
+@pytest.mark.exhaustive("intrinsic-force-ball and beam")
 @pytest.mark.core(1)
 @pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "intrinsic2", "kalman", "ukf")
 @each
@@ -183,6 +184,7 @@ def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
     assert made == [made[0]] * 4
 
 
+@pytest.mark.exhaustive("intrinsic-body on SO(3)")
 @pytest.mark.core(1)
 @pytest.mark.long("intrinsic-body on SO(3)", "intrinsic2-body on SO(3)")
 @pytest.mark.exhaustive("ekf-body on SO(3)", "geodesic-body on SO(3)", "intrinsic-kalman")

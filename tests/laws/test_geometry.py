@@ -231,6 +231,7 @@ def length(space, p, q):
     return space.norm(p, space.shoot(p, q).velocity)
 
 
+@pytest.mark.exhaustive("numeric sphere", "double pendulum")
 @pytest.mark.long("double pendulum", "numeric sphere", "oscillator in r")
 def test_length_is_symmetric(space):
     close(length(space, space.p, space.q), length(space, space.q, space.p), GEODESIC)

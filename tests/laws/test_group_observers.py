@@ -79,6 +79,9 @@ CASES = [(o, s) for o in OBSERVERS for s in WHERE.get(o, ("SO(3)", "robot, joint
 CASES.remove(("intrinsic2", "robot, joints"))  # its error is of second order there as elsewhere; a minute to compile
 
 
+@pytest.mark.exhaustive(
+    "curvature sign-SO(3)", "transport-SO(3)", "alpha-SO(3)", "logarithm-SO(3)", "source-SO(3)", "logarithm-SE(3)"
+)
 @pytest.mark.core(1)
 @pytest.mark.parametrize(("slip", "name"), [*((slip, "SO(3)") for slip in SLIPS), ("logarithm", "SE(3)")])
 def test_each_slip_of_the_print_breaks_the_linear_law(slip, name):

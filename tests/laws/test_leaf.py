@@ -140,6 +140,7 @@ def vectors(system, q, count):
 # Observers, from the encoders of the motors alone
 
 
+@pytest.mark.exhaustive("five-bar")
 @pytest.mark.long("five-bar")
 @pytest.mark.exhaustive("four-bar")
 @linkages

@@ -84,6 +84,7 @@ def test_a_killed_run_goes_on_where_it_was(whole, tmp_path):
     check_values(path, GRID)
 
 
+@pytest.mark.exhaustive("change1-provenance.gains")
 @pytest.mark.parametrize(
     ("change", "word"),
     [

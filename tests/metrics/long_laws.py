@@ -45,6 +45,7 @@ def test_the_equation_is_satisfied_along_the_motion(found):
         assert np.abs(half @ slope[k] @ half.T).max() > 5e-4 * scale  # or the law would say nothing of it
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("Lorenz", "bioreactor", "induction motor", "unknown frequency", "van der Pol")
 def test_how_it_was_started_is_forgotten_and_it_is_a_tensor(found):
     itself = found.answers["itself"]
@@ -56,6 +57,7 @@ def test_how_it_was_started_is_forgotten_and_it_is_a_tensor(found):
         assert distances(itself.metric, found.answers[name].metric).max() < 3 * found.case.tolerance, name
 
 
+@pytest.mark.exhaustive("unknown frequency", "van der Pol", "Lorenz", "bioreactor", "induction motor")
 def test_units_change_no_code_and_no_index(found):
     itself, scaled = found.answers["itself"].solution, found.answers["other units"].solution
     np.testing.assert_array_equal(itself.result, scaled.result)
@@ -69,6 +71,7 @@ def weigh(windows, starts):
     return jax.vmap(every)(windows)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("induction motor", "unknown frequency")
 def test_the_error_bound_holds_what_the_unknown_past_can_change(found):
     """From above for every start, and from below: some start is as wrong as half of it."""
@@ -118,6 +121,7 @@ def test_the_flow_contracts_the_distance_of_any_two_metrics(found):
     assert (np.diff(np.log(d), axis=1) <= -0.9 * slower + 1e-6).all()
 
 
+@pytest.mark.exhaustive("Lorenz")
 @pytest.mark.exhaustive("van der Pol")
 @pytest.mark.parametrize("found", AT_REST, indirect=True)
 def test_it_is_approached_geometrically_in_the_number_of_windows(found):

@@ -122,6 +122,7 @@ def test_the_observer_of_a_store_has_its_field_its_noise_and_the_gain_of_its_equ
         calibration.stored_observer(models.unknown_frequency(), path, jnp.zeros(3))
 
 
+@pytest.mark.exhaustive
 def test_what_does_not_fit_is_refused(path, tmp_path):
     wrong = metrics.Grid(("q", "v"), ("m", "m/s"), (-1, -1), (1, 1), (4, 4))
     with pytest.raises(ValueError, match="the grid has axes q, v; the states are q, q_dot"):
@@ -135,6 +136,7 @@ def test_what_does_not_fit_is_refused(path, tmp_path):
             load(tmp_path / "level.zarr")
 
 
+@pytest.mark.exhaustive
 def test_a_store_does_not_go_on_with_an_edited_model(tmp_path):
     """One whose numbers are in the code alone, and which has the same name."""
 

@@ -247,6 +247,7 @@ def star(near, far):
     return transition, information, spread
 
 
+@pytest.mark.exhaustive("induction motor")
 @pytest.mark.long("Lorenz", "induction motor", "van der Pol", "bioreactor", "unknown frequency")
 def test_windows_compose(found):
     """The window of 0.3 of the span, after that of 0.45 before it, is the window of 0.75."""
@@ -285,6 +286,7 @@ def stationary_information(case):
 AT_REST = [name for name, case in CASES.items() if case.still is not None]
 
 
+@pytest.mark.exhaustive("bioreactor")
 @pytest.mark.long("Lorenz", "van der Pol", "bioreactor")
 @pytest.mark.parametrize("found", AT_REST, indirect=True)
 def test_at_rest_it_is_the_stationary_kalman_filters(found):

@@ -175,6 +175,7 @@ def test_motion_keeps_casimirs_group_and_vorticity(n):
     assert relative(found, carried) < 1e-11
 
 
+@pytest.mark.exhaustive
 def test_energy_is_kept_at_fourth_order():
     n, steps, errors = 9, (0.16, 0.08, 0.04), []
     for dt in steps:

@@ -14,6 +14,7 @@ from covariant.models import Lagrangian, Motion, acceleration, advance, energy
 from covariant.simulation import simulate
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("top", "free body", "satellite", "underwater vehicle", "hovercraft")
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_equations_of_motion_are_those_of_lagrange_in_coordinates(name):

@@ -86,6 +86,7 @@ def of_multipliers(model):
     return solved
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["four_bar", "delta", "parallel_ankle"])
 def test_loops_move_as_multipliers_say(name):
     model = loaded(name)
@@ -96,6 +97,7 @@ def test_loops_move_as_multipliers_say(name):
     assert np.abs(model.space.constraint(q)).max() < 1e-14
 
 
+@pytest.mark.exhaustive
 def test_a_floating_base_may_carry_a_loop(tmp_path):
     path = tmp_path / "floating.xml"
     path.write_text(FLOATING)
@@ -109,6 +111,7 @@ def test_a_floating_base_may_carry_a_loop(tmp_path):
         assert_allclose(other, one, rtol=1e-10, atol=1e-10 * np.abs(one).max())
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", LOOPED)
 def test_rows_span_those_of_mujoco(name):
     model, engine = loaded(name), mujoco.MjModel.from_xml_path(str(located(name)))
@@ -123,6 +126,7 @@ def test_rows_span_those_of_mujoco(name):
         assert np.abs(theirs - theirs @ np.linalg.pinv(rows) @ rows).max() < 1e-11
 
 
+@pytest.mark.exhaustive
 def test_a_table_closes_the_loop_of_a_tree(tmp_path):
     path = four_bar(tmp_path)
     with pytest.raises(ValueError, match=r"loop 'pin': the loop does not close near.*give the assembly"):
@@ -164,6 +168,7 @@ def test_a_polynomial_between_joints(tmp_path):
     assert_allclose(found[1], v**2 + x * found[0], rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_overconstrained_and_branching_linkages_are_refused(tmp_path):
     # Bennett's linkage moves only by its exact lengths and twists: sin(α)/a = sin(β)/b.
     a, alpha, beta, first = 0.3, 0.6, 1.1, 1.0
@@ -193,6 +198,7 @@ def test_numbers_of_a_linkage_are_not_fitted():
         models.robot_family("four_bar", ["friction"])
 
 
+@pytest.mark.exhaustive
 def test_a_log_from_the_rocker_alone_is_refused_at_the_dead_centre():
     """The crank turns round; without a torque the model explains nothing of it either, which is not the cause."""
     pandas = pytest.importorskip("pandas")

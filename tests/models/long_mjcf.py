@@ -52,6 +52,7 @@ def test_units_and_limits_are_those_of_the_file(folder):
     assert load(str(folder / "arm.xml")).columns.q == COORDINATES
 
 
+@pytest.mark.exhaustive
 def test_rotors_and_dampers_of_actuators_act_on_the_joints_by_the_square_of_the_gear(tmp_path):
     plain = moved(tmp_path, ARM)
     geared = moved(tmp_path, ARM.replace('gear="50"', 'gear="50" armature="2e-5" damping="4e-4"'))
@@ -68,6 +69,7 @@ def test_an_actuator_of_a_disabled_group_is_no_input_and_keeps_its_rotor(tmp_pat
     np.testing.assert_allclose((inertia(disabled) - inertia(moved(tmp_path, ARM)))[0, 0], 0.05)
 
 
+@pytest.mark.exhaustive
 def test_a_free_joint_has_the_dampers_rotors_and_friction_of_the_defaults(tmp_path):
     """Linear in the world and angular in the body; the rotors have no weight."""
     defaults = '<default><joint damping="0.5" armature="0.01" frictionloss="0.2"/></default><worldbody>'
@@ -91,6 +93,7 @@ def test_a_free_joint_has_the_dampers_rotors_and_friction_of_the_defaults(tmp_pa
 MUG = '<mujoco><worldbody><body name="mug" pos="0 0 1"><freejoint/><geom type="cylinder" size="0.04 0.05"/></body>'
 
 
+@pytest.mark.exhaustive
 def test_one_free_body_is_a_system_on_a_group(tmp_path):
     mug = moved(tmp_path, MUG + "</worldbody></mujoco>")
     assert (mug.coordinates, len(mug.velocities), mug.inputs) == ((), 6, 0)

@@ -73,6 +73,7 @@ def euler_lagrange(kinetic, potential, forces):
 CHARTS = {"relative": jnp.cumsum, "absolute": lambda q: q}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("zero", "sign"), [("hanging", -1.0), ("upright", 1.0)])
 @pytest.mark.parametrize("angles", CHARTS)
 def test_triple_pendulum_is_the_one_moved_by_hand(angles, zero, sign):

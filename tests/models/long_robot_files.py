@@ -30,6 +30,7 @@ def same_motion(one, other, rtol=1e-9):
             np.testing.assert_allclose(there, here, rtol=rtol, atol=1e-10)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("suffix", [".xml", ".urdf"])
 def test_what_is_written_is_the_same_robot_when_it_is_read_again(suffix, tmp_path, chain):
     """Massless links, slides, offsets, a payload, another friction and rotor: axes and zeros are those of the log."""
@@ -48,6 +49,7 @@ def test_what_is_written_is_the_same_robot_when_it_is_read_again(suffix, tmp_pat
     assert limits[1]["pan"] == pytest.approx(np.array(limits[0]["pan"]) - 0.3)
 
 
+@pytest.mark.exhaustive
 def test_servos_are_those_of_the_model_file_when_mujocos_file_is_read_again(tmp_path):
     before = robots.load("double_pendulum", **NUMBERS)
     after = robots.load(written(tmp_path, ".xml", "double_pendulum", **NUMBERS))
@@ -56,6 +58,7 @@ def test_servos_are_those_of_the_model_file_when_mujocos_file_is_read_again(tmp_
         np.testing.assert_allclose(getattr(after.force.servos, field), getattr(before.force.servos, field))
 
 
+@pytest.mark.exhaustive
 def test_mujoco_follows_commands_as_the_model_does(tmp_path):
     """Open loop over two seconds with saturation, delay, an offset of the servo and a zero that is not the file's."""
     model = robots.load("double_pendulum", **NUMBERS)

@@ -219,6 +219,7 @@ ANTENNA = """<link name="antenna"><inertial><mass value="1e-6"/><inertia ixx="2.
   <joint name="glue" type="fixed"><parent link="base"/><child link="antenna"/></joint></robot>"""
 
 
+@pytest.mark.exhaustive
 def test_a_fixed_link_of_negative_inertia_is_a_doubt_where_the_sum_is_positive(folder):
     path = folder / "antenna.urdf"
     path.write_text(ARM.replace("</robot>", ANTENNA))

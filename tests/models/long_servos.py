@@ -12,6 +12,7 @@ import covariant
 from covariant import models
 
 
+@pytest.mark.exhaustive
 def test_a_switch_and_a_logged_supply_are_inputs():
     drive = {"supply": 8.0, "resistance": 4.0, "torque_constant": 0.5}
     file = arm(**drive, switch=True, logged_supply=True)
@@ -23,6 +24,7 @@ def test_a_switch_and_a_logged_supply_are_inputs():
         assert found[0] == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_friction_grows_with_the_load_of_the_gear():
     model, plain = arm(load=0.1, load_external=0.3, smoothing=1e-3).model, arm(smoothing=1e-3).model
     weight = -jax.grad(plain.potential)(q)[0]
@@ -31,6 +33,7 @@ def test_friction_grows_with_the_load_of_the_gear():
     assert found.tolist() == pytest.approx([-abs(0.3 * float(weight) - 0.1 * motor), 0.0], abs=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_a_sign_turns_the_coordinate_round():
     straight, turned = arm().model, arm(sign=-1).model
     mirror = jnp.array([-1.0, 1.0])
@@ -50,6 +53,7 @@ def test_an_encoder_offset_moves_the_weight_and_not_the_servo():
     np.testing.assert_allclose(shifted.potential(q), plain.potential(q + jnp.array([0.7, 0.0])))
 
 
+@pytest.mark.exhaustive
 def test_a_simulated_servo_settles_where_its_stiffness_holds_the_weight():
     overrides = {"servo.shoulder": {**SERVO, "damping": 4.0}, "servo.elbow": {**SERVO, "damping": 4.0}}
     log = covariant.simulate("double_pendulum", overrides=overrides, duration=4.0, rate=50.0, q0=[0.4, 0.1])
@@ -59,6 +63,7 @@ def test_a_simulated_servo_settles_where_its_stiffness_holds_the_weight():
     np.testing.assert_allclose(20.0 * (0.0 - at) + weight, 0.0, atol=0.02)
 
 
+@pytest.mark.exhaustive
 def test_torques_are_those_of_the_last_command_where_one_is_missing():
     overrides = {"servo.shoulder": SERVO, "servo.elbow": SERVO}
     record = covariant.simulate(
@@ -71,6 +76,7 @@ def test_torques_are_those_of_the_last_command_where_one_is_missing():
     assert np.isfinite(result.columns["torque_elbow"]).all()
 
 
+@pytest.mark.exhaustive
 def test_numbers_of_servos_are_opened_and_written_back(tmp_path):
     text = """system = "robot"
 [parameters]
@@ -105,6 +111,7 @@ stiffness = 10.0
         models.robot_family(str(path), ["servo.elbow.stifness"])
 
 
+@pytest.mark.exhaustive
 def test_servos_of_one_kind_share_what_they_do_not_state(tmp_path):
     path = tmp_path / "arm.toml"
     path.write_text(

@@ -38,6 +38,7 @@ def law(position, rate, command, *, k=20.0, d=0.5, offset=0.0, band=0.0, limit=n
     return on * (inner - back_emf * rate)
 
 
+@pytest.mark.exhaustive("keys1-same1", "keys6-same6")
 @pytest.mark.core(1)
 @pytest.mark.parametrize(
     ("keys", "same"),

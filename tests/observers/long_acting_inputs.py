@@ -11,6 +11,7 @@ from covariant.observers import ActingInputs, run
 from covariant.signals import StepCode
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("between", ["held", "linear"])
 def test_runs_streams_and_compiled_code_are_those_of_the_acting_inputs(between):
     log = log_of("irregular")

@@ -99,6 +99,7 @@ def formulas(q, v, xi, zeta):
     return along, touch, rate + leaf.second_form(q, along, after)
 
 
+@pytest.mark.exhaustive
 def test_both_jumps_are_those_of_their_formulas():
     oracle, given = Oracle(), states()
     along, touch, lift = map(np.asarray, formulas(*map(jnp.asarray, given)))
@@ -147,6 +148,7 @@ def error_after(x, estimate):
     return error(LEG.space, x, estimate), error(leaf, x, jnp.concatenate(leaf.impact(*jnp.split(estimate, 2))))
 
 
+@pytest.mark.exhaustive
 def test_errors_grow_by_less_than_the_bounds_in_every_event():
     """Small errors of all directions, begun anew before each event."""
     record, random = hops(), np.random.default_rng(0)
@@ -165,6 +167,7 @@ def test_errors_grow_by_less_than_the_bounds_in_every_event():
         assert bound.max() < 1.1
 
 
+@pytest.mark.exhaustive
 def test_an_error_of_the_start_vanishes_over_the_events():
     record = hops()
     wrong = record._replace(y=record.x[:, :4].copy())
@@ -174,6 +177,7 @@ def test_an_error_of_the_start_vanishes_over_the_events():
     assert off[600:].max() < 0.01
 
 
+@pytest.mark.exhaustive
 def test_a_contact_that_is_known_late_costs_little():
     record = hops()
     landed = next(row for row in events(record.u[:, 2])[0] if record.t[row] > 0.8)
@@ -190,6 +194,7 @@ def test_a_contact_that_is_known_late_costs_little():
         assert after < 3.0 * lost * 1e-3 * late
 
 
+@pytest.mark.exhaustive
 def test_c_is_the_python_run_over_touch_downs():
     record = hops()
     noisy = record._replace(y=record.x[:, :4] + 1e-3 * np.random.default_rng(0).normal(size=(len(record.t), 4)))
@@ -197,6 +202,7 @@ def test_c_is_the_python_run_over_touch_downs():
     np.testing.assert_allclose(ran(part), observers.run(OBSERVER, part).estimate, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_growth_is_right_or_refused():
     """Off the leaf, and with real poles; what is traced cannot be refused, and is NaN, which no statement takes."""
     leaf, v = Leaf(Euclidean(), lambda x: (x @ x - 4.0)[None] / 2, jnp.array([2.0, 0.0])), jnp.array([1.0, 2.0])
@@ -214,6 +220,7 @@ def test_growth_is_right_or_refused():
     assert jump_growth(Leaf(Euclidean(), lambda x: x[:1], jnp.zeros(2)), jnp.zeros(2), v, 0.3, 7.0)[:2] == (1.0, 1.0)
 
 
+@pytest.mark.exhaustive
 def test_the_covariance_of_a_filter_takes_the_jumps_of_the_errors():
     kalman = observers.Contacts(observers.IntrinsicKalman(LEG, 1e-3, 1e-6, 1.0))
     q, v, *_ = (jnp.asarray(each[0]) for each in states())
@@ -271,6 +278,7 @@ def test_a_filter_is_as_good_as_it_says_through_steps():
     assert abs(np.mean(nis) / 4 - 1) < 0.05
 
 
+@pytest.mark.exhaustive
 def test_a_log_has_a_column_of_contacts(tmp_path):
     """As a file of a model says it: the observer of a model with feet goes through its contacts."""
     model = tmp_path / "leg.toml"
@@ -285,6 +293,7 @@ def test_a_log_has_a_column_of_contacts(tmp_path):
         covariant.certify(model, velocity=1.0, error=0.1, alpha=60.0, beta=1800.0)
 
 
+@pytest.mark.exhaustive
 def test_a_missing_position_in_the_air_is_coasted_as_without_contacts():
     """On no leaf nothing tells of it, and nothing is refused."""
     leg = models.hopping_leg()

@@ -63,6 +63,7 @@ def test_passive_observer_is_the_printed_one():
     )
 
 
+@pytest.mark.exhaustive("False")
 @pytest.mark.parametrize("own", [False, True])
 def test_lyapunov_function_of_the_ship_falls_as_designed(own):
     """V' = −η̃ᵀQ1η̃ − ν̃ᵀQ2ν̃ along the virtual system, whatever the heading."""

@@ -240,6 +240,7 @@ def test_the_members_of_an_exported_state_have_names_of_their_own(tmp_path, dela
     assert "age_of_known" in names
 
 
+@pytest.mark.exhaustive
 def test_what_is_estimated_along_is_that_of_the_stamp_and_not_of_the_reading():
     """The force, its deviation and the velocity in one row are those of one time."""
     inner = IntrinsicKalman(oscillator(), 0.01, 1e-8, 1.0, slow=(external_force(std=2.0, time=0.3),), substeps=1)
@@ -256,6 +257,7 @@ def test_what_is_estimated_along_is_that_of_the_stamp_and_not_of_the_reading():
     assert info.slow_std[0] > 1.02 * inner.deviations(state.known)["slow_std"][0]
 
 
+@pytest.mark.exhaustive
 def test_an_offset_that_is_estimated_along_is_the_latest_one():
     """A sample that arrives late changes it, and so do the readings after that sample."""
     inner = Damped(Intrinsic(oscillator(), alpha=4.0, beta=8.0), tachometer([0], 0.01), damping=5.0, bias_gain=0.2)
@@ -271,6 +273,7 @@ def test_an_offset_that_is_estimated_along_is_the_latest_one():
     assert info.result == StepCode.OK
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("delays", [(0.02, 0.05), (0.0, 0.05), (0.05, 0.0)])
 def test_a_first_state_is_made_of_readings_of_one_time(delays):
     """At full speed, joints that are late by different times are nowhere together in one sample."""

@@ -61,6 +61,7 @@ def test_a_torque_on_a_body_is_found_in_the_body():
     np.testing.assert_allclose(force[-1], torque, rtol=0.01)
 
 
+@pytest.mark.exhaustive("panda-panda_link7")
 @pytest.mark.parametrize(("robot", "link"), [("double_pendulum", "lower"), ("panda", "panda_link7")])
 def test_its_torques_are_those_of_mujoco(robot, link):
     model = robots.load(robot)

@@ -34,6 +34,7 @@ def test_outliers_and_missing_measurements_cost_little(tried):
     assert np.isin(code["clean"][:, first["clean"] :], [StepCode.OK, StepCode.OUTLIER]).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.data
 def test_after_a_hole_the_velocity_is_no_worse_than_that_of_the_model_alone(tried):
     """A position tells nothing of the velocity half an oscillation of the error later: at .4 s no linear correction,

@@ -57,11 +57,13 @@ def test_one_outlier_in_a_hundred_costs_less_than_a_tenth(swing, follow):
     assert velocity_error(follow(kalman(gate=None), t, spoiled), x) > 10 * velocity_error(clean, x)
 
 
+@pytest.mark.exhaustive
 def test_a_clean_log_is_never_refused(swing, follow):
     t, _, y = swing
     assert set(codes(follow(kalman(), t, y))) == {StepCode.OK}
 
 
+@pytest.mark.exhaustive
 def test_a_jump_that_stays_is_believed_after_a_while(swing, follow):
     t, _, y = swing
     moved = y.copy()
@@ -95,6 +97,7 @@ def test_a_joint_that_is_missing_delays_the_new_start(swing, follow):
     assert found[274] == StepCode.RESTARTED
 
 
+@pytest.mark.exhaustive
 def test_noise_told_ten_times_too_small_does_not_shut_the_gate(swing, follow):
     t, x, _ = swing
     y = x[:, :2] + 10 * NOISE * np.random.default_rng(2).normal(size=(ROWS, 2))
@@ -114,6 +117,7 @@ def test_an_attitude_is_refused_as_a_whole():
     np.testing.assert_allclose(found.estimate.q[-1], np.eye(3), atol=1e-6)
 
 
+@pytest.mark.exhaustive("1.5-False")
 @pytest.mark.parametrize(("speed", "astray"), [(1.5, False), (3.0, True)])
 def test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said(speed, astray):
     """Of a mass that moves on steadily, by gains so low that its velocity is hardly believed."""
@@ -126,6 +130,7 @@ def test_a_velocity_that_is_off_by_more_than_twice_the_usual_one_is_said(speed, 
     assert (found[:5] == StepCode.OK).all()
 
 
+@pytest.mark.exhaustive("0.3")
 @pytest.mark.parametrize("size", [0.3, 5.0])
 def test_a_burst_of_outliers_does_not_open_the_gate_for_its_last_ones(size):
     t = 0.01 * np.arange(400)

@@ -29,6 +29,7 @@ def velocity_error(result, log):
     return np.linalg.norm(np.asarray(result.estimate.v - log.x.v), axis=1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_missing_frame_is_coasted_as_a_whole(log, name):
     """Even one NaN of nine: what is left of a rotation matrix is not a rotation."""
@@ -63,6 +64,7 @@ def test_where_no_geodesic_is_found_the_group_logarithm_stands_in(log):
     assert all(np.isfinite(np.asarray(part)).all() for part in new)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("riemannian")
 @pytest.mark.parametrize("name", ["group", "riemannian", "salcudean"])
 def test_a_short_step_is_the_flow(name):
@@ -83,6 +85,7 @@ def test_a_short_step_is_the_flow(name):
     assert np.log10(gaps[0] / gaps[1]) == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.exhaustive
 def test_with_equal_moments_of_inertia_the_exact_flow_has_a_closed_form():
     """Geodesics are then those of the group, and a body that turns at w sees a parallel v turn by −½ w × v."""
     alpha, beta, off, v = 2.0, 3.0, np.array([0.2, -0.1, 0.3]), np.array([0.5, -0.4, 0.7])
@@ -140,6 +143,7 @@ def textbook_mekf(log, process, measurement, velocity_std):
     return np.stack(estimates)
 
 
+@pytest.mark.exhaustive
 def test_invariant_ekf_on_rotations_is_the_multiplicative_ekf_of_the_textbook(log):
     noise = 0.01 * jax.random.normal(jax.random.key(0), (len(log.t), 3))
     noisy = log._replace(y=jax.vmap(lambda g, e: g @ SO3.exp(e))(log.y, noise))
@@ -166,6 +170,7 @@ def test_the_velocity_of_a_machine_is_found(model, start, u):
     assert max(float(model.group.defect(g)) for g in result.estimate.q[::20]) < 1e-13
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_log_or_a_stream_that_starts_with_no_rotation(log, engine):
     observer = OBSERVERS["group"]
@@ -181,6 +186,7 @@ def test_a_log_or_a_stream_that_starts_with_no_rotation(log, engine):
     np.testing.assert_allclose(found[1].q, wrong[1], atol=1e-12)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("04 1.0000e", "[[2. 0. 0.]\\n [0. 2. 0.]\\n [0. 0. 2.]]", "late")
 @pytest.mark.parametrize("wrong", [2 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.eye(3) + 1e-4], ids=str)
 @pytest.mark.parametrize("name", ["group", "late"])

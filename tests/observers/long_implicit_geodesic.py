@@ -14,6 +14,7 @@ from covariant.signals import StepCode
 ALPHA, BETA = 12.0, 60.0
 
 
+@pytest.mark.exhaustive
 def test_a_sample_counts_for_the_time_since_the_last_one():
     """Rows without a measurement change nothing, and the next one has waited for all of them."""
     observer = ImplicitGeodesic(Lagrangian(Euclidean(), inputs=1), 6.0, 12.0)

@@ -12,6 +12,7 @@ from covariant.signals import Record, StepCode
 from covariant.simulation import hold, simulate
 
 
+@pytest.mark.exhaustive
 def test_without_a_rate_it_is_the_observer_of_the_paper():
     """Sample by sample, in all its forms."""
     t = np.linspace(0.0, 0.5, 26)
@@ -24,12 +25,14 @@ def test_without_a_rate_it_is_the_observer_of_the_paper():
         np.testing.assert_array_equal(one.info.slow, 0.0)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("speed", [0.0, 10.0])
 def test_on_a_curved_metric_the_force_couples_by_the_connection_alone(speed):
     found, law = errors(DOUBLE, speed, 1e-6)
     assert np.abs(found - law).max() < 1e-4 * np.abs(law).max()
 
 
+@pytest.mark.exhaustive
 def test_without_the_coupling_the_law_is_another_one():
     for coupling in (0.0, -1.0):
         found, law = errors(DOUBLE, 10.0, 1e-6, coupling)
@@ -51,6 +54,7 @@ def test_a_new_start_keeps_the_force():
     np.testing.assert_allclose(state.inner.q, 1.0)
 
 
+@pytest.mark.exhaustive
 def test_a_torque_on_a_body_is_found_in_the_frame_of_the_body():
     body, torque = models.free_body((0.9, 1.0, 1.2)), jnp.array([0.3, -0.2, 0.1])
     t = jnp.linspace(0.0, 3.0, 301)
@@ -61,6 +65,7 @@ def test_a_torque_on_a_body_is_found_in_the_frame_of_the_body():
     np.testing.assert_allclose(run.estimate.v[-1], true.x.v[-1], atol=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_late_readings_give_the_same_force():
     observer = IntrinsicForce(SPRING, 20.0, 200.0, 10.0, substeps=1)
     late = observers.Delayed(observer, delay=0.05, rate=100.0)

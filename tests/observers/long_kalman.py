@@ -27,6 +27,7 @@ def followed(request, follow):
     return follow(FILTERS[request.param], T, Y, u=U)
 
 
+@pytest.mark.exhaustive("ukf", "intrinsic-kalman")
 def test_estimates_and_covariances_are_those_of_the_textbook(followed):
     means, covs = kalman(np.append(Y[0], [0.0, 0.0]), FIRST_COV, masses_steps(T, U), Y, POSITIONS, MEASUREMENT)
     np.testing.assert_allclose(followed.x, means[1:], rtol=0, atol=1e-9)
@@ -40,6 +41,7 @@ def test_estimates_and_covariances_are_those_of_the_textbook(followed):
         np.testing.assert_allclose(followed.info.innovation_cov[-1], before + MEASUREMENT, rtol=1e-8)
 
 
+@pytest.mark.exhaustive("ekf", "intrinsic-kalman")
 def test_what_is_missing_is_reported(followed):
     gaps = np.isnan(Y[1:])
     np.testing.assert_array_equal(np.asarray(followed.info.innovation)[gaps], 0.0)

@@ -129,6 +129,7 @@ def rival(trot, true, read):
     )
 
 
+@pytest.mark.exhaustive
 def test_anchors_move_as_places_in_the_world_do():
     """Against the motion in the world, which constant readings make a sum of small steps."""
     robot = robots.load("quadruped", floating=True)
@@ -156,6 +157,7 @@ def test_anchors_move_as_places_in_the_world_do():
     np.testing.assert_allclose(centres[0], (pose @ jnp.array([0.0, 0.008, -0.16, 1.0]))[:3], atol=1e-12)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("floor", ["slippery", "firm"])
 def test_it_is_as_accurate_as_an_invariant_filter_and_flags_are_not_needed(trot, floor, request, robot_file):
     true, read = request.getfixturevalue(floor)
@@ -172,6 +174,7 @@ def test_it_is_as_accurate_as_an_invariant_filter_and_flags_are_not_needed(trot,
     assert rmse(run(flagged, record_of(read, unknown)).estimate, true) < 5e-3
 
 
+@pytest.mark.exhaustive
 def test_encoders_that_are_late_are_named_and_made_up_for(trot, slippery, robot_file):
     true, read = slippery
     file = model_file(trot, robot_file)
@@ -186,6 +189,7 @@ def test_encoders_that_are_late_are_named_and_made_up_for(trot, slippery, robot_
         assert rmse(run(Delayed(observer, delay, 500.0), late).estimate, true) <= 1.2 * in_time
 
 
+@pytest.mark.exhaustive
 def test_forces_tell_contacts_with_masses_that_are_wrong(trot, slippery, robot_file):
     true, read = slippery
     random = np.random.default_rng(3)
@@ -207,6 +211,7 @@ def test_forces_tell_contacts_with_masses_that_are_wrong(trot, slippery, robot_f
     assert above / (positive.sum() * (~positive).sum()) >= 0.98  # area under the curve of hits over false alarms
 
 
+@pytest.mark.exhaustive
 def test_a_start_within_a_step_does_not_lock_it_out(trot, slippery, robot_file):
     true, read = slippery
     observer, record = observer_of(model_file(trot, robot_file)), record_of(read)
@@ -217,6 +222,7 @@ def test_a_start_within_a_step_does_not_lock_it_out(trot, slippery, robot_file):
         assert error[1750:].max() < 0.05
 
 
+@pytest.mark.exhaustive
 def test_missing_encoders_coast_and_c_computes_the_same(trot, slippery, robot_file):
     true, read = slippery
     record = record_of({key: each[:600] for key, each in read.items()})

@@ -76,6 +76,7 @@ def consistency(runs, truths, masks) -> float:
     return float(np.mean(np.concatenate(squares)))
 
 
+@pytest.mark.exhaustive("rough")
 @pytest.mark.parametrize("torque", [swinging, rough], ids=["swinging", "rough"])
 def test_a_filter_is_as_wrong_in_a_hole_and_after_it_as_it_says(torque):
     logs = [driven(torque, seed, 120.0) for seed in range(SEEDS)]
@@ -109,6 +110,7 @@ def test_rows_that_are_missing_are_inputs_that_are_missing():
     assert not (np.asarray(rows.info.result) == StepCode.OUTLIER).any()
 
 
+@pytest.mark.exhaustive
 def test_the_smoother_reaches_over_a_hole():
     log = driven(swinging, 2, 40.0, (0.05, 0.25))
     smoothed = smooth(kalman(log[0], missing_inputs(log[0])), log[0], keep=("velocity_std", "result"))
@@ -121,6 +123,7 @@ def test_the_smoother_reaches_over_a_hole():
         assert errors[0] < 0.5 * errors[1]
 
 
+@pytest.mark.exhaustive
 def test_a_filter_whose_inputs_are_known_is_what_it_was():
     record = driven(swinging, 3, 6.0, (0.05,))[0]
     record = Record(record.t[:200], record.u[:200], record.y[:200])

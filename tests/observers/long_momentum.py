@@ -49,6 +49,7 @@ def test_a_constant_force_appears_behind_a_first_order_lag():
     np.testing.assert_allclose(errors[0] / errors[1], 4.0, rtol=0.15)  # the trapezoidal rule is of order 2
 
 
+@pytest.mark.exhaustive
 def test_a_force_that_changes_appears_behind_the_same_lag_at_uneven_stamps():
     t, u, q, v = swing(0.002, lambda s: jnp.asarray(PUSH) * jnp.sin(5 * s))
     rows = np.flatnonzero(np.random.default_rng(0).random(len(t)) < 0.7)

@@ -123,6 +123,7 @@ def test_a_gate_leaves_a_late_joint_alone():
         assert error(estimates, x[:, 2:]) <= 1.05 * error(free, x[:, 2:])
 
 
+@pytest.mark.exhaustive
 def test_a_start_at_full_speed_is_motion():
     """At three times the speed that the filter expects: its first readings agree, and give it the velocity."""
     t, x = swing(start=(0.5, 0.2), v=(9.0, -11.0))
@@ -133,6 +134,7 @@ def test_a_start_at_full_speed_is_motion():
     assert np.abs(estimates[3, 2:] - v[3]).max() < 2.0
 
 
+@pytest.mark.exhaustive("EKF-3")
 @pytest.mark.exhaustive("IntrinsicKalman")
 @pytest.mark.parametrize("length", [3, 10])
 @pytest.mark.parametrize("kind", ["EKF", "IntrinsicKalman"])
@@ -174,6 +176,7 @@ def test_two_refused_readings_show_a_velocity_where_they_continue_the_last_used_
         assert float(verdict.velocity.mean[0]) == pytest.approx(10.0)
 
 
+@pytest.mark.exhaustive
 def test_a_spin_is_no_outlier_where_noise_is_given_too_small():
     """A body that turns over about its middle axis; a twentieth of the noise is given, and of the usual speed."""
     body, std = free_body((1.0, 2.0, 3.5)), 2e-3
@@ -200,6 +203,7 @@ def two_masses(hit: bool) -> tuple[Lagrangian, np.ndarray, np.ndarray, np.ndarra
     return masses, t, x, y
 
 
+@pytest.mark.exhaustive("EKF-False", "UKF-True", "JointKalman-False", "IntrinsicKalman-False", "Intrinsic-True")
 @pytest.mark.exhaustive("IntrinsicKalman-True")
 @pytest.mark.parametrize("hit", [True, False])
 @pytest.mark.parametrize("kind", ["EKF", "UKF", "IntrinsicKalman", "JointKalman", "Intrinsic"])

@@ -81,6 +81,7 @@ def test_sensitivities_are_the_derivatives_in_the_logarithm_of_the_noise():
     assert scale.estimates.shape == (3, HELD + 1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", FILTERS)
 def test_the_band_holds_where_an_unknown_force_moves_the_machine(name):
     record, v = unit_mass(shaken())
@@ -92,6 +93,7 @@ def test_the_band_holds_where_an_unknown_force_moves_the_machine(name):
     assert adaptive[1] < 0.6 * fixed[1]
 
 
+@pytest.mark.exhaustive
 def test_a_right_filter_loses_nothing():
     record, v = unit_mass(gauss_markov_force(0.2, 0.3, 12000))
     force = observers.external_force(std=[0.2], time=0.3)
@@ -110,6 +112,7 @@ def test_a_right_filter_loses_nothing():
     assert abs(inside.mean() - 0.95) < 0.03
 
 
+@pytest.mark.exhaustive
 def test_the_scale_stays_where_the_log_is_ordinary_and_a_single_outlier_passes():
     record, _ = unit_mass(np.zeros(2000))
     record.y[1000] += 5 * NOISE
@@ -117,6 +120,7 @@ def test_the_scale_stays_where_the_log_is_ordinary_and_a_single_outlier_passes()
     assert float(scale.max()) < 3.0
 
 
+@pytest.mark.exhaustive
 def test_with_growing_forces_the_filter_becomes_one_without_a_model():
     record, v = unit_mass(shaken(3000))
     kalman = observers.JointKalman(motion_std=5.0, motion_time=0.3, measurement_std=NOISE, gate=None)

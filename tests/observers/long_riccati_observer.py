@@ -97,6 +97,7 @@ def test_with_a_gain_of_one_half_it_is_the_stationary_kalman_filter():
     np.testing.assert_allclose(slope(jnp.asarray(Y)), LINEAR @ X + KALMAN @ (Y - SEEN @ X), rtol=0, atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_information_filter_takes_as_many_steps_as_its_equation_needs():
     """Knowing the start well makes the equation of P stiff; one step of Runge and Kutta is far off there."""
     known = jnp.asarray(300 * np.linalg.inv(PROCESS))
@@ -111,6 +112,7 @@ def test_the_information_filter_takes_as_many_steps_as_its_equation_needs():
     assert not np.abs(information(1) - exact).max() <= 0.3 * np.abs(exact).max()
 
 
+@pytest.mark.exhaustive
 def test_the_information_filter_is_the_textbooks_to_first_order_in_the_step():
     """The discrete filter with exact discretisation of the motion, R/dt and Q dt for one step of dt."""
     ends = {}
@@ -131,6 +133,7 @@ def test_the_information_filter_is_the_textbooks_to_first_order_in_the_step():
     assert (errors[1:] < 0.6 * errors[:-1]).all()
 
 
+@pytest.mark.exhaustive
 def test_a_sampled_step_is_the_flow_to_first_order():
     observer = Riccati(OSCILLATOR, analytic_metric(2.0), jnp.array([0.8, 0.3, 1.5]), 0.25)
     steps, errors = (50, 100, 200, 400), []
@@ -163,6 +166,7 @@ def test_without_a_measurement_the_model_runs_on():
         assert info.distance == 0.0
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("missing", [0, 1])
 def test_a_missing_output_is_as_if_it_were_not_there(missing):
     """Whatever its noise had in common with that of the other."""
@@ -204,6 +208,7 @@ def field() -> geometry.Interpolated:
     return geometry.Interpolated(axes, np.asarray(values).reshape(17, 17, 17, 3, 3) + ridge)
 
 
+@pytest.mark.exhaustive
 def test_outside_a_field_the_model_runs_on_alone(field):
     start = jnp.array([1.5, 0.0, 1.0])
     x, info = one_step(Riccati(OSCILLATOR, field, start), jnp.array([0.9]))
@@ -221,6 +226,7 @@ def record(duration=6.0, dt=0.02) -> Record:
     return Record(t, np.zeros((len(t), 0)), np.cos(t)[:, None])
 
 
+@pytest.mark.exhaustive
 def test_however_the_metric_is_given_the_estimate_is_the_same(field):
     start = jnp.array([0.9, 0.1, 1.1])
     metrics = (analytic_metric(2.0), RiccatiMetric(OSCILLATOR, Equation(2.0), 16.0, 600), field)
@@ -240,6 +246,7 @@ def test_the_past_is_reckoned_with_the_input_of_now():
     np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_a_gap_in_the_log_winds_the_filter_up_and_not_the_observer():
     curves = sanfelice_praly.gap()
     after = curves["t"] > 25.0

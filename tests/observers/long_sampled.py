@@ -15,6 +15,7 @@ from covariant.observers.base._sampled import predict
 from covariant.signals import Record, StepCode
 
 
+@pytest.mark.exhaustive("geodesic", "ekf")
 def test_an_observer_on_the_truth_stays_there(model_based, pendulum, irregular, follow):
     u = np.random.default_rng(0).normal(0, 0.5, (len(irregular), 1))  # held from each row to the next
     x = pendulum.truth(irregular, X0, u)
@@ -27,6 +28,7 @@ def test_an_observer_on_the_truth_stays_there(model_based, pendulum, irregular, 
 GAP = slice(120, 260)
 
 
+@pytest.mark.exhaustive("ekf")
 def test_a_gap_is_coasted_along_the_model(model_based, pendulum, irregular, follow):
     x = pendulum.truth(irregular, X0)
     y = x[:, :1] + np.random.default_rng(0).normal(0, 0.01, (len(x), 1))
@@ -73,6 +75,7 @@ def on_the_beam(request, beam):
     return PLANAR[request.param](beam.model)
 
 
+@pytest.mark.exhaustive("intrinsic-both", "ekf-both", "ekf-one in turn")
 @pytest.mark.exhaustive("ekf-one every fourth")
 @pytest.mark.parametrize("joints", ["both", "one in turn", "one every fourth"])
 def test_one_of_two_joints_may_be_missing(on_the_beam, beam, regular, follow, joints):
@@ -129,6 +132,7 @@ CURVED = Lagrangian(
 )
 
 
+@pytest.mark.exhaustive("Geodesic")
 @pytest.mark.parametrize("kind", [Intrinsic, Geodesic, ImplicitGeodesic, ModelCopy])
 def test_fine_samples_follow_the_flow_to_first_order(kind):
     """The error of the sampled observer against the integrated flow, both fed the same smooth measurement."""
@@ -160,6 +164,7 @@ def test_fine_samples_follow_the_flow_to_first_order(kind):
     assert error[-1] < 0.01
 
 
+@pytest.mark.exhaustive
 def test_what_a_step_leaves_of_the_geodesic_leads_from_the_measurement_to_the_new_estimate():
     """It is what the next search starts from, and exact: the rest of a geodesic is a geodesic."""
     observer, u, y = Geodesic(CURVED, 3.0, 4.0), jnp.zeros(2), jnp.array([0.3, -0.2])
@@ -181,6 +186,7 @@ def hand_written(observer, record):
     return np.stack(x)
 
 
+@pytest.mark.exhaustive("EKF")
 @pytest.mark.parametrize("observer", LOOPS, ids=lambda o: type(o).__name__)
 def test_run_is_the_loop_written_by_hand(observer, record):
     done = run(observer, record)

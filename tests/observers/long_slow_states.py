@@ -58,6 +58,7 @@ def textbook(y: np.ndarray, stiffness: float, std: float, drift: float) -> tuple
     return plants.kalman(np.array([y[0], 0.0, 0.0]), cov, steps, y[:, None], output, noise)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("stiffness", [0.0, 6.0])
 def test_of_an_offset_it_is_the_kalman_filter_and_where_nothing_shows_it_stays_unknown(stiffness):
     w, std, drift = np.sqrt(stiffness), 0.1, 0.002

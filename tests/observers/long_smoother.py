@@ -115,6 +115,7 @@ def best_motion(noise: float) -> np.ndarray:
 KINDS = ["ekf", "ukf", "intrinsic-kalman"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("ekf", "kalman")
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_the_most_probable_motion_up_to_its_linearisation(kind):
@@ -125,6 +126,7 @@ def test_it_is_the_most_probable_motion_up_to_its_linearisation(kind):
         assert (errors < bound * np.asarray(smoothed.std).mean(axis=0)).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("kalman")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_covariance_is_never_above_that_of_the_filter(kind):
@@ -202,6 +204,7 @@ def test_in_single_precision_it_stays_single_and_close():
     np.testing.assert_allclose(coarse.std, fine.std, rtol=1e-3)
 
 
+@pytest.mark.exhaustive
 def test_missing_rows_are_smoothed_across():
     y = np.array(swing().y)
     y[12:24] = np.nan
@@ -242,6 +245,7 @@ def test_a_start_and_a_model_that_are_certain_leave_one_motion(kind):
     np.testing.assert_allclose(x[1:], moved, rtol=0, atol=2e-3)  # a motion of the model, to its linearisation
 
 
+@pytest.mark.exhaustive
 def test_one_program_serves_logs_of_similar_lengths(monkeypatch):
     """Which takes seconds to compile; and rows that are added change nothing."""
     lengths, block = set(), _smoother._block

@@ -36,6 +36,7 @@ def textbook(record):
     return means[1:], np.sqrt(np.diagonal(covs[1:], axis1=1, axis2=2))
 
 
+@pytest.mark.exhaustive
 def test_it_is_the_kalman_filter_on_a_linear_system(record):
     done, (means, stds) = run(FILTER, record), textbook(record)
     np.testing.assert_allclose(done.estimate, means, rtol=0, atol=1e-4)

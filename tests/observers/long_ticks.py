@@ -135,6 +135,7 @@ def edge_timing(t, y):
     return np.array(out)
 
 
+@pytest.mark.exhaustive
 def test_at_rest_between_two_edges_it_comes_to_rest_too():
     """Neither a staircase nor a drift: the joint stands inside its tick, and the velocity goes to zero."""
     model = Lagrangian(lambda q: jnp.eye(1), dissipation=lambda t, q, v, u: -0.1 * v)
@@ -145,6 +146,7 @@ def test_at_rest_between_two_edges_it_comes_to_rest_too():
     assert np.abs(x[600:, 0] - y[-1]).max() < 0.52 * TICK
 
 
+@pytest.mark.exhaustive
 def test_a_turn_of_the_reading_is_no_edge_and_missing_readings_are_waited_for():
     t = np.arange(2000) * DT
     q, v = 3.0 + 1.5 * t, np.full(len(t), 1.5)

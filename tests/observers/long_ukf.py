@@ -82,6 +82,7 @@ def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
     assert unscented[1] < min(0.7, 0.8 * extended[1])
 
 
+@pytest.mark.exhaustive
 def test_a_covariance_without_rank_stays_one():
     """Nothing is unknown of the velocity and nothing disturbs it: the model alone moves it, and numbers stay finite."""
     observer = UKF(masses(), np.zeros((2, 2)), MEASUREMENT, 0.0, substeps=16)
@@ -92,6 +93,7 @@ def test_a_covariance_without_rank_stays_one():
     assert np.linalg.eigvalsh(done.info.innovation_cov)[:, 0].min() > 0
 
 
+@pytest.mark.exhaustive
 def test_angles_go_round():
     """A rod that turns at 9 rad/s, its angle read between ±π."""
     rod = Lagrangian(lambda q: jnp.eye(1), circles=(0,))

@@ -115,6 +115,7 @@ def tried(request, log) -> tuple[str, Tried]:
     )
 
 
+@pytest.mark.exhaustive("ekf-dfki_double_pendulum")
 @pytest.mark.long("ekf", "joint-kalman", "dfki_double_pendulum")
 @pytest.mark.exhaustive("copy-multiarm_double", "kalman-dfki_double_pendulum")
 @pytest.mark.data

@@ -30,6 +30,7 @@ def reproduced():
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.exhaustive("corrected14", "printed14")
 @pytest.mark.exhaustive("approximate", "exact")
 @pytest.mark.parametrize("observer", FIGURE_4)
 def test_figure_4(reproduced, observer):
@@ -70,6 +71,7 @@ def test_tutorial(reproduced):
     assert min(tutorial["intrinsic_difference"]) > 1e-3
 
 
+@pytest.mark.exhaustive
 def test_the_scenario_is_the_papers():
     """The truth stays within the bounds found independently."""
     from covariant.models import ball_and_beam

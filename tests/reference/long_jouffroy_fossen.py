@@ -35,6 +35,7 @@ def test_printed_gain_of_the_ship_is_unstable_and_the_corrected_one_is_not(repro
     assert found["corrected"] < -0.5
 
 
+@pytest.mark.exhaustive
 def test_ship_obeys_the_rate_of_its_lyapunov_function(reproduced):
     found = paper.ship_decay()
     bound = np.exp(-2 * found["rate"] * found["t"]) * found["lyapunov"][0]
@@ -43,6 +44,7 @@ def test_ship_obeys_the_rate_of_its_lyapunov_function(reproduced):
     assert reproduced["ship"]["rate"] == found["rate"]
 
 
+@pytest.mark.exhaustive
 def test_theorem_2_as_printed_says_the_opposite(reproduced):
     for case in reproduced["theorem2"].values():
         assert (case["printed"] < 0) != (case["true"] < 0)
@@ -101,6 +103,7 @@ def test_a_pitch_of_ninety_degrees_is_no_event_on_the_group():
     assert paper.tail_rate(turning["t"], turning["error"], 1e-6) > 1.0
 
 
+@pytest.mark.exhaustive
 def test_theorem_3_on_odin_is_stable_under_refinement_and_depends_on_units_as_printed(reproduced):
     fine = reproduced["theorem3"]
     coarse = paper.odin_cascade(attempts=4_000, starts=32, units=False).constants

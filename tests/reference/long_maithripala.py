@@ -28,6 +28,7 @@ def test_the_simulated_top_keeps_what_it_must(results):
     assert max(results["top"]["conserved"].values()) < 1e-9
 
 
+@pytest.mark.exhaustive
 def test_the_print_converges_on_a_top_and_fails_on_a_disc(results):
     printed = results["printed"]
     assert printed["top"]["printed"] < 0.05
@@ -44,12 +45,14 @@ def test_the_group_logarithm_is_too_long_and_aside(results):
     assert one["too_long_largest"] > one["too_long_mean"] > 0
 
 
+@pytest.mark.exhaustive
 def test_everything_is_ready_for_json(results):
     import json
 
     assert json.loads(json.dumps(results))["top"]["rate"] == results["top"]["rate"]
 
 
+@pytest.mark.exhaustive
 def test_page_and_figures_are_written(results, tmp_path):
     figures = maithripala.draw(tmp_path / "top.png")
     page = maithripala.write_page(results, figures, tmp_path / "top.html")

@@ -26,6 +26,7 @@ CASES = [
 """Model file, log, each k-th row, until [s], and the velocity RMSE [rad/s] that must be reached."""
 
 
+@pytest.mark.exhaustive("dfki_double_pendulum/A0_sysid_00.csv", "multiarm_pendulum/double.csv")
 @pytest.mark.data
 @pytest.mark.parametrize(("model", "log", "every", "until", "bars"), CASES, ids=[case[1] for case in CASES])
 def test_velocity_error_on_a_recorded_log(data_folder, model, log, every, until, bars):

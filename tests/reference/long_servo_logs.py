@@ -51,6 +51,7 @@ def fitted(folder: Path, names: tuple[str, ...]) -> Any:
     return covariant.fit(XL330, paths, NAMES, horizon=5.9, overrides=settings)
 
 
+@pytest.mark.exhaustive
 def test_one_set_of_numbers_predicts_logs_at_other_gains(data_folder):
     result = fitted(data_folder, FITTED)
     assert result.better
@@ -67,6 +68,7 @@ def test_one_set_of_numbers_predicts_logs_at_other_gains(data_folder):
         assert 1e3 * np.sqrt(np.mean((path - measured) ** 2)) <= bar
 
 
+@pytest.mark.exhaustive
 def test_two_halves_of_the_logs_agree(data_folder):
     one, other = (fitted(data_folder, (FITTED[i], FITTED[j])) for i, j in ((0, 3), (1, 2)))
     assert (np.abs(one.values - other.values) <= 4 * np.hypot(one.standard_errors, other.standard_errors)).all()

@@ -39,6 +39,7 @@ def test_distances_begin_at_the_radius_and_stay_under_the_line(followed):
     np.testing.assert_allclose(seen.bound[0, -1], RADIUS * math.exp(-RATE * followed.t[-1] / 2))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("fails", "undecided")
 @pytest.mark.parametrize("verdict", ["holds", "undecided", "fails"])
 def test_four_panels(verdict, followed, tmp_path, monkeypatch):

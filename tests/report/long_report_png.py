@@ -30,6 +30,7 @@ def within(image: Image.Image) -> bool:
     return not np.concatenate([drawn[0], drawn[-1], drawn[:, 0], drawn[:, -1]]).any()
 
 
+@pytest.mark.exhaustive("n=3")
 def test_files(report):
     drawn = images(report)
     assert list(drawn) == NAMES
@@ -41,6 +42,7 @@ def test_files(report):
         assert within(image)
 
 
+@pytest.mark.exhaustive
 def test_a_row_a_coordinate(make):
     low, high = (images(make(n))["log_velocity.png"].height for n in (1, 3))
     assert high - low == pytest.approx(2 * 2.3 * 150, abs=1)

@@ -59,6 +59,7 @@ def test_a_recording_has_its_suffix(result, tmp_path):
         result.rerun(tmp_path / "run.csv")
 
 
+@pytest.mark.exhaustive
 def test_bodies_stand_in_the_frames_of_their_links():
     model, q = robots.load("double_pendulum"), jnp.array([1.0, 0.5])
     kind = SimpleNamespace(positions=SimpleNamespace(names=("q1", "q2")))

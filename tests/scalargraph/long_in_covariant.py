@@ -25,7 +25,7 @@ FUNCTIONS = {
 }
 
 
-@pytest.mark.exhaustive("forward", "logarithm", "pose", "rotation", "sphere")
+@pytest.mark.exhaustive("forward dynamics", "logarithm of a rotation", "pose", "rotation", "sphere")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_value_and_two_derivatives_are_those_of_jax(name):
     compare_with_jax(FUNCTIONS[name])

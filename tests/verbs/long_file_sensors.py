@@ -35,6 +35,7 @@ def chain(tmp_path_factory):
     return path, written(folder, CHAIN, "plain.toml"), pandas.DataFrame(log.columns)
 
 
+@pytest.mark.exhaustive
 def test_a_simulated_log_has_their_columns_in_their_units(chain):
     path, _, frame = chain
     rate, motor = file_sensors(models.load(path))
@@ -81,6 +82,7 @@ def test_rows_have_what_was_read_then(chain):
     assert (result.outcome.score.rmse < 0.6 * only.outcome.score.rmse).all()
 
 
+@pytest.mark.exhaustive
 def test_outliers_of_a_sensor_are_counted(chain):
     path, _, frame = chain
     odd = frame.copy()
@@ -104,6 +106,7 @@ def test_a_log_without_a_sensor_is_told(chain):
         covariant.estimate(path, frame.drop(columns="rate 2"), observer="intrinsic-kalman")
 
 
+@pytest.mark.exhaustive
 def test_other_observers_say_that_they_do_without(chain):
     path, _, frame = chain
     result = covariant.estimate(path, frame, observer="intrinsic")

@@ -18,6 +18,7 @@ def found(arms) -> dict[str, tuple[float, float]]:
     return fitted(arms, "viscous")
 
 
+@pytest.mark.exhaustive
 def test_machines_share_a_number_and_have_their_own_friction(arms, found):
     truth = {"inertia[0]": INERTIA} | {f"viscous[0]@{arm}": viscous for arm, viscous in FRICTION.items()}
     assert list(found) == list(truth)
@@ -29,6 +30,7 @@ def test_machines_share_a_number_and_have_their_own_friction(arms, found):
     assert found["inertia[0]"][1] < min(alone), (found, alone)
 
 
+@pytest.mark.exhaustive
 def test_a_shared_number_that_a_machine_contradicts_is_named(arms, found):
     """Friction that differs by three, taken as one number; where only what is its own differs, nothing is said."""
     machines = {arm: arms[arm] for arm in ("arm1", "arm2")}
@@ -58,6 +60,7 @@ def with_fault(arms: dict[str, list[Any]], sign: float, late: int) -> tuple[list
     return paths, [FIRST | {"columns.q": ["q"], "columns.u": ["u"]} for _ in paths]
 
 
+@pytest.mark.exhaustive
 def test_a_reversed_input_of_one_machine_is_named_and_mended(arms, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     paths, overrides = with_fault(arms, -1.0, 0)
@@ -70,6 +73,7 @@ def test_a_reversed_input_of_one_machine_is_named_and_mended(arms, tmp_path, mon
     assert (np.abs(right.values - [INERTIA, *FRICTION.values()]) < 4 * right.standard_errors).all(), right
 
 
+@pytest.mark.exhaustive
 def test_late_positions_of_one_machine_are_named(arms, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     paths, overrides = with_fault(arms, 1.0, 4)
@@ -93,6 +97,7 @@ def test_a_shared_number_of_robots_that_one_contradicts_is_named():
     assert sentence.startswith("armature.elbow is shared, but the logs of arm2 alone change it by +0.00")
 
 
+@pytest.mark.exhaustive
 def test_the_order_of_machines_changes_nothing(arms, found):
     turned = fitted(dict(reversed(arms.items())), "viscous")
     for name, (value, error) in found.items():
