@@ -56,7 +56,7 @@ def test_pages_are_found_by_the_words_of_others(site):
     for words, page in (
         ("quantisation", "logs.html"),
         ("external torque", "forces.html"),
-        ("residual", "observers.html"),
+        ("residual", "estimates.html"),
     ):
         assert found[words].startswith(page)
 
