@@ -49,6 +49,7 @@ def test_a_bug_with_one_log_is_shown_as_one_and_the_others_go_on(logs, monkeypat
     assert "is a bug of covariant" in error
 
 
+@pytest.mark.exhaustive
 def test_a_run_goes_on_by_the_content_of_logs_model_and_settings(logs, tmp_path):
     names = []
     for path in logs[2:5]:
@@ -138,6 +139,7 @@ def test_the_hash_of_a_model_is_of_all_files_that_it_is_read_from(tmp_path, monk
         assert model_hash(model) == before
 
 
+@pytest.mark.exhaustive
 def test_processes_find_what_one_finds(logs, tmp_path):
     said = []
 

@@ -11,6 +11,7 @@ from covariant.metrics import open_grid
 from covariant.verbs.base.design import design
 
 
+@pytest.mark.exhaustive
 def test_each_axis_is_what_it_says(tmp_path):
     axes = 'noise = [1e-3, 1e-2]\n"parameters.stiffness" = [1.0, 3.0]\nrate = [20.0, 100.0]\ndraw = 40'
     result = run(tmp_path, axes, HEAD.replace("below = 0.05", "rate = 50.0") + "[start]\nq1 = 1.0\n")
@@ -33,6 +34,7 @@ def test_each_axis_is_what_it_says(tmp_path):
     assert error(1e-2, 1.0, 100.0)[1] > 20 * error(1e-3, 1.0, 100.0)[1]
 
 
+@pytest.mark.exhaustive
 def test_a_run_is_that_of_the_observer_in_python(tmp_path):
     """A start, without noise: the same steps as by hand."""
     result = run(tmp_path, '"start.v1" = [0.0, 2.0]')
@@ -51,6 +53,7 @@ def test_a_run_is_that_of_the_observer_in_python(tmp_path):
     assert stored[1] == pytest.approx(np.sqrt(np.mean(np.square(off[80:]))), rel=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_filter_is_as_accurate_as_it_says_of_a_truth_that_is_drawn_as_it_believes(tmp_path):
     """And says too little of what it is not told of: NEES follows random motion, pushes and speeds, one by one."""
     axes = 'draw = 200\n[[axes.case]]\nname = "as believed"\n[[axes.case]]\nname = "moved"\nacceleration = 10.0\n'
@@ -83,6 +86,7 @@ def test_the_basin_is_the_largest_multiple_up_to_which_all_runs_converge(tmp_pat
     assert beyond == 0
 
 
+@pytest.mark.exhaustive
 def test_another_limit_needs_no_new_run_and_time_is_left(tmp_path):
     told = []
     axes = '[axes]\n"start.v1" = {low = 0.0, high = 2.0, count = 5000}\n'
@@ -102,6 +106,7 @@ def test_another_limit_needs_no_new_run_and_time_is_left(tmp_path):
     assert told[-1] == "study.toml: 5000 of 5000 cases"  # the first report of the second run, and its only one
 
 
+@pytest.mark.exhaustive
 def test_a_model_file_that_has_changed_is_read_anew(tmp_path):
     """In the same process, as in a notebook."""
     errors = []

@@ -17,6 +17,7 @@ def run(folder, axes, head=HEAD + "rate = 50.0\n", name="study"):
     return many.sweep(folder / f"{name}.toml", folder / f"{name}.zarr", workers=1)
 
 
+@pytest.mark.exhaustive("rate = 50.0\\nfeedback = \"math:pi\"\\n-module 'math' is not in the folder of the file")
 @pytest.mark.core(2)
 @pytest.mark.parametrize(
     ("text", "message"),

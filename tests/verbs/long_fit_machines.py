@@ -82,6 +82,7 @@ def test_late_positions_of_one_machine_are_named(arms, tmp_path, monkeypatch):
     assert not late.better
 
 
+@pytest.mark.exhaustive
 def test_a_shared_number_of_robots_that_one_contradicts_is_named():
     """Three rotors that the fit takes for one; friction, which is each arm's own, is no contradiction."""
     arms = {}
@@ -104,6 +105,7 @@ def test_the_order_of_machines_changes_nothing(arms, found):
         np.testing.assert_allclose(turned[name], (value, error), rtol=1e-5)
 
 
+@pytest.mark.exhaustive
 def test_one_machine_is_fitted_as_without_numbers_of_its_own(arms):
     plain, own = fitted(arms["arm2"], None), fitted({"arm2": arms["arm2"]}, "viscous")
     assert list(own) == ["inertia[0]", "viscous[0]@arm2"]
@@ -128,6 +130,7 @@ def drives(gain=(1.0, 1.0), viscous=0.1):
 '''
 
 
+@pytest.mark.exhaustive
 def test_what_no_machine_shows_alone_all_show_together(tmp_path, monkeypatch):
     """Each machine drives one of its two masses."""
     monkeypatch.chdir(tmp_path)
@@ -167,6 +170,7 @@ def test_what_no_machine_shows_alone_all_show_together(tmp_path, monkeypatch):
     assert [path.name for path in own.written_files("fitted.toml")] == ["fitted_left.toml", "fitted_right.toml"]
 
 
+@pytest.mark.exhaustive
 def test_each_log_may_have_a_delay_of_its_own():
     """Inputs that act later in the second log: with its delay both tell one stiffness, without it another."""
     truth = {"parameters.stiffness": 4.0, "inputs.between": "held"}

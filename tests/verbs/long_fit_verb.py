@@ -23,6 +23,7 @@ def test_a_fit_to_a_simulated_log_gives_the_truth(fitted):
     assert result.better
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("held")
 def test_the_way_inputs_go_between_stamps_is_found_named_and_written(fitted, tmp_path):
     word, result = fitted
@@ -80,6 +81,7 @@ def test_a_log_without_inputs_says_nothing_of_them():
     assert repr(result).startswith("<FitResult: length[0] = 0.5")
 
 
+@pytest.mark.exhaustive
 def test_masses_and_frictions_that_are_far_off_are_found_together():
     """By steps in the logarithms of these positive numbers the search ends where it begins."""
     held = {"inputs.between": "held"}
@@ -94,6 +96,7 @@ def test_masses_and_frictions_that_are_far_off_are_found_together():
     np.testing.assert_allclose(result.values, np.concatenate(list(true.values())), rtol=0.05)
 
 
+@pytest.mark.exhaustive
 def test_outliers_do_not_hide_that_a_fit_predicts_worse():
     """A spring that is softer in the last third of the log: as soft as the model file says."""
     swing: dict[str, Any] = {"rate": 50.0, "noise": 1e-3}

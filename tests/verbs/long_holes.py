@@ -11,6 +11,7 @@ from covariant.observers import EKF, run
 from covariant.signals import Record, StepCode
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("cells", [True, False], ids=["cells", "rows"])
 def test_a_hole_is_named_with_the_errors_with_and_without_it(cells):
     result = estimate(with_holes(cells))
@@ -30,12 +31,14 @@ def test_a_hole_is_named_with_the_errors_with_and_without_it(cells):
     assert not any("NEES" in warning for warning in result.warnings)
 
 
+@pytest.mark.exhaustive
 def test_an_input_that_is_missing_alone_is_not_said_to_be_held_where_it_is_estimated():
     frame = motion().copy()
     frame.loc[(frame.t > 4) & (frame.t < 4.25), "u"] = np.nan
     assert "an input is not finite: the last finite one was held, or the filter estimated it" in str(estimate(frame))
 
 
+@pytest.mark.exhaustive
 def test_a_log_without_holes_says_nothing_of_them():
     result = estimate(motion())
     assert "holes" not in result.summary
@@ -43,6 +46,7 @@ def test_a_log_without_holes_says_nothing_of_them():
     assert not hasattr(result.run.info, "missing_input")
 
 
+@pytest.mark.exhaustive
 def test_a_filter_that_takes_the_last_input_as_held_is_told():
     result = estimate(with_holes(cells=True), "ekf")
     assert any("ekf takes the last input as held" in warning for warning in result.warnings)
@@ -71,6 +75,7 @@ def test_after_a_hole_readings_that_agree_are_believed():
     assert (jump[100:110] == code.OUTLIER).all()
 
 
+@pytest.mark.exhaustive
 def test_holes_that_decide_a_ranking_are_told():
     result = covariant.compare("pendulum_chain", with_holes(cells=True), overrides=MODEL)
     text, apart = str(result), result.ranking_without_holes
@@ -85,6 +90,7 @@ def test_holes_that_decide_a_ranking_are_told():
     assert result.ranking[int(np.argmin(best))] == apart[0]
 
 
+@pytest.mark.exhaustive
 def test_an_innovation_is_one_of_used_rows():
     frame = motion().copy()
     frame.loc[300, "q"] += 2.0
@@ -98,6 +104,7 @@ def test_an_innovation_is_one_of_used_rows():
     assert f"1 reading of q at 3 s (read {refused['read']:.4g}, expected {refused['expected']:.4g} rad)" in str(result)
 
 
+@pytest.mark.exhaustive
 def test_a_large_model_takes_missing_inputs_as_held_and_says_so(monkeypatch):
     """Two states for each of many inputs are too many to compile."""
     monkeypatch.setattr("covariant.verbs.base.design.MOST_STATES", 3)

@@ -16,6 +16,7 @@ MACHINES = [
 ]
 
 
+@pytest.mark.exhaustive("names1-1")
 @pytest.mark.parametrize(("names", "inputs"), MACHINES)
 def test_a_machine_that_slides_is_drafted_with_its_equations(tmp_path, names, inputs):
     table = log(names, inputs)
@@ -49,6 +50,7 @@ def test_angles_that_start_a_turn_anew_are_no_jumps(tmp_path):
     np.testing.assert_allclose(speed, (2.0 + 40 * T)[150:], atol=4.0)
 
 
+@pytest.mark.exhaustive
 def test_the_finding_of_friction_is_a_command_for_this_draft_and_log(tmp_path):
     path = covariant.verbs.init(log(["cart_m", "pole_deg"], 1)).save(tmp_path / "my draft.toml")
     truth = {"parameters.viscous": [1.0, 0.02], "parameters.coulomb": [0.0, 0.0]}

@@ -22,6 +22,7 @@ def wrapped(whole):
     return whole._replace(y=np.asarray(whole.y) % PERIOD)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("part", [{}, {"every": 8}, {"start": 1.0, "until": 3.0}])
 def test_estimates_are_those_of_the_unwrapped_log(whole, wrapped, part):
     whole = whole._replace(y=whole.y + (wrapped.y - whole.y)[:1])
@@ -32,6 +33,7 @@ def test_estimates_are_those_of_the_unwrapped_log(whole, wrapped, part):
         np.testing.assert_allclose(other.velocity, one.velocity, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_check_asks_for_the_period_and_for_nothing_once_it_is_stated(whole, wrapped):
     # The angle in which gravity acts is that of the first reading.
     log = wrapped._replace(y=(whole.y - whole.y[0] + 0.3) % PERIOD)

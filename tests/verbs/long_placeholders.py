@@ -9,6 +9,7 @@ from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.placeholders import placeholders
 
 
+@pytest.mark.exhaustive
 def test_what_a_fit_determines_is_no_placeholder_any_more(tmp_path):
     truth = {key: [value] for key, value in (("mass", 1.0), ("length", 0.3), ("com", 0.2), ("inertia", 0.01))}
     overrides = {f"parameters.{key}": value for key, value in truth.items()}

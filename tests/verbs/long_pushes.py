@@ -34,6 +34,7 @@ def test_without_a_push_hardly_a_row_is_called_pushed():
         assert estimated(None, seed)[1].pushes.rows.mean() <= _outcome.FALSE_ALARM
 
 
+@pytest.mark.exhaustive
 def test_every_large_push_is_found_and_nothing_between_them():
     log, result = estimated([0.6, 0.3])
     true = np.abs(log.to_pandas()[list(log.force_columns)].to_numpy()).max(axis=1) > 0

@@ -14,6 +14,7 @@ FORCE = {"uncertainty.external_force_std": 1.0, "uncertainty.external_force_time
 NOISE = {"measurement.std": 1e-4, "uncertainty.acceleration": 0.1}
 
 
+@pytest.mark.exhaustive
 def test_pages_of_a_filter_and_its_smoother_show_pushes_forces_and_the_difference(tmp_path):
     log = covariant.simulate("oscillator", duration=4.0, rate=100.0, noise=1e-4, push=[3.0]).record
     log = log._replace(y=np.where(np.arange(401)[:, None] % 50 == 10, np.nan, log.y))
@@ -33,6 +34,7 @@ def test_pages_of_a_filter_and_its_smoother_show_pushes_forces_and_the_differenc
     assert "Difference to the smoothed one" not in text_of(paths[0])  # in the figures, which are packed
 
 
+@pytest.mark.exhaustive
 def test_a_page_of_a_comparison_shows_four_curves_and_says_who_is_as_good(tmp_path):
     log = covariant.simulate("oscillator", duration=2.0, rate=100.0, noise=1e-4, q0=[1.0]).record
     result = covariant.compare("oscillator", log, overrides=NOISE)

@@ -27,6 +27,7 @@ def matched(result):
     return result.joints
 
 
+@pytest.mark.exhaustive
 def test_from_a_data_set_of_lerobot_to_velocities_and_torques(tmp_path):
     settings = {"amplitude": [0.5, 0.4], "frequency": 0.7, "overrides": SERVOS}
     simulated = covariant.simulate("double_pendulum", duration=6.0, rate=50.0, **settings).record
@@ -78,6 +79,7 @@ def test_joints_of_other_names_are_matched_in_order_and_it_is_said(tmp_path, rec
     assert "lock = { elbow = 0.0 }" in fewer.texts()["draft.toml"]
 
 
+@pytest.mark.exhaustive
 def test_a_servo_that_is_off_has_no_torque(tmp_path, recorded):
     on = np.where(np.arange(len(recorded.t)) % 200 < 150, 1.0, 0.0)
     frame = pd.DataFrame({"t": recorded.t, "q": recorded.y[:, 0], "cmd": recorded.u[:, 0], "torque_enabled": on})

@@ -69,6 +69,7 @@ def test_systems_themselves_and_model_files_are_simulated():
         np.testing.assert_allclose(result.record.y[:, 0], np.cos(result.record.t), atol=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_joints_that_leave_their_limits_are_named_with_the_time():
     """A lift of .18 m falls."""
     result = simulate("scara", duration=0.3, rate=100.0)
@@ -81,6 +82,7 @@ def test_joints_that_leave_their_limits_are_named_with_the_time():
     assert result.summary["warnings"] == [warning]
 
 
+@pytest.mark.exhaustive("heavy_top-asked1-begins with v0 = 1, 1, 1")
 @pytest.mark.parametrize(
     ("model", "asked", "said"),
     [

@@ -26,6 +26,7 @@ def test_it_is_nearer_to_the_truth_than_the_filter_and_says_so(smoothed):
     assert "velocity RMSE of the filter" in text
 
 
+@pytest.mark.exhaustive
 def test_the_page_shows_both(smoothed):
     page = smoothed[0]._page()
     assert list(page.estimates) == ["smoothed", "intrinsic-kalman"]
@@ -35,6 +36,7 @@ def test_the_page_shows_both(smoothed):
     assert after["median std v1 [m/s]"] < before["median std v1 [m/s]"]
 
 
+@pytest.mark.exhaustive
 def test_the_filter_beside_it_is_what_estimate_returns(smoothed):
     result, log = smoothed
     filtered = covariant.estimate("oscillator", log, observer="intrinsic-kalman", overrides=NOISE, engine="jax")

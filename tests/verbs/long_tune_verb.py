@@ -48,6 +48,7 @@ def test_a_force_that_is_forgotten_is_taken_out_where_there_is_none(log):
     assert set(result.lines["uncertainty"]) == {"acceleration", "correlation_time"}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("jax")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_page_is_drawn_after_either_engine(log, tmp_path, engine):
@@ -58,6 +59,7 @@ def test_a_page_is_drawn_after_either_engine(log, tmp_path, engine):
     assert all(page.stat().st_size > 1000 for page in pages)
 
 
+@pytest.mark.exhaustive
 def test_a_system_itself_is_tuned_and_has_no_file(log, tmp_path):
     result = tune(models.oscillator(), [log], overrides=NOISE)
     assert np.isfinite(result.tuning.natural_frequency)

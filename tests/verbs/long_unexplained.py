@@ -21,6 +21,7 @@ def estimated(machine=(), model=(), **sensors: Any):
     return covariant.estimate("pendulum_chain", log.record, **given)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.exhaustive("right", "ticks", "with a force state")
 @pytest.mark.parametrize(
     ("model", "sensors"),
@@ -38,6 +39,7 @@ def test_right_models_raise_no_alarm(model, sensors):
     assert not any("NIS" in line for line in result.warnings)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("machine", "model"),
     [({"parameters.mass": [1.5]}, {}), ({"parameters.coulomb": [0.15]}, STIFF)],
@@ -51,6 +53,7 @@ def test_wrong_models_raise_it_once_with_its_number_and_a_remedy(machine, model)
     assert line in str(result)
 
 
+@pytest.mark.exhaustive
 def test_a_force_state_of_the_size_of_the_friction_ends_it():
     result = estimated({"parameters.coulomb": [0.15]}, LOOSE)
     assert not any("NIS" in line for line in result.warnings)

@@ -20,6 +20,7 @@ def log():
     return Record(made.t, made.u, made.y)  # without true velocities
 
 
+@pytest.mark.exhaustive
 def test_a_right_model_helps_and_the_estimate_says_so(log):
     result = covariant.estimate("pendulum_chain", log, overrides=NOISE)
     found = result.without_model
@@ -32,6 +33,7 @@ def test_a_right_model_helps_and_the_estimate_says_so(log):
     assert result.summary["without_model"]["filter"] == found.filter
 
 
+@pytest.mark.exhaustive
 def test_a_wrong_model_is_worse_than_none_and_a_warning_says_so(log):
     wrong = NOISE | {"parameters.mass": [1.0, 2.0]}
     result = covariant.estimate("pendulum_chain", log, overrides=wrong, anyway=True)
@@ -44,6 +46,7 @@ def test_a_wrong_model_is_worse_than_none_and_a_warning_says_so(log):
     assert str(result).count("without a model") == 1
 
 
+@pytest.mark.exhaustive
 def test_equal_velocities_cannot_be_told_apart(log):
     result = covariant.estimate("pendulum_chain", log, score=True, overrides=NOISE)
     known, loaded = result.without_model, result.loaded
@@ -70,6 +73,7 @@ def test_a_filter_by_its_weights_is_the_observer_that_runs(observer, log):
     np.testing.assert_allclose(by_weights[settled], np.asarray(run.estimate)[: len(even)][settled, 2:], atol=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_the_filter_is_judged_with_the_outliers_that_it_would_read(log):
     random, y = np.random.default_rng(0), np.array(log.y)
     wrong = random.random(y.shape) < 0.02
