@@ -27,6 +27,7 @@ LATER = "---\nsearch:\n  boost: 0.5\n---\n\n"
 SEARCHED = {
     "forces.md": ["external torque", "external force", "disturbance observer", "contact force", "collision", "wrench"],
     "identification.md": ["system identification", "parameter estimation", "friction", "inertia", "calibration"],
+    "fit-robots.md": ["excitation", "friction", "servo", "payload", "armature"],
     "logs.md": ["encoder resolution", "quantisation", "quantization", "encoder ticks", "CSV", "rosbag"],
     "observers.md": ["residual", "innovation", "outliers", "Kalman filter", "delay", "time delay"],
     "smoothing.md": ["offline", "Rauch–Tung–Striebel", "RTS smoother", "fixed lag", "zero phase"],
