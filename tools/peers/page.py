@@ -12,7 +12,7 @@ HEAD = """# Other projects' suites
 `make peers` runs test suites and programs of other projects on this library, each in its own environment, and writes
 this page. A *case* is one test of the other project, or one number that is compared with a stated bound. A *deviation*
 is a case that does not pass; each is listed with its reason. Times are of the machine that wrote the page, and depend
-on what else it did.
+on what else it did. Long tables show the largest numbers of several rows; [peers.json](peers.json) has every row.
 """
 
 ABOUT = {
@@ -28,6 +28,30 @@ ABOUT = {
     "dynamics": "Every included robot, and random trees, beside MuJoCo and Pinocchio (`tools/compare_robots.py`).",
 }
 """What each suite is, by its name."""
+
+
+SHORTENED: dict[str, tuple[tuple[int, ...], str]] = {
+    "Digits": ((0, 2), "The largest of exp, log, J_r, J_r⁻¹ and Ad."),
+    "Largest differences": ((1,), "The largest of all robots and trees."),
+}
+"""Tables of which the page shows the largest numbers: the columns that stay, and what is said of it."""
+
+
+def shortened(title: str, head: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """A table as the page shows it: one row for each value of the columns that stay, with the largest numbers."""
+    if title not in SHORTENED:
+        return head, rows
+    stay, _ = SHORTENED[title]
+    numbers = [k for k in range(len(head)) if k > max(stay)]
+    groups: dict[tuple[str, ...], list[list[str]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[k] for k in stay), []).append(row)
+    short = [[*key, *(max((row[k] for row in group), key=_size) for k in numbers)] for key, group in groups.items()]
+    return [head[k] for k in (*stay, *numbers)], short
+
+
+def _size(cell: str) -> float:
+    return -1.0 if cell == "–" else float(cell)
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -65,8 +89,10 @@ def section(name: str, outcome: dict) -> str:
         rows = [[part["case"], part["reason"] or "not explained"] for part in off]
         parts.append(table(["deviation", "reason"], rows))
     for part in outcome.get("tables", []):
-        parts += [f"**{part['title']}**", table(part["head"], part["rows"])]
-        parts += [part["note"]] if part["note"] else []
+        title = part["title"]
+        parts += [f"**{title}**", table(*shortened(title, part["head"], part["rows"]))]
+        notes = [SHORTENED[title][1]] if title in SHORTENED else []
+        parts += [" ".join([*notes, part["note"]]).strip()] if notes or part["note"] else []
     return "\n\n".join(parts)
 
 
