@@ -58,13 +58,14 @@ def keys_table() -> str:
     """The keys of a model file as a Markdown table; what each means is in the docstring of `ModelFile`."""
     listed = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", inspect.cleandoc(ModelFile.__doc__ or ""), re.MULTILINE)
     meanings = {field: " ".join(text.split()) for field, text in listed}
-    rows = [f"| `{key.path}` | {key.values} | {_default(field)} | {meanings[field]} |" for field, key in KEYS.items()]
-    return "\n".join(["| key | value | default | meaning |", "|---|---|---|---|", *rows])
+    values = {name: re.sub(r", or a list with one for each \w+", " or list", key.values) for name, key in KEYS.items()}
+    rows = [f"| `{key.path}` | {values[name]}{_default(name)} | {meanings[name]} |" for name, key in KEYS.items()]
+    return "\n".join(["| key | value (default) | meaning |", "|---|---|---|", *rows])
 
 
 def _default(field: str) -> str:
     value = ModelFile._field_defaults[field]
-    return f'"{value}"' if isinstance(value, str) else f"{value:.4g}" if isinstance(value, float | int) else ""
+    return f' ("{value}")' if isinstance(value, str) else f" ({value:.4g})" if isinstance(value, float | int) else ""
 
 
 def errata_sections(paper: str) -> str:
@@ -77,9 +78,9 @@ def _erratum(entry: errata.Erratum) -> str:
         f"### Misprint in {entry.where}\n",
         f"- *as printed:* `{entry.printed}`",
         f"- *corrected:* `{entry.corrected}`",
-        f"- *what is wrong:* {entry.reason}",
-        f"- *what it does:* {entry.effect}",
-        f"- *shown by* `{entry.shown_by}`",
+        f"- *reason:* {entry.reason}",
+        f"- *effect:* {entry.effect}",
+        f"- *test:* `{entry.shown_by}`",
     )
     return "\n".join(lines)
 
