@@ -1,4 +1,4 @@
-"""The code of docs/extending.md, applied to a copy of the project: what the page says happens, happens."""
+"""The code of the pages on extending the library, applied to a copy of it: what they say happens, happens."""
 
 import os
 import re
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+PAGES = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("extending.md", "extending-verbs.md")]
 COPIED = (
     *("src", "tools", "docs", "benchmarks", "pyproject.toml", "mkdocs.yml", "README.md"),
     *("tests/conftest.py", "tests/test_house.py", "tests/house.toml", "tests/laws", "tests/geometry"),
@@ -18,9 +18,9 @@ COPIED = (
 
 
 def followed() -> dict[str, str]:
-    """What the page makes of files, by their names: each change must find its place exactly once."""
+    """What the pages make of files, by their names: each change must find its place exactly once."""
     files: dict[str, str] = {}
-    for language, name, text in re.findall(r'```(\w+) title="(.+?)"\n(.*?)```', PAGE, re.DOTALL):
+    for language, name, text in re.findall(r'```(\w+) title="(.+?)"\n(.*?)```', "".join(PAGES), re.DOTALL):
         if language == "python":
             assert not (ROOT / name).exists(), f"{name} is there already"
             files[name] = text
@@ -34,14 +34,14 @@ def followed() -> dict[str, str]:
     return files
 
 
-def test_every_change_of_the_page_finds_its_place():
+def test_every_change_of_the_pages_finds_its_place():
     """In the short suite, since a change of any of these files may move it."""
     assert len(followed()) > 8
 
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory) -> Path:
-    """A copy of the project in which the page has been followed."""
+    """A copy of the project in which the pages have been followed."""
     copy = tmp_path_factory.mktemp("house")
     for name in COPIED:
         source, target = ROOT / name, copy / name

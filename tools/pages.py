@@ -19,7 +19,6 @@ from types import ModuleType
 from house import drawing
 from peers.page import page as peers_page
 
-import covariant
 from covariant.models import ModelFile
 from covariant.models.files._model_file import KEYS
 from covariant.observers import REGISTRY, Entry
@@ -59,13 +58,14 @@ def keys_table() -> str:
     """The keys of a model file as a Markdown table; what each means is in the docstring of `ModelFile`."""
     listed = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", inspect.cleandoc(ModelFile.__doc__ or ""), re.MULTILINE)
     meanings = {field: " ".join(text.split()) for field, text in listed}
-    rows = [f"| `{key.path}` | {key.values} | {_default(field)} | {meanings[field]} |" for field, key in KEYS.items()]
-    return "\n".join(["| key | value | default | meaning |", "|---|---|---|---|", *rows])
+    values = {name: re.sub(r", or a list with one for each \w+", " or list", key.values) for name, key in KEYS.items()}
+    rows = [f"| `{key.path}` | {values[name]}{_default(name)} | {meanings[name]} |" for name, key in KEYS.items()]
+    return "\n".join(["| key | value (default) | meaning |", "|---|---|---|", *rows])
 
 
 def _default(field: str) -> str:
     value = ModelFile._field_defaults[field]
-    return f'"{value}"' if isinstance(value, str) else f"{value:.4g}" if isinstance(value, float | int) else ""
+    return f' ("{value}")' if isinstance(value, str) else f" ({value:.4g})" if isinstance(value, float | int) else ""
 
 
 def errata_sections(paper: str) -> str:
@@ -78,9 +78,9 @@ def _erratum(entry: errata.Erratum) -> str:
         f"### Misprint in {entry.where}\n",
         f"- *as printed:* `{entry.printed}`",
         f"- *corrected:* `{entry.corrected}`",
-        f"- *what is wrong:* {entry.reason}",
-        f"- *what it does:* {entry.effect}",
-        f"- *shown by* `{entry.shown_by}`",
+        f"- *reason:* {entry.reason}",
+        f"- *effect:* {entry.effect}",
+        f"- *test:* `{entry.shown_by}`",
     )
     return "\n".join(lines)
 
@@ -125,32 +125,44 @@ def llms_text() -> str:
 
 VERBS = ("check", "fit", "tune", "estimate", "smooth", "compare", "simulate", "design_excitation", "export", "certify")
 """The verbs in the order in which a user meets them."""
-ROOMS = (
-    *("models", "models.robots", "models.marine", "observers", "logs", "simulation", "calibration", "engine"),
-    *("codegen", "certificates", "geometry", "geometry.lie", "metrics"),
-    *("verbs", "many", "report"),
-)
-"""Rooms with public names, in the order in which a user meets them."""
+ROOMS = {
+    "api.md": (
+        *("covariant", "covariant.models", "covariant.models.robots", "covariant.models.marine"),
+        *("covariant.observers", "covariant.logs", "covariant.simulation", "covariant.calibration", "covariant.engine"),
+    ),
+    "api-geometry.md": (
+        *("covariant.codegen", "covariant.certificates", "covariant.geometry", "covariant.geometry.lie"),
+        *("covariant.metrics", "covariant.verbs", "covariant.many", "covariant.report", "scalargraph"),
+    ),
+}
+"""Rooms with public names, by their page, in the order in which a user meets them."""
+HEADS = {
+    "api.md": """# API
+
+The names for users, each with the first sentence of its docstring; the rooms for geometry, proofs and code are on
+[API: geometry, proofs and code](api-geometry.md). `help(name)` prints the whole docstring, and the site links to it.
+The changelog says when a name changes. Other names can be imported, but serve the library itself.""",
+    "api-geometry.md": """# API: geometry, proofs and code
+
+The names for users in the rooms that [API](api.md) does not have.""",
+}
 
 
-def api_page() -> str:
-    """Every public name with a paragraph from its docstring, room by room."""
-    head = (
-        "# API\n\nThe names for users. The changelog says when one of them changes. Other names can be imported too, "
-        "but serve the library itself.\n\n"
-    )
-    parts = [_api_of("covariant", covariant, [*VERBS, "Record", "Run", "StepCode"])]
-    assert set(VERBS) == {name for name in covariant.__all__ if inspect.isfunction(getattr(covariant, name))}
-    for room in [*(f"covariant.{room}" for room in ROOMS), "scalargraph"]:
-        module = importlib.import_module(room)
+def api_page(name: str) -> str:
+    """The first sentence of every public name's docstring, room by room; the site adds links to the whole of them."""
+    return "\n\n".join([HEADS[name], *map(_api_of, ROOMS[name])]) + "\n"
+
+
+def _api_of(room: str) -> str:
+    module = importlib.import_module(room)
+    if room == "covariant":
+        assert set(VERBS) == {name for name in module.__all__ if inspect.isfunction(getattr(module, name))}
+        names = [*VERBS, "Record", "Run", "StepCode"]
+    else:
         names = [name for name in module.__all__ if not inspect.ismodule(getattr(module, name))]
-        parts.append(_api_of(room, module, sorted(names, key=partial(_use, module))))
-    return head + "\n\n".join(parts) + "\n"
-
-
-def _api_of(title: str, module: ModuleType, names: list[str]) -> str:
-    entries = [f"- **`{name}`**: {_prose(_documentation(module, name))}" for name in names]
-    return "\n".join([f"## {title}", "", _about_room(module), "", *entries])
+        names.sort(key=partial(_use, module))
+    entries = [f"- **`{name}`**: {_sentence(_documentation(module, name))}." for name in names]
+    return "\n".join([f"## {room}", "", _about_room(module), "", *entries])
 
 
 def _use(module: ModuleType, name: str) -> tuple[bool, str]:
@@ -178,19 +190,6 @@ def _documentation(module: ModuleType, name: str) -> str:
     return ""
 
 
-def _prose(text: str) -> str:
-    """What a docstring says before its first section, as one paragraph."""
-    prose = re.split(r"\n(?:Args|Attributes|Returns|Raises|Example|Source|References?):|\n+- `|\n+::|\n *>>>", text)[0]
-    blocks = re.split(r"\n\n", prose)
-    return " ".join(_equations(block) if block.startswith("    ") else " ".join(block.split()) for block in blocks)
-
-
-def _equations(block: str) -> str:
-    """An indented block of equations as code within a sentence; three spaces or a new line separate two of them."""
-    equations = [part.strip().removesuffix(",") for part in re.split(r" {3,}|\n", block.strip())]
-    return ", ".join(f"`{equation}`" for equation in equations if equation) + "."
-
-
 def navigation() -> list[str]:
     """Names of the pages in the order in which the site has them."""
     text = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:")[-1]
@@ -213,7 +212,7 @@ def _paragraph(text: str) -> str:
 
 def _sentence(text: str) -> str:
     """First sentence of a text, in one line and without its full stop."""
-    return re.split(r"(?<=[^.\d][.?])\s", " ".join(text.split()))[0].removesuffix(".")
+    return re.split(r"(?<=[^.\d][.?])\s|(?<=C99\.)\s", " ".join(text.split()))[0].removesuffix(".")
 
 
 def with_table(page: str, name: str, table: str) -> str:
@@ -238,7 +237,7 @@ WRITTEN: dict[Path, Callable[[], str]] = {
     **{DOCS / name: partial(_page, DOCS / name, *part) for name, part in PARTS.items()},
     DOCS / "peers.md": peers_page,
     DOCS / "images" / "house.svg": lambda: drawing(ROOT / "src" / "covariant"),
-    DOCS / "api.md": api_page,
+    **{DOCS / name: partial(api_page, name) for name in ROOMS},
     ROOT / "llms.txt": llms_text,
 }
 """Every file that is written, from the code or from results, with what makes the text it should have."""

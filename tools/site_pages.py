@@ -27,6 +27,7 @@ LATER = "---\nsearch:\n  boost: 0.5\n---\n\n"
 SEARCHED = {
     "forces.md": ["external torque", "external force", "disturbance observer", "contact force", "collision", "wrench"],
     "identification.md": ["system identification", "parameter estimation", "friction", "inertia", "calibration"],
+    "fit-robots.md": ["excitation", "friction", "servo", "payload", "armature"],
     "logs.md": ["encoder resolution", "quantisation", "quantization", "encoder ticks", "CSV", "rosbag"],
     "observers.md": ["state estimation", "state observer"],
     "estimates.md": ["residual", "innovation", "consistency"],
@@ -172,13 +173,13 @@ def _card(script: Script) -> str:
 
 @cache
 def defined() -> set[str]:
-    """Names of the classes of the library."""
-    sources = (path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
+    """Names of the classes of the library and of scalargraph."""
+    sources = (path.read_text(encoding="utf-8") for path in PACKAGE.parent.rglob("*.py"))
     return {name for source in sources for name in re.findall(r"^class (\w+)", source, re.MULTILINE)}
 
 
 class Room(NamedTuple):
-    """A room of the library: its full name, and its public names in the order of `docs/api.md`.
+    """A room of the library: its full name, and its public names in the order of `docs/api*.md`.
 
     `about` has the first sentence of each name that is for users. Their classes have a page each.
     """
@@ -198,8 +199,8 @@ class Room(NamedTuple):
 
 
 def rooms() -> list[Room]:
-    """The rooms for users in the order of `docs/api.md`, and behind them the others."""
-    users = {f"covariant.{name}".removesuffix("."): about for name, about in api_page().items()}
+    """The rooms for users in the order of `docs/api*.md`, and behind them the others."""
+    users = listed()
     paths = [*PACKAGE.glob("*/**/__init__.py"), *PACKAGE.glob("[!_]*.py")]
     found = {
         ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__"): path
@@ -211,12 +212,25 @@ def rooms() -> list[Room]:
     ]
 
 
-def api_page() -> dict[str, dict[str, str]]:
-    """First sentence of each name in each room of `docs/api.md`; the package itself, with the verbs, is the room ""."""
-    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
-    entry = re.compile(r"^- \*\*`(\w+)`\*\*: (.+?(?:\.(?= )|$))", re.MULTILINE)
-    parts = re.split(r"^## covariant\.?", page, flags=re.MULTILINE)[1:]
-    return {part.partition("\n")[0]: dict(entry.findall(part)) for part in parts}
+API = [ROOT / "docs" / "api.md", ROOT / "docs" / "api-geometry.md"]
+ROOM = re.compile(r"^## (covariant[\w.]*|scalargraph)\n", re.MULTILINE)
+ENTRY = re.compile(r"^- \*\*`(\w+)`\*\*: (.+)$", re.MULTILINE)
+
+
+def listed() -> dict[str, dict[str, str]]:
+    """First sentence of each name in each room of `docs/api*.md`."""
+    parts = [part for page in API for part in ROOM.split(page.read_text(encoding="utf-8"))[1:]]
+    return {room: dict(ENTRY.findall(text)) for room, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
+def linked(markdown: str) -> str:
+    """A page of `docs/api*.md` with a link from each room to its reference, and from each name to its docstring."""
+    head, *parts = ROOM.split(markdown)
+    for name, text in zip(parts[::2], parts[1::2], strict=True):
+        page = Room(name, [], {}).page
+        entries = ENTRY.sub(rf"- **[`\1`][{name}.\1]**: \2", text)
+        head += f"## {name}\n\n[Reference of `{name}`]({page})\n{entries}"
+    return head
 
 
 def names(path: Path) -> list[str]:
@@ -258,12 +272,13 @@ def on_config(config: MkDocsConfig) -> None:
     config.copyright = f"covariant {version} · BSD-3-Clause"
 
 
-def on_page_markdown(markdown: str, page: Page, **_: object) -> None:
-    """Let the search list guides first, and find them by the words that others use."""
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Let the search list guides first, and find them by the words that others use; link names to their docstrings."""
     if page.file.src_uri in SEARCHED:
         page.meta["tags"] = SEARCHED[page.file.src_uri]
     if page.file.src_uri.count("/") == 0:
         page.meta.setdefault("search", {"boost": 2})
+    return linked(markdown) if page.file.src_uri in [path.name for path in API] else markdown
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:

@@ -1,6 +1,7 @@
 """The page of other projects' suites, `docs/peers.md`, written from `docs/peers.json` alone."""
 
 import json
+import re
 from pathlib import Path
 
 RESULTS = Path(__file__).parents[2] / "docs" / "peers.json"
@@ -12,7 +13,7 @@ HEAD = """# Other projects' suites
 `make peers` runs test suites and programs of other projects on this library, each in its own environment, and writes
 this page. A *case* is one test of the other project, or one number that is compared with a stated bound. A *deviation*
 is a case that does not pass; each is listed with its reason. Times are of the machine that wrote the page, and depend
-on what else it did.
+on what else it did. Long tables show the largest numbers of several rows; [peers.json](peers.json) has every row.
 """
 
 ABOUT = {
@@ -28,6 +29,46 @@ ABOUT = {
     "dynamics": "Every included robot, and random trees, beside MuJoCo and Pinocchio (`tools/compare_robots.py`).",
 }
 """What each suite is, by its name."""
+
+
+SHORTENED: dict[str, tuple[tuple[int, ...], str]] = {
+    "Laws of Lie groups": (
+        (0, 1),
+        "50 laws for rotations of up to 0.01 rad, and 50 for those of 0.1 to 2.5 rad. Allowed are 1e-8 in double "
+        "precision, as in the tests of jaxlie, 2e-5 in single precision, and 1e-7 for derivatives, as in the tests of "
+        "manif.",
+    ),
+    "Digits": ((0, 2), "The largest of exp, log, J_r, J_r⁻¹ and Ad. {note}"),
+    "Largest differences": ((1,), "The largest of all robots and trees. {note}"),
+}
+"""Tables that the page shows shortened: the columns that stay, and the note; `{note}` is that of the whole table."""
+
+
+def shortened(title: str, head: list[str], rows: list[list[str]]) -> tuple[list[str], list[list[str]]]:
+    """A table as the page shows it: one row for each value of the columns that stay.
+
+    Such a row has the largest numbers and the sums of "5 of 5"; columns of words are left out.
+    """
+    if title not in SHORTENED:
+        return head, rows
+    stay, _ = SHORTENED[title]
+    numbers = [k for k in range(len(head)) if k > max(stay) and all(_number(row[k]) for row in rows)]
+    groups: dict[tuple[str, ...], list[list[str]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[k] for k in stay), []).append(row)
+    short = [[*key, *(_joined([row[k] for row in group]) for k in numbers)] for key, group in groups.items()]
+    return [head[k] for k in (*stay, *numbers)], short
+
+
+def _number(cell: str) -> bool:
+    return bool(re.fullmatch(r"–|[-+.\de]+|\d+ of \d+", cell))
+
+
+def _joined(cells: list[str]) -> str:
+    if " of " in cells[0]:
+        kept, tried = zip(*(map(int, cell.split(" of ")) for cell in cells), strict=True)
+        return f"{sum(kept)} of {sum(tried)}"
+    return max(cells, key=lambda cell: -1.0 if cell == "–" else float(cell))
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -65,8 +106,10 @@ def section(name: str, outcome: dict) -> str:
         rows = [[part["case"], part["reason"] or "not explained"] for part in off]
         parts.append(table(["deviation", "reason"], rows))
     for part in outcome.get("tables", []):
-        parts += [f"**{part['title']}**", table(part["head"], part["rows"])]
-        parts += [part["note"]] if part["note"] else []
+        title = part["title"]
+        parts += [f"**{title}**", table(*shortened(title, part["head"], part["rows"]))]
+        note = SHORTENED[title][1].format(note=part["note"]) if title in SHORTENED else part["note"]
+        parts += [note] if note else []
     return "\n\n".join(parts)
 
 

@@ -211,7 +211,7 @@ COMMANDS = (
         "design_excitation",
         ROBOTS,
         "design excitation arm.toml --parameters friction -o excitation.csv --duration 5",
-        "docs/identification.md",
+        "docs/fit-robots.md",
         "design excitation",
         own=(
             _output("Motion and torques to write", *TABLES, needed=True),

@@ -60,10 +60,10 @@ PALETTE = Palette(
     *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5D4037", "#8C8A2E"),
     *("#4A1FE0", "#1BCB7E", "#4A0E4E", "#8A7CFF", "#0A1464"),
 )
-"""Colours for all kinds of colour vision (Okabe & Ito 2008), with brown and olive for its black and yellow, and five
-more that people without red, green or blue cones distinguish from these and from each other (Machado, Oliveira &
-Fernandes 2009). `PALETTE.covariant` (blue), `PALETTE.ekf` (orange), `PALETTE.filter` (green) and `PALETTE.truth` (grey)
-keep their meaning in all figures."""
+"""Colours for all kinds of colour vision. They are those of Okabe & Ito 2008, with brown and olive for its black and
+yellow, and five more that people without red, green or blue cones distinguish from these and from each other (Machado,
+Oliveira & Fernandes 2009). `PALETTE.covariant` (blue), `PALETTE.ekf` (orange), `PALETTE.filter` (green) and
+`PALETTE.truth` (grey) keep their meaning in all figures."""
 
 DARK = {
     "#5D4037": "#FFC266",
