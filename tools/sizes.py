@@ -15,13 +15,19 @@ SOURCE = ROOT / "src"
 COMMENTS = ("#", "//", "/*", "*/", "* ", "<!--")
 
 
+@functools.cache
 def code_lines(path: Path) -> int:
     """The lines of code of a file of the library, or of a template."""
     text = path.read_text(encoding="utf-8")
     lines = {k for k, line in enumerate(text.split("\n"), 1) if line.strip() and not line.strip().startswith(COMMENTS)}
     if path.suffix != ".py" or path.parent.name == "templates":
         return len(lines)
-    return len(lines.difference(*(range(node.lineno, node.end_lineno + 1) for node in _docstrings(ast.parse(text)))))
+    return len(lines.difference(*(range(node.lineno, node.end_lineno + 1) for node in _docstrings(_tree(path)))))
+
+
+@functools.cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def _docstrings(tree: ast.AST) -> Iterator[ast.Expr]:
@@ -82,13 +88,10 @@ def _place(module: str, name: str) -> str:
 def imports(module: str) -> frozenset[str]:
     """The modules that one imports anywhere, inside functions too, but for its annotations only."""
     path = modules()[module]
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):  # what only a type checker reads
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            node.body = []
+    nodes = [node for part in _tree(path).body if not _is_for_types(part) for node in ast.walk(part)]
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     found, local = set(), dict[str, str]()
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             local |= {alias.asname: alias.name for alias in node.names if alias.asname}
             local |= {name.partition(".")[0]: name.partition(".")[0] for name in (a.name for a in node.names)}
@@ -100,9 +103,9 @@ def imports(module: str) -> frozenset[str]:
                 found.add(place)
                 if place == f"{source}.{alias.name}":
                     local[alias.asname or alias.name] = place
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Attribute):
-            found |= _used(ast.unparse(node).split("."), local)
+            found |= _used(node, local)
     return frozenset(name for name in found & modules().keys() - {module} if not _is_room(name))
 
 
@@ -111,10 +114,19 @@ def _is_room(name: str) -> bool:
     return modules()[name].name == "__init__.py" and bool(_offered(name))
 
 
-def _used(parts: list[str], local: dict[str, str]) -> set[str]:
+def _is_for_types(node: ast.stmt) -> bool:
+    """Whether only a type checker reads a statement."""
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+
+
+def _used(node: ast.expr, local: dict[str, str]) -> set[str]:
     """The module that `room.name` takes a name from."""
-    place = local.get(parts[0], "")
-    for part in parts[1:]:
+    parts = []
+    while isinstance(node, ast.Attribute):
+        parts.append(node.attr)
+        node = node.value
+    place = local.get(node.id, "") if isinstance(node, ast.Name) else ""
+    for part in reversed(parts):
         if place not in modules() or modules()[place].name != "__init__.py":
             break
         place = _place(place, part)
