@@ -1,7 +1,7 @@
 """Lines of code of every room, and how many each verb reaches through imports: `python tools/sizes.py`.
 
-Counted are lines that are neither blank nor comments nor docstrings, those of templates too. An import from a room is
-one of the file that its stub names for what is used, since rooms load their files on first use.
+Counted are lines that are neither blank nor comments nor docstrings, also in templates. An import of a name from a room
+counts only the file that defines it, which the stub of the room tells, since rooms load their files on first use.
 """
 
 import ast
@@ -76,17 +76,17 @@ def _absolute(package: str, node: ast.ImportFrom) -> str:
     return ".".join([*base, *filter(None, [node.module])])
 
 
-def _place(module: str, name: str) -> str:
-    """The module in which what another one offers is defined."""
+def _defining_module(module: str, name: str) -> str:
+    """The module that defines a name which `module` offers."""
     if f"{module}.{name}" in modules():
         return f"{module}.{name}"
     there = _offered(module).get(name) if module in modules() else None
-    return _place(*there) if there else module
+    return _defining_module(*there) if there else module
 
 
 @functools.cache
 def imports(module: str) -> frozenset[str]:
-    """The modules that one imports anywhere, inside functions too, but for its annotations only."""
+    """The modules that one imports anywhere, inside functions too, except under TYPE_CHECKING."""
     path = modules()[module]
     nodes = [node for part in _tree(path).body if not _is_for_types(part) for node in ast.walk(part)]
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
@@ -99,7 +99,7 @@ def imports(module: str) -> frozenset[str]:
         elif isinstance(node, ast.ImportFrom):
             source = _absolute(package, node)
             for alias in node.names:
-                place = _place(source, alias.name)
+                place = _defining_module(source, alias.name)
                 found.add(place)
                 if place == f"{source}.{alias.name}":
                     local[alias.asname or alias.name] = place
@@ -129,7 +129,7 @@ def _used(node: ast.expr, local: dict[str, str]) -> set[str]:
     for part in reversed(parts):
         if place not in modules() or modules()[place].name != "__init__.py":
             break
-        place = _place(place, part)
+        place = _defining_module(place, part)
     return {place} if place else set()
 
 
@@ -153,7 +153,7 @@ def reached(module: str) -> set[str]:
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the number of names and both tables."""
     counted = rooms() | {"in all": sum(rooms().values())}
     print(f"{names():7d}  names in stubs")
     for title, table in (("lines of code", counted), ("lines that a verb reaches", verbs())):

@@ -31,7 +31,7 @@ EXACT = (
     "-fPIC",
     "-shared",
 )
-"""Flags for C whose results are those of IEEE 754, operation by operation: none permits the compiler to change one.
+"""Flags for C with the results of IEEE 754: none lets the compiler change the result of an operation.
 
 Products and sums are not contracted; the flags for errno, traps and integers that wrap change no value of a double.
 """
@@ -50,14 +50,14 @@ FAST = (
 )
 """Flags for C of this very processor whose results may differ by roundings: a product and a sum may be one operation.
 
-The warning that is disabled concerns vectors as arguments of functions that other libraries call; there are none.
+`-Wno-psabi` silences a warning about vectors as arguments across libraries; no exported function has any.
 """
 
 
 SEALED = "sealed"
-"""Part of each cache key, so that versions whose files do not begin with a SHA-256 do not load these."""
+"""Part of each cache key, so that older releases, whose files have no SHA-256 at the start, do not load these."""
 NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
-"""What is said where `compiler_command` is None."""
+"""Error message if `compiler_command` returns None."""
 
 
 @functools.cache

@@ -21,7 +21,7 @@ from scalargraph.cache import cache_folder, evict_unused
 from scalargraph.files import read_sealed, write_sealed
 
 PACKAGES = ("jax", "jaxlib", "numpy")
-"""They compute the constants of a text."""
+"""Packages whose versions enter the key, since they compute constants of the C."""
 _WRITERS = source_files("scalargraph", "covariant/codegen/_program.py", "covariant/engine")
 WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).hexdigest()
 """A hash of the files that write the C, so that a change of any of them invalidates the cache."""
@@ -38,7 +38,7 @@ def cache_key(traced: TracedProgram, lanes: int) -> str | None:
 
 
 def result_index(traced: TracedProgram) -> int:
-    """Index of the result code among the numbers of an info, counted over the flattened info of `traced`."""
+    """Index of the result code in the flattened info of `traced`."""
     return [leaf.name for leaf in traced.info for _ in range(leaf.size)].index("result")
 
 
@@ -47,7 +47,7 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
     folder = cache_folder()
     if folder is None or key is None:
         return write()
-    # 128 bits of the hash: two texts of one name are beyond all chance.
+    # 128 bits of the hash: a collision is practically impossible.
     path = folder / f"{key[:32]}.json"
     entry = _read_entry(path)
     if entry is None:

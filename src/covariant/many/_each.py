@@ -11,11 +11,11 @@ Verb = TypeVar("Verb", bound=Callable[..., Any])
 
 
 def each_log(verb: Verb) -> Verb:
-    """Make a verb of one log one of many: with a list of logs it is `over_logs`."""
+    """Wrap a verb of one log so that it also takes a list of logs, which goes to `over_logs`."""
 
     @functools.wraps(verb)
     def call(model: Any, log: Any, **settings: Any) -> Any:
-        if type(log) not in (list, tuple):  # a Record is a tuple of another type
+        if type(log) not in (list, tuple):  # a Record is a NamedTuple, which `isinstance` would match
             return verb(model, log, **settings)
         return over_logs(verb.__name__, model, log, **settings)
 

@@ -1,8 +1,8 @@
-"""From a model and a log to an answer: one function for each verb of the command line, and the results they return.
+"""The verbs: one function for each command, most of them from a model and one log to a result, and these results.
 
-Everything that happens between a model file, a log and an answer is here: units, lags, delays, encoder ticks, gates,
-references and ranking. The command line turns words into arguments of these functions and prints their results; a
-script or a notebook calls the same functions.
+Everything between files and numbers happens here: units, lags, delays, encoder ticks, gates for outliers, references
+for scores, and rankings. The command line parses options into arguments of these functions and prints their results; a
+script or a notebook calls the same functions. The names come from `__init__.pyi`.
 """
 
 from scalargraph.rooms import attach

@@ -34,7 +34,7 @@ HYPOTHESES = 8
 SAME_TICKS, SAME_TURN = 1e-4, 5e-3
 """Relative difference of a period from a whole fraction of a turn up to which it is that: with known ticks, and not."""
 MOST_ZEROS = 3
-"""Largest jumps of a column after which its zero is suspected to be another one."""
+"""Largest number of jumps that are tried as a shift of the zero, the largest first."""
 MOST_DIVISIONS = 1000
 """Largest whole number of periods in a turn that a message names."""
 
@@ -50,7 +50,7 @@ def periods(
 
 
 def without_full_turns(found: Float[np.ndarray, "n"], circles: tuple[int, ...]) -> Float[np.ndarray, "n"]:
-    """Periods without those of angles on a circle that wrap at 2π, as the model has it."""
+    """Periods without those of angles on a circle that wrap at 2π, which the model already handles."""
     whole = [i in circles and math.isclose(size, 2 * np.pi, rel_tol=SAME_JUMP) for i, size in enumerate(found)]
     return np.where(whole, 0.0, found)
 
@@ -182,7 +182,7 @@ def second_sender(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Bool[
         return None
     distance = np.abs(y[rare] - np.interp(t[rare], t[usual], y[usual]))
     error = _usual_error(t[usual], y[usual])
-    # Outliers are followed by no motion: the readings that are apart have to predict each other, between readings of
+    # Outliers form no motion: the readings that are apart have to predict each other, between readings of
     # the first motion.
     after = np.searchsorted(usual, rare)
     inside = (after > 0) & (after < len(usual))

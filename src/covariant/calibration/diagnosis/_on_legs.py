@@ -19,9 +19,9 @@ SHIFTS = np.arange(-3, 6)
 LEAST_STEP = 0.002
 """Shortest step of a shift [s]."""
 CLEARLY = 1.25
-"""How much larger squared innovations are than at the best shift where a delay is reported."""
+"""A delay is reported if the squared innovations at the stated delay are at least so many times the smallest ones."""
 FEWEST = 100
-"""Fewest readings of feet that stand at every shift."""
+"""Smallest number of readings from feet that stand at every shift; with fewer there is no verdict."""
 
 
 def late_encoders(file: ModelFile, record: Record) -> list[Finding] | None:

@@ -64,14 +64,14 @@ from covariant.scoring import unwrap
 from covariant.signals import Record
 
 SHIFTED = (1.0, 2.0, 4.0)
-"""Half windows to look for shifts by whole rows in, in those that explain most."""
+"""Half-widths of windows in which to look for shifts by whole rows, as multiples of the one that explains most."""
 NOISY = 0.01
 """Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
 MOST_PAIRS = 6
-"""Suspicions of missing torques, alone or with one about columns, that are tried: those that promise most."""
+"""Largest number of suspicions of missing torques to try, alone or with one about a column; the best come first."""
 AROUND_PART, FEWEST_AROUND = 3, 150
-"""Rows on either side of a part of the log that judge it, if many do not show it: relative to its own rows with the
-windows beside it, and the fewest."""
+"""If many rows around do not confirm a fault in a part of the log, it is judged on so many times its own length on
+either side, and on at least so many rows."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
 COMPARED = (
@@ -80,7 +80,7 @@ COMPARED = (
 )
 """Checks that compare accelerations."""
 LATE = ("delay", "delay against the inputs")
-"""Findings that friction looks like."""
+"""Findings on delays, which friction that the model lacks can imitate."""
 
 
 @dataclass
@@ -89,7 +89,7 @@ class Examination:
 
     Attributes:
         file: The model and its data sheet.
-        record: The log as it was read; once the stages have found them, without wraps, and with stuck parts mended.
+        record: The log as it was read; later stages remove wraps and repair stuck parts.
         quantum: Ticks that the model file states, or None.
         rows: Stamps, and where the rows are in the file.
         sensors: Sensors beside the positions.
@@ -97,7 +97,7 @@ class Examination:
         checks: Names of the checks that were made.
         case: The log without outliers, as it is compared with the model.
         as_read: The same with the readings as they are in the log, for what only depends on these.
-        wraps: Period at which each position begins anew, 0 for none.
+        wraps: Period at which each position wraps, 0 for none.
         still, outliers, edges, repeated: Findings on the readings, which later stages add or replace.
     """
 
@@ -127,7 +127,7 @@ class Examination:
 
 
 Stage = Callable[[Examination], bool]
-"""What a stage is: it looks, and says whether the examination ends with it."""
+"""A stage examines the log, and returns True to end the examination."""
 
 
 def look_at_clock(log: Examination) -> bool:
@@ -137,7 +137,7 @@ def look_at_clock(log: Examination) -> bool:
 
 
 def look_without_coordinates(log: Examination) -> bool:
-    """All there is to a machine that is not in coordinates."""
+    """The whole examination of a machine that is not in coordinates: a body on a group, a robot on legs."""
     if in_coordinates(log.file):
         return False
     if not log.file.mechanical:
@@ -163,7 +163,7 @@ def look_for_rest(log: Examination) -> bool:
 
 
 def look_for_senders(log: Examination) -> bool:
-    """Readings of a second sender, which hide everything else, as jumps of a period do, which are removed first."""
+    """Remove wraps, and then look for a second sender: either hides all other faults."""
     log.wraps = periods(log.rows.t, log.y, known_ticks(log.record, (), log.quantum))
     log.record = log.record._replace(y=unwrap(log.y, (), log.wraps))
     log.case, log.outliers = case_without_outliers(log.file, log.record, log.rows, log.quantum)
@@ -176,7 +176,7 @@ def look_for_senders(log: Examination) -> bool:
 
 
 def mend_broken_parts(log: Examination) -> bool:
-    """Parts of the log in which a position is stuck, or from which on its zero is another one."""
+    """Parts of the log in which a position is stuck, or after which its zero has shifted."""
     broken = [] if log.file.input_kind == "command" else _broken_parts(log.case, log.y, log.rows)
     for each, _ in broken:
         log.record = each.apply(log.case._replace(record=log.record)).record
@@ -187,7 +187,7 @@ def mend_broken_parts(log: Examination) -> bool:
 
 
 def look_at_readings(log: Examination) -> bool:
-    """Rows that come only at the edges of an encoder, and readings that repeat; the rest takes the busiest rows."""
+    """Rows that come only at the edges of an encoder, and readings that repeat; later stages use the busiest rows."""
     case, names = log.case, log.case.names
     log.as_read = case._replace(record=log.record)
     log.edges = edge_findings(log.rows.t, log.y, case.ticks, names, log.quantum)
@@ -201,7 +201,7 @@ def look_at_readings(log: Examination) -> bool:
 
 
 def look_at_servos(log: Examination) -> bool:
-    """All there is to a machine whose inputs are commands of servos."""
+    """The rest of the examination of a machine whose inputs are commands of servos."""
     if log.file.input_kind != "command":
         return False
     ticks = log.case.ticks
@@ -221,7 +221,7 @@ def look_at_columns(log: Examination) -> bool:
         log.as_read = each.apply(log.as_read) if each.what.startswith("unit of") else log.as_read
     case, changed = log.case, np.asarray(log.as_read.record.y)
     if not np.array_equal(changed, y, equal_nan=True):
-        # Angles in another unit jump at other places, so the readings are looked at anew, in that of the model.
+        # Angles in another unit wrap at other places, so the readings are examined again in the unit of the model.
         again, log.outliers = case_without_outliers(log.file, log.record._replace(y=changed), log.rows, log.quantum)
         largest = np.nanargmax(np.abs(y), axis=0), np.arange(y.shape[1])
         log.wraps = log.wraps * np.abs(changed[largest] / y[largest])
@@ -274,10 +274,10 @@ def _periods(log: Examination, case: Case, ticks: np.ndarray) -> list[Finding]:
 
 
 def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspicion, Finding]]:
-    """What is accepted about parts of the log in which a position is stuck, or from which on its zero is another one.
+    """Accepted suspicions about parts of the log in which a position is stuck, or after which its zero has shifted.
 
-    Readings name the rows, and the model judges them on those around: a joint may rest, and its readings may jump over
-    rows that are missing.
+    The readings suggest which rows are faulty, and the model decides on the rows around them: a joint may rest, and its
+    readings may jump across rows that are missing.
     """
     found: list[tuple[Suspicion, Finding]] = []
     for _ in range(MOST_CHANGES):
@@ -285,12 +285,12 @@ def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspic
         judged = [one for each in suspicions if (one := _judge_around(case, each)) is not None]
         if not judged:
             break
-        # A stuck encoder that is read again jumps, and beside a jump a turn may look stuck.
+        # An encoder that recovers jumps, and a turning point beside a jump can look stuck.
         accepted = min(judged, key=lambda one: one[1].numbers["unexplained_after"])
         found.append(accepted)
         case = accepted[0].apply(case)
         read = np.asarray(accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y)
-    # The rows before the first one are right; those before another one are not, as they stand.
+    # Rows before the first fault are right as logged, so only its finding may advise to keep them.
     found.sort(key=lambda each: each[1].numbers["begin"])
     return [
         (each, one if k == 0 else one._replace(line=one.line.split("; or ")[-1])) for k, (each, one) in enumerate(found)
@@ -312,7 +312,7 @@ def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding]
 
 
 def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
-    """What is accepted of `COLUMNS`, the findings on it, and the case with it."""
+    """The accepted corrections of columns, the findings on them, and the corrected case."""
     accepted, findings = [], []
     # One after another: in wrong units a swap of columns explains nothing.
     for _ in range(MOST_CHANGES):
@@ -338,7 +338,7 @@ def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
 def _with_torques(
     case: Case, tried: Sequence[tuple[Suspicion, Comparison]]
 ) -> list[tuple[Suspicion, Suspicion | None]]:
-    """Suspicions about columns, and none, each with torques that are missing then, and the one about columns.
+    """Pairs of a suspicion and the part of it about a column: torques alone, with None, or with a column.
 
     Missing torques are reported later, in narrower windows; here they keep a wrong column from being blamed for them.
     """
@@ -363,8 +363,7 @@ def _both(first: Suspicion, second: Suspicion) -> Callable[[Case], Case]:
 
 
 def _until_fitted(delay: Finding) -> Finding:
-    """A delay that explains little beside torques that the model lacks, as a note: a law of friction with other numbers
-    or of another form than was tried looks like one."""
+    """Turn a delay that explains little beside missing torques into a note: untried friction looks like one."""
     evidence = f"{delay.evidence}; friction that is not fitted yet looks like this"
     return delay._replace(evidence=evidence, line="fit what the model lacks, then check again", wrong=False)
 
@@ -392,17 +391,17 @@ def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[lis
     if accepted is None or id(accepted[0]) not in timings:
         return [], case, timing
     suspicion, finding = timings[id(accepted[0])], accepted[1]
-    # A note as long as the data sheet admits what the model leaves.
+    # Only a note if the residual is within what the data sheet allows.
     wrong = as_it_is.misfit > BARELY or bool(unexplained(case, as_it_is, half))
     case = suspicion.apply(case)
     return [finding._replace(wrong=wrong)], case, fit_timing(case, half)
 
 
 def _rows_and_inputs(case: Case, half: float, rows: bool) -> list[Finding]:
-    """At most one finding on a column that is whole rows late, if `rows`, or on how inputs go from row to row.
+    """At most one finding: a column that is late by whole rows, if `rows`, or how inputs vary between rows.
 
-    Wider windows show shifts in time below the noise of narrower ones. Where these see so little noise that they would
-    show the smallest shift that is reported, wider ones only show what they smooth away.
+    Wider windows average out more noise and show smaller shifts. The search stops once the noise is below the smallest
+    shift that is reported: beyond that, windows show only what they smooth away.
     """
     for wide in (w * half for w in SHIFTED):
         if not long_enough(case, wide):

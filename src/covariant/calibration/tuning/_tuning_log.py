@@ -17,7 +17,7 @@ from scalargraph.errors import InputError
 MOST_ROWS = 8000
 """Largest number of rows of each log for tuning: the search runs an observer over them dozens of times."""
 FEWEST_ROWS = 100
-"""Least number of rows in each part of all logs."""
+"""Smallest number of rows in each part, for tuning and held out, summed over all logs."""
 Runs = Callable[[Sequence[IntrinsicForce], Sequence[Record]], Sequence[Run]]
 """Runs each of several observers over each of several records, and returns estimates and innovations."""
 

@@ -1,4 +1,4 @@
-"""A model as a state-space model in named coordinates, and the box of its states."""
+"""A model as a state-space model in named coordinates, and bounds of its states, for metrics and reduced observers."""
 
 from covariant import models
 from covariant.models import ModelFile, StateSpace
@@ -20,7 +20,7 @@ def system_in_coordinates(name: str, file: ModelFile) -> StateSpace:
 
 
 def box_of(name: str, model: StateSpace, region: Region | None) -> dict[str, tuple[float, float]]:
-    """Ends of all states by name: those of a region, or the model's own."""
+    """Bounds of every state by name: from `region` if it has them, else from the model's own box."""
     # The box is empty where the model has none, so its length is not checked.
     defaults = {
         each: (float(low), float(high)) for each, (low, high) in zip(model.coordinates, model.box, strict=False)
