@@ -219,6 +219,7 @@ def test_an_exception_of_a_worker_process_surfaces(cluster, tmp_path):
     open_grid(tmp_path / "map.zarr", complete=True)
 
 
+@pytest.mark.long
 def test_a_grid_of_a_million_million_points_takes_the_memory_of_its_blocks(tmp_path):
     grid, batches = Grid(("a", "b"), ("m", "m"), (0, 0), (1, 1), (10**6, 10**6)), []
 

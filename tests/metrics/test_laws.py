@@ -248,7 +248,7 @@ def star(near, far):
 
 
 @pytest.mark.exhaustive("induction motor")
-@pytest.mark.long("Lorenz", "induction motor", "van der Pol", "bioreactor", "unknown frequency")
+@pytest.mark.long("Duffing", "Lorenz", "induction motor", "van der Pol", "bioreactor", "unknown frequency")
 def test_windows_compose(found):
     """The window of 0.3 of the span, after that of 0.45 before it, is the window of 0.75."""
     half = 1 / found.case.size
