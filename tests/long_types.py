@@ -1,4 +1,4 @@
-"""Types and shapes of arguments are checked while the tests run."""
+"""Types and shapes of arguments are checked while the exhaustive suite runs."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +9,8 @@ from covariant import models
 from covariant._linalg import solve
 from scalargraph.proofs._file import Field
 from scalargraph.proofs.checker import show_definite
+
+pytestmark = pytest.mark.exhaustive
 
 
 def test_arguments_whose_shapes_disagree_raise_a_type_error():

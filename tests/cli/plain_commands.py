@@ -195,7 +195,7 @@ SLOW, QUICK = ("compare", "tune"), ("multiarm_single.toml", "tank:two_levels")
 """Verbs that run many observers, and machines on which these take seconds."""
 FILTERS, LARGE = (
     ("kalman", "forces", "smooth"),
-    ("so101.toml", "xl330.toml", "underwater_vehicle.toml", "heavy_top.toml"),
+    ("so101.toml", "xl330.toml", "underwater_vehicle.toml", "heavy_top.toml", "arm.urdf", "cart.toml"),
 )
 """Verbs that carry covariances, and machines on which their programs take most of a minute to compile."""
 

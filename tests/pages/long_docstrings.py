@@ -24,6 +24,7 @@ def room_of(path: Path) -> str:
     return rest[0].removesuffix(".py") if package == "covariant" else package
 
 
+@pytest.mark.exhaustive("calibration", "observers", "verbs")
 @pytest.mark.parametrize("room", sorted({room_of(path) for path in WITH_EXAMPLES}))
 def test_examples_show_what_they_compute(room, tmp_path):
     names = [name_of(path) for path in WITH_EXAMPLES if room_of(path) == room]

@@ -13,6 +13,7 @@ from run_page import PARTS, blocks
 each_page = over(EXECUTED)
 
 
+@pytest.mark.exhaustive("fit-robots.md", "tuning.md")
 @pytest.mark.core(1)  # the README
 @each_page
 def test_a_page_runs_from_an_empty_folder(page, tmp_path, home):

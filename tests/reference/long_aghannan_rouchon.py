@@ -30,8 +30,7 @@ def reproduced():
     return json.loads(done.stdout.splitlines()[-1])
 
 
-@pytest.mark.exhaustive("corrected14", "printed14")
-@pytest.mark.exhaustive("approximate", "exact")
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("observer", FIGURE_4)
 def test_figure_4(reproduced, observer):
     run = reproduced["fig4"][observer]
@@ -42,12 +41,14 @@ def test_figure_4(reproduced, observer):
         assert found == pytest.approx(float(known), abs=slack), f"t = {t} s"
 
 
+@pytest.mark.exhaustive
 def test_without_curvature_the_observer_diverges(reproduced):
     errors = reproduced["fig4"]["no_curvature"]["error"]
     assert errors[3] > 10
     assert errors[4] is None
 
 
+@pytest.mark.exhaustive
 def test_with_noise_the_convergent_ones_settle_and_the_others_do_not(reproduced):
     noisy = {name: run["error"][-1] for name, run in reproduced["fig4_noise"].items()}
     for name in ("exact", "approximate", "corrected14"):
@@ -56,6 +57,7 @@ def test_with_noise_the_convergent_ones_settle_and_the_others_do_not(reproduced)
     assert noisy["copy"] > 10
 
 
+@pytest.mark.exhaustive
 def test_the_exact_observer_converges_at_every_scale_and_the_approximate_one_up_to_one_and_a_half(reproduced):
     basin = reproduced["basin"]
     assert {0.05, 0.5, 1, 2, 4, 8} <= set(basin["scale"])
@@ -64,6 +66,7 @@ def test_the_exact_observer_converges_at_every_scale_and_the_approximate_one_up_
         assert (left is not None and left < 1e-7) == (scale <= 1.5), f"{scale} times the error of figure 4"
 
 
+@pytest.mark.exhaustive
 def test_tutorial(reproduced):
     tutorial = reproduced["tutorial"]
     assert max(tutorial["geodesic_difference"]) <= 1e-8

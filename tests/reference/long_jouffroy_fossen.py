@@ -61,6 +61,7 @@ def test_printed_gain_of_odin_is_unstable_and_its_observer_does_not_converge(rep
     assert (loop.observer > 0.3).all()  # it does not shrink, while the repaired one is at 1e-4 by then
 
 
+@pytest.mark.exhaustive
 def test_without_a_cross_term_the_metric_is_only_semidefinite(reproduced):
     """In diag(K2, M), the best that can be said of any K2: drag is a square, so it has no slope at rest."""
     for k2 in (np.eye(6), paper.K2):
@@ -75,6 +76,7 @@ def test_without_a_cross_term_the_metric_is_only_semidefinite(reproduced):
         assert abs(reproduced["odin"]["sampled"][name]) < 1e-9
 
 
+@pytest.mark.exhaustive
 def test_repaired_observer_of_odin_is_proved_to_contract(reproduced):
     found = reproduced["odin"]
     assert found["certified"]["verdict"] == "holds"
@@ -84,6 +86,7 @@ def test_repaired_observer_of_odin_is_proved_to_contract(reproduced):
     assert found["sampled"]["repaired"] >= found["certified"]["rate"]
 
 
+@pytest.mark.exhaustive
 def test_closed_loop_of_odin_converges_faster_than_certified(reproduced):
     loop = paper.odin_loop()
     assert loop.observer[-1] < 1e-6 * loop.observer[0]
@@ -150,6 +153,7 @@ def test_log_has_the_rates_and_gaps_it_says(log):
     np.testing.assert_array_equal(again, y)  # seeded
 
 
+@pytest.mark.exhaustive
 def test_velocities_at_sea_are_those_the_page_shows(reproduced):
     table = reproduced["sea"]
     passive, kalman, derived = (table[k] for k in ("passive observer", "extended Kalman filter", "filtered derivative"))
