@@ -29,6 +29,8 @@ PLAN = (
 
 FILES = sorted(path for path in SOURCE.rglob("*.py") if path.parent.name != "templates")
 """The modules of the library; a template is one of another program."""
+OF_GRAPHS = sorted((SOURCE.parent / "scalargraph").rglob("*.py"))
+"""Those of the package beside it, which keeps the same rules but for the order of rooms."""
 
 
 @functools.cache
@@ -50,7 +52,7 @@ SUBMODULES = {room: {path.stem for path in (SOURCE / room.replace(".", "/")).glo
 
 
 def place(path: Path) -> str:
-    return path.relative_to(SOURCE).as_posix()
+    return path.relative_to(SOURCE.parent).as_posix().removeprefix("covariant/")
 
 
 def room_of(path: Path) -> str:
@@ -114,7 +116,7 @@ def test_what_passes_through_the_rooms_enters_none_twice():
 def test_kinds_of_models_are_told_apart_by_what_they_offer():
     """At most so many lines ask for the kind of a model: each is a place that a third kind would have to know."""
     kinds = re.compile(r"isinstance\(.*(StateSpace|MechanicalSystem|Lagrangian|GroupSystem|Craft)\b")
-    lines = [line for path in FILES for line in path.read_text(encoding="utf-8").split("\n")]
+    lines = [line for path in FILES + OF_GRAPHS for line in path.read_text(encoding="utf-8").split("\n")]
     asked = [line for line in lines if kinds.search(line)]
     assert len(asked) <= 5, "\n".join(asked)
 
@@ -142,9 +144,9 @@ def test_a_class_is_public_in_one_room_and_defined_once():
     offered = {room: dir(importlib.import_module(f"covariant.{room}")) for room in PUBLIC}
     public = Counter(name for names in offered.values() for name in names if name[0].isupper())
     assert {name for name, count in public.items() if count > 1} == SHARED
-    defined = Counter(name for path in FILES for name in classes(path))
+    defined = Counter(name for path in FILES + OF_GRAPHS for name in classes(path))
     assert {name: count for name, count in defined.items() if count > 1 and name in public} == dict.fromkeys(SHARED, 2)
-    others = [name for path in FILES for name in aliases(path)]
+    others = [name for path in FILES + OF_GRAPHS for name in aliases(path)]
     assert not {"Box", "Metric"} & set(others)
 
 
@@ -162,6 +164,10 @@ def aliases(path: Path) -> Iterator[str]:
 def public_names(room: str) -> list[str]:
     """The names for users of a room: `__all__` of its stub."""
     return [name for name in importlib.import_module(f"covariant.{room}").__all__ if name not in SUBMODULES[room]]
+
+
+def test_public_names_of_the_package_beside_are_documented():
+    assert not [name for name in scalargraph.__all__ if not getattr(scalargraph, name).__doc__]
 
 
 def undocumented(room: str) -> Iterator[str]:

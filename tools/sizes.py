@@ -86,9 +86,9 @@ def _defining_module(module: str, name: str) -> str:
 
 @functools.cache
 def imports(module: str) -> frozenset[str]:
-    """The modules that one imports anywhere, inside functions too, except under TYPE_CHECKING."""
+    """The modules that one imports anywhere, inside functions and for types alone too."""
     path = modules()[module]
-    nodes = [node for part in _tree(path).body if not _is_for_types(part) for node in ast.walk(part)]
+    nodes = [*ast.walk(_tree(path))]
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     found, local = set(), dict[str, str]()
     for node in nodes:
@@ -112,11 +112,6 @@ def imports(module: str) -> frozenset[str]:
 def _is_room(name: str) -> bool:
     """Whether a module only offers names, so that what is used of it is counted where it is defined."""
     return modules()[name].name == "__init__.py" and bool(_offered(name))
-
-
-def _is_for_types(node: ast.stmt) -> bool:
-    """Whether only a type checker reads a statement."""
-    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
 def _used(node: ast.expr, local: dict[str, str]) -> set[str]:
@@ -154,7 +149,8 @@ def reached(module: str) -> set[str]:
 
 def main() -> None:
     """Print the number of names and both tables."""
-    counted = rooms() | {"in all": sum(rooms().values())}
+    lines = rooms()
+    counted = lines | {"in all": sum(lines.values())}
     print(f"{names():7d}  names in stubs")
     for title, table in (("lines of code", counted), ("lines that a verb reaches", verbs())):
         print(title, *(f"{count:7d}  {name}" for name, count in table.items()), sep="\n")
