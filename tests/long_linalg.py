@@ -25,8 +25,7 @@ def test_loops_take_the_steps_that_are_written_out(n, real, monkeypatch):
     np.testing.assert_allclose(*found, rtol=0, atol=20 * np.finfo(real).eps * np.abs(found[0]).max())
 
 
-@pytest.mark.exhaustive("matrix")
-@pytest.mark.exhaustive("loops")
+@pytest.mark.exhaustive("matrix", "loops")
 @pytest.mark.parametrize(("n", "columns"), [(1, ()), (2, (2,)), (WHOLE + 1, ())], ids=["number", "matrix", "loops"])
 def test_solve_has_the_derivatives_that_differences_show(n, columns):
     """First and second, forward and reverse, along symmetric changes of the matrix."""

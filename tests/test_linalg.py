@@ -81,9 +81,8 @@ def test_solve_keeps_single_precision():
     np.testing.assert_allclose(solve(a, b), np.linalg.solve(a, b), rtol=1e-5)
 
 
-@pytest.mark.exhaustive("21")
+@pytest.mark.exhaustive("21", "20")
 @pytest.mark.core(1)
-@pytest.mark.exhaustive("20")
 @pytest.mark.parametrize("n", SIZES)
 def test_factors_multiply_to_the_matrix(n):
     a = positive(n)[0]

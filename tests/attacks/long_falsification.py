@@ -24,8 +24,7 @@ MARGINS = {"ball_and_beam": 1.01, "heavy_top": 1.01, "dfki_double_pendulum": 1.0
 """The slowest point that is found is so many times as fast as what is certified, at least."""
 
 
-@pytest.mark.exhaustive("heavy_top")
-@pytest.mark.exhaustive("dfki_double_pendulum")
+@pytest.mark.exhaustive("heavy_top", "dfki_double_pendulum")
 @pytest.mark.parametrize("name", MARGINS)
 def test_no_point_is_slower_than_what_is_certified(name):
     certificate = ContractionCertificate.load(FOLDER / f"{name}.json")

@@ -8,7 +8,6 @@ from covariant.certificates import certify
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("0.3")
 @pytest.mark.parametrize("error", [0.3, 3.0])
 def test_smaller_errors_are_proved(error):
     for observer, bounds in ((wheel(damped), {}), (line(damped, circles=(0,)), {"position": (-3, 3)})):

@@ -196,8 +196,10 @@ FAULTS = st.lists(
 )
 
 
-@pytest.mark.exhaustive("filtered derivative", "ukf", "joint kalman")
 @pytest.mark.exhaustive(
+    "filtered derivative",
+    "ukf",
+    "joint kalman",
     *("copy", "craft", "ekf", "geodesic", "group", "group, riemannian", "information ekf", "intrinsic"),
     *("intrinsic kalman", "intrinsic kalman, body", "intrinsic, second order", "invariant ekf", "passive ship"),
     *("riccati", "salcudean"),

@@ -8,8 +8,7 @@ from covariant.calibration.tuning._filters import jerk_bound, joint_noise, polyn
 from covariant.observers import PLL, FilteredDerivative, HighGain, JointKalman, Levant, SavitzkyGolay, run
 
 
-@pytest.mark.exhaustive("0.0001-True", "0.01-False")
-@pytest.mark.exhaustive("0.0001-False")
+@pytest.mark.exhaustive("0.0001-True", "0.01-False", "0.0001-False")
 @pytest.mark.parametrize("missing", [False, True])
 @pytest.mark.parametrize("noise", [1e-4, 1e-2])
 def test_on_a_trial_filters_are_the_best_of_their_kind(noise, missing):

@@ -113,8 +113,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.exhaustive("columns")
-@pytest.mark.exhaustive("all signs")
+@pytest.mark.exhaustive("columns", "all signs")
 @pytest.mark.parametrize("fault", FAULTS)
 def test_one_fault_is_one_finding_with_its_setting(chain, fault):
     path, frame = chain
@@ -200,8 +199,7 @@ def test_faults_of_sensors_in_space(tmp_path):
         assert line in found[0][2]
 
 
-@pytest.mark.exhaustive("3")
-@pytest.mark.exhaustive("0", "1")
+@pytest.mark.exhaustive("3", "0", "1")
 @pytest.mark.parametrize("seed", range(10))
 def test_there_are_no_false_alarms(seed, tmp_path):
     path, frame = simulated(tmp_path, CHAIN, (100.0, 200.0, 500.0)[seed % 3], seed)

@@ -298,8 +298,7 @@ def test_reaches_that_no_sampled_point_had_are_found_by_their_counterexamples(se
     assert found.radius == pytest.approx(sectors.radius, rel=0.05)
 
 
-@pytest.mark.exhaustive("nothing-1.000001")
-@pytest.mark.exhaustive("square")
+@pytest.mark.exhaustive("nothing-1.000001", "square")
 @pytest.mark.parametrize("more", [1 + 1e-6, 1.5, 100.0])
 @pytest.mark.parametrize("mended", ["nothing", "limit", "square"])
 def test_a_radius_beyond_what_is_proved_to_be_reached_is_refused(sectors, saved_sectors, tmp_path, more, mended):

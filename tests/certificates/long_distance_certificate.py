@@ -24,7 +24,6 @@ def with_part(model, part, sigma, interval):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("beam")
 @pytest.mark.parametrize("model", [models.ball_and_beam(), models.pendulum_chain()], ids=["beam", "pendulum"])
 def test_curvature_and_stiffness_are_those_of_the_geometry(model):
     """The formulas from derivatives of the metric, against the space, and −∇S against differences of S."""

@@ -137,7 +137,6 @@ SPACES = {
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("SO(3)", "hyperbolic plane")
 @pytest.mark.parametrize("name", SPACES)
 def test_a_correction_follows_the_jacobi_field(name):
     """`ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`: on a curved space w does not stay as it is."""

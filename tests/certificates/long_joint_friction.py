@@ -105,8 +105,7 @@ FORGERIES = {
 }
 
 
-@pytest.mark.exhaustive("slope", "least slope")
-@pytest.mark.exhaustive("friction", "rate")
+@pytest.mark.exhaustive("slope", "least slope", "friction", "rate")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forged_file_is_refused(proved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]

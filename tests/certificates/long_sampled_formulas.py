@@ -119,7 +119,6 @@ BOTH = pytest.mark.parametrize("name", MACHINES)
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("{'curvature': False}", "{'coefficients': 'estimated'}", "{'order': 2}", "top-{}")
 @pytest.mark.parametrize(("name", "options"), [*itertools.product(MACHINES, OPTIONS), ESTIMATED], ids=str)
 def test_the_correction_is_that_of_the_step_that_runs_and_changes_curves_as_its_jacobian_says(name, options):
     machine = machine_of(name)
@@ -164,7 +163,6 @@ def test_predictions_change_curves_as_their_jacobian_says(name):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("top", "True")
 @pytest.mark.parametrize("shear", [False, True])
 @BOTH
 def test_lengths_change_between_samples_as_the_matrix_says(name, shear):
@@ -225,7 +223,6 @@ def vectors(prediction, z, order):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("0", "3")
 @pytest.mark.parametrize("order", range(5))
 def test_the_defect_of_a_step_is_what_remains_of_its_series(order):
     """Also with dry friction, where a step crosses rest."""

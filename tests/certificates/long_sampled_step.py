@@ -166,8 +166,9 @@ FORGERIES = {
 }
 
 
-@pytest.mark.exhaustive("shorter interval", "one more lost")
 @pytest.mark.exhaustive(
+    "shorter interval",
+    "one more lost",
     *("errors of the steps", "force box", "gain", "input", "length of the error", "longer interval"),
     *("longer interval and box", "metric after the measurement", "no box of ages", "no slopes", "rate"),
     *("slope of the metric", "slopes of friction", "start", "stiffness"),

@@ -34,8 +34,7 @@ def test_some_leaves_are_looked_at_in_balls(name):
     assert check_sample(FOLDER / f"{name}.json", 4).leaves == 4
 
 
-@pytest.mark.exhaustive("ball_and_beam_100hz")
-@pytest.mark.exhaustive("scara", "ur5e_three_joints")
+@pytest.mark.exhaustive("ball_and_beam_100hz", "scara", "ur5e_three_joints")
 @pytest.mark.parametrize(
     "name",
     [

@@ -53,8 +53,7 @@ def finely(letters="abcd", depth=14):
     return put("claims[0].levels", [letters[k % len(letters)] * 2**k for k in range(depth)] + ["." * 2**depth])
 
 
-@pytest.mark.exhaustive("abcd")
-@pytest.mark.exhaustive("dbca")
+@pytest.mark.exhaustive("abcd", "dbca")
 @pytest.mark.long("abcd")
 @pytest.mark.parametrize("letters", ["abcd", "dbca"])
 def test_a_large_tree_only_says_where_to_look(saved, tmp_path, letters):
@@ -89,10 +88,9 @@ FORGERIES = {
 """What reads well, and is not true; files that do not read well are in `tests/attacks/test_files.py`."""
 
 
-@pytest.mark.exhaustive("radius and limit")
+@pytest.mark.exhaustive("radius and limit", "box beyond the metric", "box enlarged", "rate")
 @pytest.mark.core(1)
 @pytest.mark.long("Q", "gain", "leaves joined", "radius and limit", "square")
-@pytest.mark.exhaustive("box beyond the metric", "box enlarged", "rate")
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_forger_who_mends_the_digest_is_refused_with_the_reason(saved, tmp_path, monkeypatch, name):
     change, reason = FORGERIES[name]

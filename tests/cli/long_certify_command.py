@@ -89,7 +89,6 @@ def pendulum(mass, length):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("2")
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_model_of_ones_own_is_given_by_who_checks(processes, proved, folder, monkeypatch):
     monkeypatch.setattr(_check, "SHARE", 1)

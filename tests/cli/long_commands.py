@@ -126,7 +126,6 @@ def test_people_get_the_same_in_words(estimated):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("arguments1")
 @pytest.mark.parametrize("arguments", [("estimate",), ("compare", "--truth", "true_v1")])
 def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, monkeypatch):
     monkeypatch.setattr("covariant.engine._choice.missing", lambda: "there is no C compiler here")

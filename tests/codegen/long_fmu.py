@@ -208,7 +208,6 @@ def test_no_odd_step_silences_a_unit(version, paths, tmp_path):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("3.0")
 @needs_compiler
 @pytest.mark.parametrize("version", ["3.0", "2.0"])
 def test_a_simulator_takes_it(version, paths):

@@ -157,7 +157,6 @@ def stream(request) -> Stream:
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("c")
 def test_a_stream_does_what_the_loop_by_hand_does(stream):
     observer, (t, u, y, _) = stream.observer, record()
     stepped = jax.jit(lambda *a: observer.step(*a))

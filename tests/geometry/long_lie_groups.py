@@ -111,8 +111,7 @@ def test_log_is_backward_stable_everywhere(logs):
     assert (largest(logs.again - logs.g) / np.maximum(1, largest(logs.g))).max() <= 16 * logs.eps
 
 
-@pytest.mark.exhaustive("('SU3', <class 'numpy.float32'>)")
-@pytest.mark.exhaustive("('SU3', <class 'numpy.float64'>)")
+@pytest.mark.exhaustive("('SU3', <class 'numpy.float32'>)", "('SU3', <class 'numpy.float64'>)")
 def test_log_is_unique_but_for_the_cut_locus(request, logs):
     """Within the square root of rounding of half a turn (a whole one in SU(n)) it is called so, and not farther off."""
     name = request.node.callspec.params["logs"][0]

@@ -6,9 +6,18 @@ from test_every_observer import allowed, each, followed, relative_error, seen
 from covariant.signals import StepCode
 
 
-@pytest.mark.exhaustive("pll-ball and beam", "high-gain-ball and beam")
 @pytest.mark.exhaustive(
-    "body on SO(3)", "copy", "ekf", "filtered", "geodesic", "intrinsic", "intrinsic2", "kalman", "ukf"
+    "pll-ball and beam",
+    "high-gain-ball and beam",
+    "body on SO(3)",
+    "copy",
+    "ekf",
+    "filtered",
+    "geodesic",
+    "intrinsic",
+    "intrinsic2",
+    "kalman",
+    "ukf",
 )
 @each
 def test_from_rest_it_finds_the_motion_at_irregular_stamps(entry, name):

@@ -67,7 +67,6 @@ def test_connection_keeps_lengths(name):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("four-bar")
 @linkages
 def test_curvature_by_gauss_is_that_of_the_connection(name):
     system, q, _ = made(name)

@@ -166,9 +166,10 @@ def kinds(tree: Any) -> list:
     return [(a.shape, a.dtype, jax.typeof(a).weak_type) for a in jax.tree.leaves(tree)]
 
 
-@pytest.mark.exhaustive("intrinsic-force-ball and beam")
+@pytest.mark.exhaustive(
+    "intrinsic-force-ball and beam", "body on SO(3)", "ekf", "geodesic", "intrinsic2", "kalman", "ukf"
+)
 @pytest.mark.core(1)
-@pytest.mark.exhaustive("body on SO(3)", "ekf", "geodesic", "intrinsic2", "kalman", "ukf")
 @each
 def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
     """A state has the same form before and after a step, the first one included."""
@@ -184,10 +185,9 @@ def test_a_loop_is_compiled_once_whatever_the_numbers_are(entry, name):
     assert made == [made[0]] * 4
 
 
-@pytest.mark.exhaustive("intrinsic-body on SO(3)")
+@pytest.mark.exhaustive("intrinsic-body on SO(3)", "ekf-body on SO(3)", "geodesic-body on SO(3)", "intrinsic-kalman")
 @pytest.mark.core(1)
 @pytest.mark.long("intrinsic-body on SO(3)", "intrinsic2-body on SO(3)")
-@pytest.mark.exhaustive("ekf-body on SO(3)", "geodesic-body on SO(3)", "intrinsic-kalman")
 @each
 def test_single_precision_stays_single(entry, name):
     watched, (observer, _, _) = seen(name), loops(name)[entry.name]

@@ -140,9 +140,8 @@ def vectors(system, q, count):
 # Observers, from the encoders of the motors alone
 
 
-@pytest.mark.exhaustive("five-bar")
+@pytest.mark.exhaustive("five-bar", "four-bar")
 @pytest.mark.long("five-bar")
-@pytest.mark.exhaustive("four-bar")
 @linkages
 def test_error_law_from_the_encoders_of_the_motors(name):
     """To first order `ξ' = ζ − αξ, ζ' = −βξ` in a frame that is carried in parallel, at any velocity."""

@@ -46,7 +46,6 @@ def test_the_equation_is_satisfied_along_the_motion(found):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("Lorenz", "bioreactor", "induction motor", "unknown frequency", "van der Pol")
 def test_how_it_was_started_is_forgotten_and_it_is_a_tensor(found):
     itself = found.answers["itself"]
     for name in ("low start", "high start"):
@@ -72,7 +71,6 @@ def weigh(windows, starts):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("induction motor", "unknown frequency")
 def test_the_error_bound_holds_what_the_unknown_past_can_change(found):
     """From above for every start, and from below: some start is as wrong as half of it."""
     case, n = found.case, len(found.case.size)
@@ -121,8 +119,7 @@ def test_the_flow_contracts_the_distance_of_any_two_metrics(found):
     assert (np.diff(np.log(d), axis=1) <= -0.9 * slower + 1e-6).all()
 
 
-@pytest.mark.exhaustive("Lorenz")
-@pytest.mark.exhaustive("van der Pol")
+@pytest.mark.exhaustive("Lorenz", "van der Pol")
 @pytest.mark.parametrize("found", AT_REST, indirect=True)
 def test_it_is_approached_geometrically_in_the_number_of_windows(found):
     """Remark 4.5, at rest: each window takes away what the slowest pole of the stationary filter does."""

@@ -15,7 +15,6 @@ from covariant.simulation import simulate
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("top", "free body", "satellite", "underwater vehicle", "hovercraft")
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_equations_of_motion_are_those_of_lagrange_in_coordinates(name):
     """Along g = g₀ exp(q) the Euler–Lagrange equations of the energy, with the forces as one-forms."""

@@ -31,8 +31,7 @@ def by_hand(observer, q, v, u):
     return read(v), np.stack([read(axis) - read(rest) for axis in jnp.eye(len(v))], 1)
 
 
-@pytest.mark.exhaustive("SO(3)")
-@pytest.mark.exhaustive("robot")
+@pytest.mark.exhaustive("SO(3)", "robot")
 @pytest.mark.parametrize("name", ["chart", "SO(3)", "robot"])
 def test_a_sample_never_expands_and_is_the_damper_where_it_is_short(systems, name):
     """In |δv|² + δb²/γ, for random Γ, γ, dt and missing readings; and to first order in dt by hand."""

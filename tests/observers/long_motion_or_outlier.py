@@ -134,8 +134,7 @@ def test_a_start_at_full_speed_is_motion():
     assert np.abs(estimates[3, 2:] - v[3]).max() < 2.0
 
 
-@pytest.mark.exhaustive("EKF-3")
-@pytest.mark.exhaustive("IntrinsicKalman")
+@pytest.mark.exhaustive("EKF-3", "IntrinsicKalman")
 @pytest.mark.parametrize("length", [3, 10])
 @pytest.mark.parametrize("kind", ["EKF", "IntrinsicKalman"])
 def test_a_burst_costs_no_more_than_the_same_rows_missing(kind, length):
@@ -203,8 +202,9 @@ def two_masses(hit: bool) -> tuple[Lagrangian, np.ndarray, np.ndarray, np.ndarra
     return masses, t, x, y
 
 
-@pytest.mark.exhaustive("EKF-False", "UKF-True", "JointKalman-False", "IntrinsicKalman-False", "Intrinsic-True")
-@pytest.mark.exhaustive("IntrinsicKalman-True")
+@pytest.mark.exhaustive(
+    "EKF-False", "UKF-True", "JointKalman-False", "IntrinsicKalman-False", "Intrinsic-True", "IntrinsicKalman-True"
+)
 @pytest.mark.parametrize("hit", [True, False])
 @pytest.mark.parametrize("kind", ["EKF", "UKF", "IntrinsicKalman", "JointKalman", "Intrinsic"])
 def test_a_new_start_takes_no_outlier_of_another_joint(kind, hit):

@@ -75,8 +75,7 @@ def on_the_beam(request, beam):
     return PLANAR[request.param](beam.model)
 
 
-@pytest.mark.exhaustive("intrinsic-both", "ekf-both", "ekf-one in turn")
-@pytest.mark.exhaustive("ekf-one every fourth")
+@pytest.mark.exhaustive("intrinsic-both", "ekf-both", "ekf-one in turn", "ekf-one every fourth")
 @pytest.mark.parametrize("joints", ["both", "one in turn", "one every fourth"])
 def test_one_of_two_joints_may_be_missing(on_the_beam, beam, regular, follow, joints):
     x = beam.truth(regular, np.array([0.3, 0.1, 0.2, -0.9]))

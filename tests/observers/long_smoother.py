@@ -116,7 +116,6 @@ KINDS = ["ekf", "ukf", "intrinsic-kalman"]
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("ekf", "kalman")
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_the_most_probable_motion_up_to_its_linearisation(kind):
     """Within a hundredth of a standard deviation, and with a tenth of the noise within a thousandth or so."""
@@ -127,7 +126,6 @@ def test_it_is_the_most_probable_motion_up_to_its_linearisation(kind):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("kalman")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_covariance_is_never_above_that_of_the_filter(kind):
     smoothed, filtered = (smooth(rod_filter(kind), swing(), lag=lag) for lag in (None, 0))

@@ -115,9 +115,8 @@ def tried(request, log) -> tuple[str, Tried]:
     )
 
 
-@pytest.mark.exhaustive("ekf-dfki_double_pendulum")
+@pytest.mark.exhaustive("ekf-dfki_double_pendulum", "copy-multiarm_double", "kalman-dfki_double_pendulum")
 @pytest.mark.long("ekf", "joint-kalman", "dfki_double_pendulum")
-@pytest.mark.exhaustive("copy-multiarm_double", "kalman-dfki_double_pendulum")
 @pytest.mark.data
 def test_a_first_row_that_is_wrong_is_said(tried):
     """And the estimates that it spoils are, but for three rows at most, in which the wrong position is believed."""

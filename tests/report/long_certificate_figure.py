@@ -40,7 +40,6 @@ def test_distances_begin_at_the_radius_and_stay_under_the_line(followed):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("fails", "undecided")
 @pytest.mark.parametrize("verdict", ["holds", "undecided", "fails"])
 def test_four_panels(verdict, followed, tmp_path, monkeypatch):
     if verdict == "holds":

@@ -24,7 +24,6 @@ def test_a_fit_to_a_simulated_log_gives_the_truth(fitted):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("held")
 def test_the_way_inputs_go_between_stamps_is_found_named_and_written(fitted, tmp_path):
     word, result = fitted
     inputs = result.summary["inputs"]

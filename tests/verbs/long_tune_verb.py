@@ -49,7 +49,6 @@ def test_a_force_that_is_forgotten_is_taken_out_where_there_is_none(log):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("jax")
 @pytest.mark.parametrize("engine", ["c", "jax"])
 def test_a_page_is_drawn_after_either_engine(log, tmp_path, engine):
     result = tune("oscillator", log, overrides=NOISE, engine=engine)

@@ -22,7 +22,6 @@ def estimated(machine=(), model=(), **sensors: Any):
 
 
 @pytest.mark.exhaustive
-@pytest.mark.exhaustive("right", "ticks", "with a force state")
 @pytest.mark.parametrize(
     ("model", "sensors"),
     [
