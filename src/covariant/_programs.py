@@ -2,9 +2,7 @@
 
 JAX compiles a program in seconds and loads a cached one in milliseconds. `COVARIANT_CACHE=off` stores none, and
 `COVARIANT_CACHE=FOLDER` stores them in that folder. Where `JAX_COMPILATION_CACHE_DIR` is set, it is respected.
-
-Files in the folder run as code. So only its owner may be able to write there, and each entry is compared with its
-SHA-256 before it is loaded. The hash does not protect against other processes of the owner, which can replace it too.
+`scalargraph.cache` says who may write into the folder.
 """
 
 import contextlib
