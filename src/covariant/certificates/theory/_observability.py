@@ -23,8 +23,8 @@ from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, StateField, Vector
 from covariant.certificates.base import (
     Hypothesis,
-    StateMetric,
     Statement,
+    StateMetric,
     Verdict,
     lowered_christoffel,
     show_no_jumps,
@@ -376,7 +376,9 @@ def _straight_fibres(sampled: _Sampled, premises: tuple[Hypothesis, ...]) -> Sta
     turns by less than a right angle, the distance of its configurations grows, whatever the number of outputs.
     """
     hypotheses = (
-        Hypothesis("the metric is a lift, whose fibres, the level sets of the positions, are totally geodesic", "proved"),
+        Hypothesis(
+            "the metric is a lift, whose fibres, the level sets of the positions, are totally geodesic", "proved"
+        ),
         Hypothesis("the output is the position at each of the points", "sampled"),
         Hypothesis(
             "along geodesics the position turns by less than π/2 and has one shortest path to where it began; "
