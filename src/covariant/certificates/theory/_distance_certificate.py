@@ -169,10 +169,8 @@ def certify_distance(
     decay = distance_decay(interval, part, sigma, bounds) if interval else dense_decay(alpha, sigma, bounds)
     remedy = "another α or β, or a shorter interval, may do; else smaller bounds"
     if not interval:
-        least = least_gain(sigma, sigma / 2, bounds)
-        remedy = (
-            f"α = {least.alpha:.4g}, β = {least.beta:.4g} does" if least.alpha < math.inf else "smaller errors may do"
-        )
+        least = least_gain(sigma, sigma / 2, bounds).alpha
+        remedy = f"α = {least:.4g}, β = {sigma * least:.4g} does" if least < math.inf else "smaller errors may do"
     # A curve changes a coordinate by no more than its length times that of the coordinate's differential.
     border = (0.0 if math.isnan(decay.reach) else decay.reach) * np.sqrt(found.widest) * (1 + 1e-12)
     circles = np.array([i in model.manifold.circles for i in range(2)])
@@ -217,10 +215,10 @@ def certify_distance(
         f"proved bounds: curvature {_pair(bounds.curvature)}, −∇S {_pair(bounds.stiffness)} 1/s², one shortest "
         f"geodesic, and errors of circles below half a turn, up to {bounds.injectivity:.4g}",
     )
+    rate = math.floor(1e4 * decay.rate) / 1e4 if decay.rate > 0 else 0.0
     claim = (
         f"the distance of an estimate from the truth falls{' from sample to sample' if interval else ''}, whatever the "
-        f"motion between these bounds, at the rate {math.floor(1e4 * decay.rate) / 1e4 if decay.rate > 0 else 0.0} 1/s or faster, from any "
-        "error within the radius"
+        f"motion between these bounds, at the rate {rate} 1/s or faster, from any error within the radius"
     )
     assumed = (Hypothesis(text, "assumed") for text in ASSUMED_OF_DISTANCES)
     statement = Statement(claim, about, (*hypotheses, *assumed), decay.rate, str(known.domain))

@@ -20,8 +20,9 @@ by at most ω = κ V D/m, with |R(a, b)c| ≤ κ|a ∧ b||c| and V the largest s
 ρ is the largest eigenvalue of `2σ sym K + 2μ(m + σ²) + MᵀM/(2σ − 2μ)`, M = m + σ² − 2μσ − K, K = R(·, V)V − ∇S.
 It grows as m²/(2σ − 2μ) and ω falls as 1/m: every bounded set of states and first errors has a gain.
 
-Source: Sanfelice & Praly 2015, section I, and part II of their work (IEEE TAC 61(10), 2016) for the observer; Aghannan &
-Rouchon 2003 for the metric; Sasaki 1958, On the differential geometry of tangent bundles, for σ = 0.
+Source: an addition; Sanfelice & Praly 2015, section I, and 2016, IEEE TAC 61(10), part II of their work, for the
+observer; Aghannan & Rouchon 2003 for the metric; Sasaki 1958, On the differential geometry of tangent bundles of
+Riemannian manifolds, for m = 1, σ = 0.
 """
 
 import math
