@@ -41,7 +41,7 @@ DEPENDENT = 1e-9
 RANK_BOXES = 2000
 """Boxes after which the proof that the rows of dh are independent is given up; only the points speak for it then."""
 ROUNDING = 64
-"""Roundings of the terms whose difference the bending is, for each state and unit of conditioning, that count as zero."""
+"""Roundings, for each state and unit of conditioning, of the terms whose difference counts as zero."""
 NO_OBSTACLE = 1e-6
 """Bending of a level set, times the size of the region of the points, below which it is straight there."""
 LENGTHS = tuple(10.0**-k for k in range(1, 6))
