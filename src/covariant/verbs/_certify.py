@@ -1,8 +1,9 @@
 """`certify` proves that an observer converges; `check_certificate` verifies a saved proof."""
 
+import functools
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,10 +24,10 @@ from covariant.certificates import (
     Start,
     check_interval,
 )
-from covariant.models import MechanicalSystem, Overrides, input_count
+from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, verdict
-from covariant.verbs.base.design import design, runs_otherwise
+from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
 from covariant.verbs.base.inputs import numbered
 from covariant.verbs.base.outputs import check_output
@@ -144,51 +145,20 @@ def certify(
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
-    file = models.load(model, overrides)
-    system = file.need_mechanical(name, "certificates are about intrinsic observers of")
-    if system.feet is not None:
-        raise InputError(
-            f"{name} has feet: no certificate covers impacts; `certificates.dwell_time` states what is known of small "
-            "errors from step to step"
-        )
-    n, on_group = file.dimension, not system.manifold.commuting
-    names = system.velocities if on_group else system.coordinates or numbered("q", n)
+    file = _read(model, name, overrides)
     designed = design(file, observer, pair, None if sampling is None else above_zero("sampling", sampling))
-    settings: dict[str, Any] = {
-        "velocity": numbers("velocity", velocity, [f"d{k}/dt" for k in names], positive=True, one=True),
-        "error": numbers("error", error, names, positive=True, one=True),
-        "position": _matrix_region(system, region) if on_group else _region(name, names, region),
-        "input": amounts("input", input, numbered("u", input_count(system, n))),
+    settings = _region(name, file, velocity, error, region, input, noise, disturbance)
+    settings |= {
         "times": None if times is None else tuple(times),
         "rate": None if rate is None else above_zero("rate", rate),
         "q": _metric(q),
-        "noise": amounts("noise", noise, names),
-        "disturbance": amounts("disturbance", disturbance, names),
         "interval": None if interval is None else tuple(interval),
         "lost": lost,
         "lost_rows": lost_rows,
-        "boxes": int(above_zero("boxes", boxes)),
-        "seconds": None if seconds is None else above_zero("seconds", seconds),
-        "processes": int(above_zero("processes", processes)),
-        "checker": checker,
     }
+    settings |= _effort(boxes, seconds, processes) | {"checker": checker}
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
-
-    def longest_prediction(chosen: Mapping[str, Any]) -> float:
-        steps = lost + 1 if lost_rows == "missing" else 1
-        return steps * check_interval(chosen["interval"], lost, lost_rows)[1]
-
-    def prove(**changes: Any) -> ContractionCertificate:
-        chosen = settings | changes
-        return certificates.certify(
-            designed.inner
-            if interval is None
-            else designed.with_substeps_for(chosen["velocity"], longest_prediction(chosen)),
-            recipe=recipe,
-            progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
-            **chosen,
-        )
-
+    prove = functools.partial(_prove, designed, recipe, progress, **settings)
     notes = designed.notes + runs_otherwise(file, observer)
     if find is None:
         return CertifyResult(name, prove(), notes)
@@ -320,27 +290,16 @@ class CertifyResult(AbstractResult):
         names, units, n = cert.domain.names, cert.domain.units, len(cert.velocity)
         rates = [f"{unit}/s" if unit and not unit.endswith("/s") else unit for unit in units[:n]]
         turns = [unit.removesuffix("/s") for unit in units[:n]]
-        start = cert.start
-        covered = (
-            []
-            if start is None
-            else [
-                "every start is covered whose errors are, all at once, within",
-                *(f"  {line}" for line in start.lines),
-            ]
-        )
-        return [
-            *covered,
-            f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within",
-            *(
-                f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}"
-                for what, widths, each in (
-                    ("position", cert.half_widths[:n], turns),
-                    ("velocity", cert.half_widths[n:], rates),
-                )
-                for name, w, unit in zip(names[:n], widths, each, strict=True)
-            ),
-        ]
+        lines = [] if cert.start is None else ["every start is covered whose errors are, all at once, within"]
+        lines += [] if cert.start is None else [f"  {line}" for line in cert.start.lines]
+        lines.append(f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within")
+        for what, widths, each in (
+            ("position", cert.half_widths[:n], turns),
+            ("velocity", cert.half_widths[n:], rates),
+        ):
+            rows = zip(names[:n], widths, each, strict=True)
+            lines += [f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}" for name, w, unit in rows]
+        return lines
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
         """Write the certificate (.json), over a file that exists only where `overwrite` says so.
@@ -456,16 +415,11 @@ class CertificateCheckResult(AbstractResult):
         details = self.checked
         if details is None:
             return f"Refused: {self.note}"
-        caveat = (
-            f"The model is {self.model}, given by the person who checks; that the file means this one is not verified."
-        )
-        return "\n".join(
-            [
-                f"Verified: {details.leaves} leaves in {details.seconds:.1f} s, {self.note}.",
-                *([caveat] if details.model_given else []),
-                str(details.statement),
-            ]
-        )
+        lines = [f"Verified: {details.leaves} leaves in {details.seconds:.1f} s, {self.note}."]
+        if details.model_given:
+            given = f"The model is {self.model}, given by the person who checks"
+            lines.append(f"{given}; that the file means this one is not verified.")
+        return "\n".join([*lines, str(details.statement)])
 
 
 def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
@@ -477,20 +431,50 @@ def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
     return balls, f"{balls} of them again in ball arithmetic"
 
 
+def _read(model: Any, name: str, overrides: Overrides) -> ModelFile:
+    """The model file, which must be of a mechanical system without feet."""
+    file = models.load(model, overrides)
+    if file.need_mechanical(name, "certificates are about intrinsic observers of").feet is not None:
+        raise InputError(
+            f"{name} has feet: no certificate covers impacts; `certificates.dwell_time` states what is known of small "
+            "errors from step to step"
+        )
+    return file
+
+
 def _region(
+    name: str,
+    file: ModelFile,
+    velocity: Amounts,
+    error: Amounts,
+    region: Region | None,
+    input: Amounts,
+    noise: Amounts,
+    disturbance: Amounts,
+) -> dict[str, Any]:
+    """Bounds of the motions, measurements and forces that the statement is about."""
+    system: Any = file.model
+    n, on_group = file.dimension, not system.manifold.commuting
+    names = system.velocities if on_group else system.coordinates or numbered("q", n)
+    return {
+        "velocity": numbers("velocity", velocity, [f"d{k}/dt" for k in names], positive=True, one=True),
+        "error": numbers("error", error, names, positive=True, one=True),
+        "position": _matrices(system, region) if on_group else _coordinates(name, names, region),
+        "input": amounts("input", input, numbered("u", input_count(system, n))),
+        "noise": amounts("noise", noise, names),
+        "disturbance": amounts("disturbance", disturbance, names),
+    }
+
+
+def _coordinates(
     name: str, names: Sequence[str], region: Region | None
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Least and largest positions; every coordinate must be named."""
-    ends = bounds("region", region or {}, names, "coordinate", equal=True)
-    missing = [each for each in names if each not in ends]
-    if missing:
-        example = ",".join(f"{each}=LOW:HIGH" for each in names)
-        raise InputError(f"region lacks {', '.join(missing)}; {name} needs the ends of all: {example}")
-    low, high = zip(*(ends[each] for each in names), strict=True)
-    return np.array(low), np.array(high)
+    example = ",".join(f"{each}=LOW:HIGH" for each in names)
+    return _ends(region or {}, names, "coordinate", f"; {name} needs the ends of all: {example}")
 
 
-def _matrix_region(
+def _matrices(
     model: MechanicalSystem, region: Region | None
 ) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k"]] | None:
     """Least and largest entries of the matrices; None where nothing is given, as for rotations."""
@@ -498,12 +482,46 @@ def _matrix_region(
         return None
     order = model.manifold.origin().shape[0]
     names = [f"g{i + 1}{j + 1}" for i in range(order) for j in range(order)]
-    ends = bounds("region", region, names, "matrix entry", equal=True)
-    missing = [name for name in names if name not in ends]
+    low, high = _ends(region, names, "matrix entry", ": on a group all entries of its matrices need bounds")
+    return low.reshape(order, order), high.reshape(order, order)
+
+
+def _ends(
+    region: Region, names: Sequence[str], what: str, needed: str
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    ends = bounds("region", region, names, what, equal=True)
+    missing = [each for each in names if each not in ends]
     if missing:
-        raise InputError(f"region lacks {', '.join(missing)}: on a group all entries of its matrices need bounds")
-    low, high = zip(*(ends[name] for name in names), strict=True)
-    return np.reshape(low, (order, order)), np.reshape(high, (order, order))
+        raise InputError(f"region lacks {', '.join(missing)}{needed}")
+    low, high = zip(*(ends[each] for each in names), strict=True)
+    return np.array(low), np.array(high)
+
+
+def _effort(boxes: float, seconds: float | None, processes: float) -> dict[str, Any]:
+    """Limits of the work."""
+    return {
+        "boxes": int(above_zero("boxes", boxes)),
+        "seconds": None if seconds is None else above_zero("seconds", seconds),
+        "processes": int(above_zero("processes", processes)),
+    }
+
+
+def _prove(
+    designed: Design, recipe: dict[str, Any] | None, progress: Progress, **settings: Any
+) -> ContractionCertificate:
+    """Prove the statement, of an observer whose substeps suit the longest time between two samples."""
+    observer, interval = designed.inner, settings["interval"]
+    if interval is not None:
+        lost, lost_rows = settings["lost"], settings["lost_rows"]
+        steps = lost + 1 if lost_rows == "missing" else 1
+        longest = steps * check_interval(interval, lost, lost_rows)[1]
+        observer = designed.with_substeps_for(settings["velocity"], longest)
+    return certificates.certify(
+        observer,
+        recipe=recipe,
+        progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
+        **settings,
+    )
 
 
 def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] | None:

@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from covariant.observers import (
 from covariant.verbs.base.arguments import above_zero, gain_pair
 from covariant.verbs.base.design import Design, design
 from covariant.verbs.base.exported_program import exported_program, open_family
-from covariant.verbs.base.inputs import Job, densest_rate, describe_inputs, load, with_acting_inputs
+from covariant.verbs.base.inputs import Job, Loaded, densest_rate, describe_inputs, load, with_acting_inputs
 from covariant.verbs.base.kinds import kind_of
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
@@ -51,6 +51,7 @@ from scalargraph.errors import InputError
 
 REALS = ("double", "float")
 VERSIONS = ("3.0", "2.0")
+_ENTRIES = {entry.name: entry for entry in REGISTRY}
 UNGATED = "It has no gate and refuses no measurement, as asked."
 
 
@@ -132,105 +133,57 @@ def export(
         >>> sorted(path.suffix for path in result.files)[:2]
         ['.c', '.c']
     """
-    arguments = dict(locals())
     out = Path(out)
-    if out.suffix in FORMATS:
-        above_zero("rate", rate)
-        return write_robot(export, arguments)
-    unit = out.suffix == ".fmu"
     above_zero("rate", rate)
+    if out.suffix in FORMATS:
+        options = {"observer": observer, "alpha": alpha, "beta": beta, "real": real != REALS[0], "name": name}
+        options |= {"parameters": parameters, "certificate": certificate, "metric": metric, "fmi": fmi, "lag": lag}
+        options |= {"step_per_sensor": step_per_sensor, "python": python, "wasm": wasm, "ros2": ros2}
+        return write_robot(model, out, rate, overwrite, overrides, options | {"gate": not gate, "log": log})
     check_export(out, overwrite)
-    gains = gain_pair(alpha, beta)
-    _check(unit, real, fmi, step_per_sensor, python, wasm, ros2)
+    gains, unit = gain_pair(alpha, beta), out.suffix == ".fmu"
+    packages = [name for name, wanted in (("python", python), ("wasm", wasm), ("ros2", ros2)) if wanted]
+    _check(real, fmi, unit, step_per_sensor, packages)
     if name is not None:  # before the work
         check_export_name(name, python or ros2, wasm)
     if wasm:  # so that nobody waits for a design that then cannot be written
         check_wasm_compiler()
-    label = models.spec_name(model)
     progress("reading the model")
-    file = models.load(model, overrides)
-    family = open_family(model, overrides, parameters) if file.mechanical else None
-    file = file if family is None else family.file
-    logged = None if log is None else load(Job(model, log, overrides), score=False)
-    if logged is not None:
-        file = file._replace(quantum=logged.file.quantum)  # None where positions in the log are no ticks
-    if not file.mechanical and certificate is not None:
-        raise InputError(f"certificate is for mechanical models; {label} is a state-space model")
-    if not kind_of(file).makes_up_for_delays and float(np.max(file.delay)) > 0:
-        raise InputError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
+    label = models.spec_name(model)
+    file, family, logged = _read(model, overrides, parameters, log)
+    _check_model(label, file, certificate)
     designed = design(file, observer, gains, rate, logged, metric=metric, spec=label)
     refusals, assumed = designed.explain_gate() if gate else (UNGATED, "")
     designed = designed if gate else designed.without_gate()
     measured, chosen = designed.self_test(rate), _plain(designed, gains)
-    entry = next(entry for entry in REGISTRY if entry.name == designed.name)
-    prefix = export_name(file.name, python or ros2, wasm) if name is None else name
-    description = f"{designed.name} observer of {file.name}, for samples {1 / rate:.6g} s apart. {chosen} {refusals}"
+    about = f"{designed.name} observer of {file.name}, for samples {1 / rate:.6g} s apart. {chosen} {refusals}"
     # As `estimate` runs it: it chooses its substeps in each sample, so that a hole is predicted as exactly as there.
-    runs = designed.observer
-    proved, kept = "", None
+    runs, proof = designed.observer, None
     if certificate is not None:
-        kept, proved = _verify_certificate(Path(certificate), model, overrides, designed, rate)
-        if kept.sampling is not None and kept.sampling.substeps is not None:
-            runs = _with_substeps(runs, kept.sampling.substeps)
-    substeps = getattr(getattr(runs, "observer", runs), "substeps", None)
-    sampling = None if kept is None else kept.sampling
-    # Where the observer chooses its substeps, errors of predictions are not proved, and so is no bound.
-    bounded = sampling is not None and sampling.substeps is not None and real == "double"
-    if bounded and parameters:
-        raise InputError("the certificate is about the numbers of the model as they are; leave out `parameters`")
-    # Only an observer with a model can predict from the time of a late reading to the present.
-    delay = reading_delays(runs, file.delay, designed.sensors, measured[0])
-    late = entry.knows_model and np.any(delay)
-    # With a log the memory is as long as `estimate` has it there.
-    stored = rate if logged is None or not late else densest_rate(np.asarray(logged.record.t), float(np.max(delay)))
-    unwrapped = Unwrapped(runs, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else runs
-    delayed = Delayed(unwrapped, delay, stored) if late else unwrapped
+        proof = _verify_certificate(Path(certificate), model, overrides, designed, rate)
+        runs = proof.with_substeps(runs)
+        if proof.is_bound(real) and parameters:
+            raise InputError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     if step_per_sensor and not getattr(runs, "sensors", ()):
         raise InputError(f"step_per_sensor is for a filter with sensors; {designed.name} of {label} has none")
-    if lag is not None:
-        delayed, description = _late(delayed, designed.name, lag, rate), f"{description} Estimates are {lag:g} s late."
+    whole, sentences = _as_sent_and_read(runs, designed, measured[0], rate, lag)
+    proved = unbounded = ""
+    if proof is not None:
+        whole, start, proved, unbounded = proof.bound(runs, whole, real)
+        sentences += start
+    prefix = export_name(file.name, python or ros2, wasm) if name is None else name
     progress(f"writing {prefix}")
-    sent = with_acting_inputs(delayed, file, rate, logged) if entry.knows_model else delayed
-    if sent is not delayed:
-        delayed, description = sent, f"{description} {describe_inputs(file)}"
-    if bounded and delayed is runs and kept is not None:
-        delayed = kept.bounded(runs, radius=kept.radius)
-        description, proved = f"{description} {_describe_start(kept)}", "\n".join([proved, *_list_premises()])
-    unbounded = ""
-    if sampling is not None and not delayed.fixed_numbers:
-        reason = "is about measurements without delays and periods, and inputs that act as they are sent"
-        if sampling.substeps is None:
-            reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
-        elif real != "double":
-            reason = "is about doubles"
-        unbounded = f"no bound of the error is a part of the step, since the certificate {reason}"
-        proved = f"{proved}\n\nIn this code {unbounded}."
     # Other observers have no parameters of the model.
-    opened = family if entry.knows_model and not delayed.fixed_numbers else None
-    written = exported_program(label, delayed, opened, file, parameters, real, measured[0], step_per_sensor)
+    opened = family if _ENTRIES[designed.name].knows_model and not whole.fixed_numbers else None
+    program = exported_program(label, whole, opened, file, parameters, real, measured[0], step_per_sensor)
     read = tuple(name for part in designed.sensors for name in part.signals)
-    units = {**written.units, **designed.units}
-    written = written._replace(signals=kind_of(file).signals(written.u, read), units=units)
-    warnings = [line for line in (assumed, unbounded) if line]
-    if unit:
-        version: Any = fmi or VERSIONS[0]
-        packed = fmu(written, prefix, description, rate, measured[0], version)
-        write_fmu(packed, out, overwrite)
-        if packed.without_binary:
-            warnings.append(f"the unit holds sources and no binary: {packed.without_binary}")
-        files = [out]
-    else:
-        facts = Facts(rate, substeps, proved, refusals)
-        run = vectors(written, measured, rate)
-        texts = export_texts(written, prefix, description, measured, facts, run, python, wasm, ros2)
-        more = python_files(written, texts, prefix, description, rate) if python else {}
-        more |= ros_files(written, texts, prefix, description, rate) if ros2 else {}
-        if python and not any(path.endswith(".whl") for path in more):
-            warnings.append(f"the Python package holds sources and no library: {NO_COMPILER}")
-        more |= wasm_files(written, texts, prefix, description, rate, run) if wasm else {}
-        files = write_folder({**texts, **more}, out, overwrite)
-    about, notes = (label, designed.name, description, chosen), tuple(warnings)
-    return ExportResult(*about, out, tuple(files), written, notes, refusals)
+    units = {**program.units, **designed.units}
+    program = program._replace(signals=kind_of(file).signals(program.u, read), units=units)
+    substeps = getattr(getattr(runs, "observer", runs), "substeps", None)
+    code = _Code(program, prefix, about + sentences, measured, Facts(rate, substeps, proved, refusals))
+    files, lacks = _write_unit(code, out, fmi, overwrite) if unit else _write_folder(code, out, packages, overwrite)
+    warnings = tuple(line for line in (assumed, unbounded, *lacks) if line)
+    return ExportResult(label, designed.name, code.about, chosen, out, tuple(files), program, warnings, refusals)
 
 
 @dataclass(frozen=True, repr=False)
@@ -300,29 +253,91 @@ class ExportResult(AbstractResult):
         return f"{self.about}\n{how}"
 
 
-def _check(
-    unit: bool,
-    real: str,
-    fmi: str | None,
-    alone: bool,
-    python: bool,
-    wasm: bool,
-    ros2: bool,
-) -> None:
-    """What needs the arguments alone."""
+def _check(real: str, fmi: str | None, unit: bool, step_per_sensor: bool, packages: Sequence[str]) -> None:
+    """Check what needs the arguments alone."""
     if real not in REALS:
         raise InputError(f"real must be one of {', '.join(REALS)}; got {real!r}")
     if fmi is not None and not unit:
         raise InputError("fmi is for a unit: name a file that ends in .fmu by -o")
     if fmi not in (None, *VERSIONS):
         raise InputError(f"fmi must be one of {', '.join(VERSIONS)}; got {fmi!r}")
-    if unit and alone:
+    if unit and step_per_sensor:
         raise InputError("step_per_sensor is for C, and a unit has one step for all; leave it out")
-    if unit and (python or wasm or ros2):
-        raise InputError(
-            f"{'python' if python else 'wasm' if wasm else 'ros2'} is for a folder, and a unit is one file; name a "
-            "folder by -o"
-        )
+    if unit and packages:
+        raise InputError(f"{packages[0]} is for a folder, and a unit is one file; name a folder by -o")
+
+
+def _read(
+    model: Any, overrides: Overrides, parameters: Sequence[str] | None, log: Any
+) -> tuple[models.ModelFile, models.Family | None, Loaded | None]:
+    """The model file, the family of its open numbers, and the log that `estimate` runs on."""
+    file = models.load(model, overrides)
+    family = open_family(model, overrides, parameters) if file.mechanical else None
+    file = file if family is None else family.file
+    if log is None:
+        return file, family, None
+    logged = load(Job(model, log, overrides), score=False)
+    # None where positions in the log are no ticks.
+    return file._replace(quantum=logged.file.quantum), family, logged
+
+
+def _check_model(label: str, file: models.ModelFile, certificate: Any) -> None:
+    """Raise `ValueError` for a state-space model with a certificate, or with readings that are late."""
+    if not file.mechanical and certificate is not None:
+        raise InputError(f"certificate is for mechanical models; {label} is a state-space model")
+    if not kind_of(file).makes_up_for_delays and float(np.max(file.delay)) > 0:
+        raise InputError(f"{label}: code for a state-space model takes no measurement.delay; leave it out")
+
+
+def _as_sent_and_read(
+    runs: AbstractObserver, designed: Design, y: np.ndarray, rate: float, lag: float | None
+) -> tuple[AbstractObserver, str]:
+    """The observer with readings that are late or periodic, a lag, and inputs as they are sent; sentences on these."""
+    file, log, knows_model, about = designed.file, designed.log, _ENTRIES[designed.name].knows_model, ""
+    # Only an observer with a model can predict from the time of a late reading to the present.
+    delay = reading_delays(runs, file.delay, designed.sensors, y)
+    late = knows_model and np.any(delay)
+    # With a log the memory is as long as `estimate` has it there.
+    stored = rate if log is None or not late else densest_rate(np.asarray(log.record.t), float(np.max(delay)))
+    unwrapped = Unwrapped(runs, np.broadcast_to(file.period, file.dimension).tolist()) if np.any(file.period) else runs
+    whole = Delayed(unwrapped, delay, stored) if late else unwrapped
+    if lag is not None:
+        whole, about = _late(whole, designed.name, lag, rate), f" Estimates are {lag:g} s late."
+    sent = with_acting_inputs(whole, file, rate, log) if knows_model else whole
+    return sent, about if sent is whole else f"{about} {describe_inputs(file)}"
+
+
+class _Code(NamedTuple):
+    """The graphs of an observer, the prefix of its names in C, a text on it, its self-test, and facts for its sheet."""
+
+    program: Program
+    prefix: str
+    about: str
+    measured: np.ndarray
+    facts: Facts
+
+
+def _write_unit(code: _Code, out: Path, fmi: str | None, overwrite: bool) -> tuple[list[Path], list[str]]:
+    """Write a unit for simulators; returns its path, and a sentence if it holds no binary."""
+    version: Any = fmi or VERSIONS[0]
+    unit = fmu(code.program, code.prefix, code.about, code.facts.rate, code.measured[0], version)
+    write_fmu(unit, out, overwrite)
+    missing = unit.without_binary
+    return [out], [f"the unit holds sources and no binary: {missing}"] if missing else []
+
+
+def _write_folder(code: _Code, out: Path, packages: Sequence[str], overwrite: bool) -> tuple[list[Path], list[str]]:
+    """Write C and the packages around it; returns all paths, and a sentence if the Python package has no library."""
+    program, prefix, about, measured, facts = code
+    python, wasm, ros2 = (name in packages for name in ("python", "wasm", "ros2"))
+    run, lacks = vectors(program, measured, facts.rate), []
+    texts = export_texts(program, prefix, about, measured, facts, run, python, wasm, ros2)
+    more = python_files(program, texts, prefix, about, facts.rate) if python else {}
+    if python and not any(path.endswith(".whl") for path in more):
+        lacks.append(f"the Python package holds sources and no library: {NO_COMPILER}")
+    more |= ros_files(program, texts, prefix, about, facts.rate) if ros2 else {}
+    more |= wasm_files(program, texts, prefix, about, facts.rate, run) if wasm else {}
+    return write_folder({**texts, **more}, out, overwrite), lacks
 
 
 def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> FixedLag:
@@ -337,11 +352,46 @@ def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> Fix
     return FixedLag(observer, round(samples))
 
 
-def _with_substeps(observer: Any, substeps: int) -> AbstractObserver:
-    """Set the number of Runge–Kutta steps in each prediction of an observer, which may have a gate."""
-    if isinstance(observer, Gated):
-        return dataclasses.replace(observer, observer=_with_substeps(observer.observer, substeps))
-    return dataclasses.replace(observer, substeps=substeps)
+class _Proof(NamedTuple):
+    """A verified certificate of the observer, and its statement as lines."""
+
+    certificate: certificates.ContractionCertificate
+    statement: str
+
+    @property
+    def substeps(self) -> int | None:
+        """Number of Runge–Kutta steps in each prediction that is proved; None if the observer chooses it."""
+        return None if self.certificate.sampling is None else self.certificate.sampling.substeps
+
+    def with_substeps(self, observer: Any) -> AbstractObserver:
+        """Set the number of Runge–Kutta steps in each prediction of an observer, which may have a gate."""
+        if self.substeps is None:
+            return observer
+        if isinstance(observer, Gated):
+            return dataclasses.replace(observer, observer=self.with_substeps(observer.observer))
+        return dataclasses.replace(observer, substeps=self.substeps)
+
+    def is_bound(self, real: str) -> bool:
+        """Whether errors are proved: those of predictions only for doubles and a fixed number of substeps."""
+        return self.substeps is not None and real == "double"
+
+    def bound(
+        self, runs: AbstractObserver, whole: AbstractObserver, real: str
+    ) -> tuple[AbstractObserver, str, str, str]:
+        """The observer with a proved bound, a sentence on its start, the whole statement, and why there is no bound."""
+        if self.certificate.sampling is None:
+            return whole, "", self.statement, ""
+        if self.is_bound(real) and whole is runs:
+            bounded = self.certificate.bounded(runs, radius=self.certificate.radius)
+            statement = "\n".join([self.statement, *_list_premises()])
+            return bounded, f" {_describe_start(self.certificate)}", statement, ""
+        reason = "is about measurements without delays and periods, and inputs that act as they are sent"
+        if self.substeps is None:
+            reason = "is about an observer that chooses its substeps, of which the errors of predictions are not proved"
+        elif real != "double":
+            reason = "is about doubles"
+        unbounded = f"no bound of the error is a part of the step, since the certificate {reason}"
+        return whole, "", f"{self.statement}\n\nIn this code {unbounded}.", unbounded
 
 
 def _describe_start(certificate: certificates.ContractionCertificate) -> str:
@@ -360,10 +410,8 @@ def _list_premises() -> list[str]:
     return ["", "Values of `premise`:", "", *(f"- {int(each)}: {each.message}" for each in certificates.Premise)]
 
 
-def _verify_certificate(
-    path: Path, model: Any, overrides: Overrides, designed: Design, rate: float
-) -> tuple[certificates.ContractionCertificate, str]:
-    """Check a saved certificate of this observer, and return it with its statement as lines; raises `ValueError`."""
+def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: Design, rate: float) -> _Proof:
+    """Check a saved certificate of this observer; raises `ValueError`."""
     document, name = certificates.parse(path), models.spec_name(model)
     if not isinstance(model, str | os.PathLike) or document.recipe != (recipe := models.recipe(name, overrides)):
         raise InputError(f"{path}: the certificate is for another model, or other numbers, than {name}")
@@ -393,7 +441,7 @@ def _verify_certificate(
     if designed.inner is not designed.observer:
         lines += ["", beyond_proof(0 if sampling is None else sampling.lost)]
     certificate = certificates.ContractionCertificate.load(path, model=attribute)
-    return certificate._replace(verified=True), "\n".join(lines)
+    return _Proof(certificate._replace(verified=True), "\n".join(lines))
 
 
 def beyond_proof(lost: int) -> str:
@@ -408,7 +456,6 @@ def beyond_proof(lost: int) -> str:
 
 def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
     """How an observer was designed, in characters that stand in a comment of C."""
-    entry = next(entry for entry in REGISTRY if entry.name == designed.name)
-    if gains is None and entry.tuned_by not in ("gains", "gains and force", "state noise"):
+    if gains is None and _ENTRIES[designed.name].tuned_by not in ("gains", "gains and force", "state noise"):
         return "Tuned from its data sheet."  # the note is on gains that it does not have
     return designed.notes.replace("²", "^2").replace("±", "+-")

@@ -67,6 +67,17 @@ class Following(NamedTuple):
     whole: float
     late: float
 
+    @property
+    def is_close(self) -> bool:
+        """Whether this alone shows a command: the position follows closely, with a lag and a slope near 1."""
+        closely = self.error < FOLLOWS_CLOSELY and self.late > LATE
+        return closely and self.lag > 0 and 0.7 < abs(self.slope) < 1.3
+
+
+def follows(fit: Following | None) -> bool:
+    """Whether a position follows a column that is named as a command."""
+    return fit is not None and fit.error < FOLLOWS
+
 
 def follow(
     t: Float[np.ndarray, "T"], q: Float[np.ndarray, "T"], c: Float[np.ndarray, "T"], on: np.ndarray | None = None
@@ -153,7 +164,7 @@ def copied(q: Float[np.ndarray, "T"], c: Float[np.ndarray, "T"]) -> int | None:
     return None
 
 
-def command_unit(slope: float, factor: float, close: bool) -> float | None:
+def command_unit(slope: float, factor: float) -> float | None:
     """Size of one of a command in that of one of its position, from how far the position moves for it; None if unclear.
 
     A servo falls short of its command where it is soft, and does not go beyond it.
@@ -161,23 +172,13 @@ def command_unit(slope: float, factor: float, close: bool) -> float | None:
     Args:
         slope: Change of the position for one of the command, in the numbers of the log.
         factor: Unit of the position [rad].
-        close: Whether the position follows closely, so that another unit than that of the position may be recognised.
 
     Returns:
         The unit of the command [rad], with its sign.
     """
     size = abs(slope) * factor
-    sign = -1.0 if slope < 0 and close else 1.0
+    sign = -1.0 if slope < 0 else 1.0
     if 0.15 * factor < size < 1.3 * factor:
         return sign * factor
     units = (1.0, np.pi / 180, 2 * np.pi / 4096)
-    return next((sign * unit for unit in units if close and 0.85 * unit < size < 1.05 * unit), None)
-
-
-def is_slope(t: np.ndarray, y: np.ndarray, v: np.ndarray) -> bool:
-    """Whether a column follows the slope of a position."""
-    slope = np.gradient(y, t)
-    valid = np.isfinite(slope) & np.isfinite(v)
-    if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
-        return False
-    return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
+    return next((sign * unit for unit in units if 0.85 * unit < size < 1.05 * unit), None)

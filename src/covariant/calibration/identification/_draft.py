@@ -1,5 +1,6 @@
 """Guesses the role of each column of a log, from its name and from its content."""
 
+import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -9,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods, without_full_turns
-from covariant.calibration.identification._commands import is_slope
-from covariant.calibration.identification._roles import REGISTERS, role
+from covariant.calibration.identification._roles import REGISTERS, Columns, role
 from covariant.calibration.identification._servo_columns import (
+    Inputs,
     find_inputs,
     refuse_commands_among,
     refuse_poses,
@@ -22,10 +23,9 @@ from covariant.calibration.identification._servo_columns import (
 from covariant.calibration.identification._servo_units import (
     DraftedServo,
     plausible_rates,
+    position_units,
     remarks_on,
     servos_of,
-    stated_by_user,
-    unit_labels,
     units_of_commands,
 )
 from covariant.logs import (
@@ -125,6 +125,10 @@ class Draft(NamedTuple):
     entries: Mapping[str, str] = MappingProxyType({})
 
     @property
+    def units_of_positions(self) -> tuple[str, ...]:
+        return self.units.get("q", ("rad",) * len(self.q))
+
+    @property
     def plain_names(self) -> tuple[str, ...]:
         """Names of the positions without their units, `cart` for `cart [mm]`; full names where two would coincide."""
         plain = tuple(without_unit(self.entries.get(name, name)).removesuffix(".pos") for name in self.q)
@@ -165,159 +169,190 @@ def draft(
         >>> guess.t, guess.u, guess.units, guess.guessed
         ('a', ('b',), {'t': ('ms',), 'q': ('deg',)}, ('t',))
     """
-    given = {key: tuple(names) for key, names in (given or {}).items() if names is not None}
-    for name in [name for names in given.values() for name in names]:
-        if name not in columns:
-            raise InputError(f"there is no column {name!r} of numbers{_columns_there(columns)}")
-    fixed = {name for names in given.values() for name in names}
+    known = {key: tuple(names) for key, names in (given or {}).items() if names is not None}
+    log = _read(columns, known, stated or {}, units or {}, dict(entries or {}))
+    attitude = () if "q" in known else _quaternion(log)
+    if attitude:
+        return _draft_of_attitude(log, attitude)
+    log, q, inputs = _positions_and_inputs(log)
+    log, v, by_value = _labels(log, q, inputs)
+    # Lengths come before angles, and forces before torques.
+    order = sorted(range(len(q)), key=lambda i: not _is_length(log, q[i]))
+    q, v = tuple(q[i] for i in order), tuple(v[i] for i in order if v)
+    u = inputs.u if "u" in known else tuple(sorted(inputs.u, key=lambda name: _is_torque(log, name)))
+    guess = _roles_and_units(log, q, u, v)
+    if by_value and "q" not in log.units:
+        guess = guess._replace(guessed=(*guess.guessed, "q"))
+    remarks = [*inputs.remarks]
+    episodes = episodes_fault(columns[log.t], columns, columns.__getitem__, rising=True)
+    remarks += [] if episodes is None else [f"the log {episodes}"]
+    registers = {kind: log.of(kind) for kind in REGISTERS if log.of(kind)}
+    guess = guess._replace(registers=registers, remarks=tuple(remarks), entries=log.entries)
+    guess = _with_servos(guess, log, inputs.of(order)) if inputs.named else guess
+    return _with_resolution(guess, log)
+
+
+def _read(
+    columns: Mapping[str, np.ndarray],
+    given: Mapping[str, tuple[str, ...]],
+    stated: Mapping[str, str],
+    units: Mapping[str, Sequence[str]],
+    entries: Mapping[str, str],
+) -> Columns:
+    """The columns with their roles by name, of a log whose stamps rise from row to row."""
+    fixed = [name for names in given.values() for name in names]
     # Units that the log states are written as in a name, so that one parser reads both.
-    labels = {name: f"{name} [{stated[name]}]" if stated and name in stated else name for name in columns}
-    known, entries = dict(units or {}), dict(entries or {})
+    labels = {name: f"{name} [{stated[name]}]" if name in stated else name for name in columns}
+    log = Columns(columns, labels, {}, given, units, entries, "", np.empty(0))
+    for name in fixed:
+        if name not in columns:
+            raise InputError(f"there is no column {name!r} of numbers{log.listed}")
     # q_d is a desired position, unless there is a q_c.
     desired = {
         name for name in columns if words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
     }
     marks = {name: "desired" for name in desired if "d" in words_of(name)}
-    kinds = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
-    t = given["t"][0] if "t" in given else _stamps(columns, kinds)
-    _refuse_episodes(t, columns)
-    step = _step(t, columns[t])
-    refuse_rows_of_several(columns)
-    registers = {
-        kind: tuple(name for name, role in kinds.items() if role == kind)
-        for kind in REGISTERS
-        if kind in kinds.values()
-    }
-    quaternion = () if "q" in given else _quaternion({name: columns[name] for name, kind in kinds.items() if name != t})
-    if quaternion:
-        return _draft_of_attitude(columns, labels, kinds, given, t, quaternion)
-    q = given.get("q") or tuple(name for name, kind in kinds.items() if kind == "q" and name != t)
-    if not q:
+    roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
+    log = dataclasses.replace(log, roles=roles)
+    log = dataclasses.replace(log, t=given["t"][0] if "t" in given else _stamps(log))
+    _refuse_episodes(log, log.t)
+    t = log[log.t]
+    if len(t) < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
         raise InputError(
-            f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{_columns_there(columns)}'
+            f'the stamps {log.t} do not rise from row to row; sort the log, or name others by `columns["t"]`'
         )
-    episodes = episodes_fault(columns[t], columns, columns.__getitem__, rising=True)
-    _one_family("q", q, given, columns)
-    refuse_poses(q, entries)
-    labels |= stated_by_user("t", (t,), known) | stated_by_user("q", q, known)
-    clock = columns[t] * unit_factor(_unit_of_stamps(labels[t], columns[t]))
-    inputs = find_inputs(columns, labels, kinds, given.get("u"), clock, q)
-    if "q" not in given:
-        q, inputs = without_rates(columns, clock, q, inputs)
-        refuse_commands_among(columns, clock, q)
-    commands = tuple(name for name in inputs.commands if name is not None)
-    _one_family("u", inputs.u, given, columns)
+    refuse_rows_of_several(log)
+    return log
+
+
+def _positions_and_inputs(log: Columns) -> tuple[Columns, tuple[str, ...], Inputs]:
+    """The columns with the units of stamps and positions that the user states, the positions, and the inputs."""
+    q = log.given.get("q") or log.of("q")
+    if not q:
+        raise InputError(f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{log.listed}')
+    _one_family("q", q, log)
+    refuse_poses(log, q)
+    log = log.with_units("t", (log.t,)).with_units("q", q)
+    clock = log[log.t] * unit_factor(log.unit(log.t, "t") or _unit_of_step(log[log.t]))
+    log = dataclasses.replace(log, clock=clock)
+    inputs = find_inputs(log, q)
+    if "q" not in log.given:
+        q, inputs = without_rates(log, q, inputs)
+        refuse_commands_among(log, q)
+    _one_family("u", inputs.u, log)
     if len(inputs.u) > len(q):
         raise InputError(
             f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
-            f"{_columns_there(columns)}"
+            f"{log.listed}"
         )
-    for name in (*q, *commands):
-        if has_sign_bit(columns[name]):
+    for name in (*q, *inputs.named):
+        if has_sign_bit(log[name]):
             raise InputError(sign_bit_fault(name))
-    labels |= stated_by_user("u", commands or inputs.u, known)
-    ticks = unit_labels(columns, q, labels, bool(commands))
-    labels |= ticks
-    v = given.get("v") or tuple(name for name, kind in kinds.items() if kind == "v")
-    if not v:
-        unnamed = [name for name, kind in kinds.items() if kind == "" and name != t]
-        v = tuple(name for p in q for name in unnamed if is_slope(columns[t], columns[p], columns[name]))
+    return log, q, inputs
+
+
+def _labels(log: Columns, q: tuple[str, ...], inputs: Inputs) -> tuple[Columns, tuple[str, ...], bool]:
+    """The columns with all units that are known, the velocities, and whether values show the unit of positions."""
+    log = log.with_units("u", inputs.named or inputs.u)
+    by_value = position_units(log, q, bool(inputs.named))
+    log = log.labelled(by_value)
+    v = log.given.get("v") or log.of("v")
+    v = v or tuple(name for position in q for name in log.of("") if log.is_slope(position, name))
     v = v if len(v) == len(q) else ()
-    labels |= stated_by_user("v", v, known)
-    _refuse_unknown_units({"t": (t,), "q": q, "u": inputs.u, "v": v}, labels)
-    lengths = tuple(unit_in_name(labels[name], ("m",)) is not None for name in q)
-    order = sorted(range(len(q)), key=lambda i: not lengths[i])
-    q, lengths = tuple(q[i] for i in order), tuple(lengths[i] for i in order)
-    v = tuple(v[i] for i in order) if v else ()
-    u = inputs.u
-    if "u" not in given:  # forces before torques, as lengths come before angles
-        u = tuple(sorted(u, key=lambda name: unit_in_name(labels[name], ("N m",)) is not None))
-    logged = np.column_stack([columns[name] for name in q])
+    log = log.with_units("v", v)
+    _refuse_unknown_units(log, {"t": (log.t,), "q": q, "u": inputs.u, "v": v})
+    return log, v, bool(by_value)
+
+
+def _is_length(log: Columns, name: str) -> bool:
+    return unit_in_name(log.labels[name], ("m",)) is not None
+
+
+def _is_torque(log: Columns, name: str) -> bool:
+    return unit_in_name(log.labels[name], ("N m",)) is not None
+
+
+def _roles_and_units(
+    log: Columns, q: tuple[str, ...], u: tuple[str, ...], v: tuple[str, ...], quaternion: tuple[str, ...] = ()
+) -> Draft:
+    """A draft without its ticks, noise and servos."""
+    t, logged, what = log.t, log.stack(q or quaternion), "an attitude" if quaternion else "a position"
     if np.isnan(logged[0]).any():
-        raise InputError(f"row 1 lacks a position ({', '.join(q)}); cut the log to begin later")
-    span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)
-    fields = {"t": (t,), "q": q, "u": u, "v": v}
-    units, guessed = _units(
-        {field: tuple(labels[name] for name in names) for field, names in fields.items()}, columns[t], span
-    )
-    seconds = unit_factor(units.get("t", ("s",))[0])
-    factors = [unit_factor(text) for text in units.get("q", ("rad",) * len(q))]
-    y = logged * factors
-    guessed += ("q",) if ticks and "q" not in guessed and "q" not in known else ()
-    servos, switches, remarks = (), (), list(inputs.remarks)
-    remarks += [] if episodes is None else [f"the log {episodes}"]
-    if commands:
-        paired = inputs._replace(
-            commands=tuple(inputs.commands[i] for i in order), following=tuple(inputs.following[i] for i in order)
-        )
-        servos = servos_of(paired, columns, labels, q, units.get("q", ("rad",) * len(q)))
-        switches = switches_of(inputs.switches, [name for name, servo in zip(q, servos, strict=True) if servo], columns)
-        u = (*(servo.command for servo in servos if servo is not None), *switches)
-        units |= units_of_commands(servos, len(switches), labels, units.get("q", ("rad",) * len(q)))
-        v, odd_rates = plausible_rates(columns, clock, q, factors, v, labels)
-        remarks += [*odd_rates, *remarks_on(paired, servos, columns, q, factors, entries, "q" in known)]
-    rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
-    # Readings are whole ticks as they are: a period is known less exactly.
-    tick, wraps = _tick(y, rounding), _periods(columns[t], y, rounding, lengths)
-    continuous = unwrap(y, (), wraps)
-    noises = _noise(continuous, lengths)
-    if len(set(lengths)) == 2 or (servos and len(q) > 1):  # a tick of a metre is none of a radian
-        each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(len(q))]
-        tick = None if None in each_tick else tuple(each for each in each_tick if each is not None)
-        noises = tuple(
-            _noise(column[:, None], (is_length,)) for column, is_length in zip(continuous.T, lengths, strict=True)
-        )
-        if tick is not None and np.ptp(tick) < OFF_TICK / 100 * tick[0]:
-            tick = tick[0]
-    return Draft(
-        t,
-        q,
-        u,
-        v,
-        tuple(name for name in columns if name not in (t, *q, *u, *v)),
-        1 / (step * seconds),
-        len(y),
-        lengths,
-        tick,
-        noises,
-        span,
-        units,
-        guessed,
-        period=tuple(wraps.tolist()),
+        raise InputError(f"row 1 lacks {what} ({', '.join(q or quaternion)}); cut the log to begin later")
+    span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)[: len(q)]
+    units, guessed = _units(log, {"t": (t,), "q": q, "u": u, "v": v}, span)
+    left_out = tuple(name for name in log.values if name not in (t, *q, *u, *v, *quaternion))
+    rate = 1 / (float(np.median(np.diff(log[t]))) * unit_factor(units.get("t", ("s",))[0]))
+    lengths = tuple(_is_length(log, name) for name in q)
+    return Draft(t, q, u, v, left_out, rate, len(logged), lengths, None, 0.0, span, units, guessed, quaternion)
+
+
+def _with_servos(guess: Draft, log: Columns, inputs: Inputs) -> Draft:
+    """A draft with the commands of servos, and their switches, as its inputs."""
+    units, factors = guess.units_of_positions, [unit_factor(text) for text in guess.units_of_positions]
+    servos = servos_of(log, inputs, guess.q, units)
+    driven = [name for name, servo in zip(guess.q, servos, strict=True) if servo is not None]
+    switches = switches_of(log, inputs.switches, driven)
+    u = (*inputs.named, *switches)
+    v, odd_rates = plausible_rates(log, guess.q, factors, guess.v)
+    return guess._replace(
+        u=u,
+        v=v,
+        left_out=tuple(name for name in log.values if name not in (guess.t, *guess.q, *u, *v)),
+        units=guess.units | units_of_commands(log, servos, len(switches), units),
         servos=servos,
         switches=switches,
-        registers=registers,
-        remarks=tuple(remarks),
-        entries=entries,
+        remarks=(*guess.remarks, *odd_rates, *remarks_on(log, inputs, servos, guess.q, factors)),
     )
 
 
-def _unit_of_stamps(label: str, t: np.ndarray) -> str:
-    return unit_in_name(label, MEANT["t"]) or next(unit for limit, unit in CLOCKS if np.median(np.diff(t)) < limit)
+def _with_resolution(guess: Draft, log: Columns) -> Draft:
+    """A draft with the ticks, the periods and the noise of its positions."""
+    logged, lengths, n = log.stack(guess.q), guess.lengths, len(guess.q)
+    factors = [unit_factor(text) for text in guess.units_of_positions]
+    y = logged * factors
+    rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
+    # Readings are whole ticks as they are: a period is known less exactly.
+    each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(n)]
+    found = periods(log[guess.t], y, np.array([tick or 0.0 for tick in each_tick]))
+    # Angles that jump at a full turn have no other period.
+    wraps = without_full_turns(found, tuple(i for i in range(n) if not lengths[i]))
+    continuous = unwrap(y, (), wraps)
+    tick, noise = _tick(y, rounding), _noise(continuous, lengths)
+    if len(set(lengths)) == 2 or (guess.servos and n > 1):  # a tick of a metre is none of a radian
+        known = tuple(each for each in each_tick if each is not None)
+        tick = known if len(known) == n else None
+        noise = tuple(_noise(continuous[:, [i]], lengths[i : i + 1]) for i in range(n))
+        if tick is not None and np.ptp(tick) < OFF_TICK / 100 * tick[0]:
+            tick = tick[0]
+    return guess._replace(quantum=tick, noise=noise, period=tuple(wraps.tolist()))
 
 
-def _refuse_unknown_units(fields: Mapping[str, Sequence[str]], labels: Mapping[str, str]) -> None:
+def _unit_of_step(t: Float[np.ndarray, "T"]) -> str:
+    return next(unit for limit, unit in CLOCKS if np.median(np.diff(t)) < limit)
+
+
+def _refuse_unknown_units(log: Columns, fields: Mapping[str, Sequence[str]]) -> None:
     """Raise `ValueError` for a column whose label states a unit that is none of its field."""
     for field, names in fields.items():
         for name in names:
-            text = unknown_unit(labels[name], MEANT[field], [labels[each] for each in names])
+            text = unknown_unit(log.labels[name], MEANT[field], [log.labels[each] for each in names])
             if text is not None:
-                raise InputError(unknown_unit_fault(name, field, text, labels[name] != name, drafted=True))
+                raise InputError(unknown_unit_fault(name, field, text, log.labels[name] != name, drafted=True))
 
 
 def _units(
-    fields: Mapping[str, tuple[str, ...]], t: Float[np.ndarray, "T"], span: Float[np.ndarray, "n 2"]
+    log: Columns, fields: Mapping[str, tuple[str, ...]], span: Float[np.ndarray, "n 2"]
 ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
     """Units of the columns of each field, where they are not those of a model file, and the fields that were guessed.
 
-    `t` are the stamps, `span` (n, 2) that of the positions, both as logged.
+    `span` (n, 2) is that of the positions, as logged.
     """
-    stated = {field: [unit_in_name(name, MEANT[field]) for name in names] for field, names in fields.items()}
-    odd = odd_clock(t, stated["t"][0])
+    stated = {field: [log.unit(name, field) for name in names] for field, names in fields.items()}
+    odd = odd_clock(log[log.t], stated["t"][0])
     if odd is not None:
-        raise InputError(f"column {fields['t'][0]!r} {odd}")
-    step = np.median(np.diff(t))
-    content = {"t": next(unit for limit, unit in CLOCKS if step < limit)}
+        raise InputError(f"column {log.labels[log.t]!r} {odd}")
+    content = {"t": _unit_of_step(log[log.t])}
     unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]
     content["q"] = "deg" if max(unstated, default=0.0) > DEGREES else "rad"
     units, guessed = {}, []
@@ -330,16 +365,12 @@ def _units(
     return units, tuple(field for field in guessed if field in units)
 
 
-def _columns_there(columns: Mapping[str, np.ndarray]) -> str:
-    return f"; the columns of numbers are {', '.join(columns) or 'none'}"
-
-
-def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
-    rising = [name for name, values in columns.items() if np.isfinite(values).all() and (np.diff(values) > 0).all()]
-    named = [name for name in rising if kinds.get(name) == "t"]
-    candidates = named or [name for name in rising if kinds.get(name) == ""]
-    for name in [each for each, kind in kinds.items() if kind == "t" and not named]:
-        _refuse_episodes(name, columns)
+def _stamps(log: Columns) -> str:
+    rising = [name for name, values in log.values.items() if np.isfinite(values).all() and (np.diff(values) > 0).all()]
+    named = [name for name in rising if log.roles.get(name) == "t"]
+    candidates = named or [name for name in rising if log.roles.get(name) == ""]
+    for name in () if named else log.of("t"):
+        _refuse_episodes(log, name)
     if len(candidates) == 1:
         return candidates[0]
     what = (
@@ -347,41 +378,21 @@ def _stamps(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> str:
         if candidates
         else "no column of stamps rises from row to row"
     )
-    raise InputError(f'{what}; name the one of the stamps by `columns["t"]`{_columns_there(columns)}')
+    raise InputError(f'{what}; name the one of the stamps by `columns["t"]`{log.listed}')
 
 
-def _refuse_episodes(name: str, columns: Mapping[str, np.ndarray]) -> None:
+def _refuse_episodes(log: Columns, name: str) -> None:
     """Raise `ValueError` for stamps that start again with each episode."""
-    fault = episodes_fault(columns[name], columns, columns.__getitem__)
+    fault = episodes_fault(log[name], log.values, log.values.__getitem__)
     if fault is not None:
         raise InputError(f"column {name!r} {fault}")
 
 
-def _step(name: str, t: np.ndarray) -> float:
-    """Median step of the stamps; raises `ValueError` where they do not rise."""
-    if len(t) < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise InputError(
-            f'the stamps {name} do not rise from row to row; sort the log, or name others by `columns["t"]`'
-        )
-    return float(np.median(np.diff(t)))
-
-
-def _one_family(key: str, names: Sequence[str], fixed: Mapping[str, Sequence[str]], columns) -> None:
+def _one_family(key: str, names: Sequence[str], log: Columns) -> None:
     """Raise `ValueError` where names such as q1, q2 and th1, th2 say that there are several kinds of them."""
     stems = {re.sub(r"[0-9]+", "#", name) for name in names}
-    if key not in fixed and 1 < len(stems) < len(names):
-        raise InputError(
-            f'{", ".join(names)} may all be {key}; name those that are by `columns["{key}"]`{_columns_there(columns)}'
-        )
-
-
-def _periods(
-    t: np.ndarray, y: np.ndarray, rounding: Sequence[float], lengths: Sequence[bool]
-) -> Float[np.ndarray, "n"]:
-    """Periods (n,) at which the positions jump, 0 for none and for angles that do at a full turn."""
-    ticks = [_tick(y[:, [i]], [rounding[i]]) or 0.0 for i in range(y.shape[1])]
-    found = periods(t, y, np.array(ticks))
-    return without_full_turns(found, tuple(i for i, is_length in enumerate(lengths) if not is_length))
+    if key not in log.given and 1 < len(stems) < len(names):
+        raise InputError(f'{", ".join(names)} may all be {key}; name those that are by `columns["{key}"]`{log.listed}')
 
 
 def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
@@ -431,10 +442,10 @@ def _tick(y: np.ndarray, rounding: Sequence[float]) -> float | None:
     return tick
 
 
-def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+def _quaternion(log: Columns) -> tuple[str, ...]:
     """Names of four columns that are a unit quaternion which moves, scalar first; none where no four are."""
     groups: dict[str, dict[str, str]] = {}
-    for name in columns:
+    for name in (each for each in log.roles if each != log.t):
         match = _QUATERNION.match(name)
         if match is not None and role(name) not in ("left out", "t"):
             groups.setdefault(match[1], {})[match[2].lower()] = name
@@ -444,7 +455,7 @@ def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
             if set(order) != {key for key in group if key.isdigit() == order.isdigit()}:
                 continue
             names = tuple(group[key] for key in order)
-            q = np.column_stack([columns[name] for name in names])
+            q = log.stack(names)
             q = q[np.isfinite(q).all(axis=1)]
             if not len(q) or not np.ptp(q, axis=0).any():
                 continue
@@ -460,31 +471,15 @@ def _quaternion(columns: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     return ()
 
 
-def _draft_of_attitude(
-    columns: Mapping[str, np.ndarray],
-    labels: Mapping[str, str],
-    kinds: Mapping[str, str],
-    given: Mapping[str, Sequence[str]],
-    t: str,
-    names: tuple[str, ...],
-) -> Draft:
+def _draft_of_attitude(log: Columns, names: tuple[str, ...]) -> Draft:
     """Roles of the columns of a log of a body that turns."""
-    q = np.column_stack([columns[name] for name in names])
-    if np.isnan(q[0]).any():
-        raise InputError(f"row 1 lacks an attitude ({', '.join(names)}); cut the log to begin later")
     # A torque about each axis of the body, or none that is known.
-    u = given.get("u") or tuple(name for name, kind in kinds.items() if kind == "u")
-    if "u" in given and len(u) not in (0, 3):
+    u = log.given.get("u") or log.of("u")
+    if "u" in log.given and len(u) not in (0, 3):
         raise InputError(f"{len(u)} inputs ({', '.join(u)}) for a body that turns, needs 3 torques or none")
-    u = tuple(u) if len(u) == 3 else ()
-    _refuse_unknown_units({"t": (t,), "u": u}, labels)
-    fields = {"t": (labels[t],), "q": (), "u": tuple(labels[name] for name in u), "v": ()}
-    units, guessed = _units(fields, columns[t], np.empty((0, 2)))
-    step = float(np.median(np.diff(columns[t]))) * unit_factor(units.get("t", ("s",))[0])
+    u = u if len(u) == 3 else ()
+    _refuse_unknown_units(log, {"t": (log.t,), "u": u})
+    guess, q = _roles_and_units(log, (), u, (), names), log.stack(names)
     # A turn by a small angle changes the quaternion by half of it; q and -q are one attitude.
     signs = np.cumprod(np.sign(np.where(np.nansum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)))
-    noise = 2 * _noise(q * np.concatenate([[1.0], signs])[:, None], (True,) * 4)
-    left_out = tuple(name for name in columns if name not in (t, *names, *u))
-    return Draft(
-        t, (), u, (), left_out, 1 / step, len(q), (), None, noise, np.empty((0, 2)), units, guessed, quaternion=names
-    )
+    return guess._replace(noise=2 * _noise(q * np.concatenate([[1.0], signs])[:, None], (True,) * 4))

@@ -1,9 +1,23 @@
-"""Roles of columns of a log by their names."""
+"""Columns of a log, and their roles by their names."""
 
+import dataclasses
 import re
+from collections.abc import Mapping, Sequence
 
-from covariant.calibration.identification._commands import COMMANDS, POSITIONS, TARGETS, TORQUES
-from covariant.logs import MEANT, unit_in_name, words_of
+import numpy as np
+from jaxtyping import Float
+
+from covariant.calibration.identification._commands import (
+    COMMANDS,
+    POSITIONS,
+    SAME,
+    TARGETS,
+    TORQUES,
+    Following,
+    follow,
+)
+from covariant.logs import KNOWN, MEANT, is_unit_of, unit_in_name, words_of
+from scalargraph.errors import InputError
 
 _WORDS = {
     "left out": "true truth raw error errors err limit limits",
@@ -53,3 +67,82 @@ def role(name: str, entry: str = "") -> str:
         return "v"
     roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
     return next(iter(roles), "")
+
+
+@dataclasses.dataclass(frozen=True)
+class Columns:
+    """Columns of a log, and what is known of them before any is looked at.
+
+    Attributes:
+        values: The columns (T,) by name, numbers only.
+        labels: Their names, with units that the log or the user states.
+        roles: Roles by name, of the columns that the user does not name.
+        given: Names by the field t, q, u or v that the user states.
+        units: Units by field that the user states: one, or one for each column.
+        entries: What the log calls the entries of lists, by column.
+        t: Name of the stamps.
+        clock: The stamps (T,) [s].
+    """
+
+    values: Mapping[str, np.ndarray]
+    labels: Mapping[str, str]
+    roles: Mapping[str, str]
+    given: Mapping[str, tuple[str, ...]]
+    units: Mapping[str, Sequence[str]]
+    entries: Mapping[str, str]
+    t: str
+    clock: Float[np.ndarray, "T"]
+
+    def __getitem__(self, name: str) -> Float[np.ndarray, "T"]:
+        return self.values[name]
+
+    def stack(self, names: Sequence[str]) -> Float[np.ndarray, "T n"]:
+        return np.column_stack([self.values[name] for name in names])
+
+    def of(self, role: str) -> tuple[str, ...]:
+        """Names of the columns of a role, without the stamps."""
+        return tuple(name for name, each in self.roles.items() if each == role and name != self.t)
+
+    def unit(self, name: str, field: str) -> str | None:
+        """The unit that the label of a column states, if it is one of a field."""
+        return unit_in_name(self.labels[name], MEANT[field])
+
+    def with_units(self, field: str, names: Sequence[str]) -> "Columns":
+        """The columns with the units that the user gives for these."""
+        texts = self.units.get(field, ())
+        if not texts or not names:
+            return self
+        if len(texts) not in (1, len(names)):
+            raise InputError(
+                f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
+            )
+        for text in texts:
+            if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(
+                text, MEANT[field]
+            ):
+                raise InputError(
+                    f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}"
+                )
+        return self.labelled(dict(zip(names, texts if len(texts) > 1 else [texts[0]] * len(names), strict=True)))
+
+    def labelled(self, units: Mapping[str, str]) -> "Columns":
+        """The columns with units by name."""
+        labels = {name: f"{name} [{unit}]" for name, unit in units.items()}
+        return dataclasses.replace(self, labels={**self.labels, **labels})
+
+    def follow(self, position: str, command: str, on: np.ndarray | None = None) -> Following | None:
+        """How a position follows a command, in the rows (T,) in which the servo is switched on."""
+        return follow(self.clock, self.values[position], self.values[command], on)
+
+    def is_slope(self, position: str, name: str) -> bool:
+        """Whether a column follows the slope of a position."""
+        v, slope = self.values[name], np.gradient(self.values[position], self.clock)
+        valid = np.isfinite(slope) & np.isfinite(v)
+        if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
+            return False
+        return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
+
+    @property
+    def listed(self) -> str:
+        """The end of a message that lists the columns."""
+        return f"; the columns of numbers are {', '.join(self.values) or 'none'}"

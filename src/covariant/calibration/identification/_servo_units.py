@@ -1,20 +1,22 @@
 """Units of positions, commands and rates of servos, and the servo that a log shows for each position."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from covariant.calibration.identification._commands import (
     FEWEST_CHANGES,
     FOLLOWS,
     FOLLOWS_CLOSELY,
+    Following,
     command_unit,
     copied,
+    follows,
 )
+from covariant.calibration.identification._roles import Columns
 from covariant.calibration.identification._servo_columns import Inputs
-from covariant.logs import KNOWN, MEANT, is_unit_of, unit_factor, unit_in_name, unknown_unit, words_of
+from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, words_of
 from scalargraph.errors import InputError
 
 MIN_STIFF_SLOPE = 0.7
@@ -56,29 +58,27 @@ class DraftedServo(NamedTuple):
     offset: float
 
 
-def position_units(
-    logged: Float[np.ndarray, "T n"], names: Sequence[str], stated: Sequence[str | None], servos: bool
-) -> list[str] | None:
-    """Units of positions that state none: ticks, or degrees for servos; None if the values decide neither.
+def position_units(columns: Columns, q: Sequence[str], servos: bool) -> dict[str, str]:
+    """Units of positions that state none: ticks, or degrees for servos; empty if the values decide neither.
 
     Raises `ValueError` if the values are ambiguous.
     """
-    without_unit = [i for i, text in enumerate(stated) if text is None]
-    values = logged[:, without_unit]
+    unstated = [name for name in q if columns.unit(name, "q") is None]
+    values = columns.stack(unstated) if unstated else np.empty((0, 0))
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
-        return None
+        return {}
     largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
-    listed = ", ".join(names[i] for i in without_unit)
+    listed = ", ".join(unstated)
     answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
     if whole and largest > CERTAIN_TICKS:
         if values.min() >= 0 and largest < TICKS:
-            return [f"turn/{TICKS}" if text is None else text for text in stated]
+            return dict.fromkeys(unstated, f"turn/{TICKS}")
         raise InputError(
             f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
         )
     if not servos or largest <= MAX_RADIANS:
-        return None
+        return {}
     if largest > MAX_DEGREES:
         raise InputError(
             f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
@@ -97,123 +97,81 @@ def position_units(
             '`overrides=[\'units.q=["1.1 deg", "0.9 deg"]\']` for ranges of 220 and 180 degrees, from the calibration '
             "file of the arm: (range_max - range_min) / 4096 * 360 / 200; of a gripper from 0 to 100 it is a 100th"
         )
-    return ["deg" if text is None else text for text in stated]
-
-
-def stated_by_user(field: str, names: Sequence[str], known: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Labels of columns with the units that the user gives for them."""
-    texts = known.get(field, ())
-    if not texts or not names:
-        return {}
-    if len(texts) not in (1, len(names)):
-        raise InputError(
-            f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
-        )
-    for text in texts:
-        if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(text, MEANT[field]):
-            raise InputError(f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}")
-    return {name: f"{name} [{texts[i if len(texts) > 1 else 0]}]" for i, name in enumerate(names)}
-
-
-def unit_labels(
-    columns: Mapping[str, np.ndarray], q: Sequence[str], labels: Mapping[str, str], servos: bool
-) -> dict[str, str]:
-    """Labels of positions with the unit that their values show; empty if the general rules decide."""
-    texts = [unit_in_name(labels[name], MEANT["q"]) for name in q]
-    if None not in texts:
-        return {}
-    units = position_units(np.column_stack([columns[name] for name in q]), q, texts, servos)
-    return {} if units is None else {name: f"{name} [{unit}]" for name, unit in zip(q, units, strict=True)}
+    return dict.fromkeys(unstated, "deg")
 
 
 def servos_of(
-    inputs: Inputs,
-    columns: Mapping[str, np.ndarray],
-    labels: Mapping[str, str],
-    q: Sequence[str],
-    q_units: Sequence[str],
+    columns: Columns, inputs: Inputs, q: Sequence[str], q_units: Sequence[str]
 ) -> tuple[DraftedServo | None, ...]:
     """The servo of each position with the unit of its command; raises `ValueError` for an ambiguous unit."""
-    servos: list[DraftedServo | None] = []
-    for position, text, command, follow_fit in zip(q, q_units, inputs.commands, inputs.following, strict=True):
-        if command is None:
-            servos.append(None)
-            continue
-        rows = copied(columns[position], columns[command])
-        if rows is not None:
-            where = "of the same row" if rows == 0 else "of the next row"
-            raise InputError(
-                f"column {command!r} is a copy of {position!r} {where}: a log of what was measured, and no command; "
-                'name the inputs by `columns["u"]`, or none with []'
-            )
-        factor, named = unit_factor(text), unit_in_name(labels[command], MEANT["q"])
-        unknown = unknown_unit(labels[command], MEANT["q"])
-        if unknown is not None and unknown.lower() not in ("tick", "ticks", "count", "counts"):
-            raise InputError(
-                f"column {command!r} has {unknown!r} in its name, which is no unit of a command; name what one of it "
-                "is by `overrides=['units.u=\"deg\"']`"
-            )
-        close = follow_fit is not None and follow_fit.error < FOLLOWS
-        unit = (
-            unit_factor(named)
-            if named
-            else command_unit(follow_fit.slope, factor, close)
-            if close and follow_fit
-            else factor
+    rows = zip(q, q_units, inputs.commands, inputs.following, strict=True)
+    return tuple(None if sent is None else _servo(columns, name, text, sent, fit) for name, text, sent, fit in rows)
+
+
+def _servo(columns: Columns, position: str, text: str, command: str, fit: Following | None) -> DraftedServo:
+    """The servo of a position, which is logged in the unit `text`."""
+    rows = copied(columns[position], columns[command])
+    if rows is not None:
+        where = "of the same row" if rows == 0 else "of the next row"
+        raise InputError(
+            f"column {command!r} is a copy of {position!r} {where}: a log of what was measured, and no command; "
+            'name the inputs by `columns["u"]`, or none with []'
         )
-        size = 0.0 if follow_fit is None else abs(follow_fit.slope) * factor
-        # A position never moves farther than its command, however well it follows.
-        if unit is None or size > 1.5 * abs(unit) or (named and close and size < 0.15 * abs(unit)):
-            raise InputError(
-                f"column {command!r}: {position} [{text}] moves by {size:.3g} rad for one of it, which is no unit of a "
-                f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
-                f"`overrides=['units.u=\"{size:.3g} rad\"']` if so much is meant"
-            )
-        if follow_fit is None or not close:
-            servos.append(DraftedServo(command, unit, None, 0.0))
-        else:
-            # For a soft servo the mean distance may be sag, so it is no offset; a slow motion shows no lag.
-            is_stiff = MIN_STIFF_SLOPE < abs(follow_fit.slope * factor / unit) < 2 - MIN_STIFF_SLOPE
-            offset = follow_fit.position * factor - follow_fit.command * unit if is_stiff else 0.0
-            servos.append(
-                DraftedServo(command, unit, follow_fit.lag if follow_fit.late > LAG_ERROR_RATIO else None, offset)
-            )
-    return tuple(servos)
+    unit = _unit_of_command(columns, position, text, command, fit)
+    if fit is None or not follows(fit):
+        return DraftedServo(command, unit, None, 0.0)
+    # For a soft servo the mean distance may be sag, so it is no offset; a slow motion shows no lag.
+    factor = unit_factor(text)
+    is_stiff = MIN_STIFF_SLOPE < abs(fit.slope * factor / unit) < 2 - MIN_STIFF_SLOPE
+    offset = fit.position * factor - fit.command * unit if is_stiff else 0.0
+    return DraftedServo(command, unit, fit.lag if fit.late > LAG_ERROR_RATIO else None, offset)
+
+
+def _unit_of_command(columns: Columns, position: str, text: str, command: str, fit: Following | None) -> float:
+    """The angle [rad] of one of a command, by its label or by how far its position moves, which must fit either."""
+    factor, named = unit_factor(text), columns.unit(command, "q")
+    unknown = unknown_unit(columns.labels[command], MEANT["q"])
+    if unknown is not None and unknown.lower() not in ("tick", "ticks", "count", "counts"):
+        raise InputError(
+            f"column {command!r} has {unknown!r} in its name, which is no unit of a command; name what one of it "
+            "is by `overrides=['units.u=\"deg\"']`"
+        )
+    slope = 0.0 if fit is None else fit.slope
+    unit, size = unit_factor(named) if named else factor, abs(slope) * factor
+    if follows(fit) and not named:
+        unit = command_unit(slope, factor)
+    # A position never moves farther than its command, however well it follows.
+    if unit is None or size > 1.5 * abs(unit) or (named and follows(fit) and size < 0.15 * abs(unit)):
+        raise InputError(
+            f"column {command!r}: {position} [{text}] moves by {size:.3g} rad for one of it, which is no unit of a "
+            f"command{' in ' + named if named else ''}; name it by `overrides=['units.u=\"deg\"']`, or "
+            f"`overrides=['units.u=\"{size:.3g} rad\"']` if so much is meant"
+        )
+    return unit
 
 
 def units_of_commands(
-    servos: Sequence[DraftedServo | None], switches: int, labels: Mapping[str, str], of_positions: Sequence[str]
+    columns: Columns, servos: Sequence[DraftedServo | None], switches: int, of_positions: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
     """Units of the inputs; empty if all commands are in radians and no name states a unit; a switch has none."""
-    texts = []
+    texts, in_names = [], False
     for unit, servo in zip(of_positions, servos, strict=True):
         if servo is not None:
-            factor = servo.unit / unit_factor(unit)
-            text = (
-                unit
-                if factor == 1
-                else f"-1 {unit}"
-                if factor == -1
-                else _UNITS.get(servo.unit, f"{servo.unit:.6g} rad")
-            )
-            texts.append(unit_in_name(labels[servo.command], MEANT["q"]) or text)
-    in_names = any(unit_in_name(servo.command, MEANT["q"]) for servo in servos if servo is not None)
+            signed = {1.0: unit, -1.0: f"-1 {unit}"}.get(servo.unit / unit_factor(unit))
+            by_size = signed or _UNITS.get(servo.unit, f"{servo.unit:.6g} rad")
+            texts.append(columns.unit(servo.command, "q") or by_size)
+            in_names |= unit_in_name(servo.command, MEANT["q"]) is not None
     plain = all(unit_factor(text) == 1 for text in texts)
     return {} if plain and not in_names else {"u": (*texts, *("1",) * switches)}
 
 
 def plausible_rates(
-    columns: Mapping[str, np.ndarray],
-    clock: np.ndarray,
-    q: Sequence[str],
-    factors: Sequence[float],
-    v: tuple[str, ...],
-    labels: Mapping[str, str],
+    columns: Columns, q: Sequence[str], factors: Sequence[float], v: tuple[str, ...]
 ) -> tuple[tuple[str, ...], list[str]]:
     """Velocity registers; none, and a remark, if the slopes of the positions contradict their unit."""
     for position, factor, name in zip(q, factors, v, strict=False):
-        slope = np.gradient(columns[position], clock) * factor
-        unit = unit_factor(unit_in_name(labels[name], MEANT["v"]) or "rad/s")
+        slope = np.gradient(columns[position], columns.clock) * factor
+        unit = unit_factor(columns.unit(name, "v") or "rad/s")
         valid = np.isfinite(slope) & np.isfinite(columns[name])
         size = float(np.sum(slope[valid] ** 2))
         ratio = float(np.sum(slope[valid] * columns[name][valid])) * unit / size if size else 1.0
@@ -226,15 +184,13 @@ def plausible_rates(
 
 
 def remarks_on(
+    columns: Columns,
     inputs: Inputs,
     servos: Sequence[DraftedServo | None],
-    columns: Mapping[str, np.ndarray],
     q: Sequence[str],
     factors: Sequence[float],
-    entries: Mapping[str, str],
-    known: bool,
 ) -> list[str]:
-    """Remarks on commands that may be in another unit or have gaps; `known` is true if the user stated units."""
+    """Remarks on commands that may be in another unit or have gaps."""
     remarks = []
     for position, factor, servo, follow_fit in zip(q, factors, servos, inputs.following, strict=True):
         if servo is None:
@@ -252,7 +208,7 @@ def remarks_on(
         ratio = 1.0 if follow_fit is None else abs(follow_fit.slope * factor / servo.unit)
         if follow_fit is not None and follow_fit.error < FOLLOWS_CLOSELY and not 0.9 < ratio < 1.1:
             remarks.append(f"{position} moves by {ratio:.2g} for one of {servo.command}: a soft servo, or another unit")
-        name = entries.get(position, position)
-        if not known and words_of(name) & {"gripper", "jaw", "finger", "hand", "claw"}:
+        name = columns.entries.get(position, position)
+        if "q" not in columns.units and words_of(name) & {"gripper", "jaw", "finger", "hand", "claw"}:
             remarks.append(f"{name} is taken for an angle; grippers are often logged as a part of their range")
     return remarks

@@ -1,12 +1,12 @@
 """`export` of a robot itself, with its fitted numbers, as a file for simulators."""
 
-import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from covariant import models
+from covariant.models import Overrides
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.result import AbstractResult
 from scalargraph.errors import InputError
@@ -20,22 +20,20 @@ HEAD_NOTES = {
     ".json": "Positions of joints are those of the log. command_offsets are added to commands.",
 }
 """Notes for the head of a file, by extension."""
-ROBOT_ARGUMENTS = ("model", "out", "rate", "overwrite", "overrides", "progress")
-"""Arguments of `export` that apply to a robot."""
 
 
-def write_robot(verb: Callable[..., Any], values: Mapping[str, Any]) -> "RobotFileResult":
-    """Write a robot from the arguments of `export`, where the extension of `out` is one of `FORMATS`."""
-    out, model, rate = Path(values["out"]), values["model"], values["rate"]
-    defaults = {name: each.default for name, each in inspect.signature(verb).parameters.items()}
-    for name, value in values.items():
-        if name not in ROBOT_ARGUMENTS and value != defaults[name]:
+def write_robot(
+    model: Any, out: Path, rate: float, overwrite: bool, overrides: Overrides, options: Mapping[str, Any]
+) -> "RobotFileResult":
+    """Write a robot in the format that the extension of `out` names; `options` of an observer must not be set."""
+    for name, value in options.items():
+        if value is not None and value is not False:
             raise InputError(f"{name} is for an observer, and {out} is the file of a robot; leave it out")
-    check_output(out, *FORMATS, overwrite=values["overwrite"])
+    check_output(out, *FORMATS, overwrite=overwrite)
     label = models.spec_name(model)
     if model is not label and not isinstance(model, str | Path):
         raise InputError(f"{label}: a robot is written from its model file, its own file or its name")
-    recipe = models.recipe(label, values["overrides"])
+    recipe = models.recipe(label, overrides)
     if recipe.get("system") != "robot":
         raise InputError(f"{label}: only a robot is written as {FORMATS[out.suffix]} ({out.suffix})")
     parameters, step = dict(recipe["parameters"]), 1 / rate
