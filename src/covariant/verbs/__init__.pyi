@@ -1,6 +1,7 @@
 from ._certify import (
     CertificateCheckResult as CertificateCheckResult,
     CertifyResult as CertifyResult,
+    DistanceResult as DistanceResult,
     certify as certify,
     check_certificate as check_certificate,
 )

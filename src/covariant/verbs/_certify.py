@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,7 @@ from covariant.certificates import (
     Checked,
     CheckerName,
     ContractionCertificate,
+    DistanceCertificate,
     Document,
     LostRows,
     Start,
@@ -39,7 +40,9 @@ from scalargraph.proofs import read_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OBSERVERS = "intrinsic", "geodesic"
+BY_DISTANCE = "lagrangian-metric"
+"""The observer whose certificate is about the distance from the truth."""
+OBSERVERS = "intrinsic", "geodesic", BY_DISTANCE
 """The observers that there are certificates for."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
@@ -79,7 +82,7 @@ def certify(
     runs: int = 10,
     overrides: Overrides = (),
     progress: Progress = notebook_line,
-) -> "CertifyResult":
+) -> "CertifyResult | DistanceResult":
     """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
 
     Use it to state how far an estimate may start from the truth and still converge. The result holds for the whole
@@ -94,7 +97,8 @@ def certify(
         error: How far estimated positions may be off [unit], one bound for all or one each; required.
         region: Ends of the positions by coordinate; rotations need none. On another group the entries of its
             matrices, named g11, g12, ….
-        observer: "intrinsic" or "geodesic".
+        observer: "intrinsic", "geodesic", or "lagrangian-metric", which converges from far away at high gains and has a
+            statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`, `lost`, `find` and a file.
         alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file.
         beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
@@ -160,10 +164,76 @@ def certify(
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
     prove = functools.partial(_prove, designed, recipe, progress, **settings)
     notes = designed.notes + runs_otherwise(file, observer)
+    if observer == BY_DISTANCE:
+        return _by_distance(name, designed, recipe, settings, find)
     if find is None:
         return CertifyResult(name, prove(), notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)
     return CertifyResult(name, certificate, notes, FIND[find], attempts)
+
+
+def _by_distance(
+    name: str, designed: Design, recipe: dict[str, Any] | None, settings: dict[str, Any], find: str | None
+) -> "DistanceResult":
+    """Prove the statement about distances, which has no other settings than these."""
+    without = {key: settings[key] for key in ("times", "rate", "q", "noise", "disturbance", "lost")} | {"find": find}
+    if given := [key for key, value in without.items() if value is not None and np.any(value)]:
+        raise InputError(f"a certificate of {BY_DISTANCE} has no {', '.join(given)}; leave it out")
+    shortest, longest = settings["interval"] or (0.0, 0.0)
+    if shortest != longest:
+        raise InputError(f"a certificate of {BY_DISTANCE} is about one interval; got {shortest:g} to {longest:g} s")
+    kept = {key: settings[key] for key in ("position", "velocity", "error", "input", "boxes")}
+    certificate = certificates.certify_distance(designed.inner, interval=longest, recipe=recipe, **kept)
+    return DistanceResult(name, certificate, designed.notes)
+
+
+@dataclass(frozen=True, repr=False)
+class DistanceResult(AbstractResult):
+    """Verdict on a statement that the distance of an estimate from the truth falls.
+
+    Attributes:
+        model_name: The model, by its path or name.
+        certificate: The statement with its proofs.
+        design: A sentence on where the gains come from.
+
+    Example:
+        >>> import covariant
+        >>> bounds = {"velocity": 0.2, "error": 0.1, "region": {"r": (-1.0, 1.0), "theta": (-1.0, 1.0)}}
+        >>> covariant.certify("ball_and_beam", observer="lagrangian-metric", alpha=40.0, beta=200.0, **bounds).holds
+        True
+    """
+
+    model_name: str
+    certificate: DistanceCertificate
+    design: str
+
+    wrong: ClassVar[bool] = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether the statement is proved."""
+        return self.certificate.statement.verdict == "holds"
+
+    @property
+    def headline(self) -> str:
+        verdict = VERDICTS[self.certificate.statement.verdict]
+        return f"{self.model_name}, {verdict}: rate μ = {max(self.certificate.decay.rate, 0.0):.4g} 1/s"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        numbers = self.certificate.decay._asdict() if self.holds else {}
+        return {"model": self.model_name, **self.certificate.statement.document(), **numbers}
+
+    def __str__(self) -> str:
+        return f"{self.certificate.statement}\n\n{self.design}"
+
+    def save(self, path: str | Path, overwrite: bool = True) -> Path:
+        """Refuse: statements about distances have no file.
+
+        Raises:
+            ValueError: Always.
+        """
+        raise InputError(f"{path}: the certificate of {BY_DISTANCE} has no file and no checker; leave --out out")
 
 
 @dataclass(frozen=True, repr=False)
