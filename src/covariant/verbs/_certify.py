@@ -227,14 +227,6 @@ class DistanceResult(AbstractResult):
     def __str__(self) -> str:
         return f"{self.certificate.statement}\n\n{self.design}"
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Refuse: statements about distances have no file.
-
-        Raises:
-            ValueError: Always.
-        """
-        raise InputError(f"{path}: the certificate of {BY_DISTANCE} has no file and no checker; leave --out out")
-
 
 @dataclass(frozen=True, repr=False)
 class CertifyResult(AbstractResult):
