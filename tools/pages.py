@@ -10,6 +10,7 @@ import importlib
 import inspect
 import itertools
 import re
+import tomllib
 from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
@@ -69,7 +70,7 @@ def _default(field: str) -> str:
 
 
 def errata_sections(paper: str) -> str:
-    """The misprints of a paper, each with both formulas, what is wrong, its effect and its test."""
+    """The misprints of a paper, each with both formulas, what is wrong and its effect; tests are in `papers.toml`."""
     return "\n\n".join(map(_erratum, errata.of(paper)))
 
 
@@ -80,9 +81,30 @@ def _erratum(entry: errata.Erratum) -> str:
         f"- *corrected:* `{entry.corrected}`",
         f"- *reason:* {entry.reason}",
         f"- *effect:* {entry.effect}",
-        f"- *test:* `{entry.shown_by}`",
     )
     return "\n".join(lines)
+
+
+def papers_tables() -> str:
+    """Every item of the four papers in `papers.toml`, with its code, its test and its page."""
+    papers = tomllib.loads((DOCS / "papers.toml").read_text(encoding="utf-8"))
+    return "\n\n".join(_paper_table(paper["title"], paper["rows"]) for paper in papers.values())
+
+
+def _paper_table(title: str, rows: list[list[str]]) -> str:
+    head = ["| in the paper | what it is | code | test |", "|---" * 4 + "|"]
+    return "\n".join([f"## {title}", "", *head, *(_paper_row(*row) for row in rows)])
+
+
+def _paper_row(place: str, subject: str, code: str, test: str, page: str) -> str:
+    named, reason = subject.replace("misprint", "**misprint**"), test.removeprefix("not done: ")
+    cells = (
+        place,
+        f"[{named}]({page})" if page else named,
+        f"`{code}`" if code else "",
+        f"`{test}`" if reason == test else f"*not done*: {reason}",
+    )
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def benchmarks_table() -> str:
@@ -229,6 +251,7 @@ PARTS: dict[str, tuple[str, Callable[[], str]]] = {
     "observers.md": ("observers", observers_table),
     "models.md": ("keys", keys_table),
     "benchmarks.md": ("benchmarks", benchmarks_table),
+    "papers.md": ("papers", papers_tables),
     **{f"{paper}.md": ("errata", partial(errata_sections, paper)) for paper in PAPERS},
 }
 """Pages with a part that is written from the code: the part's name, and what makes its text."""
