@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_contraction import ALPHA, BETA, PAPER, ZERO
+from test_contraction import ALPHA, BETA, PAPER, ZERO, in_frame
 
 from covariant import models
 from covariant.certificates import (
@@ -16,7 +16,6 @@ from covariant.certificates import (
     falsify,
     generalised_jacobian,
     in_coordinates,
-    in_frame,
     lower_distance,
     lyapunov,
     rate_of,

@@ -59,7 +59,6 @@ from .tuning import (
     observer_gains as observer_gains,
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
-    steady_state_errors as steady_state_errors,
     stored_observer as stored_observer,
     suggest_noise as suggest_noise,
     tune as tune,

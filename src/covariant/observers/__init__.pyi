@@ -89,11 +89,9 @@ from .sensors import (
 from .wrappers import (
     ActingInputs as ActingInputs,
     Contacts as Contacts,
-    Damped as Damped,
     Delayed as Delayed,
     Gated as Gated,
     Unwrapped as Unwrapped,
-    damping_margin as damping_margin,
     without_last_input as without_last_input,
 )
 
@@ -105,7 +103,6 @@ __all__ = [
     "AbstractObserver",
     "Contacts",
     "Contracting",
-    "Damped",
     "Delayed",
     "FilteredDerivative",
     "FixedLag",
