@@ -18,7 +18,8 @@ from covariant.certificates import (
 )
 from covariant.models import StateSpace, marine
 from covariant.simulation import Backstepping, set_point
-from scalargraph import LoweringError, change, lower, to_jax
+from scalargraph import LoweringError, lower, to_jax
+from scalargraph.graph import change
 
 
 def with_rule(function):

@@ -8,8 +8,8 @@ import pytest
 from plain import rk4
 
 from covariant import models, scoring
-from covariant.calibration import cut_windows, fit, horizon, prediction_errors, relations
-from covariant.calibration.identification import error_growth, split_windows
+from covariant.calibration import cut_windows, fit, horizon, relations
+from covariant.calibration.identification import error_growth, prediction_errors, split_windows
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 

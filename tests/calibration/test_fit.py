@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.calibration import PredictionErrors, cut_windows, prediction_errors
-from covariant.calibration.identification import error_growth, predicts_worse
+from covariant.calibration import PredictionErrors, cut_windows
+from covariant.calibration.identification import error_growth, prediction_errors, predicts_worse
 from covariant.signals import Record
 
 

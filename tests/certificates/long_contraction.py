@@ -9,18 +9,9 @@ import pytest
 from test_contraction import ALPHA, BETA, PAPER, ZERO, in_frame
 
 from covariant import models
-from covariant.certificates import (
-    contraction_matrix,
-    contraction_rate,
-    error_system,
-    falsify,
-    generalised_jacobian,
-    in_coordinates,
-    lower_distance,
-    lyapunov,
-    rate_of,
-    upper_distance,
-)
+from covariant.certificates import contraction_rate, error_system, falsify, lyapunov
+from covariant.certificates.base import contraction_matrix, generalised_jacobian, in_coordinates, rate_of
+from covariant.certificates.theory import lower_distance, upper_distance
 from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
 from scalargraph.proofs import Box

@@ -11,19 +11,9 @@ from hypothesis import given, settings, strategies as st
 
 from covariant import models
 from covariant.calibration import predict_errors
-from covariant.certificates import (
-    Decay,
-    StateMetric,
-    certify,
-    conditioning,
-    contraction_rate,
-    error_bounds,
-    error_matrix,
-    lyapunov,
-    optimal_lyapunov,
-    rate_of,
-    steady_distance,
-)
+from covariant.certificates import certify, contraction_rate, error_bounds, lyapunov, optimal_lyapunov
+from covariant.certificates.base import StateMetric, conditioning, error_matrix, rate_of, steady_distance
+from covariant.certificates.theory import Decay
 from covariant.observers import Intrinsic
 
 ALPHA, BETA = math.sqrt(2), 0.5

@@ -11,13 +11,13 @@ from test_outcomes import OSCILLATOR, OTHER, chain, distance
 from covariant.metrics import (
     Equation,
     RiccatiMetric,
-    gramian,
     high_gain,
     lie_derivative,
     metric_at,
     metric_through,
     spd_distance,
 )
+from covariant.metrics._solution import gramian
 from covariant.models import StateSpace
 from covariant.observers import Estimate, Riccati
 from covariant.papers.sanfelice_praly import analytic_metric, quadrature

@@ -7,6 +7,6 @@ from ._piecewise import (
 )
 from ._reference import follow as follow, lissajous as lissajous, set_point as set_point
 from ._sensors import PositionSensor as PositionSensor, sense as sense, stamps as stamps
-from ._simulate import hold as hold, no_input as no_input, observe as observe, simulate as simulate
+from ._simulate import hold as hold, observe as observe, simulate as simulate
 
 __all__ = ["Backstepping", "PositionSensor", "follow", "observe", "sense", "set_point", "simulate", "stamps"]

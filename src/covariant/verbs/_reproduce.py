@@ -64,8 +64,8 @@ class ReproduceResult(AbstractResult):
         module: The module of `covariant.papers` that computed them.
 
     Example:
-        >>> from covariant import verbs
-        >>> result = verbs.ReproduceResult("maithripala", {"top": {"rate": 1.127}, "seconds": 14.0}, module=None)
+        >>> from covariant.verbs._reproduce import ReproduceResult
+        >>> result = ReproduceResult("maithripala", {"top": {"rate": 1.127}, "seconds": 14.0}, module=None)
         >>> result
         <ReproduceResult: maithripala: 1 groups of numbers in 14.0 s>
         >>> result.summary["top"]["rate"]

@@ -20,9 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from scalargraph import TRUTHS, Lowered, expand
+from scalargraph import Lowered, expand
 from scalargraph._typing import Arithmetic
 from scalargraph.errors import InputError
+from scalargraph.graph import TRUTHS
 from scalargraph.proofs._box import Box, check_box
 from scalargraph.proofs._conditions import show_conditions
 from scalargraph.proofs._enclosure import Expansions

@@ -129,7 +129,8 @@ def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) ->
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import prediction_errors, cut_windows
+        >>> from covariant.calibration import cut_windows
+        >>> from covariant.calibration.identification import prediction_errors
         >>> from covariant.models import oscillator
         >>> from covariant.signals import Record
         >>> t = np.arange(0.0, 10.0, 0.02)

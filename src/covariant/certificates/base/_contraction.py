@@ -35,7 +35,7 @@ class StateMetric(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import StateMetric
+        >>> from covariant.certificates.base import StateMetric
         >>> theta = jnp.diag(jnp.array([1.0, 2.0]))
         >>> metric = StateMetric(lambda t, x: theta, lambda t, x: jnp.linalg.inv(theta), lambda t, x: jnp.eye(2))
         >>> metric(jnp.array(0.0), jnp.zeros(2)).tolist()
@@ -68,7 +68,7 @@ def in_coordinates(metric: StateMatrix) -> StateMetric:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import in_coordinates
+        >>> from covariant.certificates.base import in_coordinates
         >>> metric = in_coordinates(lambda t, x: 2 * jnp.eye(2))
         >>> metric.gram(0.0, jnp.zeros(2)).tolist()
         [[2.0, 0.0], [0.0, 2.0]]
@@ -94,7 +94,7 @@ def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) 
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import StateMetric, generalised_jacobian
+        >>> from covariant.certificates.base import StateMetric, generalised_jacobian
         >>> theta = jnp.diag(jnp.array([1.0, 2.0]))
         >>> metric = StateMetric(lambda t, x: theta, lambda t, x: jnp.linalg.inv(theta), lambda t, x: jnp.eye(2))
         >>> flow = lambda t, x: jnp.stack([x[1] - x[0], -x[1]])
@@ -122,7 +122,7 @@ def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) ->
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import contraction_matrix, in_coordinates
+        >>> from covariant.certificates.base import contraction_matrix, in_coordinates
         >>> metric = in_coordinates(lambda t, x: jnp.eye(2))
         >>> contraction_matrix(lambda t, x: -3 * x, metric, jnp.array(0.0), jnp.zeros(2)).tolist()
         [[-6.0, 0.0], [0.0, -6.0]]

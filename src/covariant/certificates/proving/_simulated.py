@@ -38,7 +38,8 @@ class Trajectories(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import Decay, Trajectories
+        >>> from covariant.certificates import Trajectories
+        >>> from covariant.certificates.theory import Decay
         >>> t, motion, estimates = np.array([0.0, 1.0]), np.zeros((2, 1)), 0.1 * np.ones((3, 2, 1))
         >>> distance = np.array([0.1, 0.05]) * np.ones((3, 1))
         >>> distances = Decay(t, distance, distance, distance)

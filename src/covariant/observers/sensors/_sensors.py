@@ -166,8 +166,8 @@ class SensorInfo(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
-        >>> observers.SensorInfo(jnp.array([0.2]), jnp.array([0.1]), jnp.array([True]))._fields
+        >>> from covariant.observers.sensors import SensorInfo
+        >>> SensorInfo(jnp.array([0.2]), jnp.array([0.1]), jnp.array([True]))._fields
         ('innovation', 'std', 'used')
     """
 
