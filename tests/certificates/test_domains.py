@@ -27,6 +27,7 @@ from covariant._domains import (
     check_numbers,
     domain_of,
 )
+from covariant.certificates import base
 from covariant.certificates.base import in_coordinates
 from covariant.certificates.theory import bending, detectability_rate, lower_distance, upper_distance
 from covariant.models import StateSpace
@@ -57,7 +58,14 @@ def test_a_domain_has_its_numbers_and_no_others(domain):
 
 STUB = ast.parse(Path(str(certificates.__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
 NAMES = [alias.asname for node in STUB.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+INSIDE = (
+    *(base.conditioning, base.contraction_matrix, base.correction, base.error_matrix, base.force_bounds),
+    *(base.generalised_jacobian, in_coordinates, base.noise_disturbance, base.rate_of, base.steady_distance),
+    *(bending, detectability_rate, lower_distance, upper_distance),
+)
+"""Functions of statements that only the room itself uses."""
 FUNCTIONS = {name: f for name in NAMES if inspect.isfunction(f := getattr(certificates, str(name)))}
+FUNCTIONS |= {f.__name__: f for f in INSIDE}
 FUNCTIONS["contracting_gain"] = calibration.contracting_gain
 CHECKED_BY_THEIR_SHAPE = {"position", "input", "q", "metric", "inputs", "times", "t", "x", "noise", "squares"}
 """Arguments that belong to a model, or are functions or matrices: what takes them compares them with it."""
