@@ -58,6 +58,7 @@ if os.environ.get("COVARIANT_CHECK_SHAPES"):
 
 from covariant import geometry, models
 from covariant.geometry import Budget, Metric
+from covariant.geometry._geodesics import Shot, Transported
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -345,8 +346,8 @@ class Space(NamedTuple):
     matrix: Callable
     christoffel: Callable
     curvature: Callable
-    fly: Callable[..., geometry.Transported]
-    shoot: Callable[..., geometry.Shot]
+    fly: Callable[..., Transported]
+    shoot: Callable[..., Shot]
 
     def inner(self, p, x, y):
         return np.einsum("ki,kij,kj->k", x, self.matrix(p), y)

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 
 import covariant
-from covariant.certificates import CHECKERS
+from covariant.certificates.proving import CHECKERS
 from covariant.cli._commands import COMMANDS
 from covariant.engine import EngineName
 from covariant.verbs._certify import OBSERVERS as CERTIFIED

@@ -8,17 +8,14 @@ from test_declared import EVERY, LIES, POINTS, X, beam, in_reverse, polar, syste
 
 from covariant import models, observers
 from covariant.certificates import (
-    Sampling,
     certify_distance,
     contraction,
     contraction_rate,
-    correction,
-    in_coordinates,
     observability,
     optimal_lyapunov,
     sampled_system,
 )
-from covariant.certificates.base import corrections
+from covariant.certificates.base import Sampling, correction, corrections, in_coordinates
 from scalargraph import along, jacobian
 
 

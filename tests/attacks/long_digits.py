@@ -7,7 +7,8 @@ import pytest
 from test_digits import whole
 
 from covariant import Record, models, observers
-from covariant.certificates import decay, in_coordinates
+from covariant.certificates import decay
+from covariant.certificates.base import in_coordinates
 
 
 @pytest.mark.exhaustive

@@ -8,15 +8,8 @@ import pytest
 import scipy.linalg
 from systems import linear
 
-from covariant.certificates import (
-    at_corners,
-    cascade,
-    common_metric,
-    decay,
-    in_coordinates,
-    observability,
-    observer_gain,
-)
+from covariant.certificates import at_corners, cascade, common_metric, decay, observability, observer_gain
+from covariant.certificates.base import in_coordinates
 from covariant.models import StateSpace
 from scalargraph.proofs import as_form, box
 

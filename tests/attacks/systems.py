@@ -13,14 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant import geometry, models
-from covariant.certificates import (
-    ContractionCertificate,
-    ErrorSystem,
-    StateMetric,
-    certify,
-    in_coordinates,
-    optimal_lyapunov,
-)
+from covariant.certificates import ContractionCertificate, certify, optimal_lyapunov
+from covariant.certificates.base import ErrorSystem, StateMetric, in_coordinates
 from covariant.certificates.base._error_system import Point
 from covariant.certificates.checking._checked import CHECKER
 from covariant.geometry import lie

@@ -17,8 +17,9 @@ from covariant.certificates import (
     reduced_order,
 )
 from covariant.models import StateSpace, marine
-from covariant.simulation import Backstepping, set_point
-from scalargraph import LoweringError, change, lower, to_jax
+from covariant.simulation import Backstepping, lissajous
+from scalargraph import LoweringError, lower, to_jax
+from scalargraph.graph import change
 
 
 def with_rule(function):
@@ -167,7 +168,7 @@ def test_the_coupling_of_a_craft_is_that_of_its_transformation():
     def jacobians(transform):
         names = {"coordinates": ("x", "y"), "units": ("m", "m"), "velocities": ("u", "v")}
         craft = marine.Craft(np.eye(2), transform, lambda nu: jnp.eye(2), **names)
-        law = Backstepping(craft, set_point([0.0, 0.0], [0.0, 0.0], 1.0), kp=1.0, kd=1.0, lam=1.0)
+        law = Backstepping(craft, lissajous([0.0, 0.0], [0.0, 0.0], 1.0), kp=1.0, kd=1.0, lam=1.0)
         return feedthrough(law)(jnp.array([0.3, 0.2, 0.5, -0.4]))[0]
 
     np.testing.assert_allclose(jacobians(LIES["custom_jvp"](rotated)), jacobians(rotated), rtol=1e-12)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from systems import ALPHA, BETA, Q, line, verdict
 
-from covariant.certificates import error_bounds, lyapunov, optimal_lyapunov, rate_of
+from covariant.certificates import error_bounds, lyapunov, optimal_lyapunov
+from covariant.certificates.base import rate_of
 
 
 def errors(alpha, beta, force, noise, seconds: float, steps: int, friction=0.0, start=0.3, unmodelled=None):

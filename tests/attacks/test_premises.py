@@ -10,19 +10,10 @@ from jax.experimental import io_callback
 from systems import linear
 
 from covariant import models
-from covariant.certificates import (
-    ErrorSystem,
-    StateMetric,
-    cascade,
-    certify,
-    decay,
-    detectability_rate,
-    falsify,
-    in_coordinates,
-    observability,
-    virtual,
-)
+from covariant.certificates import cascade, certify, decay, falsify, observability, virtual
+from covariant.certificates.base import ErrorSystem, StateMetric, in_coordinates
 from covariant.certificates.base._error_system import Point
+from covariant.certificates.theory import detectability_rate
 from covariant.models import StateSpace
 from covariant.observers import Contracting, Intrinsic
 from scalargraph.proofs import Box, prove_at_corners

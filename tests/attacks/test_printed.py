@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import certificates, models
-from covariant.certificates import Decay, Hypothesis, certify, certify_distance, falsify
-from covariant.certificates.base import _properties, error_system, need_known, need_symmetry
+from covariant import models
+from covariant.certificates import Hypothesis, certify, certify_distance, falsify
+from covariant.certificates.base import Sampling, _properties, error_system, need_known, need_symmetry
 from covariant.certificates.sampled import sampled_system
+from covariant.certificates.theory import Decay
 from covariant.geometry import AbstractSpace, Coordinates, KineticEnergy, Metric, lie
 from covariant.geometry.lie import SO3, LeftInvariant
 from covariant.models import GroupSystem, Lagrangian, MechanicalSystem
@@ -97,7 +98,7 @@ def on_rotations(space) -> MechanicalSystem:
     return MechanicalSystem(space, velocities=("a", "b", "c"), velocity_units=("rad/s",) * 3)
 
 
-SAMPLING = certificates.Sampling(np.array([0.01, 0.01]))
+SAMPLING = Sampling(np.array([0.01, 0.01]))
 SYSTEMS = {"continuous": error_system, "sampled": lambda o, q: sampled_system(o, q, SAMPLING)}
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.0]))
 UNEVEN = {

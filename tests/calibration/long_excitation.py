@@ -7,7 +7,8 @@ from test_excitation import HALF, LIMITS, PLAN, SENSING, TRUTH, family, robot
 from two_links import accelerate, moved
 
 from covariant import models
-from covariant.calibration import FourierMotion, design_excitation, fit_robot, motor_inputs
+from covariant.calibration import design_excitation, fit_robot, motor_inputs
+from covariant.calibration.identification import FourierMotion
 from covariant.calibration.identification._excitation import _compiled, _Problem
 from covariant.calibration.identification._robot_torques import Torques
 from covariant.signals import Record

@@ -8,8 +8,8 @@ import pytest
 from plain import rk4
 
 from covariant import models, scoring
-from covariant.calibration import cut_windows, fit, horizon, prediction_errors, relations
-from covariant.calibration.identification import error_growth, split_windows
+from covariant.calibration import cut_windows, fit, horizon, relations
+from covariant.calibration.identification import error_growth, family_errors, split_windows
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
@@ -144,9 +144,9 @@ def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     right, wrong = (
         family(tmp_path, "mass", "inertia", "viscous", overrides=[f"parameters.gravity={g}"]) for g in (9.81, -9.81)
     )
-    truth = prediction_errors(*right.make(fits[0].values), held_out)
+    truth = family_errors(right, fits[0].values, held_out)
     found = fit(wrong, training)
-    assert error_growth(truth, prediction_errors(*wrong.make(found.values), held_out)) > 3
+    assert error_growth(truth, family_errors(wrong, found.values, held_out)) > 3
     assert not np.allclose(found.values[0], MASS, rtol=0.2)
 
 

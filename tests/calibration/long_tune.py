@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from test_tune import ACCELERATION, MODEL, RATE, STD, STIFFNESS, log, swing
 
-from covariant.calibration import DataSheet, NoiseLevels, gains, tune
+from covariant.calibration import DataSheet, gains, tune
+from covariant.calibration.identification import NoiseLevels
 from covariant.calibration.identification._error_model import error_model, kalman
 from covariant.observers import Intrinsic, IntrinsicForce, IntrinsicKalman, external_force, run
 from covariant.signals import Record

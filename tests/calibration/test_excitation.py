@@ -5,13 +5,8 @@ import pytest
 from two_links import Truth
 
 from covariant import models
-from covariant.calibration import (
-    ExcitationPlan,
-    FourierMotion,
-    JointLimits,
-    Sensing,
-    design_excitation,
-)
+from covariant.calibration import ExcitationPlan, JointLimits, Sensing, design_excitation
+from covariant.calibration.identification import FourierMotion
 from covariant.calibration.identification._fourier import resting_basis
 
 TRUTH = Truth((0.05, 0.02), (0.1, 0.05), (0.02, -0.01), armature=(0.01, 0.004))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.calibration import PredictionErrors, cut_windows, prediction_errors
-from covariant.calibration.identification import error_growth, predicts_worse
+from covariant.calibration import PredictionErrors, cut_windows
+from covariant.calibration.identification import error_growth, machine_errors, predicts_worse
 from covariant.signals import Record
 
 
@@ -19,7 +19,7 @@ def test_outliers_do_not_hide_that_a_model_predicts_worse():
     y[rng.choice(len(t), 12, replace=False)] += 2.0
     record = Record(t, np.zeros((len(t), 1)), y[:, None])
     pieces = cut_windows([record], [-np.sin(t)[:, None]], length=1.0)
-    before, after = (prediction_errors(models.oscillator(stiffness=k), 0.0, pieces) for k in (1.0, 1.05))
+    before, after = (machine_errors([models.oscillator(stiffness=k)], pieces) for k in (1.0, 1.05))
     assert error_growth(before, after) > 1.5
 
 
@@ -32,7 +32,7 @@ def test_bursts_of_outliers_are_refused_in_the_errors_of_predictions():
         y[k : k + 3] += 2.0
     velocity = [-np.sin(t)[:, None]]
     logs = [cut_windows([Record(t, np.zeros((len(t), 1)), each[:, None])], velocity, 1.0) for each in (clean, y)]
-    right, spoiled = (prediction_errors(models.oscillator(stiffness=1.05), 0.0, pieces) for pieces in logs)
+    right, spoiled = (machine_errors([models.oscillator(stiffness=1.05)], pieces) for pieces in logs)
     np.testing.assert_allclose(spoiled.position, right.position, rtol=0.1)
     np.testing.assert_allclose(spoiled.one_step, right.one_step, rtol=0.1)
 

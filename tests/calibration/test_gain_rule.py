@@ -53,11 +53,6 @@ def test_predicted_errors_of_a_sampled_observer_are_those_of_its_runs():
         calibration.predict_sampled_errors(alpha, beta, 0.0, std)
 
 
-def test_constant_acceleration_leaves_the_bias_it_should():
-    error = np.array([[-3.0, 1.0], [-5.0, 0.0]])
-    assert np.allclose(np.linalg.solve(error, [0.0, -2.0]), calibration.steady_state_errors(3.0, 5.0, 2.0))
-
-
 @pytest.mark.parametrize("name", ["measurement_std", "rate", "acceleration_std", "correlation_time", "damping"])
 def test_gains_name_the_number_that_makes_no_sense(name):
     numbers = {"measurement_std": 1.0, "rate": 1.0, "acceleration_std": 1.0, "correlation_time": 1.0, "damping": 1.0}

@@ -6,22 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_contraction import ALPHA, BETA, PAPER, ZERO
+from test_contraction import ALPHA, BETA, PAPER, ZERO, in_frame
 
 from covariant import models
-from covariant.certificates import (
-    contraction_matrix,
-    contraction_rate,
-    error_system,
-    falsify,
-    generalised_jacobian,
-    in_coordinates,
-    in_frame,
-    lower_distance,
-    lyapunov,
-    rate_of,
-    upper_distance,
-)
+from covariant.certificates import contraction_rate, error_system, falsify, lyapunov
+from covariant.certificates.base import contraction_matrix, generalised_jacobian, in_coordinates, rate_of
+from covariant.certificates.theory import lower_distance, upper_distance
 from covariant.geometry import distance, hyperbolic
 from covariant.observers import Intrinsic
 from scalargraph.proofs import Box

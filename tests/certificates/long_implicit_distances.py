@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from test_implicit_distances import BEAM, Surface
 
-from covariant.certificates import DistanceBounds, distance_decay
+from covariant.certificates import distance_decay
+from covariant.certificates.theory import DistanceBounds
 from covariant.certificates.theory._implicit_distances import contracted
 
 SPHERE = Surface(np.cos, lambda r: -np.sin(r), np.ones_like, 1.0)

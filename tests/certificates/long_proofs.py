@@ -10,7 +10,8 @@ import pytest
 from test_proofs import ALPHA, BETA, PAPER, ball_and_beam_region, flat, margin_of
 
 from covariant import models
-from covariant.certificates import Statement, certify, contraction, error_system, falsify, in_coordinates, rate_of
+from covariant.certificates import Statement, certify, contraction, error_system, falsify
+from covariant.certificates.base import in_coordinates, rate_of
 from covariant.geometry import hyperbolic
 from covariant.observers import Intrinsic
 from scalargraph.proofs import Box, _prove, box, prove

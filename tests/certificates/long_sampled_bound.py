@@ -32,16 +32,9 @@ from test_sampled_bound import (
 import covariant
 import scalargraph
 from covariant import models
-from covariant.certificates import (
-    Bounded,
-    ContractionCertificate,
-    Premise,
-    SampledBound,
-    any_configuration,
-    certify,
-    check,
-)
+from covariant.certificates import Bounded, ContractionCertificate, Premise, any_configuration, certify, check
 from covariant.certificates.checking import _check
+from covariant.certificates.sampled import SampledBound
 from covariant.observers import Gated, Intrinsic
 from covariant.signals import StepCode
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import Sampling, certify, check, contraction, correction, sampled_system
+from covariant.certificates import certify, check, contraction, sampled_system
+from covariant.certificates.base import Sampling, correction
 from covariant.certificates.base._inequalities import (
     at_correction,
     in_frame_along,

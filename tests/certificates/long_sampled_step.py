@@ -9,16 +9,8 @@ from test_sampled_step import BOUNDS, RECIPE, Q, pendulum, swing
 
 import covariant
 from covariant import models
-from covariant.certificates import (
-    ContractionCertificate,
-    Sampling,
-    certify,
-    check,
-    check_sample,
-    falsify,
-    sampled_system,
-)
-from covariant.certificates.base import value_graph
+from covariant.certificates import ContractionCertificate, certify, check, check_sample, falsify, sampled_system
+from covariant.certificates.base import Sampling, value_graph
 from covariant.certificates.base._document import parse
 from covariant.certificates.checking import _check
 from covariant.geometry import lie

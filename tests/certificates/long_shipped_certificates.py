@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_shipped_certificates import FOLDER
 
-from covariant.certificates import ContractionCertificate, check, check_sample, follow_estimates
+from covariant.certificates import ContractionCertificate, check, check_sample
 from covariant.certificates.base._inequalities import contraction
 from scalargraph.proofs import PROVED, leaves
 from scalargraph.proofs._enclosure import Expansions
@@ -48,21 +48,6 @@ def test_a_certificate_is_read_as_it_was_written(name):
     assert found.document() == document
     assert (found.statement.verdict, found.statement.evidence, found.verified) == ("holds", "claimed", False)
     assert found.statement.claim.endswith("(read from a file, not verified again)")
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("name", "slowest"), [("heavy_top", 7.0), ("dfki_double_pendulum", 25.0)])
-def test_estimates_from_the_border_of_the_ball_converge_as_certified(name, slowest):
-    certificate = loaded(name)
-    seen = follow_estimates(certificate, 60)
-    np.testing.assert_allclose(seen.high[:, 0], certificate.radius, rtol=1e-9)
-    assert seen.holds
-    assert (seen.high <= seen.bound * (1 + 1e-6)).all()  # more than is proved, of a straight line
-    assert (seen.low > 0.9 * seen.high).all()
-    assert seen.rates.min() > slowest > certificate.rate
-    # Had the certificate promised what most estimates do, it would have been found wrong.
-    faster = certificate.radius * np.exp(-np.median(seen.rates) / 2 * seen.t)
-    assert not seen._replace(bound=faster).holds
 
 
 @pytest.mark.exhaustive

@@ -8,19 +8,10 @@ import pytest
 
 from covariant import models
 from covariant.calibration import contracting_gain
-from covariant.certificates import (
-    Constants,
-    ErrorSystem,
-    StateMetric,
-    cascade,
-    common_metric,
-    contraction,
-    falsify,
-    in_coordinates,
-    observer_gain,
-    virtual,
-)
+from covariant.certificates import cascade, common_metric, contraction, falsify, observer_gain, virtual
+from covariant.certificates.base import ErrorSystem, StateMetric, in_coordinates
 from covariant.certificates.base._error_system import Point
+from covariant.certificates.theory import Constants
 from covariant.certificates.theory._cascade import _constants, _forms, _Search
 from covariant.observers import Contracting
 from covariant.papers.jouffroy_fossen import COUNTEREXAMPLES, Scalar

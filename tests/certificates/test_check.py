@@ -8,15 +8,8 @@ import pytest
 from forging import forged, put, together
 
 from covariant import models
-from covariant.certificates import (
-    CLAIMS,
-    AbstractClaim,
-    certify,
-    check,
-    error_system,
-    parse,
-)
-from covariant.certificates.base import value_graph
+from covariant.certificates import AbstractClaim, certify, check, error_system, parse
+from covariant.certificates.base import CLAIMS, value_graph
 from covariant.certificates.checking import _check, _check_sampled, _matrices, _sample
 from covariant.certificates.checking._saved import observer_from
 from covariant.observers import Intrinsic

@@ -8,6 +8,7 @@ import pytest
 
 import covariant
 from covariant import certificates, models, observers, verbs
+from covariant.certificates.base import Sampling
 from covariant.geometry import Coordinates, Euclidean, KineticEnergy, Leaf, Metric
 from covariant.models import MechanicalSystem
 from scalargraph import lower, numbers
@@ -75,7 +76,7 @@ ENTRIES = {
     "error_system": lambda model: certificates.error_system(observer(model), np.eye(2)),
     "error_system, exact": lambda model: certificates.error_system(observer(model, observers.Geodesic), np.eye(2)),
     "sampled_system": lambda model: certificates.sampled_system(
-        observer(model), np.eye(2), certificates.Sampling(np.array([0.01, 0.01]))
+        observer(model), np.eye(2), Sampling(np.array([0.01, 0.01]))
     ),
     "tangent_metric": lambda model: certificates.tangent_metric(model.space, np.eye(2)),
     "verb certify": lambda model: covariant.certify(model, **VERB, checker="off"),

@@ -27,6 +27,9 @@ from covariant._domains import (
     check_numbers,
     domain_of,
 )
+from covariant.certificates import base
+from covariant.certificates.base import in_coordinates
+from covariant.certificates.theory import bending, detectability_rate, lower_distance, upper_distance
 from covariant.models import StateSpace
 from scalargraph.errors import InputError
 
@@ -55,7 +58,14 @@ def test_a_domain_has_its_numbers_and_no_others(domain):
 
 STUB = ast.parse(Path(str(certificates.__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
 NAMES = [alias.asname for node in STUB.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+INSIDE = (
+    *(base.conditioning, base.contraction_matrix, base.correction, base.error_matrix, base.force_bounds),
+    *(base.generalised_jacobian, in_coordinates, base.noise_disturbance, base.rate_of, base.steady_distance),
+    *(bending, detectability_rate, lower_distance, upper_distance),
+)
+"""Functions of statements that only the room itself uses."""
 FUNCTIONS = {name: f for name in NAMES if inspect.isfunction(f := getattr(certificates, str(name)))}
+FUNCTIONS |= {f.__name__: f for f in INSIDE}
 FUNCTIONS["contracting_gain"] = calibration.contracting_gain
 CHECKED_BY_THEIR_SHAPE = {"position", "input", "q", "metric", "inputs", "times", "t", "x", "noise", "squares"}
 """Arguments that belong to a model, or are functions or matrices: what takes them compares them with it."""
@@ -135,14 +145,14 @@ def test_a_number_outside_of_its_domain_is_refused_by_its_name(place):
 @pytest.mark.parametrize("diagonal", [(-1.0, -1.0), (1.0, -1.0), (0.0, 0.0)])
 def test_what_is_no_metric_measures_nothing(diagonal):
     at, matrix = (jnp.zeros(()), jnp.zeros(2)), jnp.diag(jnp.array(diagonal))
-    measured = certificates.in_coordinates(lambda t, x: matrix)
+    measured = in_coordinates(lambda t, x: matrix)
     model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b"))
     for measure in (
         lambda: certificates.contraction_rate(lambda t, x: -x, measured, *at),
-        lambda: certificates.detectability_rate(model, lambda x: matrix, at[1]),
-        lambda: certificates.bending(model, lambda x: matrix, at[1]),
-        lambda: certificates.upper_distance(measured, *at, jnp.ones(2)),
-        lambda: certificates.lower_distance(measured, *at, jnp.ones(2)),
+        lambda: detectability_rate(model, lambda x: matrix, at[1]),
+        lambda: bending(model, lambda x: matrix, at[1]),
+        lambda: upper_distance(measured, *at, jnp.ones(2)),
+        lambda: lower_distance(measured, *at, jnp.ones(2)),
     ):
         with pytest.raises(InputError, match="must be a number, and is "):
             measure()

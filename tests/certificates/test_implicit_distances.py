@@ -9,7 +9,8 @@ import math
 import numpy as np
 import pytest
 
-from covariant.certificates import DistanceBounds, distance_decay, part_limits
+from covariant.certificates import distance_decay, part_limits
+from covariant.certificates.theory import DistanceBounds
 from covariant.certificates.theory._implicit_distances import contracted
 
 

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.certificates import bending, detectability_rate, observability
+from covariant.certificates import observability
+from covariant.certificates.theory import bending, detectability_rate
 from covariant.models import StateSpace
 
 bends, contracts = eqx.filter_jit(bending), eqx.filter_jit(detectability_rate)

@@ -8,16 +8,8 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import (
-    ErrorSystem,
-    certify,
-    contraction,
-    contraction_matrix,
-    error_system,
-    in_coordinates,
-    lyapunov,
-    tangent_metric,
-)
+from covariant.certificates import certify, contraction, error_system, lyapunov, tangent_metric
+from covariant.certificates.base import ErrorSystem, contraction_matrix, in_coordinates
 from covariant.certificates.base._error_system import Point
 from covariant.certificates.base._region import _inputs
 from covariant.observers import Intrinsic

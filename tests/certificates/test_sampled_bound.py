@@ -11,13 +11,9 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import (
-    Bounded,
-    Premise,
-    SampledBound,
-    certify,
-)
+from covariant.certificates import Bounded, Premise, certify
 from covariant.certificates.base._radius_recursion import Recursion
+from covariant.certificates.sampled import SampledBound
 from covariant.observers import Delayed, Gated, Info, Intrinsic
 from covariant.signals import StepCode
 

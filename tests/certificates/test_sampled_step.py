@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import (
-    Sampling,
-    certify,
-)
-from covariant.certificates.base import UNPROVED, Given, PredictionClaim, Setting, StartClaim
+from covariant.certificates import certify
+from covariant.certificates.base import UNPROVED, Given, PredictionClaim, Sampling, Setting, StartClaim
 from covariant.certificates.base._radius_recursion import Recursion
 from covariant.observers import Intrinsic
 from scalargraph.proofs import Field

@@ -15,6 +15,7 @@ from covariant import certificates, models, verbs
 from covariant.certificates.base import StartClaim
 from covariant.certificates.checking import _check
 from covariant.observers import Intrinsic
+from covariant.verbs._certify import CertifyResult
 from scalargraph import proofs
 from scalargraph.proofs import digest
 
@@ -43,9 +44,9 @@ def test_the_file_is_the_certificate(proved):
 
 def test_for_a_person_angles_are_in_degrees_too(certificate):
     found, proved = certificate
-    assert str(verbs.CertifyResult("", found, "")).startswith("PROVED: any estimate that starts within ")
+    assert str(CertifyResult("", found, "")).startswith("PROVED: any estimate that starts within ")
     found = found._replace(claims=tuple(claim for claim in found.claims if not isinstance(claim, StartClaim)))
-    text = str(verbs.CertifyResult("pendulum.toml", found, "Given gains."))
+    text = str(CertifyResult("pendulum.toml", found, "Given gains."))
     # The first line says what it means in degrees, from the tube's half widths alone, which are no set of starts.
     verdict, _, text = text.partition("\n\n")
     assert verdict.startswith("PROVED: any estimate in the tube stays in it, so within ")

@@ -9,7 +9,8 @@ import pytest
 from commands import command, refused
 
 from covariant import logs, models
-from covariant.calibration import HeldOut, NoiseLevels, Tuning
+from covariant.calibration import HeldOut, Tuning
+from covariant.calibration.identification import NoiseLevels
 from covariant.observers import Intrinsic
 from covariant.verbs.base.aligned import aligned
 from covariant.verbs.base.inputs import Job

@@ -8,6 +8,7 @@ import pytest
 from commands import command, leave, refused
 
 from covariant import certificates, models
+from covariant.certificates.base import CLAIMS, Given
 from scalargraph import proofs
 
 PENDULUM = """
@@ -21,7 +22,7 @@ GAINS = ("--alpha", "10", "--beta", "50")
 REGION = ("--box", "q1=-1:1", "--velocity", "2", "--error", "0.1", "--input", "0.5")
 ONE = ("--processes", "1")
 
-QUIET = certificates.Given(*np.zeros((2, 2, 1)), np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))
+QUIET = Given(*np.zeros((2, 2, 1)), np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))
 """No noise."""
 
 
@@ -70,7 +71,7 @@ def unproved(verdict: str):
         proof = proofs.Proof(verdict, domain, levels, wrong, np.zeros((1, 2, 4)), 5, 0.1)
         premises = (certificates.Hypothesis("they shrink everywhere", "proved", verdict),)
         statement = certificates.Statement("squared lengths shrink", (), premises, 1.0, str(domain))
-        claims = (certificates.CLAIMS["contraction"](proof),)
+        claims = (CLAIMS["contraction"](proof),)
         return certificates.ContractionCertificate(
             statement, 1.0, 0.0, observer, q, about, domain, np.ones(1), QUIET, claims, None
         )

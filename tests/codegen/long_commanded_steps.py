@@ -9,7 +9,8 @@ from test_commanded_steps import arm, file
 
 import covariant
 from covariant import models
-from covariant.observers import ActingInputs, ModelCopy, needed_substeps, run
+from covariant.observers import ActingInputs, ModelCopy, run
+from covariant.observers.base import needed_substeps
 
 SETTLED = 25
 """Rows at the start that do not count."""

@@ -8,7 +8,7 @@ from test_python_control import control
 from covariant import codegen, models
 from covariant.models import marine, state_space
 from covariant.observers import Contracting, craft_observer
-from covariant.simulation import Backstepping, observe, set_point, simulate
+from covariant.simulation import Backstepping, lissajous, observe, simulate
 
 
 @pytest.mark.exhaustive
@@ -38,7 +38,7 @@ def test_plant_and_observer_interconnected_follow_the_librarys_own(control):
 def test_closed_loop_is_the_librarys_own(control):
     ship = marine.cybership()
     model = state_space(ship)
-    controller = Backstepping(ship, set_point([0.0, 0.0, 0.0], [1.0, 0.5, 0.4], 0.8), 20.0, 40.0, 0.5)
+    controller = Backstepping(ship, lissajous([0.0, 0.0, 0.0], [1.0, 0.5, 0.4], 0.8), 20.0, 40.0, 0.5)
     observer = craft_observer(ship, np.eye(3), 30.0 * np.eye(3))
     x0 = np.array([0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
     loop = codegen.closed_loop(model, observer, controller, x0[:3])

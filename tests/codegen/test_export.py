@@ -23,7 +23,6 @@ from covariant.codegen import (
     Facts,
     Program,
     Recipe,
-    Vectors,
     _data_sheet,
     check_export_name,
     export_name,
@@ -35,6 +34,7 @@ from covariant.codegen import (
     with_open_numbers,
     write_folder,
 )
+from covariant.codegen._vectors import Vectors
 from covariant.geometry import Budget, Interpolated
 from covariant.models import robots
 

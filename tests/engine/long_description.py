@@ -12,10 +12,9 @@ from test_description import MODELS, cached, key_of, tuned
 
 from covariant import models, observers
 from covariant.codegen import trace_program
-from covariant.engine import KernelForm
 from covariant.engine._cache import cache_key
 from covariant.engine._description import description_key
-from covariant.engine._kernel import _KernelKey
+from covariant.engine._kernel import KernelForm, _KernelKey
 from covariant.engine._layout import Layout
 from covariant.engine._numbers import open_numbers
 

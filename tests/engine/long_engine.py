@@ -14,8 +14,9 @@ import pytest
 from test_engine import RATE, gated, parts, pendulum, record
 
 from covariant import models, observers
-from covariant.engine import FEWEST_ROWS, KernelForm, Stream, _choice, _log, choose, run_log, run_logs
-from covariant.engine._kernel import _prepared, prepared
+from covariant.engine import Stream, _choice, _log, choose, run_log, run_logs
+from covariant.engine._choice import FEWEST_ROWS
+from covariant.engine._kernel import KernelForm, _prepared, prepared
 from covariant.observers import run
 from covariant.signals import Record, StepCode
 

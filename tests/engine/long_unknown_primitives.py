@@ -11,7 +11,9 @@ from jax.extend import core
 from jax.interpreters import ad, batching, mlir
 
 from covariant import models, observers
-from covariant.engine import FEWEST_ROWS, KernelForm, choose, run_log
+from covariant.engine import choose, run_log
+from covariant.engine._choice import FEWEST_ROWS
+from covariant.engine._kernel import KernelForm
 from covariant.signals import Record
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")

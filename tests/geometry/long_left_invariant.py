@@ -10,6 +10,7 @@ from test_left_invariant import GROUPS, SAMPLES, close, inertias, make_space, sp
 
 from covariant import geometry
 from covariant.geometry import lie
+from covariant.geometry._geodesics import Transported
 from covariant.signals import StepCode
 
 
@@ -50,7 +51,7 @@ class Flights(NamedTuple):
     inertia: np.ndarray
     velocity: np.ndarray
     w: np.ndarray
-    end: geometry.Transported
+    end: Transported
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from test_shooting import BUDGET, NUMERIC, SPHERE, P, Q, close, shoot
 
 from covariant import geometry, models
 from covariant.geometry import Budget, Metric, _geodesics
+from covariant.geometry._functions import norm
 from covariant.geometry._geodesics import conjugate_points
 from covariant.geometry.lie import SO3
 from covariant.models import ball_and_beam
@@ -19,7 +20,7 @@ shoot_hyperbolic = jax.jit(lambda p, q: geometry.shoot(Metric(geometry.hyperboli
 def the_long_way(p, q):
     """Velocity of the geodesic that leaves q behind it and reaches it round the sphere."""
     log = geometry.log(SPHERE, p, q)
-    return log * (1 - 2 * np.pi / geometry.norm(SPHERE, p, log))
+    return log * (1 - 2 * np.pi / norm(SPHERE, p, log))
 
 
 @pytest.mark.exhaustive
@@ -85,7 +86,7 @@ def conjugates(metric, p, velocities):
 def test_conjugate_points_are_counted_with_multiplicity(n):
     """On the n-sphere n − 1 at every half turn."""
     p, direction = jnp.array([[0.3, -0.4, 0.2], [0.6, 0.8, -0.5]])[:, :n]
-    unit = direction / geometry.norm(SPHERE, p, direction)
+    unit = direction / norm(SPHERE, p, direction)
     lengths = [0.0, 1.0, np.pi - 0.01, np.pi + 0.01, 2 * np.pi - 0.01, 2 * np.pi + 0.01]
     counts = conjugates(SPHERE, p, jnp.stack([length * unit for length in lengths]))
     assert counts == [0, 0, 0, n - 1, n - 1, 2 * (n - 1)]
@@ -207,4 +208,4 @@ def test_fixed_budget_reports_what_it_left():
     shot, end = there(P, near)
     assert shot.result == StepCode.OK
     assert 0 < shot.residual < 1e-3
-    close(shot.residual, geometry.norm(SPHERE, near, near - end), 1e-12)
+    close(shot.residual, norm(SPHERE, near, near - end), 1e-12)

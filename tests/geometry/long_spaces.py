@@ -8,7 +8,8 @@ from test_spaces import close, derived, form
 
 from covariant import geometry
 from covariant.geometry import Budget, Metric
-from covariant.geometry._spaces import _NEAR
+from covariant.geometry._functions import norm
+from covariant.geometry._spaces import _NEAR, ConstantCurvature
 
 
 @pytest.mark.exhaustive("plane, curved chart", "sphere x hyperbolic")
@@ -70,7 +71,7 @@ CURVATURES = [(1.0, 2), (-1.0, 3), (4.0, 3), (-0.25, 2)]
 def flights(k, n, lengths):
     """A base point of order one in the chart, and velocities of each length in radii."""
     p, direction = jnp.array([[0.3, -0.4, 0.2], [0.6, 0.7, -0.5]])[:, :n] / np.sqrt(abs(k))
-    unit = direction / geometry.norm(geometry.ConstantCurvature(k), p, direction) / np.sqrt(abs(k))
+    unit = direction / norm(ConstantCurvature(k), p, direction) / np.sqrt(abs(k))
     return p, jnp.asarray(lengths)[:, None] * unit[None]
 
 
@@ -87,7 +88,7 @@ def test_exp_is_that_of_the_quadric_on_both_sides_of_the_seam(k, n):
     """Value and Jacobian; the series leaves out terms of 1e-16 and 1e-11 of them."""
 
     def mine(p, v):
-        return geometry.exp(geometry.ConstantCurvature(k), p, v)
+        return geometry.exp(ConstantCurvature(k), p, v)
 
     def theirs(p, v):
         return quadric_exp(k, p, v)
@@ -103,7 +104,7 @@ def test_log_is_that_of_the_quadric_on_both_sides_of_the_seam(k, n):
     """Value and Jacobian; the quadric's own rounding, relative to the length 6e-3 of the seam, is 1e-14 and 1e-10."""
 
     def mine(p, q):
-        return geometry.log(geometry.ConstantCurvature(k), p, q)
+        return geometry.log(ConstantCurvature(k), p, q)
 
     def theirs(p, q):
         return quadric_log(k, p, q)
@@ -123,7 +124,7 @@ def test_geodesic_goes_on_round_the_sphere(turn):
     """Through the antipode, back to the start and beyond, where no shortest geodesic follows."""
     sphere, derived, w = geometry.sphere(), Metric(geometry.sphere()), jnp.array([[0.7, 0.2, -0.5]])
     p, direction = jnp.array([[0.3, -0.4, 0.2], [0.6, 0.8, -0.5]])
-    unit = direction / geometry.norm(sphere, p, direction)
+    unit = direction / norm(sphere, p, direction)
 
     @jax.jit
     @jax.vmap
@@ -141,7 +142,7 @@ def test_geodesic_goes_on_round_the_sphere(turn):
 def test_exp_and_log_near_the_edge_of_the_ball(length):
     """The chart resolves the distance to the edge, `e^-length`, to 1e-16."""
     plane, p, direction = geometry.hyperbolic(), jnp.array([0.1, 0.2]), jnp.array([0.6, 0.8])
-    velocity = length * direction / geometry.norm(plane, p, direction)
+    velocity = length * direction / norm(plane, p, direction)
     there = geometry.log(plane, p, geometry.exp(plane, p, velocity))
     close(there, velocity, 1e-15 * np.exp(length))
 

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from covariant import geometry
-from covariant.geometry import Budget, Metric, Shot
+from covariant.geometry import Budget, Metric
+from covariant.geometry._functions import inner
+from covariant.geometry._geodesics import Shot
 from covariant.signals import StepCode
 
 EXACT = 1e-10
@@ -66,7 +68,7 @@ def test_curvature_is_constant(make, sign, radius, form):
     """`R(x, y)z = K(<y, z>x − <x, z>y)`: positive on a sphere."""
     q, x, y, z = jnp.asarray(np.random.default_rng(0).normal(size=(4, 3)) * np.array([[0.3], [1.0], [1.0], [1.0]]))
     metric = make(radius)
-    expected = sign / radius**2 * (geometry.inner(metric, q, y, z) * x - geometry.inner(metric, q, x, z) * y)
+    expected = sign / radius**2 * (inner(metric, q, y, z) * x - inner(metric, q, x, z) * y)
     close(geometry.curvature(form(metric), q, x, y, z), expected)
 
 

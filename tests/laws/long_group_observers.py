@@ -13,9 +13,11 @@ from test_group_observers import CASES, OBSERVERS, system
 
 from covariant.geometry import Budget
 from covariant.geometry.lie import SO3
-from covariant.models import Lagrangian, Motion, acceleration, chart_velocity, free_body, heavy_top, in_chart
+from covariant.models import Lagrangian, Motion, acceleration, free_body, heavy_top, in_chart
+from covariant.models._in_chart import chart_velocity
 from covariant.models.marine import euler_rotation
-from covariant.observers import Geodesic, GeodesicState, Intrinsic
+from covariant.observers import Geodesic, Intrinsic
+from covariant.observers.constant_gain import GeodesicState
 from covariant.papers._errata import PrintedGroup
 from covariant.simulation import observe
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from covariant._integrate import rk8
-from covariant.geometry import Budget, christoffel, curvature, exp, gradient, inner
+from covariant.geometry import Budget, christoffel, curvature, exp
+from covariant.geometry._functions import gradient, inner
 from covariant.signals import StepCode
 
 POINTWISE = 1e-11

@@ -11,6 +11,7 @@ from commands import leave
 
 import covariant
 from covariant import many
+from covariant.many._over_logs import LogsResult
 from covariant.verbs.base.among_logs import LogRow, among_logs
 from scalargraph.errors import file_name
 
@@ -167,7 +168,7 @@ def test_a_clock_a_percent_fast_is_odd_and_a_short_or_idle_log_is_not():
         rows[k].row["rate"] = 247.5
     rows[0].row.update(rows=2.0, nis=30.0)
     rows[1].row.update(verdict="too little motion", notes="too little motion", wrong="")
-    result = many.LogsResult("check", "oscillator", rows)
+    result = LogsResult("check", "oscillator", rows)
     assert result.warnings == (
         "IDLE 1 of 40 logs, which move too little: arm1/log0.csv",
         "ODD rate in 4 of 39 logs (247.5, median 250): all 4 of arm7",
@@ -179,7 +180,7 @@ def test_a_clock_a_percent_fast_is_odd_and_a_short_or_idle_log_is_not():
 def test_a_page_has_a_thousand_rows_and_says_where_the_others_are(tmp_path):
     rows = [LogRow(f"log{k}.csv", {"rows": 10.0}) for k in range(1200)]
     rows[1100].row["failed"] = "no rows"
-    many.LogsResult("estimate", "oscillator", rows).report(tmp_path / "page.html")
+    LogsResult("estimate", "oscillator", rows).report(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("<td>log") == 1000
     assert "200 more logs are in the table" in page

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from test_laws import AT_REST, CASES, SHARES, STEP, TIME, distances, found, stationary_information, windows
 
-from covariant.metrics import Equation, metric_at, metric_through, window_at
+from covariant.metrics import Equation, metric_at, metric_through
+from covariant.metrics._window import window_at
 from covariant.signals import StepCode
 
 

@@ -11,7 +11,9 @@ import pytest
 from scipy import linalg
 
 from covariant import models
-from covariant.metrics import Equation, Solution, Window, metric_at, window_at
+from covariant.metrics import Equation, metric_at
+from covariant.metrics._solution import Solution
+from covariant.metrics._window import Window, window_at
 from covariant.models import StateSpace
 
 TIME = jnp.zeros(())

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.metrics import Equation, Window, high_gain, metric_at, metric_through, reconstructibility, spd_distance
+from covariant.metrics import Equation, high_gain, metric_at, metric_through, spd_distance
+from covariant.metrics._solution import reconstructibility
+from covariant.metrics._window import Window
 from covariant.models import StateSpace
 
 OSCILLATOR, OTHER = models.unknown_frequency(), models.van_der_pol()

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from test_ball_and_beam import R, each
 
-from covariant.geometry import curvature, inner
+from covariant.geometry import curvature
+from covariant.geometry._functions import inner
 from covariant.models import ball_and_beam
 
 X, Y, Z = jnp.array([[0.3, -0.5], [1.1, 0.2], [-0.4, 0.9]])

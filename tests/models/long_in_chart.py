@@ -8,7 +8,8 @@ from test_in_chart import CHAIN, braked, wavy
 
 from covariant import models
 from covariant.geometry.lie import SE2, SO3
-from covariant.models import chart_jacobian, chart_velocity, in_chart
+from covariant.models import in_chart
+from covariant.models._in_chart import chart_jacobian, chart_velocity
 from covariant.models.marine import euler_rotation
 
 

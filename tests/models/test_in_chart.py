@@ -6,7 +6,8 @@ import pytest
 
 from covariant import models
 from covariant.geometry.lie import SO3
-from covariant.models import GroupSystem, Lagrangian, chart_jacobian, in_chart
+from covariant.models import GroupSystem, Lagrangian, in_chart
+from covariant.models._in_chart import chart_jacobian
 from covariant.models.marine import euler_rates, euler_rotation
 
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))

@@ -9,7 +9,8 @@ from hypothesis import given, strategies as st
 
 from covariant import geometry, models
 from covariant.geometry.lie import SO3, LeftInvariant
-from covariant.models import Lagrangian, acceleration, check_model, energy, friction, source
+from covariant.models import Lagrangian, acceleration, energy, friction, source
+from covariant.models._mechanical import check_model
 
 TIME = jnp.zeros(())
 

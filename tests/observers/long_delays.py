@@ -11,7 +11,6 @@ from covariant.engine import run_log
 from covariant.models import MechanicalSystem, Motion, free_body, oscillator, pendulum_chain
 from covariant.observers import (
     EKF,
-    Damped,
     Delayed,
     FilteredDerivative,
     Intrinsic,
@@ -255,22 +254,6 @@ def test_what_is_estimated_along_is_that_of_the_stamp_and_not_of_the_reading():
     for name, value in told.items():
         np.testing.assert_allclose(getattr(info, name), value, rtol=1e-12)
     assert info.slow_std[0] > 1.02 * inner.deviations(state.known)["slow_std"][0]
-
-
-@pytest.mark.exhaustive
-def test_an_offset_that_is_estimated_along_is_the_latest_one():
-    """A sample that arrives late changes it, and so do the readings after that sample."""
-    inner = Damped(Intrinsic(oscillator(), alpha=4.0, beta=8.0), tachometer([0], 0.01), damping=5.0, bias_gain=0.2)
-    observer = Delayed(inner, 0.0, 100.0, lateness=0.1)
-    t = 0.01 * np.arange(20)
-    y = np.column_stack([np.cos(t), 0.2 - np.sin(t)])
-    state = observer.init(jnp.asarray(y[0]), 0.0)
-    step = eqx.filter_jit(lambda state, y: observer.step(state, jnp.zeros(1), y, 0.01))
-    for k in range(1, 20):
-        state, _ = step(state, jnp.full(2, jnp.nan) if k == 14 else jnp.asarray(y[k]))
-    state, info = observer.late(state, jnp.asarray(y[14]), t[14])
-    np.testing.assert_array_equal(info.bias, state.now.bias)
-    assert info.result == StepCode.OK
 
 
 @pytest.mark.exhaustive

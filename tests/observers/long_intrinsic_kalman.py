@@ -15,7 +15,8 @@ from test_intrinsic_kalman import double_pendulum, isotropic
 from covariant import models
 from covariant.geometry import Budget
 from covariant.geometry.lie import SO3
-from covariant.models import Lagrangian, Motion, Parametric, chart_jacobian, chart_velocity, in_chart
+from covariant.models import Lagrangian, Motion, Parametric, in_chart
+from covariant.models._in_chart import chart_jacobian, chart_velocity
 from covariant.models.marine import euler_rotation
 from covariant.observers import IntrinsicKalman
 from covariant.signals import StepCode

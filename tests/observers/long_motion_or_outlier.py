@@ -12,19 +12,8 @@ from test_motion_or_outlier import CHAIN, NOISE, ROD
 
 from covariant.geometry.lie import SE3
 from covariant.models import GroupSystem, Lagrangian, Motion, advance, free_body
-from covariant.observers import (
-    EKF,
-    UKF,
-    Gate,
-    Gated,
-    GateMemory,
-    Intrinsic,
-    IntrinsicKalman,
-    JointKalman,
-    Sample,
-    Velocity,
-    run,
-)
+from covariant.observers import EKF, UKF, Gate, Gated, Intrinsic, IntrinsicKalman, JointKalman, run
+from covariant.observers.base import GateMemory, Sample, Velocity
 from covariant.signals import Record, StepCode
 
 

@@ -27,6 +27,7 @@ from test_riccati_observer import (
 
 from covariant import geometry, models
 from covariant._integrate import rk8
+from covariant.geometry._functions import norm
 from covariant.metrics import Equation, RiccatiMetric
 from covariant.models import StateSpace
 from covariant.observers import Estimate, InformationEKF, Riccati, run
@@ -85,7 +86,7 @@ def observed(rate, error, t):
     metric, x0 = analytic_metric(rate), jnp.array([1.0, 0.0, 1.0])
     start = Estimate(x0 + error, ZERO)
     x, state = observe(OSCILLATOR, Riccati(OSCILLATOR, metric, start.x), x0, start, t, rtol=1e-12, atol=1e-15)
-    return jax.vmap(lambda a, b: geometry.norm(metric, (a + b) / 2, a - b))(x, state.x)
+    return jax.vmap(lambda a, b: norm(metric, (a + b) / 2, a - b))(x, state.x)
 
 
 def test_with_a_gain_of_one_half_it_is_the_stationary_kalman_filter():

@@ -9,6 +9,7 @@ from test_sampled import LENGTH, LOOPS, PLAIN, X0, codes, record
 
 from covariant import geometry
 from covariant._integrate import rk8
+from covariant.geometry._functions import norm
 from covariant.models import Lagrangian, pendulum_chain
 from covariant.observers import EKF, Geodesic, ImplicitGeodesic, Intrinsic, ModelCopy, SavitzkyGolay, run
 from covariant.observers.base._sampled import predict
@@ -171,7 +172,7 @@ def test_what_a_step_leaves_of_the_geodesic_leads_from_the_measurement_to_the_ne
     after, info = jax.jit(observer.step)(state, u, y, jnp.array(0.1))
     left = geometry.log(CURVED.metric, y, after.q)
     np.testing.assert_allclose(after.log, left, rtol=0, atol=1e-13)
-    assert 0.5 < geometry.norm(CURVED.metric, y, left) / info.distance < 0.9
+    assert 0.5 < norm(CURVED.metric, y, left) / info.distance < 0.9
 
 
 def hand_written(observer, record):

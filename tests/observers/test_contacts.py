@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant.certificates import JumpGrowth, dwell_time, jump_growth
+from covariant.certificates import dwell_time, jump_growth
+from covariant.certificates.theory import JumpGrowth
 from covariant.geometry import Metric
 from scalargraph.errors import InputError
 

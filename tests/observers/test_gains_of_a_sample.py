@@ -11,8 +11,9 @@ from scipy.linalg import expm
 
 from covariant.geometry import Euclidean
 from covariant.models import Motion, oscillator
-from covariant.observers import IntrinsicForce, IntrinsicForceState
+from covariant.observers import IntrinsicForce
 from covariant.observers.base._sampled import LONGEST_GAP, sampled_correction, sampled_force_gains, sampled_gains
+from covariant.observers.constant_gain import IntrinsicForceState
 
 gains, force_gains = jax.jit(sampled_gains), jax.jit(sampled_force_gains)
 

@@ -8,12 +8,8 @@ import jax.numpy as jnp
 import pytest
 
 from covariant.models import pendulum_chain
-from covariant.observers import (
-    Gate,
-    GateMemory,
-    Sample,
-    Velocity,
-)
+from covariant.observers import Gate
+from covariant.observers.base import GateMemory, Sample, Velocity
 
 NOISE = 1e-3
 ROD, CHAIN = pendulum_chain((1.0,), (0.5,)), pendulum_chain((1.0, 0.7), (0.5, 0.4))

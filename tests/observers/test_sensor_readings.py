@@ -14,8 +14,7 @@ from plants import (
 )
 
 from covariant import observers
-from covariant.engine import KernelForm
-from covariant.engine._kernel import _KernelKey
+from covariant.engine._kernel import KernelForm, _KernelKey
 from covariant.models import robots
 from covariant.observers import Delayed, FixedLag, IntrinsicKalman, Sensor
 

@@ -10,6 +10,7 @@ import pytest
 from covariant.certificates import contraction, crossed_metric, feedthrough, virtual
 from covariant.models import marine
 from covariant.papers import jouffroy_fossen as paper
+from covariant.report import write_article
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +172,7 @@ def test_page_and_words_come_from_the_numbers(reproduced, tmp_path):
     assert "Mt holds" in words
     picture = tmp_path / "empty.png"
     paper.draw_odin(paper.odin_loop(), picture)
-    page = paper.write_page(reproduced, (picture, picture), tmp_path / "page.html")
+    page = write_article(paper.TITLE, paper.page(reproduced, (picture, picture)), tmp_path / "page.html")
     text = page.read_text(encoding="utf-8")
     assert "ODIN under output feedback" in text
     assert "extended Kalman filter" in text

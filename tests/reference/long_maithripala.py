@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from covariant.papers import maithripala
+from covariant.report import write_article
 
 
 @pytest.fixture(scope="module")
@@ -55,5 +56,5 @@ def test_everything_is_ready_for_json(results):
 @pytest.mark.exhaustive
 def test_page_and_figures_are_written(results, tmp_path):
     figures = maithripala.draw(tmp_path / "top.png")
-    page = maithripala.write_page(results, figures, tmp_path / "top.html")
+    page = write_article(maithripala.TITLE, maithripala.page(results, figures), tmp_path / "top.html")
     assert all(path.stat().st_size > 10_000 for path in (*figures, page))

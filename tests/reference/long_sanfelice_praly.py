@@ -96,8 +96,9 @@ def test_summary_and_page_say_what_was_found(tmp_path):
         "prior": {"riccati": 0.017, "ekf": 0.0076},
     }
     figure = save_figure(new_figure()[0], tmp_path / "figure.png")
-    text = sanfelice_praly.write_page(results, (figure, figure), tmp_path / "page.html").read_text(encoding="utf-8")
-    assert text.count("data:image/png") == 2
+    blocks = sanfelice_praly.page(results, (figure, figure))
+    assert blocks.count(figure) == 2
+    text = str(blocks)
     lines = sanfelice_praly.summary(results)
     for number in ("0.0906", "0.000955", "6.59", "2.0e-11", "0.500 (-0.600)", "local only", "2.4e-13", "0.0076"):
         assert number in text

@@ -5,9 +5,7 @@ import pytest
 
 from covariant import models
 from covariant.certificates import (
-    CLAIMS,
     ContractionCertificate,
-    Given,
     Hypothesis,
     Statement,
     error_system,
@@ -16,6 +14,7 @@ from covariant.certificates import (
     trade_off,
     trajectories,
 )
+from covariant.certificates.base import CLAIMS, Given
 from covariant.observers import Intrinsic
 from covariant.report import _certificate, draw_certificate, new_figure
 from scalargraph.proofs import Box, Proof

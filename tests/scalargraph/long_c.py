@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from test_c import COMPILER, compiled, in_lanes
 
-from scalargraph import LoweringError, lower, numbers, simplified
+from scalargraph import LoweringError, lower, numbers
+from scalargraph.c import simplified
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler, `cc`")
 

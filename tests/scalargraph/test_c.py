@@ -11,19 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scalargraph import (
-    FOLD,
-    Graph,
-    Lowered,
-    LoweringError,
-    c_function,
-    c_helpers,
-    c_number,
-    c_rows,
-    lower,
-    numbers,
-    simplified,
-)
+from scalargraph import FOLD, Graph, Lowered, LoweringError, c_function, c_helpers, c_number, c_rows, lower, numbers
+from scalargraph.c import simplified
 
 FLAGS = "-std=c99 -O1 -Wall -Wextra -Wpedantic -Wconversion -Wdouble-promotion -Werror -ffp-contract=off"
 TYPES = {"double": np.float64, "float": np.float32}

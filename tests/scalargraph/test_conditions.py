@@ -5,19 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scalargraph import (
-    NUMBERS,
-    Derivative,
-    Graph,
-    LoweringError,
-    enclose,
-    evaluate,
-    expand,
-    fulfilled,
-    lower,
-    numbers,
-    substitute,
-)
+from scalargraph import Graph, LoweringError, enclose, evaluate, expand, fulfilled, lower, numbers
+from scalargraph.graph import NUMBERS, Derivative, substitute
 
 
 def everywhere(function, low, high):

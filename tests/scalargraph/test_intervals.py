@@ -16,8 +16,8 @@ from hypothesis import given, strategies as st
 from test_lowering import FUNCTIONS
 
 import scalargraph
-from scalargraph import INTERVALS, Interval, Truth, enclose, lower
-from scalargraph.intervals import _intervals as intervals, _points as points
+from scalargraph import Interval, enclose, lower
+from scalargraph.intervals import INTERVALS, Truth, _intervals as intervals, _points as points
 
 U = 2.0**-53
 BATCH = 400 * max(1, int(os.environ.get("COVARIANT_ATTACKS", "12")) // 12)
@@ -573,7 +573,7 @@ def test_a_slope_at_a_kink_is_all_between_both_sides():
 
 
 def test_each_operation_has_an_interval():
-    assert set(INTERVALS) == set(EXACTLY) == set(scalargraph.NUMBERS)
+    assert set(INTERVALS) == set(EXACTLY) == set(scalargraph.graph.NUMBERS)
 
 
 CHOSEN = [

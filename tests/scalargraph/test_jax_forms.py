@@ -13,7 +13,8 @@ from jax.core import ShapedArray
 from jax.extend import core
 from jax.interpreters import mlir
 
-from scalargraph import LoweringError, While, equations, lower, numbers
+from scalargraph import LoweringError, lower, numbers
+from scalargraph.graph import While, equations
 from scalargraph.graph._jax_forms import (
     REPLACED,
     Branch,

@@ -10,18 +10,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import scalargraph
-from scalargraph import (
-    LoweringError,
-    equations,
-    evaluate_batch,
-    expand,
-    lower,
-    numbers,
-    on_batches,
-    operations,
-    pairs,
-    stumpff,
-)
+from scalargraph import LoweringError, evaluate_batch, expand, lower, numbers, on_batches, operations, stumpff
+from scalargraph.graph import NUMBERS, equations, pairs
 from scalargraph.graph._constants import compute, padded, part_at, updated_at
 from scalargraph.graph._loops import MOST_UNROLLED
 
@@ -231,7 +221,7 @@ def test_known_numbers_are_folded_zeros_pruned_and_equal_parts_shared():
 
 
 def test_each_operation_has_a_number_and_folds_like_it():
-    assert set(scalargraph.NUMBERS) == {*scalargraph.FOLD, "constant"}
+    assert set(NUMBERS) == {*scalargraph.FOLD, "constant"}
     samples = {"acosh": (1.5,), "select": (True, 0.3, 0.4), "and": (True, False), "or": (True, False), "not": (True,)}
     samples |= {"either": (0.3, -0.7, 1.0, 2.0), "stumpff": (3.0, 0.7)}
     for op, fold in scalargraph.FOLD.items():
@@ -240,7 +230,7 @@ def test_each_operation_has_a_number_and_folds_like_it():
         folded = graph.nodes[graph.apply(op, *map(graph.constant, arguments))]
         assert folded.op == "constant"
         with np.errstate(all="ignore"):
-            np.testing.assert_array_equal(folded.value, scalargraph.NUMBERS[op](*arguments), err_msg=op)
+            np.testing.assert_array_equal(folded.value, NUMBERS[op](*arguments), err_msg=op)
 
 
 BINARY = ["add", "sub", "mul", "div", "min", "max", "pow", "atan2"]
@@ -264,8 +254,8 @@ def test_simplified_graphs_have_the_values_of_plain_ones(program):
     symbolic = build(lambda graph, i: graph.input(i))
     folded = build(lambda graph, i: graph.constant(values[i]))
     with np.errstate(all="ignore"):
-        found = np.array(scalargraph.evaluate(symbolic, scalargraph.NUMBERS, list(values)), float)
-        expected = np.array(scalargraph.evaluate(folded, scalargraph.NUMBERS, list(values)), float)
+        found = np.array(scalargraph.evaluate(symbolic, NUMBERS, list(values)), float)
+        expected = np.array(scalargraph.evaluate(folded, NUMBERS, list(values)), float)
     # Where plain arithmetic leaves the real numbers, the rules of real numbers say nothing.
     real = np.isfinite(expected)
     clean = np.logical_and.accumulate(real)
@@ -335,7 +325,7 @@ def test_a_batch_goes_through_at_once_and_a_wrong_number_of_inputs_does_not():
     np.testing.assert_array_equal(found["a"], x)
     assert found["b"].shape == (2, 3)
     with pytest.raises(ValueError, match="4 inputs; got 3"):
-        scalargraph.evaluate(graph, scalargraph.NUMBERS, [1.0, 2.0, 3.0])
+        scalargraph.evaluate(graph, NUMBERS, [1.0, 2.0, 3.0])
 
 
 PADDINGS = (((1, 2, 0), (0, 0, 1)), ((-1, 1, 2), (0, -1, 0)), ((2, -2, 1), (-1, 2, 2)))

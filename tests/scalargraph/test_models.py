@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from scalargraph import lower, numbers, pairs
+from scalargraph import lower, numbers
+from scalargraph.graph import pairs
 from scalargraph.proofs import _enclosure, _models, box, prove
 from scalargraph.proofs._models import TaylorModel, polynomials
 

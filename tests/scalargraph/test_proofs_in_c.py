@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
 
-from scalargraph import Enclosure
+from scalargraph.intervals import Enclosure
 from scalargraph.proofs import box, prove
 from scalargraph.proofs._definite import definite, weights
 from scalargraph.proofs._enclosure import enclosed_by

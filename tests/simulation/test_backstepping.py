@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from covariant.models import marine
-from covariant.simulation import Backstepping, follow, lissajous, set_point
+from covariant.simulation import Backstepping, follow, lissajous
 
 
 def test_damping_compensated_at_the_wanted_velocity_still_takes_energy():
@@ -22,18 +22,6 @@ def test_follow_differentiates_the_path():
     at = path(jnp.asarray(0.5))
     np.testing.assert_allclose(at.velocity, [0.75, 2 * np.cos(1.0)], rtol=1e-12)
     np.testing.assert_allclose(at.acceleration, [3.0, -4 * np.sin(1.0)], rtol=1e-12)
-
-
-def test_set_point_begins_and_ends_at_rest_and_its_derivatives_are_those_of_its_position():
-    path = set_point([0.0, 1.0], [2.0, -1.0], [0.5, 1.0], begin=1.0)
-    np.testing.assert_allclose(path(jnp.asarray(0.9)), [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]])
-    np.testing.assert_allclose(path(jnp.asarray(200.0)).position, [2.0, -1.0], rtol=1e-12)
-    slope = follow(lambda t: path(t).position)(jnp.asarray(3.0))
-    for found, expected in zip(path(jnp.asarray(3.0)), slope, strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
-    np.testing.assert_allclose(path(jnp.asarray(1.0)).acceleration, 0.0)
-    with pytest.raises(ValueError, match="bandwidth must be positive"):
-        set_point([0.0], [1.0], 0.0)
 
 
 BAD = {

@@ -6,7 +6,8 @@ import numpy as np
 
 from covariant import geometry
 from covariant.models import Lagrangian, ball_and_beam
-from covariant.simulation import hold, no_input
+from covariant.simulation import hold
+from covariant.simulation._simulate import no_input
 
 SPRING = Lagrangian(geometry.Euclidean(), lambda q: 2 * q @ q)  # ω = 2 rad/s
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from test_excitation_verb import folder
 
-from covariant.verbs import ExcitationResult, design_excitation
+from covariant.verbs import design_excitation
+from covariant.verbs._excitation import ExcitationResult
 
 REGION = {"shoulder": (-1.0, 1.0), "elbow": (-1.5, 1.5)}
 

@@ -11,7 +11,8 @@ from test_fit_verb import DRIVEN, FIRST, TRUTH, driven, fitted
 import covariant
 from covariant import logs, models, simulation
 from covariant.signals import Record
-from covariant.verbs import FitResult, fit, simulate
+from covariant.verbs import fit, simulate
+from covariant.verbs._fit import FitResult
 
 
 @pytest.mark.exhaustive

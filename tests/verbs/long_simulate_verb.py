@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from covariant import logs, models
-from covariant.verbs import SimulateResult, simulate
+from covariant.verbs import simulate
+from covariant.verbs._simulate import SimulateResult
 
 ARM = {
     "columns.q": ["shoulder", "elbow"],

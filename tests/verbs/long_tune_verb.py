@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.verbs import TuneResult, simulate, tune
+from covariant.verbs import simulate, tune
+from covariant.verbs._tune import TuneResult
 
 NOISE = {"measurement.std": 0.1, "uncertainty.acceleration": 9.0}
 

@@ -7,7 +7,7 @@ import pytest
 from commands import refused
 
 from covariant import logs
-from covariant.verbs import ExcitationResult
+from covariant.verbs._excitation import ExcitationResult
 
 MODEL = """system = "robot"
 

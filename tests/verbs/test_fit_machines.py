@@ -9,7 +9,8 @@ import pytest
 import covariant
 from covariant import models
 from covariant.calibration.identification import held_out_logs
-from covariant.verbs import FitResult, check_machine_files, fit
+from covariant.verbs import check_machine_files, fit
+from covariant.verbs._fit import FitResult
 from covariant.verbs.base.inputs import Job
 
 FRICTION = {"arm1": 0.05, "arm2": 0.12, "arm3": 0.3}

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.calibration import Combinations, RobotFit
-from covariant.verbs import FitResult, check_model_output, fit, simulate
+from covariant.calibration import RobotFit
+from covariant.calibration.identification import Combinations
+from covariant.verbs import check_model_output, fit, simulate
+from covariant.verbs._fit import FitResult
 from covariant.verbs.base.fit_sentences import robot_details
 
 MODEL = """system = "robot"

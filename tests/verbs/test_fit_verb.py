@@ -4,7 +4,9 @@ from typing import Any
 
 import pytest
 
-from covariant.verbs import FitResult, SimulateResult, fit, simulate
+from covariant.verbs import fit, simulate
+from covariant.verbs._fit import FitResult
+from covariant.verbs._simulate import SimulateResult
 from covariant.verbs.base.inputs import Job
 from covariant.verbs.base.model_output import read_sources, write_models
 

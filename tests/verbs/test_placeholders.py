@@ -5,7 +5,7 @@ import pandas
 import pytest
 
 from covariant import verbs
-from covariant.verbs import FitResult
+from covariant.verbs._fit import FitResult
 from covariant.verbs.base.inputs import Job, load
 from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
 

@@ -22,15 +22,15 @@ def paper(monkeypatch):
         path.write_text("figure")
         return (path,)
 
-    def write_page(results, figures, path):
-        path.write_text(f"{results['answer']} {figures[0].name}")
-        return path
+    def page(results, figures):
+        return [f"{results['answer']} {figures[0].name}"]
 
     module = SimpleNamespace(
         STAGES=2,
         reproduce=reproduce,
         draw=draw,
-        write_page=write_page,
+        TITLE="A stub",
+        page=page,
         summary=lambda results: ["Answers", [{"answer": f"{results['answer']:g}"}]],
     )
     monkeypatch.setitem(sys.modules, "covariant.papers.stub", module)
@@ -49,4 +49,6 @@ def test_progress_is_reported_within_the_work(paper):
 def test_a_page_holds_the_figures_beside_it(paper, tmp_path):
     paths = verbs.reproduce_paper("stub").report(tmp_path / "page.html")
     assert [path.name for path in paths] == ["page.png", "page.html"]
-    assert (tmp_path / "page.html").read_text() == "42.0 page.png"
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "A stub" in text
+    assert "42.0 page.png" in text

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import covariant
-from covariant import verbs
 from covariant.calibration import Diagnosis, Finding
+from covariant.verbs._check import CheckResult
+from covariant.verbs._fit import FitResult
 from covariant.verbs.base.inputs import Job
 from covariant.verbs.base.pages import lag, made
 
@@ -29,7 +30,7 @@ def test_lag_is_that_of_a_delayed_velocity_and_noise_does_not_change_it(delay):
 
 def test_a_page_of_a_check_has_each_finding_with_what_to_do(tmp_path):
     finding = Finding("unit of time", "", "stamps are 20 apart", '[units] t = "ms"', True, {})
-    result = verbs.CheckResult("oscillator", "log.csv", 501, 50.0, Diagnosis((finding,), ("clock", "ticks"), ()))
+    result = CheckResult("oscillator", "log.csv", 501, 50.0, Diagnosis((finding,), ("clock", "ticks"), ()))
     [path] = result.report(tmp_path / "check.html")
     text = text_of(path)
     assert "unit of time" in text
@@ -55,7 +56,7 @@ def test_a_page_of_a_fit_has_numbers_errors_and_what_is_not_determined(tmp_path)
         "horizon": 0.5,
         "scored_against": "zero-phase reference",
     }
-    [path] = verbs.FitResult([Job("oscillator", "log.csv")], {}, details).report(tmp_path / "fit.html")
+    [path] = FitResult([Job("oscillator", "log.csv")], {}, details).report(tmp_path / "fit.html")
     text = text_of(path)
     for part in ("stiffness = 1.3 ± 0.01", "Not determined: only the ratio", "held out", "position, after", "0.5 s of"):
         assert part in text

@@ -2,7 +2,6 @@ from ._data_sheet import Facts as Facts
 from ._fmu import Unit as Unit, fmu as fmu, write_fmu as write_fmu
 from ._names import check_export_name as check_export_name, export_name as export_name
 from ._program import (
-    Member as Member,
     Program as Program,
     Recipe as Recipe,
     Signals as Signals,
@@ -16,7 +15,7 @@ from ._python_control import closed_loop as closed_loop, observer_system as obse
 from ._python_package import python_files as python_files
 from ._ros_package import ros_files as ros_files
 from ._source import write_source as write_source
-from ._vectors import ROWS as ROWS, Vectors as Vectors, vectors as vectors
+from ._vectors import ROWS as ROWS, vectors as vectors
 from ._wasm import check_wasm_compiler as check_wasm_compiler, wasm_files as wasm_files
 from ._write import check_export as check_export, export_texts as export_texts, write_folder as write_folder
 

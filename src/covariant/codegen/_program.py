@@ -61,7 +61,7 @@ class Member(NamedTuple):
         real: Whether it holds real numbers rather than counts or truth values.
 
     Example:
-        >>> from covariant.codegen import Member
+        >>> from covariant.codegen._program import Member
         >>> Member("gain", (2, 3)).size
         6
     """

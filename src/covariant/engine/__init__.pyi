@@ -1,6 +1,5 @@
-from ._choice import FEWEST_ROWS as FEWEST_ROWS, EngineName as EngineName, choose as choose
+from ._choice import EngineName as EngineName, choose as choose
 from ._in_jax import compiled as compiled
-from ._kernel import KernelForm as KernelForm
 from ._log import run_log as run_log, run_logs as run_logs
 from ._stream import Stream as Stream
 

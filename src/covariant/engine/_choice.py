@@ -28,7 +28,8 @@ class Engine(NamedTuple):
 
     Example:
         >>> from covariant import engine, observers
-        >>> form = engine.KernelForm((2,), 0)
+        >>> from covariant.engine._kernel import KernelForm
+        >>> form = KernelForm((2,), 0)
         >>> chosen = engine.choose(observers.FilteredDerivative(50.0), form, 1000, "jax")
         >>> chosen.name, str(chosen)
         ('jax', 'jax: as asked')
@@ -64,7 +65,8 @@ def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, aske
 
     Example:
         >>> from covariant import engine, observers
-        >>> engine.choose(observers.FilteredDerivative(50.0), engine.KernelForm((2,), 0), 10, "jax").reason
+        >>> from covariant.engine._kernel import KernelForm
+        >>> engine.choose(observers.FilteredDerivative(50.0), KernelForm((2,), 0), 10, "jax").reason
         'as asked'
     """
     if asked not in get_args(EngineName):

@@ -87,8 +87,8 @@ class KernelForm(NamedTuple):
         real: Whether measurements are real numbers, True by default.
 
     Example:
-        >>> from covariant import engine
-        >>> engine.KernelForm((2,), inputs=1).lanes
+        >>> from covariant.engine._kernel import KernelForm
+        >>> KernelForm((2,), inputs=1).lanes
         1
     """
 

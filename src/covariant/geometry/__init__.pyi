@@ -5,16 +5,13 @@ from ._functions import (
     curvature as curvature,
     distance as distance,
     exp as exp,
-    gradient as gradient,
-    inner as inner,
     log as log,
-    norm as norm,
     sectional_curvature as sectional_curvature,
     shoot as shoot,
     transport as transport,
     transport_along as transport_along,
 )
-from ._geodesics import Budget as Budget, Shot as Shot, Transported as Transported
+from ._geodesics import Budget as Budget
 from ._interpolated import Interpolated as Interpolated
 from ._leaf import Leaf as Leaf
 from ._leaf_rows import CLOSED as CLOSED
@@ -32,7 +29,6 @@ from ._metric import (
 )
 from ._space import AbstractSpace as AbstractSpace, derivative as derivative, differential as differential
 from ._spaces import (
-    ConstantCurvature as ConstantCurvature,
     Euclidean as Euclidean,
     FlatTorus as FlatTorus,
     Product as Product,

@@ -32,7 +32,7 @@ def inner(space: Space, q: Configuration, x: Vector, y: Vector) -> Scalar:
         Kinetic energy of 2 kg at 3 m/s:
 
         >>> import jax.numpy as jnp
-        >>> from covariant.geometry import inner
+        >>> from covariant.geometry._functions import inner
         >>> v = jnp.array([3.0])
         >>> float(inner(lambda q: 2.0 * jnp.eye(1), jnp.zeros(1), v, v) / 2)
         9.0
@@ -53,7 +53,7 @@ def norm(space: Space, q: Configuration, x: Vector) -> Scalar:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.geometry import norm
+        >>> from covariant.geometry._functions import norm
         >>> float(norm(lambda q: 4.0 * jnp.eye(2), jnp.zeros(2), jnp.array([3.0, 4.0])))
         10.0
     """
@@ -188,7 +188,7 @@ def gradient(space: Space, q: Configuration, covector: Vector) -> Vector:
         Acceleration of 2 kg by a force of 6 N:
 
         >>> import jax.numpy as jnp
-        >>> from covariant.geometry import gradient
+        >>> from covariant.geometry._functions import gradient
         >>> gradient(lambda q: 2.0 * jnp.eye(1), jnp.zeros(1), jnp.array([6.0])).tolist()
         [3.0]
     """
@@ -335,7 +335,8 @@ def transport(space: Space, p: Configuration, v: Vector, q: Configuration, budge
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.geometry import norm, sphere, transport
+        >>> from covariant.geometry import sphere, transport
+        >>> from covariant.geometry._functions import norm
         >>> p, q, v = jnp.zeros(2), jnp.array([0.4, 0.2]), jnp.array([0.0, 1.0])
         >>> w = transport(sphere(), p, v, q)
         >>> bool(jnp.isclose(norm(sphere(), q, w), norm(sphere(), p, v)))

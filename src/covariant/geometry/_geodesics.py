@@ -116,7 +116,8 @@ class Transported(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.geometry import Euclidean, Transported, transport_along
+        >>> from covariant.geometry import Euclidean, transport_along
+        >>> from covariant.geometry._geodesics import Transported
         >>> end = transport_along(Euclidean(), jnp.zeros(1), jnp.array([2.0]), jnp.array([3.0]))
         >>> isinstance(end, Transported), end.q.tolist()
         (True, [2.0])

@@ -85,7 +85,7 @@ class ConstantCurvature(AbstractMetric):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.geometry import ConstantCurvature
+        >>> from covariant.geometry._spaces import ConstantCurvature
         >>> ConstantCurvature(0.25)(jnp.array([2.0, 0.0])).tolist()
         [[1.0, 0.0], [0.0, 1.0]]
     """

@@ -8,7 +8,7 @@ from ._columns import (
 )
 from ._configuration import bodies as bodies, coordinates as coordinates, matrices as matrices, to_columns as to_columns
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
-from ._episodes import episode_columns as episode_columns, episodes_fault as episodes_fault
+from ._episodes import episodes_fault as episodes_fault
 from ._read import OPTIONAL as OPTIONAL, read as read, record as record, survey as survey
 from ._sign_bit import has_sign_bit as has_sign_bit, sign_bit_fault as sign_bit_fault
 from ._stamps import odd_clock as odd_clock

@@ -17,7 +17,7 @@ def episode_columns(names: Iterable[str]) -> list[str]:
     """Names of columns that may number episodes.
 
     Example:
-        >>> from covariant.logs import episode_columns
+        >>> from covariant.logs._episodes import episode_columns
         >>> episode_columns(["timestamp", "episode_index", "frame_index"])
         ['episode_index']
     """

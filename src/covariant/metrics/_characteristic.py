@@ -22,7 +22,7 @@ class Characteristic(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.metrics import Characteristic
+        >>> from covariant.metrics._characteristic import Characteristic
         >>> path = Characteristic(t=jnp.array([-1.0, 0.0]), x=jnp.zeros((2, 1)), metric=jnp.ones((2, 1, 1)))
         >>> path.metric[-1].tolist()  # P at time 0
         [[1.0]]

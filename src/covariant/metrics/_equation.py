@@ -95,37 +95,6 @@ def lie_derivative(model: StateSpace, metric: StateField, x: Vector, u: Float[Ar
     return change + p @ a + a.T @ p
 
 
-def right_side(
-    model: StateSpace, equation: Equation, metric: Matrix, x: Vector, u: Float[Array, "m"] | None = None
-) -> Matrix:
-    """Right side `dhᵀ R⁻¹ dh − λ P − P Q P` of the equation; it equals `lie_derivative` where P solves the equation.
-
-    Args:
-        model: system with state x (n,) and output y (p,).
-        equation: the equation, with λ, Q and R.
-        metric: P at x (n, n).
-        x: state (n,).
-        u: constant input (m,), zero by default.
-
-    Returns:
-        Symmetric matrix (n, n).
-
-    Example:
-        For x' = −x, y = x and λ = 3 the solution is P = 1:
-
-        >>> import jax.numpy as jnp
-        >>> from covariant.metrics import Equation, right_side
-        >>> from covariant.models import StateSpace
-        >>> decay = StateSpace(lambda t, x, u: -x, lambda t, x, u: x)
-        >>> right_side(decay, Equation(rate=3.0), jnp.eye(1), jnp.array([0.5])).tolist()
-        [[-2.0]]
-    """
-    input_held = model_input(model, u, x.dtype)
-    _, q, c = coefficients(model, equation, x, input_held)
-    quadratic = 0.0 if q is None else metric @ q @ metric
-    return c.T @ c - equation.rate * metric - quadratic
-
-
 def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
     """Coefficients of the Riccati equation at a state."""
     a, c = model.jacobians(jnp.zeros((), x.dtype), x, u)

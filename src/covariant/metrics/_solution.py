@@ -172,7 +172,7 @@ def gramian(
         A constant that is measured for 2 s:
 
         >>> import jax.numpy as jnp
-        >>> from covariant.metrics import gramian
+        >>> from covariant.metrics._solution import gramian
         >>> from covariant.models import StateSpace
         >>> constant = StateSpace(lambda t, x, u: 0.0 * x, lambda t, x, u: x)
         >>> round(float(gramian(constant, jnp.zeros(1), length=2.0)[0, 0]), 6)
@@ -205,7 +205,7 @@ def gramians(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.metrics import gramians
+        >>> from covariant.metrics._solution import gramians
         >>> from covariant.models import StateSpace
         >>> constant = StateSpace(lambda t, x, u: 0.0 * x, lambda t, x, u: x)
         >>> [round(float(w), 6) for w in gramians(constant, jnp.zeros(1), length=2.0, steps=4)[:, 0, 0]]
@@ -293,7 +293,7 @@ def reconstructibility(gramian: Matrix) -> Scalar:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.metrics import reconstructibility
+        >>> from covariant.metrics._solution import reconstructibility
         >>> float(reconstructibility(jnp.array([[4.0, 0.0], [0.0, 0.0]])))
         0.0
     """

@@ -40,7 +40,7 @@ class Window(NamedTuple):
         A window without length leaves a metric unchanged:
 
         >>> import jax.numpy as jnp
-        >>> from covariant.metrics import Window
+        >>> from covariant.metrics._window import Window
         >>> window = Window(jnp.zeros(1), transition=jnp.eye(1), information=jnp.zeros((1, 1)), spread=None)
         >>> window.metric(4.0).tolist()
         [[4.0]]
@@ -130,7 +130,8 @@ def window_at(
         For x' = −x, y = x and λ = 3 the solution is P = 1, for any metric 20 s ago:
 
         >>> import jax.numpy as jnp
-        >>> from covariant.metrics import Equation, window_at
+        >>> from covariant.metrics import Equation
+        >>> from covariant.metrics._window import window_at
         >>> from covariant.models import StateSpace
         >>> decay = StateSpace(lambda t, x, u: -x, lambda t, x, u: x)
         >>> window = window_at(decay, Equation(rate=3.0), jnp.array([0.5]), length=20.0, steps=200)

@@ -1,6 +1,6 @@
-from . import files as files, fluid as fluid, marine as marine, robots as robots, systems as systems
+from . import fluid as fluid, marine as marine, robots as robots, systems as systems
 from ._contacts import ON_THE_GROUND as ON_THE_GROUND, contacts as contacts, standing as standing
-from ._in_chart import chart_jacobian as chart_jacobian, chart_velocity as chart_velocity, in_chart as in_chart
+from ._in_chart import in_chart as in_chart
 from ._mechanical import (
     GroupSystem as GroupSystem,
     Lagrangian as Lagrangian,
@@ -11,7 +11,6 @@ from ._mechanical import (
     advance as advance,
     applied_force as applied_force,
     body_velocity as body_velocity,
-    check_model as check_model,
     energy as energy,
     friction as friction,
     input_count as input_count,
@@ -21,7 +20,7 @@ from ._mechanical import (
 )
 from ._parameters import Parameter as Parameter, Parametric as Parametric
 from ._state_space import StateSpace as StateSpace, state_space as state_space
-from ._survey import Survey as Survey, survey as survey
+from ._survey import survey as survey
 from .files import (
     Family as Family,
     ModelError as ModelError,

@@ -80,8 +80,9 @@ def chart_velocity(manifold: AbstractManifold, chart: Chart, z: Vector, rate: Ve
         >>> import jax.numpy as jnp
         >>> from covariant import models
         >>> from covariant.geometry import lie
+        >>> from covariant.models._in_chart import chart_velocity
         >>> yawing = jnp.array([0.0, 0.0, 1.0])
-        >>> v = models.chart_velocity(lie.SO3, models.marine.euler_rotation, jnp.zeros(3), yawing)
+        >>> v = chart_velocity(lie.SO3, models.marine.euler_rotation, jnp.zeros(3), yawing)
         >>> bool(jnp.allclose(v, yawing))  # at zero angles the body rates are the rates of the angles
         True
     """
@@ -104,7 +105,8 @@ def chart_jacobian(manifold: AbstractManifold, chart: Chart, z: Vector) -> Matri
         >>> import jax.numpy as jnp
         >>> from covariant import models
         >>> from covariant.geometry import lie
-        >>> jacobian = models.chart_jacobian(lie.SO3, models.marine.euler_rotation, jnp.zeros(3))
+        >>> from covariant.models._in_chart import chart_jacobian
+        >>> jacobian = chart_jacobian(lie.SO3, models.marine.euler_rotation, jnp.zeros(3))
         >>> bool(jnp.allclose(jacobian, jnp.eye(3)))
         True
     """

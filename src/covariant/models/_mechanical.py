@@ -404,7 +404,8 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
 
     Example:
         >>> from covariant import models
-        >>> models.check_model(models.oscillator())
+        >>> from covariant.models._mechanical import check_model
+        >>> check_model(models.oscillator())
     """
     known = dimension is None or None not in model.manifold.shape
     q = jax.eval_shape(model.manifold.origin) if known else jax.ShapeDtypeStruct((dimension,), jnp.float64)

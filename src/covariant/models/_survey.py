@@ -23,8 +23,8 @@ class Survey(NamedTuple):
         samples: Number of configurations, and of planes.
 
     Example:
-        >>> from covariant import models
-        >>> models.Survey(conditioning=(1.0, 4.0), curvature=None, samples=10).samples
+        >>> from covariant.models._survey import Survey
+        >>> Survey(conditioning=(1.0, 4.0), curvature=None, samples=10).samples
         10
     """
 

@@ -365,44 +365,32 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
     ]
 
 
-def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """Write one page with the tables, the figures and explanations.
+TITLE = "Aghannan & Rouchon 2003, reproduced"
 
-    Args:
-        results: As from `reproduce`.
-        figures: As from `draw`.
-        path: File of the page.
 
-    Returns:
-        The path.
-    """
-    from covariant.report import write_article
-
-    return write_article(
-        "Aghannan & Rouchon 2003, reproduced",
-        [
-            "# Figure 4: ball and beam",
-            "Gains α = √2, β = ½ are low on purpose: measurement noise passes little, but the negative curvature of "
-            "the ball and beam must be compensated. The exact and the approximate intrinsic observer converge at the "
-            "rate of the theory. The copy observer does not, nor does the observer without its curvature term.",
-            "Equation (14) is printed with all four curvature terms of the wrong sign: it diverges, here as in any "
-            "implementation that follows the print. With the signs of equation (5) it converges.",
-            error_rows(results["fig4"]),
-            figures[1],
-            "# The same with high-frequency noise on the measurements",
-            error_rows(results["fig4_noise"]),
-            figures[0],
-            "# How large may the first error be?",
-            "The initial error of figure 4, scaled: error left after 40 s. The approximate observer stops converging "
-            "between 1.5 and 1.75 times that error; the exact one converges at every scale tried.",
-            basin_rows(results["basin"]),
-            "# Tutorial: one oscillator in two charts",
-            "In q and in r = exp(q) the exact observer is one observer: mapped to q, its two estimates agree to "
-            f"{max(results['tutorial']['geodesic_difference']):.1e} of the initial error. Those of the approximate "
-            f"observer differ with slope {results['tutorial']['intrinsic_slope']:.2f} in that error.",
-        ],
-        path,
-    )
+def page(results: dict[str, Any], figures: tuple[Path, ...]) -> list[Any]:
+    """Explanations, tables and figures, one below the other, of the results of `reproduce` and the files of `draw`."""
+    return [
+        "# Figure 4: ball and beam",
+        "Gains α = √2, β = ½ are low on purpose: measurement noise passes little, but the negative curvature of "
+        "the ball and beam must be compensated. The exact and the approximate intrinsic observer converge at the "
+        "rate of the theory. The copy observer does not, nor does the observer without its curvature term.",
+        "Equation (14) is printed with all four curvature terms of the wrong sign: it diverges, here as in any "
+        "implementation that follows the print. With the signs of equation (5) it converges.",
+        error_rows(results["fig4"]),
+        figures[1],
+        "# The same with high-frequency noise on the measurements",
+        error_rows(results["fig4_noise"]),
+        figures[0],
+        "# How large may the first error be?",
+        "The initial error of figure 4, scaled: error left after 40 s. The approximate observer stops converging "
+        "between 1.5 and 1.75 times that error; the exact one converges at every scale tried.",
+        basin_rows(results["basin"]),
+        "# Tutorial: one oscillator in two charts",
+        "In q and in r = exp(q) the exact observer is one observer: mapped to q, its two estimates agree to "
+        f"{max(results['tutorial']['geodesic_difference']):.1e} of the initial error. Those of the approximate "
+        f"observer differ with slope {results['tutorial']['intrinsic_slope']:.2f} in that error.",
+    ]
 
 
 def error_rows(runs: dict[str, dict[str, list]]) -> list[dict[str, str]]:

@@ -346,41 +346,29 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
     ]
 
 
-def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """Write one page with the tables, the figures and explanations.
+TITLE = "Maithripala, Berg & Dayawansa 2004, reproduced"
 
-    Args:
-        results: As from `reproduce`.
-        figures: As from `draw`.
-        path: File of the page.
 
-    Returns:
-        The path.
-    """
-    from covariant.report import write_article
-
+def page(results: dict[str, Any], figures: tuple[Path, ...]) -> list[Any]:
+    """Explanations, tables and figures, one below the other, of the results of `reproduce` and the files of `draw`."""
     rates, conserved_line, prints, gaps = (summary(results)[i] for i in (1, 2, 4, 6))
-    return write_article(
-        "Maithripala, Berg & Dayawansa 2004, reproduced",
-        [
-            "# Figure 1: angular velocity of a heavy top",
-            "An elongated symmetric top in a gravitational field; its attitude is measured as a rotation matrix, "
-            "its angular velocity estimated, with no coordinates. The paper gives no numbers: these are chosen. "
-            "Its equation (17) carries 2α where Aghannan and Rouchon have α; the rate of either is that of theory.",
-            rates,
-            figures[0],
-            str(conserved_line) + ".",
-            "# What the print does",
-            "Equation (8) counts parts of the curvature twice, and (18) has the sign of the other convention. "
-            "An elongated top has positive curvature: there the printed term only adds stiffness, which is why the "
-            "paper's figure looks well. A tumbling disc has negative curvature, and the printed observer fails on it. "
-            "Velocity error after 10 s [rad/s]:",
-            prints,
-            figures[1],
-            "# Two logarithms",
-            "The paper takes the group logarithm for the gradient of the squared distance, which it is only when the "
-            "metric is bi-invariant. The difference is of second order, so the local rate is the same.",
-            gaps,
-        ],
-        path,
-    )
+    return [
+        "# Figure 1: angular velocity of a heavy top",
+        "An elongated symmetric top in a gravitational field; its attitude is measured as a rotation matrix, "
+        "its angular velocity estimated, with no coordinates. The paper gives no numbers: these are chosen. "
+        "Its equation (17) carries 2α where Aghannan and Rouchon have α; the rate of either is that of theory.",
+        rates,
+        figures[0],
+        str(conserved_line) + ".",
+        "# What the print does",
+        "Equation (8) counts parts of the curvature twice, and (18) has the sign of the other convention. "
+        "An elongated top has positive curvature: there the printed term only adds stiffness, which is why the "
+        "paper's figure looks well. A tumbling disc has negative curvature, and the printed observer fails on it. "
+        "Velocity error after 10 s [rad/s]:",
+        prints,
+        figures[1],
+        "# Two logarithms",
+        "The paper takes the group logarithm for the gradient of the squared distance, which it is only when the "
+        "metric is bi-invariant. The difference is of second order, so the local rate is the same.",
+        gaps,
+    ]

@@ -383,44 +383,41 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
     ]
 
 
-def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """Write one page with the tables, the figures and explanations; returns its path."""
-    from covariant.report import write_article
+TITLE = "Sanfelice & Praly 2015, reproduced"
 
+
+def page(results: dict[str, Any], figures: tuple[Path, ...]) -> list[Any]:
+    """Explanations, tables and figures, one below the other, of the results of `reproduce` and the files of `draw`."""
     gap, prior = results["gap"], results["prior"]
-    return write_article(
-        "Sanfelice & Praly 2015, reproduced",
-        [
-            "# Figure 1: a metric computed along characteristics",
-            "The metric of the oscillator with unknown frequency, from equation (15), against the printed solution, "
-            "which is right in every entry. The error of the entries, as published, is small long before the metric is "
-            "right: at λ = 8 it is below 1e-3 while the metric is far too large in its weakest direction. The "
-            "affine-invariant distance tells so.",
-            error_rows(results),
-            figures[0],
-            "# Four ways to one metric",
-            "One pass backward with an error bound, the two passes of the paper with the Riccati equation and with "
-            "Radon's linear pair, and the weighted Gramian as a quadrature of its closed form.",
-            route_rows(results),
-            "# The observer",
-            "With k_E = ¼ the distance decays at λ/2, whatever the error: there the output injection takes away just "
-            "what the output adds to the metric. With less the rate is not guaranteed (in brackets the least rate over "
-            "the grid).",
-            rate_rows(results),
-            figures[1],
-            "# What it is good for, and what not",
-            f"Where x1 = x2 = 0 the answer is: {results['origin']}. The verdict on the two conditions: "
-            f"{results['verdict']}.",
-            "Beside an extended Kalman filter with the same forgetting: when ten seconds of measurements are missing, "
-            f"the filter's P falls to {gap['least_eigenvalue']['ekf']:.1e}, out of all bounds, and the first noisy "
-            f"samples throw its estimate off by {gap['largest_error_after']['ekf']:.2g}. The metric at the observer's "
-            f"estimate stays above {gap['least_eigenvalue']['riccati']:.1e}, and its error below "
-            f"{gap['largest_error_after']['riccati']:.2g}. When the frequency is known to 1 % beforehand, the filter "
-            f"uses that and the observer cannot: the error of x3 is {prior['ekf']:.2g} with the filter and "
-            f"{prior['riccati']:.2g} with the observer.",
-        ],
-        path,
-    )
+    return [
+        "# Figure 1: a metric computed along characteristics",
+        "The metric of the oscillator with unknown frequency, from equation (15), against the printed solution, "
+        "which is right in every entry. The error of the entries, as published, is small long before the metric is "
+        "right: at λ = 8 it is below 1e-3 while the metric is far too large in its weakest direction. The "
+        "affine-invariant distance tells so.",
+        error_rows(results),
+        figures[0],
+        "# Four ways to one metric",
+        "One pass backward with an error bound, the two passes of the paper with the Riccati equation and with "
+        "Radon's linear pair, and the weighted Gramian as a quadrature of its closed form.",
+        route_rows(results),
+        "# The observer",
+        "With k_E = ¼ the distance decays at λ/2, whatever the error: there the output injection takes away just "
+        "what the output adds to the metric. With less the rate is not guaranteed (in brackets the least rate over "
+        "the grid).",
+        rate_rows(results),
+        figures[1],
+        "# What it is good for, and what not",
+        f"Where x1 = x2 = 0 the answer is: {results['origin']}. The verdict on the two conditions: "
+        f"{results['verdict']}.",
+        "Beside an extended Kalman filter with the same forgetting: when ten seconds of measurements are missing, "
+        f"the filter's P falls to {gap['least_eigenvalue']['ekf']:.1e}, out of all bounds, and the first noisy "
+        f"samples throw its estimate off by {gap['largest_error_after']['ekf']:.2g}. The metric at the observer's "
+        f"estimate stays above {gap['least_eigenvalue']['riccati']:.1e}, and its error below "
+        f"{gap['largest_error_after']['riccati']:.2g}. When the frequency is known to 1 % beforehand, the filter "
+        f"uses that and the observer cannot: the error of x3 is {prior['ekf']:.2g} with the filter and "
+        f"{prior['riccati']:.2g} with the observer.",
+    ]
 
 
 def error_rows(results: dict[str, Any]) -> list[dict[str, str]]:

@@ -5,8 +5,8 @@ from ._piecewise import (
     logged_inputs as logged_inputs,
     simulate_piecewise as simulate_piecewise,
 )
-from ._reference import follow as follow, lissajous as lissajous, set_point as set_point
+from ._reference import follow as follow, lissajous as lissajous
 from ._sensors import PositionSensor as PositionSensor, sense as sense, stamps as stamps
-from ._simulate import hold as hold, no_input as no_input, observe as observe, simulate as simulate
+from ._simulate import hold as hold, observe as observe, simulate as simulate
 
-__all__ = ["Backstepping", "PositionSensor", "follow", "observe", "sense", "set_point", "simulate", "stamps"]
+__all__ = ["Backstepping", "PositionSensor", "follow", "observe", "sense", "simulate", "stamps"]

@@ -37,8 +37,8 @@ class Backstepping(eqx.Module):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.models import marine
-        >>> from covariant.simulation import Backstepping, set_point
-        >>> path = set_point([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 0.5)
+        >>> from covariant.simulation import Backstepping, lissajous
+        >>> path = lissajous([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0])
         >>> controller = Backstepping(marine.cybership(), path, kp=1.0, kd=2.0, lam=0.1)
         >>> t, eta = jnp.zeros(()), jnp.array([0.5, 0.0, 0.0])
         >>> controller.error(t, eta).tolist(), controller.virtual_velocity(t, eta).round(3).tolist()

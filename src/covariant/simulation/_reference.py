@@ -1,7 +1,4 @@
-"""References for a craft to follow: a position and its first and second derivative, as functions of time.
-
-Source: Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, section 10.2, for the filter.
-"""
+"""References for a craft to follow: a position and its first and second derivative, as functions of time."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Numbers, Scalar, Vector
-from scalargraph.errors import InputError
 
 
 class Reference(NamedTuple):
@@ -44,8 +40,7 @@ def follow(position: Callable[[Array], Array]) -> Path:
     """Reference along a smooth function of time, differentiated automatically.
 
     Use it to give a controller such as `Backstepping` a reference whose velocity and acceleration agree with its
-    position. The function must be twice differentiable: a corner makes a jump in the velocity. Use `set_point` for a
-    move between two points.
+    position. The function must be twice differentiable: a corner makes a jump in the velocity.
 
     Args:
         position: Function `t -> (n,)` of the time [s], in JAX.
@@ -69,55 +64,6 @@ def follow(position: Callable[[Array], Array]) -> Path:
         # Forward over forward: the derivative of position and velocity in time is velocity and acceleration.
         (where, velocity), (_, acceleration) = jax.jvp(moving, (t,), (one,))
         return Reference(where, velocity, acceleration)
-
-    return at
-
-
-def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 0.0) -> Path:
-    """Reference from rest at one point to rest at another, without a jump in acceleration.
-
-    It is the closed-form response of three equal poles.
-
-    Position, velocity and acceleration are continuous, and a controller can use them as feedforward. The motion settles
-    in about ten times 1/bandwidth. Use `follow` for any other path.
-
-    Args:
-        start: Initial position (n,).
-        goal: Final position (n,).
-        bandwidth: Magnitude of the poles [rad/s], one number or n.
-        begin: Time [s] at which the motion begins.
-
-    Returns:
-        A function `t -> Reference`.
-
-    Raises:
-        ValueError: The bandwidth is not positive, or the shapes differ.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.simulation import set_point
-        >>> path = set_point([0.0], [1.0], 2.0, begin=1.0)
-        >>> [round(path(jnp.asarray(t)).position.item(), 2) for t in (0.0, 2.0, 10.0)]
-        [0.0, 0.32, 1.0]
-    """
-    a, b = np.asarray(start, float), np.asarray(goal, float)
-    w = np.broadcast_to(np.asarray(bandwidth, float), a.shape)
-    if a.shape != b.shape or a.ndim != 1:
-        raise InputError(f"set_point: start and goal must be vectors of one length; got {a.shape} and {b.shape}")
-    if not (w > 0).all():
-        raise InputError(f"set_point: bandwidth must be positive [rad/s]; got {bandwidth}")
-
-    def at(t: Scalar) -> Reference:
-        rate, change = jnp.asarray(w, t.dtype), jnp.asarray(b - a, t.dtype)
-        s = rate * jnp.maximum(t - begin, 0.0)
-        # Step response of w³/(p + w)³ and its derivatives, in s = w (t − begin); all are zero before `begin`.
-        left = jnp.exp(-s)
-        gone = 1 - left * (1 + s + s**2 / 2)
-        return Reference(
-            jnp.asarray(a, t.dtype) + change * gone,
-            change * rate * left * s**2 / 2,
-            change * rate**2 * left * (s - s**2 / 2),
-        )
 
     return at
 

@@ -252,7 +252,7 @@ def no_input(model: MechanicalSystem | StateSpace, v: Float[Array, "n"]) -> Inpu
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models
-        >>> from covariant.simulation import no_input
+        >>> from covariant.simulation._simulate import no_input
         >>> no_input(models.ball_and_beam(), jnp.zeros(2))(0.0, None).tolist()
         [0.0]
     """

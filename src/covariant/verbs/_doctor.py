@@ -63,7 +63,7 @@ class DoctorResult(AbstractResult):
         parts: The parts, in the order in which they are printed.
 
     Example:
-        >>> from covariant.verbs import DoctorResult
+        >>> from covariant.verbs._doctor import DoctorResult
         >>> from covariant.verbs._doctor import Part
         >>> DoctorResult((Part("cache folder", "none", "set COVARIANT_CACHE to a folder that can be written"),))
         <DoctorResult: 1 of 1 parts with a problem>

@@ -140,11 +140,12 @@ class ExcitationResult(AbstractTable):
 
     Example:
         >>> import numpy as np
-        >>> from covariant import logs, verbs
+        >>> from covariant import logs
+        >>> from covariant.verbs._excitation import ExcitationResult
         >>> row = {"name": "armature.elbow", "unit": "kg m^2", "value": 0.0, "reference_error": 2e-3, "error": 5e-4}
         >>> details = {"model": "arm.toml", "rows": 2, "duration": 1.0, "parameters": [row], "undetermined": []}
         >>> columns = {"t": np.array([0.0, 1.0])}
-        >>> result = verbs.ExcitationResult(logs.Columns(), columns, {"t": "s"}, details)
+        >>> result = ExcitationResult(logs.Columns(), columns, {"t": "s"}, details)
         >>> result
         <ExcitationResult: 2 rows over 1 s of arm, armature.elbow ± 0.0005>
         >>> result.standard_errors.tolist(), result.reference_errors.tolist()

@@ -154,9 +154,9 @@ class FitResult(AbstractTable):
         machines: The content of the model file of each machine, if they have numbers of their own.
 
     Example:
-        >>> from covariant import verbs
+        >>> from covariant.verbs._fit import FitResult
         >>> row = {"name": "stiffness", "before": 1.0, "after": 1.3, "standard_error": 0.01, "determined": True}
-        >>> result = verbs.FitResult([], {}, {"parameters": [row], "undetermined": [], "better": True})
+        >>> result = FitResult([], {}, {"parameters": [row], "undetermined": [], "better": True})
         >>> result
         <FitResult: stiffness = 1.3 ± 0.01>
         >>> result.values.tolist(), result.standard_errors.tolist(), result.exit_code

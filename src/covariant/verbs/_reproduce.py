@@ -17,7 +17,7 @@ PAPERS = {
     "sanfelice-praly": "sanfelice_praly",
     "jouffroy-fossen": "jouffroy_fossen",
 }
-"""The module of each paper, with `STAGES`, `reproduce`, `draw`, `summary` and `write_page`."""
+"""The module of each paper, with `STAGES`, `TITLE`, `reproduce`, `draw`, `summary` and `page`."""
 
 
 def reproduce_paper(paper: str, *, progress: Progress = notebook_line) -> "ReproduceResult":
@@ -64,8 +64,8 @@ class ReproduceResult(AbstractResult):
         module: The module of `covariant.papers` that computed them.
 
     Example:
-        >>> from covariant import verbs
-        >>> result = verbs.ReproduceResult("maithripala", {"top": {"rate": 1.127}, "seconds": 14.0}, module=None)
+        >>> from covariant.verbs._reproduce import ReproduceResult
+        >>> result = ReproduceResult("maithripala", {"top": {"rate": 1.127}, "seconds": 14.0}, module=None)
         >>> result
         <ReproduceResult: maithripala: 1 groups of numbers in 14.0 s>
         >>> result.summary["top"]["rate"]
@@ -87,8 +87,7 @@ class ReproduceResult(AbstractResult):
     def __str__(self) -> str:
         from covariant.report import table
 
-        parts = self.module.summary(self.results)
-        return "\n".join(part if isinstance(part, str) else table(part) for part in parts)
+        return "\n".join(part if isinstance(part, str) else table(part) for part in self.module.summary(self.results))
 
     def draw(self, path: str | Path) -> list[Path]:
         """Draw the paper's figures.
@@ -108,5 +107,7 @@ class ReproduceResult(AbstractResult):
         return list(self.module.draw(path))
 
     def _write_page(self, path: Path) -> list[Path]:
+        from covariant.report import write_article
+
         figures = self.draw(path.with_suffix(".png"))
-        return [*figures, self.module.write_page(self.results, tuple(figures), path)]
+        return [*figures, write_article(self.module.TITLE, self.module.page(self.results, tuple(figures)), path)]

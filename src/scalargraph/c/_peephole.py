@@ -26,8 +26,9 @@ def simplified(lowered: Lowered) -> Lowered:
     Example:
         >>> import jax.numpy as jnp
         >>> import scalargraph
+        >>> from scalargraph.c import simplified
         >>> lowered = scalargraph.lower(lambda x: jnp.cos(-x), jnp.array(0.0))
-        >>> [node.op for node in scalargraph.simplified(lowered).graph.nodes]
+        >>> [node.op for node in simplified(lowered).graph.nodes]
         ['input', 'cos']
     """
     outward = _rewrite(lowered, lambda graph, node, x: _outward(graph, node.op, x))

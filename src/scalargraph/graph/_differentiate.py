@@ -65,8 +65,8 @@ def pairs(count: int) -> list[tuple[int, int]]:
         count: Number of inputs.
 
     Example:
-        >>> import scalargraph
-        >>> scalargraph.pairs(2)
+        >>> from scalargraph.graph import pairs
+        >>> pairs(2)
         [(0, 0), (0, 1), (1, 1)]
     """
     return list(itertools.combinations_with_replacement(range(count), 2))
@@ -83,8 +83,9 @@ class Derivative:
 
     Example:
         >>> import scalargraph
+        >>> from scalargraph.graph import Derivative
         >>> graph = scalargraph.Graph()
-        >>> slope = scalargraph.Derivative(graph, {0: graph.constant(1.0)})
+        >>> slope = Derivative(graph, {0: graph.constant(1.0)})
         >>> graph.nodes[slope(graph.apply("sin", graph.input(0)))].op
         'cos'
     """

@@ -31,9 +31,9 @@ class ClosedJaxpr(NamedTuple):
 
     Example:
         >>> import jax
-        >>> import scalargraph
-        >>> body = scalargraph.ClosedJaxpr.of(jax.make_jaxpr(lambda x: 2.0 * x)(1.0))
-        >>> [equation.name for equation in scalargraph.equations(body.jaxpr)]
+        >>> from scalargraph.graph import ClosedJaxpr, equations
+        >>> body = ClosedJaxpr.of(jax.make_jaxpr(lambda x: 2.0 * x)(1.0))
+        >>> [equation.name for equation in equations(body.jaxpr)]
         ['mul']
     """
 
@@ -65,10 +65,10 @@ class Call(NamedTuple):
     Example:
         >>> import jax
         >>> import jax.numpy as jnp
-        >>> import scalargraph
+        >>> from scalargraph.graph import Call, equations
         >>> traced = jax.make_jaxpr(jax.jit(lambda x: jnp.sin(x)))(1.0)
-        >>> (equation,) = scalargraph.equations(traced.jaxpr)
-        >>> isinstance(equation.form, scalargraph.Call), equation.form.replaces
+        >>> (equation,) = equations(traced.jaxpr)
+        >>> isinstance(equation.form, Call), equation.form.replaces
         (True, False)
     """
 
@@ -89,9 +89,9 @@ class Scan(NamedTuple):
     Example:
         >>> import jax
         >>> import jax.numpy as jnp
-        >>> import scalargraph
+        >>> from scalargraph.graph import equations
         >>> traced = jax.make_jaxpr(lambda x: jax.lax.scan(lambda s, row: (s + row, s), 0.0, x))(jnp.ones(5))
-        >>> scan = next(equation.form for equation in scalargraph.equations(traced.jaxpr) if equation.name == "scan")
+        >>> scan = next(equation.form for equation in equations(traced.jaxpr) if equation.name == "scan")
         >>> scan.fixed, scan.carried, scan.length, scan.reverse
         (0, 1, 5, False)
     """
@@ -114,10 +114,10 @@ class While(NamedTuple):
 
     Example:
         >>> import jax
-        >>> import scalargraph
+        >>> from scalargraph.graph import While, equations
         >>> traced = jax.make_jaxpr(lambda x: jax.lax.while_loop(lambda z: z < 1.0, lambda z: 2.0 * z, x))(0.1)
-        >>> (equation,) = scalargraph.equations(traced.jaxpr)
-        >>> isinstance(equation.form, scalargraph.While), equation.form.of_condition, equation.form.of_body
+        >>> (equation,) = equations(traced.jaxpr)
+        >>> isinstance(equation.form, While), equation.form.of_condition, equation.form.of_body
         (True, 0, 0)
     """
 
@@ -136,9 +136,9 @@ class Branch(NamedTuple):
     Example:
         >>> import jax
         >>> import jax.numpy as jnp
-        >>> import scalargraph
+        >>> from scalargraph.graph import equations
         >>> traced = jax.make_jaxpr(lambda p, x: jax.lax.cond(p, jnp.sin, jnp.cos, x))(True, 1.0)
-        >>> branch = next(e.form for e in scalargraph.equations(traced.jaxpr) if e.name == "cond")
+        >>> branch = next(e.form for e in equations(traced.jaxpr) if e.name == "cond")
         >>> len(branch.bodies)
         2
     """
@@ -181,8 +181,8 @@ class JaxprEquation(NamedTuple):
 
     Example:
         >>> import jax
-        >>> import scalargraph
-        >>> (equation,) = scalargraph.equations(jax.make_jaxpr(lambda x: x + 1.0)(0.0).jaxpr)
+        >>> from scalargraph.graph import equations
+        >>> (equation,) = equations(jax.make_jaxpr(lambda x: x + 1.0)(0.0).jaxpr)
         >>> equation.name, equation.form is None, len(equation.invars)
         ('add', True, 2)
     """
@@ -221,9 +221,9 @@ def equations(jaxpr: Any) -> Iterator[JaxprEquation]:
     Example:
         >>> import jax
         >>> import jax.numpy as jnp
-        >>> import scalargraph
+        >>> from scalargraph.graph import equations
         >>> traced = jax.make_jaxpr(lambda x: jnp.sin(x) * x)(1.0)
-        >>> [equation.name for equation in scalargraph.equations(traced.jaxpr)]
+        >>> [equation.name for equation in equations(traced.jaxpr)]
         ['sin', 'mul']
     """
     for eqn in jaxpr.eqns:
@@ -254,9 +254,9 @@ def needed(closed: Any) -> ClosedJaxpr:
     Example:
         >>> import jax
         >>> import jax.numpy as jnp
-        >>> import scalargraph
+        >>> from scalargraph.graph import equations, needed
         >>> traced = jax.make_jaxpr(lambda x: [jnp.sin(x), jnp.cos(x)][1])(1.0)
-        >>> [equation.name for equation in scalargraph.equations(scalargraph.needed(traced).jaxpr)]
+        >>> [equation.name for equation in equations(needed(traced).jaxpr)]
         ['cos']
     """
     used = [True] * len(closed.jaxpr.outvars)

@@ -164,9 +164,10 @@ def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarra
         >>> import jax.numpy as jnp
         >>> import numpy as np
         >>> import scalargraph
+        >>> from scalargraph.graph import graft
         >>> graph = scalargraph.Graph()
         >>> x = np.array([graph.input(0), graph.input(1)])
-        >>> total = scalargraph.graft(graph, jnp.sum, x)
+        >>> total = graft(graph, jnp.sum, x)
         >>> graph.nodes[int(total)].op
         'add'
     """
@@ -190,9 +191,10 @@ def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[
 
     Example:
         >>> import scalargraph
+        >>> from scalargraph.graph import substitute
         >>> graph, other = scalargraph.Graph(), scalargraph.Graph()
         >>> sine = graph.apply("sin", graph.input(0))
-        >>> (value,) = scalargraph.substitute(graph, [sine], other, {0: other.constant(0.0)})
+        >>> (value,) = substitute(graph, [sine], other, {0: other.constant(0.0)})
         >>> other.nodes[value].value  # sin 0, folded
         0.0
     """

@@ -40,8 +40,9 @@ def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[An
     Example:
         >>> import jax.numpy as jnp
         >>> import scalargraph
+        >>> from scalargraph.graph import NUMBERS
         >>> total = scalargraph.lower(lambda x: jnp.sum(x), jnp.zeros(2))
-        >>> float(scalargraph.evaluate(total, scalargraph.NUMBERS, [1.0, 2.0])[0])
+        >>> float(scalargraph.evaluate(total, NUMBERS, [1.0, 2.0])[0])
         3.0
         >>> text = {"add": "({} + {})".format}  # an arithmetic on strings
         >>> scalargraph.evaluate(total, text, ["a", "b"])

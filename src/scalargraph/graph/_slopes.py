@@ -161,9 +161,9 @@ def change(function: Callable, *, aux: bool = False) -> tuple[Any, Any]:
 
     Example:
         >>> import jax
-        >>> import scalargraph
+        >>> from scalargraph.graph import change
         >>> held = lambda s: jax.lax.stop_gradient(3.0 * s) + 1.0
-        >>> value, slope = scalargraph.change(held)
+        >>> value, slope = change(held)
         >>> value.item(), round(slope.item(), 6)
         (1.0, 3.0)
     """

@@ -80,8 +80,8 @@ def in_c(engine: Arithmetic) -> bool:
             where this process has done enough work by NumPy.
 
     Example:
-        >>> import scalargraph
-        >>> scalargraph.in_c("c"), scalargraph.in_c("numpy")
+        >>> from scalargraph.intervals import in_c
+        >>> in_c("c"), in_c("numpy")
         (True, False)
     """
     return engine == "c" or (engine == "auto" and (_was_compiled() or _effort >= COMPILATION))

@@ -25,8 +25,9 @@ class Interval(NamedTuple):
     Example:
         >>> import numpy as np
         >>> import scalargraph
+        >>> from scalargraph.intervals import INTERVALS
         >>> a = scalargraph.Interval(np.array([1.0]), np.array([2.0]))
-        >>> b = scalargraph.INTERVALS["neg"](a)
+        >>> b = INTERVALS["neg"](a)
         >>> b.low.tolist(), b.high.tolist()
         ([-2.0], [-1.0])
     """
@@ -45,9 +46,10 @@ class Truth(NamedTuple):
     Example:
         >>> import numpy as np
         >>> import scalargraph
+        >>> from scalargraph.intervals import INTERVALS
         >>> a = scalargraph.Interval(np.array([0.0, 0.0]), np.array([1.0, 3.0]))
         >>> b = scalargraph.Interval(np.array([2.0, 2.0]), np.array([4.0, 4.0]))
-        >>> less = scalargraph.INTERVALS["lt"](a, b)  # proved for the first box, undecided for the second
+        >>> less = INTERVALS["lt"](a, b)  # proved for the first box, undecided for the second
         >>> less.must.tolist(), less.may.tolist()
         ([True, False], [True, True])
     """

@@ -14,8 +14,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from scalargraph import Domain, Lowered, evaluate, expand, pairs
+from scalargraph import Lowered, evaluate, expand
 from scalargraph.errors import InputError
+from scalargraph.graph import Domain, pairs
 from scalargraph.proofs._form import Form
 from scalargraph.proofs.checker import halves
 

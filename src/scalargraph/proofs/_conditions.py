@@ -4,7 +4,8 @@ import itertools
 
 import numpy as np
 
-from scalargraph import LARGEST, Conditions, fulfilled
+from scalargraph import Conditions, fulfilled
+from scalargraph.graph import LARGEST
 from scalargraph.proofs._box import Box
 from scalargraph.proofs._tree import halves, middle_of
 

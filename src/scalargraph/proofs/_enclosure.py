@@ -14,9 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from scalargraph import Enclosure, Graph, Lowered, expand, graft, pairs
+from scalargraph import Graph, Lowered, expand
 from scalargraph._typing import Arithmetic
 from scalargraph.errors import InputError
+from scalargraph.graph import graft, pairs
+from scalargraph.intervals import Enclosure
 from scalargraph.proofs._box import Box
 from scalargraph.proofs._definite import ROUND, TINY, sum_over
 from scalargraph.proofs._tree import middle_of

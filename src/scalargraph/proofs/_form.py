@@ -13,20 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from scalargraph import (
-    LARGEST,
-    Condition,
-    Conditions,
-    Derivative,
-    Graph,
-    Lowered,
-    graft,
-    lower,
-    numbers,
-    substitute,
-    to_jax,
-)
+from scalargraph import Conditions, Graph, Lowered, lower, numbers, to_jax
 from scalargraph._typing import Matrix
+from scalargraph.graph import LARGEST, Condition, Derivative, graft, substitute
 
 
 class Formed(NamedTuple):

@@ -6,7 +6,8 @@ A box that is not decided is halved across the variable that widens the enclosur
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from scalargraph import enclose, pairs
+from scalargraph import enclose
+from scalargraph.graph import pairs
 from scalargraph.proofs._box import Box
 from scalargraph.proofs._definite import definite, factors, indefinite, weights
 from scalargraph.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form

@@ -18,7 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from scalargraph import INTERVALS, Derivative, Graph, Interval, Lowered, Node, Truth, pairs
+from scalargraph import Graph, Interval, Lowered
+from scalargraph.graph import Derivative, Node, pairs
+from scalargraph.intervals import INTERVALS, Truth
 from scalargraph.proofs._definite import ROUND, TINY, sum_over
 from scalargraph.proofs._tree import middle_of
 

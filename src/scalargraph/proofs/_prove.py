@@ -20,9 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from scalargraph import TRUTHS, Lowered, expand
+from scalargraph import Lowered, expand
 from scalargraph._typing import Arithmetic
 from scalargraph.errors import InputError
+from scalargraph.graph import TRUTHS
 from scalargraph.proofs._box import Box, check_box
 from scalargraph.proofs._conditions import show_conditions
 from scalargraph.proofs._enclosure import Expansions
@@ -150,13 +151,7 @@ def prove(
 
 
 def prove_at_corners(
-    matrix: Callable[[Array], Array],
-    domain: Box,
-    affine: Sequence[str],
-    *,
-    boxes: int = MOST_BOXES,
-    seconds: float | None = None,
-    progress: Callable[[float, int], None] | None = None,
+    matrix: Callable[[Array], Array], domain: Box, affine: Sequence[str], *, boxes: int = MOST_BOXES
 ) -> list[Proof]:
     """Prove that a matrix is positive definite where it is affine in some variables jointly: one proof for each corner.
 
@@ -168,8 +163,6 @@ def prove_at_corners(
         domain: Bounds of z.
         affine: Names of the variables in which the matrix is affine.
         boxes: Number of boxes of all proofs together.
-        seconds: Optional time limit [s] of all proofs together.
-        progress: As for `prove`.
 
     Returns:
         The proofs in the order of the corners, up to the first that does not hold. A variable that does not enter the
@@ -209,32 +202,20 @@ def prove_at_corners(
     # A variable that does not enter the matrix needs one end only.
     ends = [(domain.low[i], domain.high[i])[: 1 + enters] for i, enters in zip(indices, enters_block[1:], strict=False)]
     # The conditions are not affine: they are proved over the whole domain.
-    reason, effort = _reason(formed, domain), _Effort.of(boxes, seconds)
+    reason, effort = _reason(formed, domain), _Effort.of(boxes, None)
     corners = []
     for corner in itertools.product(*ends):
         low, high = domain.low.copy(), domain.high.copy()
         # Equal bounds fix the affine variables; the other variables keep their whole range.
         low[indices] = high[indices] = corner
         corners.append(domain._replace(low=low, high=high))
-    expansions = Expansions.of(formed.entries, corners[0])
-    if reason:
-        return [_decide(expansions, corners[0], effort, 1, progress, reason)]
-    failed = []
-    for k, at in enumerate(corners):
-        counterexample = look_around(expansions, at)
-        if counterexample is not None:
-            failed, corners = [_failure_proof(at, counterexample, effort, reason)], corners[:k]
+    expansions, proofs = Expansions.of(formed.entries, corners[0]), []
+    for at in corners:
+        left = effort._replace(boxes=effort.boxes - sum(proof.boxes for proof in proofs))
+        proofs.append(_decide(expansions, at, left, 1, None, reason))
+        if proofs[-1].verdict != "holds":
             break
-    trees = [Tree(at) for at in corners]
-    # After a counter-example at one corner, the search goes on at the corners before it, to report the first that
-    # fails.
-    while (counterexample := _search_together(expansions, trees, effort, progress)) is not None:
-        at = counterexample[0][indices]
-        k = next(k for k, tree in enumerate(trees) if np.array_equal(tree.domain.low[indices], at))
-        failed, trees = [_conclude(trees[k], effort, reason, counterexample)], trees[:k]
-    proofs = [_conclude(tree, effort, reason) for tree in trees] + failed
-    holding = next((k for k, proof in enumerate(proofs) if proof.verdict != "holds"), len(proofs))
-    return proofs[: holding + 1]
+    return proofs
 
 
 KINKS = {"abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either", "cbrt", *TRUTHS}
@@ -370,27 +351,4 @@ def _search(map_judge: Callable, tree: Tree, effort: _Effort, progress) -> np.nd
             tree.take(lot, codes)
         if progress is not None:
             progress(tree.decided, tree.evaluated)
-    return None
-
-
-def _search_together(matrix: Expansions, trees: Sequence[Tree], effort: _Effort, progress) -> np.ndarray | None:
-    """Run `_search` on several trees of one matrix together, with their boxes in common batches."""
-    while sum(tree.evaluated for tree in trees) < effort.boxes and time.monotonic() < effort.until:
-        lots = [(tree, lot) for tree in trees if (lot := tree.next()) is not None]
-        if not lots:
-            return None
-        low, high = (np.concatenate([lot[side] for _, lot in lots]) for side in (1, 2))
-        codes = []
-        for begin in range(0, len(low), CHUNK):
-            chunk_codes, counterexample = judge(matrix, low[begin : begin + CHUNK], high[begin : begin + CHUNK])
-            if counterexample is not None:
-                for tree, lot in lots:
-                    tree.waiting.append(lot)
-                return counterexample
-            codes.append(chunk_codes)
-        ends = np.cumsum([len(lot[0]) for _, lot in lots])[:-1]
-        for (tree, lot), lot_codes in zip(lots, np.split(np.concatenate(codes), ends), strict=True):
-            tree.take(lot, lot_codes)
-        if progress is not None:
-            progress(float(np.mean([tree.decided for tree in trees])), sum(tree.evaluated for tree in trees))
     return None

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool
 
-from scalargraph import Enclosure, in_c
 from scalargraph._typing import Arithmetic
 from scalargraph.compiler import EXACT, compiled, compiler
+from scalargraph.intervals import Enclosure, in_c
 from scalargraph.proofs._definite import ROUND, SLACK, TINY, definite, factors, weights
 from scalargraph.proofs._enclosure import EnclosedMatrices, enclosed_by
 from scalargraph.template import fill

@@ -31,7 +31,6 @@ from ._predict import (
     family_errors as family_errors,
     machine_errors as machine_errors,
     mean_square as mean_square,
-    prediction_errors as prediction_errors,
     predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
 )

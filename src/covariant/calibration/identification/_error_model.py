@@ -46,7 +46,7 @@ class NoiseLevels(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.calibration import NoiseLevels
+        >>> from covariant.calibration.identification import NoiseLevels
         >>> NoiseLevels(jnp.array(0.07), jnp.array([1e-3, 1e-3]), jnp.array(0.0)).measurement.tolist()
         [0.001, 0.001]
     """

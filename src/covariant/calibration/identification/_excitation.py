@@ -140,7 +140,7 @@ class Excitation(NamedTuple):
         used, used_reference: Largest positions, velocities and torques (3, n) as fractions of the limits.
 
     Example:
-        >>> from covariant.calibration import Excitation
+        >>> from covariant.calibration.identification import Excitation
         >>> Excitation._fields[:2]
         ('motion', 'reference')
     """

@@ -20,7 +20,7 @@ class FourierMotion(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import FourierMotion
+        >>> from covariant.calibration.identification import FourierMotion
         >>> swing = FourierMotion(0.5, np.array([1.0]), np.array([[0.2], [0.0]]))
         >>> q, v, a = swing.at(np.array([0.0, 0.5]))
         >>> q.round(3).tolist(), v.round(3).tolist()

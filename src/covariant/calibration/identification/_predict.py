@@ -116,39 +116,17 @@ def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
     return int(np.clip(np.ceil(needed), 1, MOST_SUBSTEPS))
 
 
-def prediction_errors(model: MechanicalSystem, lag: Number, windows: Windows) -> PredictionErrors:
-    """Errors of a model's predictions against the positions and reference velocities of a log.
-
-    Args:
-        model: The mechanical system.
-        lag: Time constant [s] of the first-order lag of the inputs; 0 for none.
-        windows: The windows of the log.
-
-    Returns:
-        Root mean square errors after one step and over whole windows, with limited influence of outliers.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.calibration import prediction_errors, cut_windows
-        >>> from covariant.models import oscillator
-        >>> from covariant.signals import Record
-        >>> t = np.arange(0.0, 10.0, 0.02)
-        >>> record = Record(t, np.zeros((500, 1)), np.cos(t)[:, None])
-        >>> errors = prediction_errors(oscillator(), 0.0, cut_windows([record], [-np.sin(t)[:, None]], length=1.0))
-        >>> bool(errors.position[0] < 1e-9)
-        True
-    """
-    one = windows._replace(machine=np.zeros(len(windows.t), int))
-    return _machine_errors(eqx.Partial(_known_model, model, lag), np.zeros((1, 0)), one)
-
-
 def family_errors(family: Family, values: Float[np.ndarray, "p"], windows: Windows) -> PredictionErrors:
-    """The same of a family, each window predicted with the numbers of its machine."""
+    """Errors of a family's predictions against positions and reference velocities of a log.
+
+    Each window is predicted with the numbers of its machine. The errors are root mean squares after one step and over
+    whole windows, with limited influence of outliers.
+    """
     return _machine_errors(family.make, np.asarray(values)[family.parts], windows)
 
 
 def machine_errors(models: Sequence[Any], windows: Windows) -> PredictionErrors:
-    """The same of the models of several machines, which differ in their numbers alone."""
+    """Errors of the predictions of several machines, as `family_errors`, whose models differ in their numbers alone."""
     numbers = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(eqx.filter(m, eqx.is_inexact_array) for m in models))
     rest = eqx.filter(models[0], eqx.is_inexact_array, inverse=True)
     return _machine_errors(eqx.Partial(_with_numbers, rest), numbers, windows)
@@ -156,11 +134,6 @@ def machine_errors(models: Sequence[Any], windows: Windows) -> PredictionErrors:
 
 def _with_numbers(rest: Any, numbers: Any) -> tuple[MechanicalSystem, Number]:
     return eqx.combine(numbers, rest), 0.0
-
-
-def _known_model(model: MechanicalSystem, lag: Number, values: Any) -> tuple[MechanicalSystem, Number]:
-    del values  # none is open
-    return model, lag
 
 
 def _machine_errors(make: Any, values: Any, windows: Windows) -> PredictionErrors:

@@ -24,7 +24,7 @@ class Combinations(NamedTuple):
         leading: First number of each combination.
 
     Example:
-        >>> from covariant.calibration import Combinations
+        >>> from covariant.calibration.identification import Combinations
         >>> Combinations(("armature.elbow + inertia.lower.Iyy",), ("inertia.lower.Iyy",), 5).rank
         5
     """

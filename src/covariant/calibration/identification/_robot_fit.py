@@ -86,7 +86,8 @@ class RobotFit(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import Combinations, RobotFit
+        >>> from covariant.calibration import RobotFit
+        >>> from covariant.calibration.identification import Combinations
         >>> none = Combinations((), (), 1)
         >>> one = np.ones(1)
         >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, one > 0, none, one, 0.03, 4, one, one)

@@ -17,7 +17,6 @@ from ._gains import (
     gains as gains,
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
-    steady_state_errors as steady_state_errors,
 )
 from ._missing_inputs import missing_inputs as missing_inputs
 from ._stored_observer import stored_observer as stored_observer

@@ -67,7 +67,7 @@ class Candidate(NamedTuple):
         ties: Whether `error` is the least one up to its scatter.
 
     Example:
-        >>> from covariant.calibration import Candidate
+        >>> from covariant.calibration.tuning import Candidate
         >>> Candidate("rule", 20.0, 0.7, error=1e-3, smoothed=9e-4).source
         'rule'
     """

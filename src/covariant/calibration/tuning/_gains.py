@@ -244,22 +244,3 @@ def predict_sampled_errors(
     # The discrete Lyapunov equation P = A P Aᵀ + Q, as vec P = (I − A ⊗ A)⁻¹ vec Q.
     cov = np.linalg.solve(np.eye(4) - np.kron(loop, loop), added_cov.ravel()).reshape(2, 2)
     return Gains(alpha, beta, math.sqrt(cov[0, 0]), math.sqrt(cov[1, 1]))
-
-
-def steady_state_errors(alpha: Number, beta: Number, acceleration: float) -> tuple[float, float]:
-    """Errors of an observer under a constant unmodelled acceleration a: `a/β` in position and `αa/β` in velocity.
-
-    Args:
-        alpha: Position gain α [1/s].
-        beta: Velocity gain β [1/s²].
-        acceleration: The acceleration a [rad/s² or m/s²].
-
-    Returns:
-        Position error [rad or m] and velocity error [rad/s or m/s].
-
-    Example:
-        >>> from covariant.calibration import steady_state_errors
-        >>> steady_state_errors(alpha=10.0, beta=50.0, acceleration=1.0)
-        (0.02, 0.2)
-    """
-    return acceleration / float(beta), float(alpha) * acceleration / float(beta)

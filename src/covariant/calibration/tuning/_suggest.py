@@ -32,7 +32,7 @@ class Suggestion(NamedTuple):
         evidence: Source of the number, as half a sentence.
 
     Example:
-        >>> from covariant.calibration import Suggestion
+        >>> from covariant.calibration.tuning import Suggestion
         >>> suggestion = Suggestion("measurement.std", 0.001, "the noise of the positions in the log")
         >>> suggestion.line, suggestion.setting
         ('[measurement] std = 0.001', 'measurement.std=0.001')

@@ -97,7 +97,8 @@ class Tuning(NamedTuple):
     Example:
         >>> import jax.numpy as jnp
         >>> import numpy as np
-        >>> from covariant.calibration import HeldOut, NoiseLevels, Tuning
+        >>> from covariant.calibration import HeldOut, Tuning
+        >>> from covariant.calibration.identification import NoiseLevels
         >>> one = np.array([0.01])
         >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
         >>> noise = NoiseLevels(jnp.array(0.05), jnp.array([1e-3]), jnp.array(0.0))

@@ -22,8 +22,6 @@ from ._contraction import (
     contraction_rate as contraction_rate,
     generalised_jacobian as generalised_jacobian,
     in_coordinates as in_coordinates,
-    in_frame as in_frame,
-    log_norm as log_norm,
 )
 from ._contraction_statement import contraction_statement as contraction_statement
 from ._document import (

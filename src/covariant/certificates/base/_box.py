@@ -23,7 +23,7 @@ class Given(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import Given
+        >>> from covariant.certificates.base import Given
         >>> positions, inputs, times = np.array([[-1.0], [1.0]]), np.zeros((2, 0)), np.zeros(2)
         >>> bounds = Given(positions, inputs, times, *np.zeros((2, 1)), np.zeros((1, 1)))
         >>> bounds.document()["positions"]

@@ -74,7 +74,7 @@ class AbstractClaim(abc.ABC):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import CLAIMS
+        >>> from covariant.certificates.base import CLAIMS
         >>> from scalargraph.proofs import box, prove
         >>> proof = prove(lambda z: jnp.array([[2.0 - z[0]]]), box(v=(-1.0, 1.0)))
         >>> claim = CLAIMS["reach"](proof, row=0, square=4.0, limit=0.5)

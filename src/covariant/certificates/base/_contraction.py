@@ -14,12 +14,11 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from covariant._domains import ABOVE_ZERO, FINITE, KNOWN, check_numbers
-from covariant._linalg import solve, whiten
+from covariant._domains import FINITE, KNOWN, check_numbers
+from covariant._linalg import whiten
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import AbstractSpace
 from scalargraph import along, jacobian
-from scalargraph.errors import InputError
 
 Flow = Callable[[Scalar, Vector], Array]
 """The right-hand side of a flow, `(t, x (n,)) -> x' (n,)`."""
@@ -38,8 +37,9 @@ class StateMetric(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import in_frame
-        >>> metric = in_frame(lambda t, x: jnp.diag(jnp.array([1.0, 2.0])))
+        >>> from covariant.certificates.base import StateMetric
+        >>> theta = jnp.diag(jnp.array([1.0, 2.0]))
+        >>> metric = StateMetric(lambda t, x: theta, lambda t, x: jnp.linalg.inv(theta), lambda t, x: jnp.eye(2))
         >>> metric(jnp.array(0.0), jnp.zeros(2)).tolist()
         [[1.0, 0.0], [0.0, 4.0]]
     """
@@ -71,7 +71,7 @@ def in_coordinates(metric: StateMatrix) -> StateMetric:
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import in_coordinates
+        >>> from covariant.certificates.base import in_coordinates
         >>> metric = in_coordinates(lambda t, x: 2 * jnp.eye(2))
         >>> metric.gram(0.0, jnp.zeros(2)).tolist()
         [[2.0, 0.0], [0.0, 2.0]]
@@ -81,31 +81,6 @@ def in_coordinates(metric: StateMatrix) -> StateMetric:
         return jnp.eye(x.shape[0], dtype=x.dtype)
 
     return StateMetric(identity, identity, metric)
-
-
-def in_frame(theta: StateMatrix) -> StateMetric:
-    """Build the metric `M = ΘᵀΘ` of a transformation `δz = Θ(t, x) δx`, (4) and (7), for condition (8).
-
-    Args:
-        theta: `(t, x) -> Θ (n, n)`, invertible.
-
-    Returns:
-        The metric with N = I, in the frame of Θ.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.certificates import in_frame
-        >>> metric = in_frame(lambda t, x: 2 * jnp.eye(2))
-        >>> metric.frame(0.0, jnp.zeros(2)).tolist()
-        [[0.5, 0.0], [0.0, 0.5]]
-    """
-
-    # Θ⁻¹ = (ΘᵀΘ)⁻¹Θᵀ, by a solver for symmetric positive definite matrices.
-    def inverse(t, x):
-        value = theta(t, x)
-        return solve(value.T @ value, value.T)
-
-    return StateMetric(theta, inverse, lambda t, x: jnp.eye(x.shape[0], dtype=x.dtype))
 
 
 def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
@@ -122,8 +97,9 @@ def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) 
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import generalised_jacobian, in_frame
-        >>> metric = in_frame(lambda t, x: jnp.diag(jnp.array([1.0, 2.0])))
+        >>> from covariant.certificates.base import StateMetric, generalised_jacobian
+        >>> theta = jnp.diag(jnp.array([1.0, 2.0]))
+        >>> metric = StateMetric(lambda t, x: theta, lambda t, x: jnp.linalg.inv(theta), lambda t, x: jnp.eye(2))
         >>> flow = lambda t, x: jnp.stack([x[1] - x[0], -x[1]])
         >>> generalised_jacobian(flow, metric, jnp.array(0.0), jnp.zeros(2)).tolist()
         [[-1.0, 0.5], [0.0, -1.0]]
@@ -149,7 +125,7 @@ def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) ->
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import contraction_matrix, in_coordinates
+        >>> from covariant.certificates.base import contraction_matrix, in_coordinates
         >>> metric = in_coordinates(lambda t, x: jnp.eye(2))
         >>> contraction_matrix(lambda t, x: -3 * x, metric, jnp.array(0.0), jnp.zeros(2)).tolist()
         [[-6.0, 0.0], [0.0, -6.0]]
@@ -196,41 +172,3 @@ def contraction_rate(
     metric = metric if isinstance(metric, StateMetric) else in_coordinates(metric)
     # Whitening by N makes the generalised eigenvalues ordinary ones; eigvalsh sorts them in rising order.
     return -jnp.linalg.eigvalsh(whiten(metric.gram(t, x), contraction_matrix(flow, metric, t, x)))[-1]
-
-
-@check_numbers
-def log_norm(
-    matrix: Annotated[Matrix, FINITE], order: Annotated[float | int, ABOVE_ZERO] = 2
-) -> Annotated[Scalar, KNOWN]:
-    """Compute the logarithmic norm μ of a Jacobian for the vector norm ℓ1, ℓ2 or ℓ∞: `|δx|' ≤ μ |δx|`.
-
-    A quick test: if μ is negative everywhere on a convex set, the flow contracts in that norm.
-
-    Source: Desoer & Haneda 1972, The measure of a matrix as a tool to analyze computer algorithms, IEEE Trans. Circuit
-    Theory 19(5).
-
-    Args:
-        matrix: Jacobian (n, n) [1/s].
-        order: order of the vector norm: 1, 2 (default) or infinity.
-
-    Returns:
-        μ [1/s].
-
-    Raises:
-        ValueError: `order` is not 1, 2 or infinity.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.certificates import log_norm
-        >>> jacobian = jnp.array([[-2.0, 1.0], [0.0, -4.0]])
-        >>> float(log_norm(jacobian, 1)), float(log_norm(jacobian, jnp.inf))
-        (-2.0, -1.0)
-    """
-    if order == 2:
-        return jnp.linalg.eigvalsh((matrix + matrix.T) / 2)[-1]
-    if order not in (1, jnp.inf):
-        raise InputError(f"log_norm: order must be 1, 2 or inf; got {order!r}")
-    # ℓ1 sums over columns, ℓ∞ over rows; the diagonal enters with its sign.
-    sizes = jnp.abs(matrix) if order == 1 else jnp.abs(matrix).T
-    diagonal = jnp.diagonal(matrix)
-    return jnp.max(diagonal + jnp.sum(sizes, axis=0) - jnp.abs(diagonal))

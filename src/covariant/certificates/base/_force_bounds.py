@@ -34,7 +34,7 @@ def force_bounds(
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import force_bounds
+        >>> from covariant.certificates.base import force_bounds
         >>> from covariant.models import oscillator
         >>> from scalargraph.proofs import box
         >>> inputs = np.array([[-0.5], [0.5]])

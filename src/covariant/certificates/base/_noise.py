@@ -29,7 +29,7 @@ def steady_distance(rate: Positive, disturbance: NotNegative) -> float:
         ValueError: a rate that is not positive.
 
     Example:
-        >>> from covariant.certificates import steady_distance
+        >>> from covariant.certificates.base import steady_distance
         >>> steady_distance(rate=4.0, disturbance=0.1)
         0.05
     """
@@ -65,7 +65,7 @@ def noise_disturbance(
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import noise_disturbance
+        >>> from covariant.certificates.base import noise_disturbance
         >>> round(noise_disturbance(3.0, 4.0, 2 * np.eye(2), noise=0.1, slope=0.0), 6)
         0.5
     """

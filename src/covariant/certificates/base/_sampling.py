@@ -22,7 +22,7 @@ class Sampling(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import Sampling
+        >>> from covariant.certificates.base import Sampling
         >>> sampling = Sampling(np.array([0.009, 0.011]), lost=1)
         >>> sampling.ages.round(3).tolist(), round(sampling.oldest, 3)
         ([[0.009, 0.011], [0.018, 0.022]], 0.022)

@@ -13,14 +13,6 @@ from scalargraph.errors import InputError
 Verdict = Literal["holds", "fails", "undecided"]
 Evidence = Literal["proved", "sampled", "claimed", "assumed"]
 
-MEANING: dict[Evidence, str] = {
-    "proved": "by arithmetic with outward rounding, everywhere in the domain, or by a condition on numbers",
-    "sampled": "at points or along motions that were tried, between which nothing is known",
-    "claimed": "by a file that was read and not verified",
-    "assumed": "not checked by computation",
-}
-"""Meaning of each kind of evidence, the strongest first."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Hypothesis:
@@ -31,7 +23,9 @@ class Hypothesis:
 
     Attributes:
         text: the premise in words.
-        evidence: "proved", "sampled", "claimed" or "assumed", with the meanings of `MEANING`.
+        evidence: "proved": by arithmetic with outward rounding, everywhere in the domain, or by a condition on numbers.
+            "sampled": at points or along motions that were tried, between which nothing is known. "claimed": by a file
+            that was read and not verified. "assumed": not checked by computation.
         verdict: "holds", "fails" (which refutes the claim) or "undecided". An assumed premise is taken to hold.
         margin: amount by which the premise holds, in the unit of its text; None where no number says it.
         place: where the margin is least, or where the premise fails, in words; may be empty.

@@ -37,7 +37,7 @@ def error_matrix(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINIT
         `A = [[−α, 1], [−β, 0]]`.
 
     Example:
-        >>> from covariant.certificates import error_matrix
+        >>> from covariant.certificates.base import error_matrix
         >>> error_matrix(2.0, 3.0).tolist()
         [[-2.0, 1.0], [-3.0, 0.0]]
     """
@@ -119,7 +119,8 @@ def rate_of(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE], q
         ValueError: a gain that is not finite, or a q that is not symmetric positive definite.
 
     Example:
-        >>> from covariant.certificates import lyapunov, rate_of
+        >>> from covariant.certificates import lyapunov
+        >>> from covariant.certificates.base import rate_of
         >>> round(rate_of(1.0, 1.0, lyapunov(1.0, 1.0)), 4)
         0.5528
     """
@@ -147,7 +148,7 @@ def conditioning(beta: Annotated[Number, POSITIVE], q: Numbers) -> float:
         ValueError: a beta that is not positive, or a q that is not symmetric positive definite.
 
     Example:
-        >>> from covariant.certificates import conditioning
+        >>> from covariant.certificates.base import conditioning
         >>> round(conditioning(4.0, [[4.0, 0.0], [0.0, 1.0]]), 6)
         1.0
     """
@@ -192,7 +193,8 @@ def optimal_lyapunov(alpha: Annotated[Number, FINITE], beta: Annotated[Number, F
         ValueError: as for `lyapunov`.
 
     Example:
-        >>> from covariant.certificates import conditioning, lyapunov, optimal_lyapunov
+        >>> from covariant.certificates import lyapunov, optimal_lyapunov
+        >>> from covariant.certificates.base import conditioning
         >>> conditioning(2.0, optimal_lyapunov(2.0, 2.0, 1.0)) <= conditioning(2.0, lyapunov(2.0, 2.0, 1.0))
         True
     """

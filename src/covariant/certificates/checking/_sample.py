@@ -38,7 +38,7 @@ class Sampled(NamedTuple):
         seconds: time it took [s].
 
     Example:
-        >>> from covariant.certificates import Sampled
+        >>> from covariant.certificates.checking import Sampled
         >>> result = Sampled(leaves=20, total=400, boxes=35, seconds=1.5)  # usually from `check_sample`
         >>> result.leaves / result.total
         0.05

@@ -3,8 +3,6 @@ from ._contraction_certificate import ContractionCertificate as ContractionCerti
 from ._figures import Projection as Projection, TradeOff as TradeOff, projection as projection, trade_off as trade_off
 from ._largest import Attempt as Attempt, Largest as Largest, largest as largest
 from ._simulated import (
-    Followed as Followed,
     Trajectories as Trajectories,
-    follow_estimates as follow_estimates,
     trajectories as trajectories,
 )

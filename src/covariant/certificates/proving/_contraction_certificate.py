@@ -67,7 +67,8 @@ class ContractionCertificate(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import ContractionCertificate, Given, Hypothesis, Statement
+        >>> from covariant.certificates import ContractionCertificate, Hypothesis, Statement
+        >>> from covariant.certificates.base import Given
         >>> from scalargraph.proofs import box
         >>> statement = Statement("the observer contracts", (), (Hypothesis("it contracts", "proved"),), 2.0)
         >>> domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))

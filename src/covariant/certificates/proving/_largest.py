@@ -54,7 +54,8 @@ class Largest(NamedTuple):
         attempts: what was tried, in this order.
 
     Example:
-        >>> from covariant.certificates import Attempt, Largest
+        >>> from covariant.certificates import Attempt
+        >>> from covariant.certificates.proving import Largest
         >>> found = Largest(None, (Attempt(1.0, "holds", 9, 0.1), Attempt(2.0, "undecided", 100, 0.0)))
         >>> found.value, found.refused
         (1.0, 2.0)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant._domains import Count, Positive, Whole, check_numbers
+from covariant._domains import Count, Whole, check_numbers
 from covariant.certificates.base import error_matrix
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 from covariant.certificates.theory import Decay, lower_distance, upper_distance
@@ -21,45 +21,6 @@ from scalargraph.errors import InputError
 
 INSIDE = 0.98
 """Fraction of the bounds that a simulated motion may use, so that it also keeps them between its stamps."""
-WATCHED = 97
-"""Number of stamps at which a motion is tested to be inside the bounds."""
-
-
-class Followed(NamedTuple):
-    """Estimates that start on the border of the proved ball, each around another motion of the model.
-
-    Attributes:
-        t: stamps (k, T) [s], until the motion leaves the region or the bound of the velocity, but at most eight time
-            constants.
-        low, high: lower and upper bounds (k, T) of the distance of each estimate from its motion.
-        bound: the certified bound `ε e^(−λt/2)` (k, T).
-        certified: rate λ [1/s], of squared lengths.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.certificates import Followed
-        >>> t = np.array([[0.0, 1.0]])
-        >>> distance, bound = 0.1 * np.exp(-t), 0.1 * np.exp(-t / 2)
-        >>> measured = Followed(t, distance, distance, bound, certified=1.0)  # usually from `follow_estimates`
-        >>> measured.holds, measured.rates.round(6).tolist()
-        (True, [2.0])
-    """
-
-    t: Float[np.ndarray, "k T"]
-    low: Float[np.ndarray, "k T"]
-    high: Float[np.ndarray, "k T"]
-    bound: Float[np.ndarray, "k T"]
-    certified: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether no distance exceeds its bound, with a relative tolerance of one millionth for the integration."""
-        return bool((self.low <= self.bound * (1 + 1e-6)).all())
-
-    @property
-    def rates(self) -> Float[np.ndarray, "k"]:
-        """The rate λ (k,) [1/s] of each pair, from its first stamp to its last."""
-        return 2 * np.log(self.high[:, 0] / self.high[:, -1]) / (self.t[:, -1] - self.t[:, 0])
 
 
 class Trajectories(NamedTuple):
@@ -77,7 +38,8 @@ class Trajectories(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import Decay, Trajectories
+        >>> from covariant.certificates import Trajectories
+        >>> from covariant.certificates.theory import Decay
         >>> t, motion, estimates = np.array([0.0, 1.0]), np.zeros((2, 1)), 0.1 * np.ones((3, 2, 1))
         >>> distance = np.array([0.1, 0.05]) * np.ones((3, 1))
         >>> distances = Decay(t, distance, distance, distance)
@@ -94,59 +56,6 @@ class Trajectories(NamedTuple):
     half_widths: Float[np.ndarray, "two_n"]
     shown: int
     distances: Decay
-
-
-@check_numbers
-def follow_estimates(
-    certificate: ContractionCertificate,
-    count: Count = 100,
-    *,
-    stamps: Count = 25,
-    seed: Whole = 0,
-    rtol: Positive = 1e-10,
-    atol: Positive = 1e-13,
-) -> Followed:
-    """Simulate motions in the region of a certificate, each with an estimate from the border of the proved ball.
-
-    Args:
-        certificate: a certificate that holds.
-        count: number k of random motions; each estimate starts at a random point of the border.
-        stamps: number T of instants at which the distances are measured.
-        seed: of the random numbers.
-        rtol, atol: relative and absolute tolerance of the integration.
-
-    Returns:
-        Distances of the estimates from their motions, with the certified bound.
-
-    Raises:
-        ValueError: nothing is proved, or motions leave the region too soon.
-    """
-    plant, radius = _Plant(certificate), certificate.radius
-    rng = np.random.default_rng(seed)
-    start, inputs, until = _draw_motions(plant, count, rng)
-    directions = jnp.asarray(rng.normal(size=(count, 2 * plant.n)))
-    metric, first = plant.metric, plant.first
-
-    @jax.jit
-    @jax.vmap
-    def follow(start, inputs, until, direction):
-        region_point = plant.place(start)[: 2 * plant.n]
-        root = jnp.linalg.cholesky(metric.gram(jnp.zeros(()), region_point))
-        # Uniform on the sphere of the metric: with N = LLᵀ, the vector L⁻ᵀ w has the length of w.
-        ball = jnp.linalg.solve(root.T, direction / jnp.linalg.norm(direction))
-        begin = _on_the_border(plant, start, metric.frame(jnp.zeros(()), region_point) @ ball, jnp.asarray(radius))
-        t = first + (until - first) * jnp.linspace(0, 1, stamps)
-        actual, estimated = plant.observed(start, begin, t, plant.inputs(*inputs), rtol=rtol, atol=atol)
-        return t, *jax.vmap(plant.chart)(estimated, actual)
-
-    @jax.jit
-    def distances(*arguments):
-        between = jax.vmap(lambda *x: (lower_distance(metric, *x), upper_distance(metric, *x)))
-        return jax.lax.map(lambda x: between(*x), arguments)  # one by one: each evaluates many points at every stamp
-
-    t, *ends = follow(start, inputs, jnp.asarray(until), directions)
-    t, low, high = (np.asarray(a) for a in (t, *distances(t, *ends)))
-    return Followed(t, low, high, radius * np.exp(-certificate.decay * (t - first)), certificate.rate)
 
 
 @check_numbers
@@ -175,7 +84,7 @@ def trajectories(
     half_widths = plant.half_widths
     m = certificate.given.inputs.shape[1]
     # Paces that are no multiples of each other: several inputs do not repeat one pattern.
-    control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)), jnp.zeros(m))
+    control = plant.inputs(2 * jnp.pi / plant.longest * (2 + 0.74 * jnp.arange(m, dtype=float)))
     rng = np.random.default_rng(seed)
     start, duration, travel = _longest_motion(plant, control, rng)
     t = jnp.linspace(plant.first, plant.first + duration, stamps)
@@ -217,7 +126,7 @@ class _Plant:
     """The model of a certificate that has a tube: its motions, and the chart in which its metric compares states.
 
     The chart is that of its coordinates, or of the retraction around the estimate. Motions start at `first` and are
-    followed for at most `longest`, eight times the time `constant` of the gains [s].
+    followed for at most `longest`, eight time constants of the gains [s].
     """
 
     def __init__(self, certificate: ContractionCertificate):
@@ -228,10 +137,10 @@ class _Plant:
         self.metric = certificate.error_system.at(jnp.zeros(len(certificate.error_system.names))).metric
         alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
         # Time constant of the slower pole of the error law.
-        self.constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
+        constant = -1 / float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
         self.first, last = certificate.given.times
         # e⁻⁸ = 3e-4: what is left of a first error is then hardly visible.
-        self.longest = 8 * self.constant
+        self.longest = 8 * constant
         if last > self.first:
             self.longest = min(self.longest, last - self.first)
 
@@ -274,10 +183,10 @@ class _Plant:
         """The point of the region with the estimate x and all other variables zero."""
         return jnp.concatenate([*([x.q] if self.flat else []), x.v, jnp.zeros(2 * self.n)])
 
-    def inputs(self, pace: Array, phase: Array) -> Callable[[Array, Any], Array]:
+    def inputs(self, pace: Array) -> Callable[[Array, Any], Array]:
         """Sinusoidal inputs (m,) within their bounds."""
         low, high = jnp.asarray(self.certificate.given.inputs)
-        return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t + phase)
+        return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t)
 
     def inside(self, places: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The number of first stamps at which each motion (k, T, ...) is inside the bounds."""
@@ -296,35 +205,6 @@ class _Plant:
         """The state x changed by a step (2n,) of position and velocity."""
         turn, v = jnp.split(step, 2)
         return Motion(self.manifold.retract(x.q, turn), x.v + v)
-
-
-def _draw_motions(plant: _Plant, count: int, rng) -> tuple[Any, tuple[Array, Array], np.ndarray]:
-    """`count` starts of motions, the pace and phase (count, m) of their inputs, and their ends in time (count,).
-
-    These are random motions that stay within the bounds for at least a time constant of the gains.
-    """
-    first, longest = plant.first, plant.longest
-    t = jnp.linspace(first, first + longest, WATCHED)
-    m = plant.certificate.given.inputs.shape[1]
-
-    @jax.jit
-    @jax.vmap
-    def motions(x0, inputs):
-        return plant.simulated(x0, t, plant.inputs(*inputs))
-
-    batches, ends = [], np.zeros(0)
-    for _ in range(20):
-        pace = jnp.asarray(rng.uniform(1, 4, (2 * count, m))) * (2 * jnp.pi / longest)
-        drawn = plant.draw(rng, 2 * count), (pace, jnp.asarray(rng.uniform(0, 2 * np.pi, (2 * count, m))))
-        inside_count = plant.inside(*(np.asarray(a) for a in motions(*drawn)))
-        last = np.asarray(t)[np.maximum(inside_count - 1, 0)]
-        long_enough = last >= first + min(plant.constant, longest)
-        batches.append(jax.tree.map(lambda a, long_enough=long_enough: a[long_enough], drawn))
-        ends = np.concatenate([ends, last[long_enough]])
-        if len(ends) >= count:
-            start, inputs = jax.tree.map(lambda *parts: jnp.concatenate(parts)[:count], *batches)
-            return start, inputs, ends[:count]
-    raise InputError("too few motions stay inside the region for a time constant of the gains; take a larger region")
 
 
 def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any, float, np.ndarray]:

@@ -92,7 +92,7 @@ class BoundedState(NamedTuple):
         last_input: the last finite input (m,).
 
     Example:
-        >>> from covariant.certificates import BoundedState
+        >>> from covariant.certificates.sampled import BoundedState
         >>> BoundedState._fields
         ('inner', 'radius', 'premise', 'last_input')
     """
@@ -117,7 +117,8 @@ class BoundedInfo(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import BoundedInfo, Premise
+        >>> from covariant.certificates import Premise
+        >>> from covariant.certificates.sampled import BoundedInfo
         >>> none, unknown = jnp.zeros(1), jnp.array([jnp.inf])
         >>> info = BoundedInfo(none, none[0], unknown[0], unknown, unknown, jnp.array(2), jnp.array(0))
         >>> Premise(int(info.premise)).name
@@ -154,7 +155,7 @@ class SampledBound(eqx.Module):
     Example:
         >>> import numpy as np
         >>> from covariant import models, observers
-        >>> from covariant.certificates import SampledBound
+        >>> from covariant.certificates.sampled import SampledBound
         >>> from covariant.certificates.base._radius_recursion import Recursion
         >>> observer = observers.Intrinsic(models.oscillator(), 10.0, 40.0, substeps=1)
         >>> recursion = Recursion(2.0, 0.0, (1e-6,), 0.0, 0.0, 0.0, np.array([[0.01, 0.02]]))

@@ -68,7 +68,8 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
     Example:
         >>> import numpy as np
         >>> from covariant import models, observers
-        >>> from covariant.certificates import Sampling, sampled_system
+        >>> from covariant.certificates import sampled_system
+        >>> from covariant.certificates.base import Sampling
         >>> sampling = Sampling(np.array([0.01, 0.01]))
         >>> sampled_system(observers.Intrinsic(models.oscillator(), 2.0, 2.0), np.eye(2), sampling).names
         ('q', 'v_q', 'e_q', 'f_q', 'w_q', 'd_q', 'age')

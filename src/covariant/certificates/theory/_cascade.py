@@ -56,7 +56,7 @@ class Constants(NamedTuple):
         m1: the least eigenvalue of M in `V_obs = x̃ᵀMx̃`.
 
     Example:
-        >>> from covariant.certificates import Constants
+        >>> from covariant.certificates.theory import Constants
         >>> constants = Constants(c1=0.5, c2=0.5, c3=1.0, c4=1.0, lambda_q=2.0, gamma1=3.0, gamma2=0.0, m1=1.0)
         >>> constants.printed, constants.weighted, constants.kappa
         (False, True, 1.125)
@@ -125,7 +125,7 @@ class Growth(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import Growth
+        >>> from covariant.certificates.theory import Growth
         >>> growth = Growth(np.zeros(3), np.ones((3, 1)), 2.0, {"x": 1.0})  # usually in a `CascadeCertificate`
         >>> growth.rate, growth.point
         (2.0, {'x': 1.0})
@@ -148,7 +148,8 @@ class CascadeCertificate(NamedTuple):
         growth: a solution by which the observer's error grows, or None.
 
     Example:
-        >>> from covariant.certificates import CascadeCertificate, Constants, Hypothesis, Statement
+        >>> from covariant.certificates import CascadeCertificate, Hypothesis, Statement
+        >>> from covariant.certificates.theory import Constants
         >>> constants = Constants(0.5, 0.5, 1.0, 1.0, 2.0, 3.0, 0.0, 1.0)
         >>> statement = Statement("it is stable", (), (Hypothesis("c3 > 0", "sampled"),), 2.0)
         >>> result = CascadeCertificate(statement, False, constants, {"g": True}, None)  # usually from `cascade`

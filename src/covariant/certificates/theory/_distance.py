@@ -45,7 +45,8 @@ def upper_distance(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import in_coordinates, upper_distance
+        >>> from covariant.certificates.base import in_coordinates
+        >>> from covariant.certificates.theory import upper_distance
         >>> metric = in_coordinates(lambda t, x: 4 * jnp.eye(2))
         >>> round(float(upper_distance(metric, jnp.array(0.0), jnp.zeros(2), jnp.array([3.0, 4.0]))), 6)
         10.0
@@ -79,7 +80,8 @@ def lower_distance(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import in_coordinates, lower_distance
+        >>> from covariant.certificates.base import in_coordinates
+        >>> from covariant.certificates.theory import lower_distance
         >>> metric = in_coordinates(lambda t, x: 4 * jnp.eye(2))
         >>> round(float(lower_distance(metric, jnp.array(0.0), jnp.zeros(2), jnp.array([3.0, 4.0]))), 6)
         10.0
@@ -130,7 +132,7 @@ class Decay(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import Decay
+        >>> from covariant.certificates.theory import Decay
         >>> t = np.array([0.0, 1.0, 2.0])
         >>> distance, bound = np.exp(-t)[None], np.exp(-t / 2)[None]
         >>> measured = Decay(t, distance, distance, bound)
@@ -215,7 +217,8 @@ def decay(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import decay, in_coordinates
+        >>> from covariant.certificates import decay
+        >>> from covariant.certificates.base import in_coordinates
         >>> metric = in_coordinates(lambda t, x: jnp.eye(1))
         >>> pair, t = (jnp.array([[0.0]]), jnp.array([[1.0]])), jnp.linspace(0.0, 1.0, 5)
         >>> measured = decay(lambda t, x: -x, metric, 1.9, *pair, t)

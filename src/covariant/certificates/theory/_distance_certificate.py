@@ -79,8 +79,9 @@ class DistanceCertificate(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.certificates import DistanceCertificate, Hypothesis, Statement
-        >>> from covariant.certificates import DistanceBounds, DistanceDecay
+        >>> from covariant.certificates import Hypothesis, Statement
+        >>> from covariant.certificates.theory import DistanceCertificate
+        >>> from covariant.certificates.theory import DistanceBounds, DistanceDecay
         >>> statement = Statement("distances fall", (), (Hypothesis("curvature is bounded", "proved"),), 1.0)
         >>> bounds = DistanceBounds(1.0, 0.1, 1.0, (-1.0, 1.0))
         >>> decay = DistanceDecay(1.0, 2.0, 0.1, 3.0, 500.0, 400.0, 0.0)

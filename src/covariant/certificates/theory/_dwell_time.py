@@ -51,7 +51,7 @@ class JumpGrowth(NamedTuple):
         beta: Gain β [1/s²].
 
     Example:
-        >>> from covariant.certificates import JumpGrowth
+        >>> from covariant.certificates.theory import JumpGrowth
         >>> JumpGrowth(touch_down=1.02, lift_off=1.01, alpha=20.0, beta=200.0).lift_off
         1.01
     """
@@ -144,7 +144,8 @@ def dwell_time(growth: JumpGrowth, flight: Positive, stance: Positive) -> Statem
             α²/4.
 
     Example:
-        >>> from covariant.certificates import JumpGrowth, dwell_time
+        >>> from covariant.certificates import dwell_time
+        >>> from covariant.certificates.theory import JumpGrowth
         >>> statement = dwell_time(JumpGrowth(1.02, 1.01, 20.0, 200.0), flight=0.2, stance=0.1)
         >>> statement.short, round(statement.margin, 2)
         ('holds (sampled)', 2.97)

@@ -37,10 +37,10 @@ def tracking(controller: Backstepping) -> ErrorSystem:
         >>> import numpy as np
         >>> from covariant.certificates import tracking
         >>> from covariant.models.marine import Craft
-        >>> from covariant.simulation import Backstepping, set_point
+        >>> from covariant.simulation import Backstepping, lissajous
         >>> names = {"coordinates": ("x",), "units": ("m",), "velocities": ("u",)}
         >>> craft = Craft(np.eye(1), lambda eta: jnp.eye(1), lambda nu: jnp.eye(1), **names)
-        >>> tracking(Backstepping(craft, set_point([0.0], [0.0], 1.0), kp=1.0, kd=1.0, lam=1.0)).names
+        >>> tracking(Backstepping(craft, lissajous([0.0], [0.0], [1.0]), kp=1.0, kd=1.0, lam=1.0)).names
         ('eta_x', 'r_u', 's_u')
     """
     craft = controller.craft
@@ -92,10 +92,10 @@ def feedthrough(controller: Backstepping) -> Coupling:
         >>> import numpy as np
         >>> from covariant.certificates import feedthrough
         >>> from covariant.models.marine import Craft
-        >>> from covariant.simulation import Backstepping, set_point
+        >>> from covariant.simulation import Backstepping, lissajous
         >>> names = {"coordinates": ("x",), "units": ("m",), "velocities": ("u",)}
         >>> craft = Craft(np.eye(1), lambda eta: jnp.eye(1), lambda nu: jnp.eye(1), **names)
-        >>> jacobians = feedthrough(Backstepping(craft, set_point([0.0], [0.0], 1.0), kp=1.0, kd=1.0, lam=1.0))
+        >>> jacobians = feedthrough(Backstepping(craft, lissajous([0.0], [0.0], [1.0]), kp=1.0, kd=1.0, lam=1.0))
         >>> jacobians(jnp.zeros(2))[0].tolist()
         [[0.0, 0.0], [1.0, 2.0]]
     """

@@ -61,7 +61,8 @@ class Observability(NamedTuple):
         outputs: their outputs (3, p), or None.
 
     Example:
-        >>> from covariant.certificates import Hypothesis, Observability, Statement
+        >>> from covariant.certificates import Hypothesis, Statement
+        >>> from covariant.certificates.theory import Observability
         >>> premises = (Hypothesis("it holds at the points", "sampled"),)
         >>> first = Statement("f contracts", (), premises, 2.0, "3 states")
         >>> second = Statement("level sets are totally geodesic", (), premises, 0.0, "3 states")
@@ -114,7 +115,7 @@ def detectability_rate(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import detectability_rate
+        >>> from covariant.certificates.theory import detectability_rate
         >>> from covariant.models import StateSpace
         >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1], coordinates=("a", "b"))
         >>> float(detectability_rate(model, lambda x: jnp.eye(2), jnp.zeros(2)))
@@ -157,7 +158,7 @@ def bending(
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant.certificates import bending
+        >>> from covariant.certificates.theory import bending
         >>> from covariant.models import StateSpace
         >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1] ** 2 + x[1:] ** 2, coordinates=("a", "b"))
         >>> curvature, direction = bending(model, lambda x: jnp.eye(2), jnp.array([2.0, 0.0]))

@@ -67,10 +67,11 @@ class Gate(eqx.Module):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
+        >>> from covariant.observers.base import GateMemory, Sample, Velocity
         >>> gate, manifold = observers.Gate(deviations=5.0), models.ball_and_beam().manifold
-        >>> sample = observers.Sample(jnp.array([4.0, 6.0]), jnp.eye(2), jnp.eye(2), jnp.ones(2, bool))
-        >>> rest = observers.Velocity(jnp.zeros(2), jnp.eye(2))
-        >>> verdict = gate.judge(manifold, sample, observers.GateMemory.at_start(jnp.zeros(2)), rest)
+        >>> sample = Sample(jnp.array([4.0, 6.0]), jnp.eye(2), jnp.eye(2), jnp.ones(2, bool))
+        >>> rest = Velocity(jnp.zeros(2), jnp.eye(2))
+        >>> verdict = gate.judge(manifold, sample, GateMemory.at_start(jnp.zeros(2)), rest)
         >>> verdict.far.tolist(), verdict.memory.refused.tolist()
         ([False, True], [0, 1])
     """

@@ -61,8 +61,8 @@ class GateMemory(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
-        >>> memory = observers.GateMemory.at_start(jnp.zeros(2)).advanced(0.01)
+        >>> from covariant.observers.base import GateMemory
+        >>> memory = GateMemory.at_start(jnp.zeros(2)).advanced(0.01)
         >>> memory.refused.tolist(), memory.idle.tolist()
         ([0, 0], [0.01, 0.01])
     """
@@ -151,8 +151,8 @@ class Sample(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
-        >>> observers.Sample(jnp.array([0.1]), jnp.eye(1), jnp.eye(1), jnp.ones(1, bool)).innovation.shape
+        >>> from covariant.observers.base import Sample
+        >>> Sample(jnp.array([0.1]), jnp.eye(1), jnp.eye(1), jnp.ones(1, bool)).innovation.shape
         (1,)
     """
 
@@ -171,8 +171,8 @@ class Velocity(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
-        >>> observers.Velocity(jnp.zeros(2), jnp.eye(2)).cov.tolist()
+        >>> from covariant.observers.base import Velocity
+        >>> Velocity(jnp.zeros(2), jnp.eye(2)).cov.tolist()
         [[1.0, 0.0], [0.0, 1.0]]
     """
 
@@ -196,8 +196,9 @@ class Judged(NamedTuple):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import StepCode, models, observers
-        >>> sample = observers.Sample(jnp.array([40.0]), jnp.eye(1), jnp.eye(1), jnp.ones(1, bool))
-        >>> memory, rest = observers.GateMemory.at_start(jnp.zeros(1)), observers.Velocity(jnp.zeros(1), jnp.eye(1))
+        >>> from covariant.observers.base import GateMemory, Sample, Velocity
+        >>> sample = Sample(jnp.array([40.0]), jnp.eye(1), jnp.eye(1), jnp.ones(1, bool))
+        >>> memory, rest = GateMemory.at_start(jnp.zeros(1)), Velocity(jnp.zeros(1), jnp.eye(1))
         >>> verdict = observers.Gate().judge(models.oscillator().manifold, sample, memory, rest)
         >>> StepCode(verdict.result(jnp.asarray(0)).item()).name
         'OUTLIER'

@@ -460,8 +460,9 @@ class AbstractMechanicalObserver(AbstractFlowObserver):
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant import models, observers
+        >>> from covariant.observers.base import AbstractMechanicalObserver
         >>> observer = observers.Intrinsic(models.ball_and_beam(), alpha=4.0, beta=8.0)
-        >>> isinstance(observer, observers.AbstractMechanicalObserver)
+        >>> isinstance(observer, AbstractMechanicalObserver)
         True
         >>> state = observer.init(jnp.array([0.3, 0.1]))
         >>> observer.estimate(state).tolist()  # q, then v: at rest

@@ -75,8 +75,9 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import models, observers
-        >>> observers.needed_substeps(models.oscillator(), 0.0, jnp.zeros(1), jnp.zeros(1), jnp.zeros(1), 0.04).item()
+        >>> from covariant import models
+        >>> from covariant.observers.base import needed_substeps
+        >>> needed_substeps(models.oscillator(), 0.0, jnp.zeros(1), jnp.zeros(1), jnp.zeros(1), 0.04).item()
         4
     """
     n = v.shape[0]

@@ -70,9 +70,9 @@ class GeodesicInfo(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
+        >>> from covariant.observers.constant_gain import GeodesicInfo
         >>> zero = jnp.zeros(())
-        >>> info = observers.GeodesicInfo(jnp.zeros(1), distance=zero, residual=zero, result=jnp.zeros((), int))
+        >>> info = GeodesicInfo(jnp.zeros(1), distance=zero, residual=zero, result=jnp.zeros((), int))
         >>> info._fields
         ('innovation', 'distance', 'residual', 'result')
     """

@@ -47,9 +47,9 @@ class LeggedBaseState(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
+        >>> from covariant.observers.filters import LeggedBaseState
         >>> zero, turned = jnp.zeros(()), jnp.eye(3)[None]
-        >>> state = observers.LeggedBaseState(jnp.zeros(15), zero, jnp.eye(15), turned, zero)
+        >>> state = LeggedBaseState(jnp.zeros(15), zero, jnp.eye(15), turned, zero)
         >>> state.turned.shape, state.last_input is None
         ((1, 3, 3), True)
     """
@@ -76,9 +76,9 @@ class LeggedBaseInfo(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
+        >>> from covariant.observers.filters import LeggedBaseInfo
         >>> down, ok = jnp.array([True, False]), jnp.zeros((), int)
-        >>> info = observers.LeggedBaseInfo(jnp.zeros(6), jnp.zeros(()), jnp.zeros(2), jnp.ones(18), down, ok)
+        >>> info = LeggedBaseInfo(jnp.zeros(6), jnp.zeros(()), jnp.zeros(2), jnp.ones(18), down, ok)
         >>> int(info.standing.sum())
         1
     """

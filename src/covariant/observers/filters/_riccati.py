@@ -165,8 +165,8 @@ class InformationState(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
-        >>> state = observers.InformationState(x=jnp.ones(2), information=4.0 * jnp.eye(2), t=jnp.zeros(()))
+        >>> from covariant.observers.filters import InformationState
+        >>> state = InformationState(x=jnp.ones(2), information=4.0 * jnp.eye(2), t=jnp.zeros(()))
         >>> jnp.linalg.inv(state.information).diagonal().tolist()  # variances
         [0.25, 0.25]
     """

@@ -76,8 +76,7 @@ class Sensor(Functional):
 
     Use it for a sensor that the ready ones do not cover, such as a strain gauge or a laser range finder: write its
     output as a function in JAX. Pass it as `sensors` of `IntrinsicKalman`; its readings follow the configuration in a
-    measurement, NaN where there is none. Give its bias as `slow`. `Damped` uses sensors in an observer with constant
-    gains.
+    measurement, NaN where there is none. Give its bias as `slow`.
 
     Attributes:
         name: Name of the sensor.
@@ -167,8 +166,8 @@ class SensorInfo(NamedTuple):
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from covariant import observers
-        >>> observers.SensorInfo(jnp.array([0.2]), jnp.array([0.1]), jnp.array([True]))._fields
+        >>> from covariant.observers.sensors import SensorInfo
+        >>> SensorInfo(jnp.array([0.2]), jnp.array([0.1]), jnp.array([True]))._fields
         ('innovation', 'std', 'used')
     """
 

@@ -33,7 +33,7 @@ from covariant.observers.sensors import Sensors
 from covariant.signals import SAME_TIME, StepCode
 from scalargraph.errors import InputError
 
-OF_ESTIMATE = ("velocity_std", "state_std", "slow", "slow_std", "bias")
+OF_ESTIMATE = ("velocity_std", "state_std", "slow", "slow_std")
 """Fields of an info that describe the estimate."""
 
 

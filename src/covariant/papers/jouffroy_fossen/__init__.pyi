@@ -19,7 +19,7 @@ from ._odin import (
     odin_sampled_rate as odin_sampled_rate,
     tail_rate as tail_rate,
 )
-from ._page import sea_rows as sea_rows, summary as summary, write_page as write_page
+from ._page import TITLE as TITLE, page as page, sea_rows as sea_rows, summary as summary
 from ._reproduce import STAGES as STAGES, reproduce as reproduce
 from ._sea import (
     COMPASS as COMPASS,

@@ -70,47 +70,35 @@ def sea_rows(table: dict[str, dict[str, float]]) -> list[dict[str, str]]:
     ]
 
 
-def write_page(results: dict[str, Any], figures: tuple[Path, ...], path: Path) -> Path:
-    """Write one page with the tables, the figures and explanations.
+TITLE = "Jouffroy & Fossen 2004, reproduced"
 
-    Args:
-        results: As from `reproduce`.
-        figures: As from `draw`.
-        path: File of the page.
 
-    Returns:
-        The path.
-    """
-    from covariant.report import write_article
-
+def page(results: dict[str, Any], figures: tuple[Path, ...]) -> list[Any]:
+    """Explanations, tables and figures, one below the other, of the results of `reproduce` and the files of `draw`."""
     ship, _, theorem2, _, eigen, sampled, certified, turned, _, constants, verdicts, _, table = summary(results)
-    return write_article(
-        "Jouffroy & Fossen 2004, reproduced",
-        [
-            "# The ship",
-            str(ship) + ".",
-            "# Theorem 2",
-            "The print differentiates the input's dependence on the estimate. It acts on the plant too, and cancels: "
-            "what has to contract is the virtual system, at fixed input and measurement.",
-            theorem2,
-            "# ODIN under output feedback",
-            "K2 = I − K_p makes the true error unstable. A symmetric positive definite K2 makes it converge; but drag "
-            "that is quadratic vanishes at rest, so that the metric diag(K2, M) proves no rate there. With a cross "
-            "term it does.",
-            eigen,
-            sampled,
-            str(certified) + ".",
-            figures[0],
-            str(turned) + ".",
-            "# Theorem 3",
-            constants,
-            str(verdicts) + ".",
-            "# Dynamic positioning",
-            "A supply vessel in waves, pushed by slowly varying forces, its compass at 10 Hz and GNSS at 1 Hz with two "
-            "gaps. The filter knows the densities of all noises; the passive observer has constant gains and a proof; "
-            "the filtered derivative knows nothing and takes waves for motion.",
-            table,
-            figures[1],
-        ],
-        path,
-    )
+    return [
+        "# The ship",
+        str(ship) + ".",
+        "# Theorem 2",
+        "The print differentiates the input's dependence on the estimate. It acts on the plant too, and cancels: "
+        "what has to contract is the virtual system, at fixed input and measurement.",
+        theorem2,
+        "# ODIN under output feedback",
+        "K2 = I − K_p makes the true error unstable. A symmetric positive definite K2 makes it converge; but drag "
+        "that is quadratic vanishes at rest, so that the metric diag(K2, M) proves no rate there. With a cross "
+        "term it does.",
+        eigen,
+        sampled,
+        str(certified) + ".",
+        figures[0],
+        str(turned) + ".",
+        "# Theorem 3",
+        constants,
+        str(verdicts) + ".",
+        "# Dynamic positioning",
+        "A supply vessel in waves, pushed by slowly varying forces, its compass at 10 Hz and GNSS at 1 Hz with two "
+        "gaps. The filter knows the densities of all noises; the passive observer has constant gains and a proof; "
+        "the filtered derivative knows nothing and takes waves for motion.",
+        table,
+        figures[1],
+    ]

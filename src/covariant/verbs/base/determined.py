@@ -32,7 +32,7 @@ class Determinacy(NamedTuple):
         unit: Unit of both; "" where it is not known, or has none; of a combination "of their std".
 
     Example:
-        >>> from covariant.verbs import Determinacy
+        >>> from covariant.verbs.base.determined import Determinacy
         >>> print(Determinacy("imu_bias2", 0.1, 0.003, "rad/s"))
         imu_bias2: determined to 0.003 rad/s (0.1 rad/s without the log)
         >>> print(Determinacy("imu_bias1", 0.1, 0.0999, "rad/s"))

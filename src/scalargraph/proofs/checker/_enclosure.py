@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scalargraph import STUMPFF, Branch, Call, ClosedJaxpr, JaxprEquation, LoweringError, Scan, equations, needed
+from scalargraph import LoweringError
 from scalargraph.errors import InputError
+from scalargraph.graph import STUMPFF, Branch, Call, ClosedJaxpr, JaxprEquation, Scan, equations, needed
 from scalargraph.proofs.checker._primitives import (
     ARRAYS,
     ENTRIES,

@@ -9,8 +9,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from scalargraph import Branch, Call, ClosedJaxpr, LoweringError, Scan, While, equations
+from scalargraph import LoweringError
 from scalargraph.errors import InputError
+from scalargraph.graph import Branch, Call, ClosedJaxpr, Scan, While, equations
 from scalargraph.proofs.checker._primitives import is_real, unrolled
 
 

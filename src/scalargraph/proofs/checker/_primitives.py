@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from scalargraph import ClosedJaxpr, Scan
 from scalargraph.errors import InputError
+from scalargraph.graph import ClosedJaxpr, Scan
 from scalargraph.proofs.checker._taylor import (
     CURVES,
     HALF,

@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from scalargraph import STUMPFF, Call, ClosedJaxpr, LoweringError, equations, stumpff
+from scalargraph import LoweringError, stumpff
 from scalargraph.errors import InputError
+from scalargraph.graph import STUMPFF, Call, ClosedJaxpr, equations
 from scalargraph.proofs.checker._plain import plain
 
 Coefficients = list[Array]
