@@ -1,4 +1,4 @@
-"""References for a craft to follow: a position and its first and second derivative, as functions of time.
+"""References that a craft follows: a position and its first and second derivatives, as functions of time.
 
 Source: Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, section 10.2, for the filter.
 """
@@ -44,7 +44,7 @@ def follow(position: Callable[[Array], Array]) -> Path:
     """Reference along a smooth function of time, differentiated automatically.
 
     Use it to give a controller such as `Backstepping` a reference whose velocity and acceleration agree with its
-    position. The function must be twice differentiable: a corner makes a jump in the velocity. Use `set_point` for a
+    position. The function must be twice differentiable: a corner would make the velocity jump. Use `set_point` for a
     move between two points.
 
     Args:
@@ -66,7 +66,7 @@ def follow(position: Callable[[Array], Array]) -> Path:
         def moving(s):
             return jax.jvp(position, (s,), (one,))
 
-        # Forward over forward: the derivative of position and velocity in time is velocity and acceleration.
+        # Forward mode twice: the time derivatives of position and velocity are velocity and acceleration.
         (where, velocity), (_, acceleration) = jax.jvp(moving, (t,), (one,))
         return Reference(where, velocity, acceleration)
 
@@ -74,9 +74,9 @@ def follow(position: Callable[[Array], Array]) -> Path:
 
 
 def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 0.0) -> Path:
-    """Reference from rest at one point to rest at another, without a jump in acceleration.
+    """Reference from rest at one point to rest at another, with continuous acceleration.
 
-    It is the closed-form response of three equal poles.
+    It is the closed-form step response of three equal poles.
 
     Position, velocity and acceleration are continuous, and a controller can use them as feedforward. The motion settles
     in about ten times 1/bandwidth. Use `follow` for any other path.
@@ -110,7 +110,7 @@ def set_point(start: Numbers, goal: Numbers, bandwidth: Numbers, begin: float = 
     def at(t: Scalar) -> Reference:
         rate, change = jnp.asarray(w, t.dtype), jnp.asarray(b - a, t.dtype)
         s = rate * jnp.maximum(t - begin, 0.0)
-        # Step response of w³/(p + w)³ and its derivatives, in s = w (t − begin); all are zero before `begin`.
+        # Step response of w³/(p + w)³ and its derivatives, as functions of s = w (t − begin); zero before `begin`.
         left = jnp.exp(-s)
         gone = 1 - left * (1 + s + s**2 / 2)
         return Reference(
