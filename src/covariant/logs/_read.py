@@ -30,9 +30,9 @@ from scalargraph.errors import InputError, MissingPackageError
 from scalargraph.files import bounded
 
 OPTIONAL = ("v", "truth")
-"""Fields of `Columns` that are used for comparison only."""
-MEASURED = ("q", "position", *ATTITUDES, "angle")
 """Fields of `Columns` that are used only for comparison."""
+MEASURED = ("q", "position", *ATTITUDES, "angle")
+"""Fields of the measured configuration, in the order of `Columns.measured`."""
 
 _FIELDS = ", ".join(field for field in Columns._fields if field != "units")
 

@@ -237,8 +237,8 @@ class MechanicalSystem(Functional):
         Args:
             motion: Configuration and velocity; leading axes, such as time, are allowed.
 
+        Returns:
             (q, v) (2n,) for a system in coordinates, otherwise the motion itself.
-            (q, v) (2n,) for a system in coordinates, the motion itself elsewhere.
         """
         return jnp.concatenate(motion, axis=-1) if self.manifold.commuting else motion
 

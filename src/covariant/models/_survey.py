@@ -39,6 +39,7 @@ def survey(
     """Sample conditioning and curvature of the metric of a model at random configurations.
 
     Args:
+        model: Mechanical system.
         box: Bounds (k, 2) of the k coordinates [their units]; ±π by default. Other factors of the configuration space,
             such as ball joints, get random positions.
         samples: Number of configurations, and of planes.

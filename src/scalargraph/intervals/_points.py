@@ -136,8 +136,8 @@ def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
 
     Args:
         x: The argument.
-        shift: Integer exponent of a power of two; −1 halves the value without an overflow before.
         shift: Integer exponent of a power of two; −1 halves the value without an intermediate overflow.
+        rest: Correction of x, below a unit in its last place.
     """
     # exp(−746) is below half of the smallest subnormal number, exp(712) above the largest double.
     k, q = _exp_parts(np.minimum(np.maximum(x, -746.0), 712.0), rest)
@@ -205,8 +205,8 @@ def log(x: Any, shift: float = 0.0) -> Any:
     """log x + shift·log 2: −∞ at 0, NaN below.
 
     Args:
+        x: The argument.
         shift: Integer; 1 gives log 2x, even if 2x would overflow.
-        shift: Integer; 1 gives log 2x where 2x would overflow.
     """
     k, f = _mantissa(x)
     k += shift

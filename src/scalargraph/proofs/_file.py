@@ -53,9 +53,9 @@ def parse_file(path: str | Path, content: bytes) -> "Field":
     """The parsed content of a file, as one field.
 
     Args:
-        path: Path of the file, for messages only.
-        content: Its bytes, as from `read_file`.
         path: Path of the file; it is used in messages only.
+        content: Its bytes, as from `read_file`.
+
     Returns:
         The field of the whole content, with the key "".
 
@@ -191,7 +191,7 @@ class Field(NamedTuple):
 
     def need(self, holds: Any, wanted: str) -> None:
         """Refuse the field unless a condition holds.
-            holds: The condition, a truth value.
+
         Args:
             holds: Condition, a truth value.
             wanted: Expected value, as for `refuse`.

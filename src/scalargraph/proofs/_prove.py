@@ -4,7 +4,6 @@ The matrix is enclosed on a box, and the enclosure is tested for positive defini
 are halved. The matrix must also be defined everywhere in the box, without jumps; the conditions for this are shown
 first, also by halving.
 Effort is counted in boxes, so that a verdict depends neither on the machine nor on its load.
-Effort is counted in boxes, so that a verdict depends neither on the machine nor on its load.
 """
 
 import concurrent.futures

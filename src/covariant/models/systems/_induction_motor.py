@@ -39,9 +39,9 @@ def induction_motor(
         stator_inductance: Stator inductance of the two equivalent phases [H].
         rotor_inductance: Rotor inductance of the two equivalent phases [H].
         mutual_inductance: Mutual inductance [H]; its square must be below the product of the other two.
-        load: Known constant torque [N m] against positive speed; None for an unknown one, which becomes a sixth
+        inertia: Inertia of the rotor [kg m²].
         pole_pairs: Number of pole pairs.
-        load: Torque [N m] against positive speed, a known constant; None for an unknown one, which becomes a sixth
+        load: Known constant torque [N m] against positive speed; None for an unknown one, which becomes a sixth
             state.
 
     Returns:

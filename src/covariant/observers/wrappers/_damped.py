@@ -1,18 +1,18 @@
-"""Velocity sensors for constant gains: a damper between the estimate and the readings of tachometers and gyros.
+"""Adds velocity sensors to observers with constant gains: a damper between the estimate and tachometers or gyros.
 
-A sensor whose reading is linear in the velocity, `w = J(q)v + b` with an offset b, is joined to the observer by a
-damper of the coefficients Γ ≥ 0, a force `JᵀΓ` times the difference, and adapts the estimate of the offset:
+A sensor whose reading is linear in the velocity, `w = J(q)v + b` with an offset b, is coupled to the observer by a
+damper with coefficients Γ ≥ 0: a force `JᵀΓ` times the difference, which also adapts the estimate of the offset:
 
     v̂' = … − M⁻¹Jᵀ Γ r,   b̂' = −γ Γ r,   r = J v̂ + b̂ − w
 
 The gain `K_v = M⁻¹JᵀΓJ` is self-adjoint in the metric M and positive semidefinite: to first order in the error,
-`V = β|ξ|² + |ζ|²` falls by `2<ζ, K_v ζ>` faster than without the damper. A gain that is not self-adjoint, such as a
-diagonal matrix in some chart, has no such guarantee. With dt the times since the readings were last taken, a sample
-makes an implicit Euler step,
+`V = β|ξ|² + |ζ|²` decreases by `2<ζ, K_v ζ>` faster than without the damper. A gain that is not self-adjoint, such as a
+diagonal matrix in some chart, has no such guarantee. With the times dt since the last readings, a sample makes an
+implicit Euler step,
 
     (v̂, b̂) ← (v̂, b̂) − (M⁻¹Jᵀ, γ) (Γ⁻¹/dt + J M⁻¹ Jᵀ + γ)⁻¹ r,
 
-for which `|δv|² + δbᵀγ⁻¹δb`, between two estimates at one configuration, never grows, for any Γ and dt.
+for which `|δv|² + δbᵀγ⁻¹δb`, between two estimates at one configuration, never increases, for any Γ and dt.
 
 Source: Aghannan & Rouchon 2003, section III, for V without the damper; Rockafellar 1976, Monotone operators and the
 proximal point algorithm, SIAM J. Control Optim. 14(5), proposition 1, for the step: it is the resolvent of a monotone
@@ -105,11 +105,11 @@ class DampedInfo(NamedTuple):
 class Damped(AbstractObserver):
     """An observer with constant gains that also uses velocity sensors, by a damper between estimate and readings.
 
-    A measurement is one vector: the entries of the configuration, and then the readings, NaN where there is none. The
-    configuration corrects the estimate as it does without sensors; the readings then correct the velocity. A reading
-    acts for the whole time since the previous one of its sensor, so sensors may have different rates. Without a reading
-    the result is that of the inner observer, to the last bit. Noise and gates of the sensors are not used: unlike a
-    filter, the observer weighs the readings by Γ alone.
+    A measurement is one vector: the entries of the configuration, then the readings, NaN if missing. The configuration
+    corrects the estimate as it does without sensors; the readings then correct the velocity. A reading acts for the
+    whole time since the previous reading of its sensor, so sensors may have different rates. Without a reading the
+    result is that of the inner observer, to the last bit. Noise and gates of the sensors are not used: unlike a filter,
+    the observer weights readings by Γ alone.
 
     `init` checks that each sensor is linear in the velocity, except in a compiled function. A sensor that is not linear
     corrects the velocity along its derivative, without the guarantee.
@@ -229,12 +229,12 @@ class Damped(AbstractObserver):
         coefficients = jnp.where(present, self.damping.astype(motion.v.dtype) * state.waited, 0.0)
         bias_gain = jnp.broadcast_to(self.bias_gain, residual.shape).astype(motion.v.dtype)
         v_change, bias_change = damping_step(self.model, motion.q, slope, coefficients, bias_gain, residual)
-        # Without a reading the mask keeps every bit of the state, also where a chart is singular.
+        # Without a reading, the mask keeps every bit of the state, even at a singularity of a chart.
         read = jnp.any(present)
         v = jnp.where(read, motion.v + v_change, motion.v)
         bias = jnp.where(read, state.bias + bias_change, state.bias)
         waited = jnp.where(present, 0.0, state.waited)
-        # A step with readings only, between two measured configurations, lacks no measurement.
+        # A step with readings only, between two measured configurations, is not missing a measurement.
         between = read & jnp.all(self.model.manifold.missing(configuration)) & (info.result == int(StepCode.COASTED))
         code = jnp.where(between, int(StepCode.OK), jnp.asarray(info.result))
         finite = jnp.all(jnp.isfinite(v)) & jnp.all(jnp.isfinite(bias))
@@ -267,7 +267,7 @@ class Damped(AbstractObserver):
                 continue
             still, once, twice = np.asarray(values)
             change = np.abs(once - still).max()
-            # With NaN, as at a singularity of a chart, the comparison is false and the sensor passes.
+            # With NaN, as at a singularity of a chart, the comparison is false and the sensor is accepted.
             if np.abs(twice - 2 * once + still).max() > 1e-3 * (change + np.abs(still).max()) or change == 0:
                 raise InputError(
                     f"Damped: the readings of sensor {sensor.name} must be linear in the velocity; use a filter, such "
@@ -298,9 +298,9 @@ def damping_step(
     bias_gain: Readings,
     residual: Readings,
 ) -> tuple[Vector, Readings]:
-    """Implicit Euler step of the damper, with its offsets; see this file's head."""
+    """Implicit Euler step of the damper, with its offsets; see the head of this file."""
     raised = jax.vmap(lambda row: model.space.raise_(q, row))(slope)  # rows of (M⁻¹Jᵀ)ᵀ
-    # With s² = Γ dt, (Γ⁻¹/dt + G)⁻¹ = s (1 + s G s)⁻¹ s, which also holds for coefficients of zero.
+    # With s² = Γ dt, (Γ⁻¹/dt + G)⁻¹ = s (1 + s G s)⁻¹ s, which is also valid for zero coefficients.
     used = coefficients > 0
     s = jnp.where(used, jnp.sqrt(jnp.where(used, coefficients, 1.0)), 0.0)  # with a finite derivative at zero
     total = slope @ raised.T + jnp.diag(bias_gain)

@@ -15,8 +15,8 @@ def odin_cascade(
 
     Args:
         pitch: Bound of roll and pitch [rad].
+        attempts: Number of random points at which the constants are sampled.
         starts: Number of the worst of these points from which a descent starts.
-        starts: Number of the worst of these from which a descent starts.
         proved: Whether every constant is proved instead of sampled.
         units: Whether condition (72) is also tried in other units.
 
