@@ -1,4 +1,4 @@
-"""Types of arguments."""
+"""Types of arguments that several modules of the package share."""
 
 from typing import Literal
 
@@ -7,4 +7,4 @@ from jaxtyping import Array, Float
 Matrix = Float[Array, "n n"]
 
 Arithmetic = Literal["auto", "numpy", "c"]
-"""Implementation of interval arithmetic: compiled C where it pays, or always NumPy, or always C."""
+"""Implementation of interval arithmetic: NumPy, compiled C, or "auto" for C as soon as compiling it saves time."""

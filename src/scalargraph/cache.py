@@ -1,7 +1,8 @@
-"""The cache folder of compiled code, which belongs to one user and to one kind of processor.
+"""Finds and protects the cache folder of compiled code: one for each user and each kind of processor.
 
-Files in the folder run as code. So only its owner may be able to write there, and each entry is compared with its
-SHA-256 before it is loaded. The hash does not protect against other processes of the owner, which can replace it too.
+Files in the folder run as code. Therefore only its owner may be able to write there, and each entry is compared with
+its SHA-256 before it is loaded. Other processes of the owner can replace a file together with its hash; the hash does
+not protect against them.
 """
 
 import contextlib
@@ -18,17 +19,17 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 OFF = ("off", "0", "no")
-"""Values of the environment variable with which nothing is stored."""
+"""Values of the environment variable that disable the cache."""
 UNUSED = 180 * 24 * 3600.0
-"""Time [s] without use after which a program is evicted: each version of a library leaves some behind."""
+"""Time [s] without use after which a program is removed; otherwise programs of old versions would accumulate."""
 
 
 _name = ["scalargraph", "SCALARGRAPH_CACHE"]
-"""The folder in the user's cache folder, and the environment variable that chooses another one."""
+"""Name of the folder within the user's cache folder, and of the environment variable that selects another folder."""
 
 
 def name_cache(folder: str, variable: str) -> None:
-    """Give the cache of this process another name: that of the library which is built on this one."""
+    """Set the name of the cache of this process; a library that is built on this one uses its own name."""
     _name[:] = folder, variable
 
 
@@ -45,7 +46,7 @@ def cache_folder() -> Path | None:
         return open_cache_folder()
     except SharedFolderError as error:
         warnings.warn(f"compiled programs are not cached: {error}", RuntimeWarning, stacklevel=1)
-    except (OSError, RuntimeError):  # there is no home folder, or it cannot be written to
+    except (OSError, RuntimeError):  # no home folder exists, or it is not writable
         pass
     return None
 
@@ -57,10 +58,10 @@ def open_cache_folder() -> Path | None:
     if chosen.lower() in OFF:
         return None
     folder = Path(chosen).expanduser() if chosen else user_cache_path(name, appauthor=False)
-    if not chosen and not folder.is_absolute():  # the system knows no home, so that "~" was not replaced
+    if not chosen and not folder.is_absolute():  # "~" was not replaced, because the system knows no home folder
         raise FileNotFoundError("there is no home folder")
-    # Each instruction set has its folder, since a program may not run on another processor. Links are followed before
-    # the check, so that the folder that is checked is the one that is opened.
+        # Each instruction set has a folder of its own, since a program may not run on another processor. Links are
+        # resolved before the check, so that the folder that is checked is the folder that is used.
     folder = folder.resolve() / _processor()
     missing = [place for place in (folder, *folder.parents) if not place.exists()]
     # The check comes before anything is created: no folder may be created in another user's home.
@@ -101,7 +102,7 @@ def need_private(folder: Path, alone: bool = False, setting: str | None = None) 
             raise NotADirectoryError(f"{place} is no folder")
         if (others or group) and not sticky:
             remedy = f"chmod go-w {shlex.quote(str(place))}"
-            if inside:  # whoever could write there may have left an entry with a hash
+            if inside:  # anyone who could write there may have left an entry with a matching hash
                 remedy = f"remove it by rm -r {shlex.quote(str(place))}"
             raise SharedFolderError(f"other users can write to {place}; {remedy}, or set {setting} to another one")
 
@@ -113,7 +114,7 @@ def _is_own_group(place: Path, group: int) -> bool:
 
     try:
         name, known = pwd.getpwuid(os.getuid()).pw_name, grp.getgrgid(group)
-        # With an access list, the bits of the group are those of all users who are listed.
+        # With an access control list, the group bits are those of all listed users, not of the group alone.
         listed = "system.posix_acl_access" in (os.listxattr(place) if hasattr(os, "listxattr") else ())
     except (KeyError, OSError):
         return False
@@ -124,9 +125,9 @@ def evict_unused(folder: Path) -> None:
     """Remove cached programs, of JAX and of this library, that were neither written nor read for `UNUSED` seconds."""
     for file in folder.glob("*"):
         if file.name.endswith((".so", ".json", ".made", ".tmp", "-cache")):  # .made: of versions before this one
-            with contextlib.suppress(OSError):  # another process was faster, or may
+            with contextlib.suppress(OSError):  # another process may have removed it already
                 times = file.stat()
-                # Many file systems do not record reads: then the time of writing counts.
+                # Many file systems do not record reads; the time of the last write counts there.
                 if max(times.st_atime, times.st_mtime) < time.time() - UNUSED:
                     file.unlink()
 

@@ -1,4 +1,4 @@
-"""Shared libraries of C, compiled once by the system's compiler and cached in the user's cache folder."""
+"""Compiles C sources to shared libraries with the system's compiler, and caches them in the user's cache folder."""
 
 import contextlib
 import functools
@@ -31,9 +31,9 @@ EXACT = (
     "-fPIC",
     "-shared",
 )
-"""Flags for C with the results of IEEE 754: none lets the compiler change the result of an operation.
+"""Compiler flags for C whose results follow IEEE 754: no flag permits a change of the result of an operation.
 
-Products and sums are not contracted; the flags for errno, traps and integers that wrap change no value of a double.
+Products and sums are not fused; the flags for errno, traps and wrapping integers change no value of a double.
 """
 
 
@@ -48,38 +48,38 @@ FAST = (
     "-fPIC",
     "-shared",
 )
-"""Flags for C of this very processor whose results may differ by roundings: a product and a sum may be one operation.
+"""Compiler flags for C for this processor. Results may differ by roundings, since a product and a sum may be fused.
 
-`-Wno-psabi` silences a warning about vectors as arguments across libraries; no exported function has any.
+`-Wno-psabi` silences a warning about vectors as arguments across libraries; no exported function has such arguments.
 """
 
 
 SEALED = "sealed"
-"""Part of each cache key, so that older releases, whose files have no SHA-256 at the start, do not load these."""
+"""Part of each cache key: files of older releases, which have no SHA-256 at the start, have other keys."""
 NO_COMPILER = "there is no C compiler; set CC, install cc, or pip install ziglang"
 """Error message if `compiler_command` returns None."""
 
 
 @functools.cache
 def compiler() -> str | None:
-    """Path of the compiler that the environment variable CC names, or of `cc`; None where there is none."""
+    """Path of the compiler that the environment variable CC names, or of `cc`; None if there is none."""
     path = shutil.which(os.environ.get("CC") or "cc")
     return os.path.abspath(path) if path else None  # the compiler is called in another folder
 
 
 def compiler_command() -> list[str] | None:
-    """Command of `compiler` or, where there is none, of the package ziglang; None where there is neither."""
+    """Command of `compiler` or, if there is none, of the package ziglang; None if there is neither."""
     path = compiler()
     return [path] if path else zig()
 
 
 def zig() -> list[str] | None:
-    """Command of the C compiler in the package ziglang; None where it is not installed."""
+    """Command of the C compiler in the package ziglang; None if it is not installed."""
     return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
 
 
 def built(command: Sequence[str], flags: Sequence[str], files: Mapping[str, str | bytes], what: str) -> bytes:
-    """Compile the C sources among some files into one library, and return its content."""
+    """Compile the C sources among the files to one shared library, and return the content of this library."""
     with tempfile.TemporaryDirectory(dir=_temporary_folder()) as place:
         for path, content in files.items():
             (Path(place) / path).parent.mkdir(exist_ok=True)
@@ -92,14 +92,14 @@ def built(command: Sequence[str], flags: Sequence[str], files: Mapping[str, str 
 
 
 def _temporary_folder() -> Path:
-    """Return the folder for temporary files of code; raises `OSError` if another user could replace them."""
+    """Return a folder for temporary code files; raises `OSError` if another user could replace files in it."""
     folder = Path(tempfile.gettempdir()).resolve()
     need_private(folder, setting="TMPDIR")
     return folder
 
 
 def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) -> Library:
-    """Load a C source as a shared library, which is compiled first if none is cached or the cached file was changed.
+    """Load a C source as a shared library; it is compiled first unless an unchanged one is cached.
 
     The cache key is a hash of the source, the flags, the compiler and, for code of this very processor, the processor.
     With `COVARIANT_CACHE=off` the source is compiled anew.
@@ -113,7 +113,7 @@ def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) 
         The result of `load`.
 
     Raises:
-        OSError: The compiler does not accept the source.
+        OSError: The compiler rejects the source.
     """
     path = _cached_path(source, flags)
     library = None if path is None else read_sealed(path)
@@ -135,14 +135,14 @@ def _load(library: bytes, folder: Path | None, load: Callable[[str], Library]) -
 
 
 def _load_copy(library: bytes, folder: Path, load: Callable[[str], Library]) -> Library:
-    # Each copy gets a new name, since the system takes two libraries of the same path for one.
+    # Each copy gets a new name, since the system treats two libraries with the same path as one.
     handle, copy = tempfile.mkstemp(".tmp", dir=folder)
     try:
         with open(handle, "wb") as file:
             file.write(library)
         return load(copy)
     finally:
-        with contextlib.suppress(OSError):  # Windows keeps a file that is loaded
+        with contextlib.suppress(OSError):  # Windows does not remove a file that is loaded
             os.unlink(copy)
 
 
@@ -154,7 +154,7 @@ def is_kept(source: str, flags: Sequence[str]) -> bool:
 
 def _cached_path(source: str, flags: Sequence[str]) -> Path | None:
     machine = _processor() if "-march=native" in flags else ""
-    # With the compiler's version: another one may make other code of the same source.
+    # The compiler's version is included, since another version may generate different code from the same source.
     parts = (SEALED, source, *flags, _version(), machine)
     key = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
     folder = cache_folder()
@@ -163,7 +163,7 @@ def _cached_path(source: str, flags: Sequence[str]) -> Path | None:
 
 @functools.cache
 def _processor() -> str:
-    """Features of the processor, part of the cache key since a home may be shared by machines that differ."""
+    """Features of the processor; they are part of the cache key, since machines with a common home may differ."""
     known = Path("/proc/cpuinfo")
     lines = known.read_text(encoding="utf-8").splitlines() if known.exists() else []
     return next((line for line in lines if line.lower().startswith(("flags", "features"))), platform.processor())

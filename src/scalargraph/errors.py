@@ -1,13 +1,13 @@
-"""Error of input that the library refuses, and names of files as they are shown."""
+"""Defines the error of refused input, and shows file names and texts in printable form."""
 
 import os
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
-    r"""A text in which every character that cannot be shown is its escape.
+    r"""A text in which every character that cannot be shown is replaced by its escape.
 
-    These are control characters, marks that turn the direction of what follows, and what stands in Python for a byte of
-    a file name that is not UTF-8, which no table and no page can hold.
+    Such characters are control characters, marks that change the writing direction, and the surrogates by which Python
+    represents bytes of a file name that are not UTF-8; tables and pages cannot contain the latter.
 
     Example:
         >>> from scalargraph.errors import printable
@@ -27,12 +27,12 @@ def file_name(path: str | os.PathLike[str]) -> str:
 class InputError(ValueError):
     """Error of a file, a column or an argument that cannot be used.
 
-    The message is one line: the file, column or argument, what was found, and what to do. Every refusal of the library
+    The message is one line: the file, column or argument, the value found, and what to do. Every refusal of the library
     is an `InputError`; any other exception that leaves a function is a bug. The command line prints an `InputError` as
-    one line with exit code 2, and anything else with its traceback.
+    one line with exit code 2, and any other exception with its traceback.
 
-    It is a `ValueError`, so that one `except` catches it with those of NumPy and JAX. Its message is `printable`, since
-    names of files and cells of logs are a part of it.
+    It is a `ValueError`, so that one `except` also catches errors of NumPy and JAX. The message is made `printable`,
+    since it contains names of files and cells of logs.
 
     Attributes:
         exit_code: Exit code of a command that ends with this error.

@@ -1,4 +1,4 @@
-"""Files of users, which have to be of bounded size, and atomic writing: a path holds the old file or the new one."""
+"""Reads users' files of bounded size, and writes files atomically: a path holds the old file or all of the new one."""
 
 import contextlib
 import hashlib
@@ -17,11 +17,11 @@ from scalargraph.errors import InputError, file_name
 
 try:
     import fcntl
-except ImportError:  # Windows: files cannot be locked there, and so nothing is removed
+except ImportError:  # Windows has no such locks, so temporary files are not removed there
     fcntl = None
 
 BEGINNING = (1980, 1, 1, 0, 0, 0)
-"""The date of all files in archives, so that equal files are equal archives."""
+"""The date of all files in archives, so that equal files give equal archives."""
 SEAL = 32
 """Length [bytes] of a SHA-256."""
 
@@ -39,12 +39,12 @@ def write_atomically(path: str | os.PathLike[str], write: Callable[[BinaryIO], o
 
 
 def utf8(text: str) -> bytes:
-    """Encode a text that may name files; a byte of a name that is not UTF-8 is written as its escape."""
+    """Encode a text that may contain file names; a byte of a name that is not UTF-8 is written as its escape."""
     return text.encode("utf-8", "backslashreplace")
 
 
 def write_together(files: Mapping[Path, bytes]) -> None:
-    """Write all files to the disk before any replaces an old one; each replacement is atomic."""
+    """Write all new files to the disk first, then replace the old ones; each replacement is atomic."""
     with contextlib.ExitStack() as stack:
         fresh = {
             path: stack.enter_context(_write_temporary(path, lambda file, content=content: file.write(content)))
@@ -59,7 +59,7 @@ def write_together(files: Mapping[Path, bytes]) -> None:
 @contextlib.contextmanager
 def _write_temporary(path: Path, write: Callable[[BinaryIO], object]) -> Iterator[Path]:
     """Write a temporary file for `path` to the disk, and remove it at the end of the context."""
-    # A plain `open`, not `tempfile`, so that the file gets the permissions any other new file would.
+    # `open` and not `tempfile`, so that the file gets the permissions of any other new file.
     with temporary(path, lambda fresh: fresh.open("xb").close()) as fresh:
         with fresh.open("wb") as file:
             write(file)
@@ -70,7 +70,7 @@ def _write_temporary(path: Path, write: Callable[[BinaryIO], object]) -> Iterato
 
 def _sync_folder(folder: Path) -> None:
     """Write a folder's entries to the disk, so that a replaced file stays replaced after a crash."""
-    with contextlib.suppress(OSError):  # Windows opens no folder, and some file systems sync none
+    with contextlib.suppress(OSError):  # Windows cannot open a folder, and some file systems cannot sync one
         descriptor = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(descriptor)
@@ -84,9 +84,9 @@ def write_sealed(path: Path, content: bytes) -> None:
 
 
 def read_sealed(path: Path) -> bytes | None:
-    """Read a file that `write_sealed` wrote under this name; None if there is none, or it was changed."""
+    """Read a file that `write_sealed` wrote under this name; None if it does not exist or was changed."""
     try:
-        sealed = path.read_bytes() if path.is_file() else b""  # a pipe may never end
+        sealed = path.read_bytes() if path.is_file() else b""  # reading a pipe might never end
     except OSError:
         return None
     seal, content = sealed[:SEAL], sealed[SEAL:]
@@ -94,7 +94,7 @@ def read_sealed(path: Path) -> bytes | None:
 
 
 def _seal(path: Path, content: bytes) -> bytes:
-    # The hash includes the name, so that an entry that was renamed is not taken for another one.
+    # The hash includes the name, so that a renamed entry is not mistaken for another one.
     return hashlib.sha256(path.name.encode() + b"\n" + content).digest()
 
 
@@ -104,7 +104,7 @@ def zipped(files: Mapping[str, bytes]) -> bytes:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             entry = zipfile.ZipInfo(name, BEGINNING)
-            # Permissions of a file that anybody may read: without them, some programs make files unpack unreadable.
+            # Permissions that let anyone read the file: without them, some programs unpack unreadable files.
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
             archive.writestr(entry, content)
     return buffer.getvalue()
@@ -114,8 +114,8 @@ def zipped(files: Mapping[str, bytes]) -> bytes:
 def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
     """Context of a new file or folder beside `path`, to be renamed to `path`; it is removed at the end.
 
-    Its writer holds a lock on it, which the system releases when the writer dies, so that nobody removes the file of a
-    living writer.
+    The writer holds a lock on it, which the system releases when the writer dies. So other processes can tell whether
+    the writer still runs, and remove the file only if it does not.
     """
     sweep(path)
     with _name_errors(path):
@@ -130,10 +130,10 @@ def temporary(path: Path, make: Callable[[Path], object]) -> Iterator[Path]:
 
 
 def sweep(path: Path) -> None:
-    """Remove the temporary files of `path` whose writers were killed; those of living writers stay."""
+    """Remove temporary files of `path` whose writers were killed; files of running writers stay."""
     ours = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{32}}\.tmp")
     with contextlib.suppress(OSError):
-        # By name alone, as a folder may have very many files.
+        # The folder is listed by name only, as it may have very many files.
         names = [name for name in os.listdir(path.parent) if name.startswith(".") and ours.fullmatch(name)]
         for left in map(path.with_name, names):
             with _lock_descriptor(left) as lock:
@@ -147,13 +147,13 @@ def attended(folder: Path, tidy: Callable[[], object]) -> Iterator[None]:
     with _lock_descriptor(folder) as lock:
         if _take(lock, "EX", wait=False):
             tidy()
-        # Shared from here on: others may write too, and none of them tidies while this process writes.
+        # The lock is shared from here on: others may write too, and nobody tidies while this process writes.
         _take(lock, "SH", wait=True)
         yield
 
 
 def _create_locked_file(path: Path, make: Callable[[Path], object]) -> tuple[Path, int | None]:
-    """A new file or folder, and its lock where the system has locks."""
+    """Create a new file or folder, and its lock if the system has locks."""
     while True:
         fresh = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")
         make(fresh)
@@ -161,17 +161,18 @@ def _create_locked_file(path: Path, make: Callable[[Path], object]) -> tuple[Pat
         _take(lock, "EX", wait=True)
         if fcntl is None or (lock is not None and fresh.exists()):
             return fresh, lock
-        if lock is not None:  # another process removed it between its creation and its locking
+        if lock is not None:  # another process removed the file after its creation and before it was locked
             os.close(lock)
 
 
 @contextlib.contextmanager
 def _name_errors(path: Path) -> Iterator[None]:
-    """Let errors about the temporary file of `path`, and errors that name no file, name `path`."""
+    """Context that makes errors about the temporary file of `path`, and errors without a file name, name `path`."""
     try:
         yield
     except OSError as error:
-        # The error of a full disk names no file. That of a failed opening names the temporary one, unknown to the user.
+        # A full disk gives an error without a file name. A failed opening names the temporary file, which the user
+        # does not know.
         ours = error.filename is None or f".{path.name}." in str(error.filename)
         if error.errno is None or not ours:
             raise
@@ -195,7 +196,7 @@ def _lock_descriptor(path: Path) -> Iterator[int | None]:
 
 
 def _take(lock: int | None, kind: Literal["EX", "SH"], wait: bool) -> bool:
-    """Take the lock, exclusive or shared; False where another process has it, or the file system has no locks."""
+    """Take an exclusive or shared lock; False if another process has it or the file system has no locks."""
     if fcntl is None or lock is None:
         return False
     try:
@@ -245,10 +246,10 @@ def check_file(path: str | os.PathLike[str], kind: FileKind) -> Path:
 
 
 def read_bytes(path: str | os.PathLike[str], kind: FileKind) -> bytes:
-    """Content of a file of a user; raises `InputError`, one line that names it, where it cannot be read."""
+    """Content of a user's file; raises `InputError`, one line that names the file, if it cannot be read."""
     with _named(path, kind):
         with check_file(path, kind).open("rb") as file:
-            # One byte more than allowed shows that a file grows, without reading all of it.
+            # One byte more than allowed is read, to detect a larger file without reading all of it.
             content = file.read(kind.most_bytes + 1)
         if len(content) > kind.most_bytes:
             raise _too_large(path, kind)
@@ -257,7 +258,7 @@ def read_bytes(path: str | os.PathLike[str], kind: FileKind) -> bytes:
 
 @contextlib.contextmanager
 def bounded(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Context in which a file of a user is parsed; where it asks for too much memory or nesting, the error names it."""
+    """Context for parsing a user's file; an error of too much memory or nesting names the file."""
     try:
         yield
     except RecursionError as error:

@@ -1,4 +1,4 @@
-"""How a room of the library offers its names: all of its stub on first use, and to users those in its `__all__`."""
+"""Loads the names of a room (subpackage) lazily from its stub; users see the names in the stub's `__all__`."""
 
 import ast
 from collections.abc import Callable
@@ -9,10 +9,10 @@ import lazy_loader
 
 
 def attach(package: str, filename: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Give `__getattr__`, `__dir__` and `__all__` to a room, from the stub `__init__.pyi` beside its `__init__.py`.
+    """Return `__getattr__`, `__dir__` and `__all__` for a room, from the stub `__init__.pyi` beside its `__init__.py`.
 
-    The stub imports what the rest of the library may use; its `__all__` lists the names for users, which are documented
-    and change with notice only.
+    The stub imports the names that the rest of the library may use; its `__all__` lists the names for users, which are
+    documented and change only with notice.
     """
     getter, listing, _ = lazy_loader.attach_stub(package, filename)
     stub = ast.parse(Path(filename).with_suffix(".pyi").read_text(encoding="utf-8"))

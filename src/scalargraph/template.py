@@ -1,4 +1,4 @@
-"""Texts of generated files, from templates that are valid files of their own language.
+"""Fills in templates of generated files; each template is a valid file of its own language.
 
 A placeholder `xNAMEx` is an identifier in C, Python and JavaScript, so that compilers and linters accept a template.
 A placeholder for whole lines is a comment on its own line: `/* xLINESx */`, `#: xLINESx` or `<!-- xLINESx -->`.
@@ -10,7 +10,7 @@ import re
 from typing import Any
 
 Words = dict[str, Any]
-"""Texts or numbers by the names of placeholders; a placeholder for lines has a sequence of them."""
+"""Texts or numbers by the names of placeholders; a placeholder for whole lines has a sequence of lines."""
 
 _NAME = "x([A-Z](?:[A-Z_]*[A-Z])?)x"
 PLACEHOLDER = re.compile(rf"^ *(?:/\* {_NAME} \*/|#: {_NAME}|<!-- {_NAME} -->)\n|{_NAME}", re.MULTILINE)
@@ -21,7 +21,7 @@ def fill(package: str, file: str, words: Words) -> str:
 
     def text(match: re.Match[str]) -> str:
         name = match[match.lastindex or 0]
-        # Group 4 matches a placeholder within a line, the other groups one for whole lines.
+        # Group 4 matches a placeholder within a line, the other groups match one for whole lines.
         return str(words[name]) if match[4] else "".join(f"{line}\n" for line in words[name])
 
     return PLACEHOLDER.sub(text, template(package, file))

@@ -1,4 +1,4 @@
-"""Observers as they run: samples one by one as a stream, and whole logs, by compiled C where there is a compiler."""
+"""Runs observers, over whole logs or on single samples as a stream, by compiled C if there is a compiler."""
 
 from scalargraph.rooms import attach
 

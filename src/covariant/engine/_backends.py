@@ -1,4 +1,4 @@
-"""Backends of a stream: compiled C on its buffers, or a compiled program of JAX."""
+"""Executes the steps of a stream: by compiled C on its buffers, or by a compiled program of JAX."""
 
 import functools
 import math
@@ -14,7 +14,7 @@ from covariant.engine._kernel import Kernel, KernelForm
 
 
 class CBackend:
-    """Compiled C on buffers at fixed addresses, with the open numbers (K,) of an observer.
+    """Compiled C that works on buffers at fixed addresses; the observer's open numbers (K,) are its arguments.
 
     Attributes:
         state: State of the observer, as a flat array.
@@ -37,7 +37,7 @@ class CBackend:
         self._t = np.zeros(1)
         self._starts = tuple(map(kernel.pointer, (self.y, self._t, self.state)))
         self.places: Any = tuple(kernel.ffi.buffer(kernel.pointer(a), a.nbytes) for a in (self.y, self.u))
-        """Buffers of the bytes of a measurement and an input: quicker to write than arrays of NumPy."""
+        """Buffers of the bytes of a measurement and an input; writing to them is faster than to NumPy arrays."""
         self.advance = functools.partial(kernel.library.kernel_step, kernel.pointer(self._numbers))
         """One step of dt, in place; returns its result code."""
 
@@ -48,7 +48,7 @@ class CBackend:
         u = self.u.copy()
         if not self._input_at_end:
             self.u.fill(0.0)
-        # A step of zero length leaves the state unchanged, but for an input of its end, and writes its estimate.
+        # A step of zero length writes the estimate and leaves the state unchanged, except for the input it stores.
         self.advance(0.0)
         self.u[:] = u
 
@@ -92,7 +92,7 @@ def _flat(x: Any) -> Any:
 
 def backend(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tuple[str, CBackend | JaxBackend]:
     """Engine and backend for a stream of an observer."""
-    # A stream has no last row.
+    # A stream has no last row, so its number of rows is infinite.
     chosen, (numbers,) = choose_open([observer], KernelForm(y.shape, inputs), math.inf, asked)
     return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(
         chosen.kernel, numbers, observer.input_at_end

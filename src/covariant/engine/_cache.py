@@ -1,9 +1,10 @@
-"""Generated C is cached on disk between processes, keyed by what the observer computes.
+"""Caches generated C on disk between processes, keyed by what the observer computes.
 
-The key of a text is a hash of the traced observer (`scalargraph.fingerprint`), quicker to compute than the C: it covers
-every operation and every constant, so it is the same for equal observers of library models, of model files and
-of a user's functions, and differs as soon as any of them computes something else. For an observer that is made of this
-library alone, the key and the layout are cached too, by what it is made of (`_description`): then nothing is traced.
+The key of a text is a hash of the traced observer (`scalargraph.fingerprint`), which is faster to compute than the C.
+It covers every operation and every constant. So it is the same for equal observers, whether of library models, model
+files or a user's functions, and it differs as soon as one of them computes something else. If an observer consists of
+classes and functions of this library only, key and layout are also cached under its description (`_description`), and
+nothing is traced.
 """
 
 import contextlib
@@ -21,10 +22,10 @@ from scalargraph.cache import cache_folder, evict_unused
 from scalargraph.files import read_sealed, write_sealed
 
 PACKAGES = ("jax", "jaxlib", "numpy")
-"""Packages whose versions enter the key, since they compute constants of the C."""
+"""Packages whose versions are part of the key, since they compute constants of the C."""
 _WRITERS = source_files("scalargraph", "covariant/codegen/_program.py", "covariant/engine")
 WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).hexdigest()
-"""A hash of the files that write the C, so that a change of any of them invalidates the cache."""
+"""A hash of the files that write the C; a change of any of them invalidates the cache."""
 
 
 def cache_key(traced: TracedProgram, lanes: int) -> str | None:
@@ -43,11 +44,11 @@ def result_index(traced: TracedProgram) -> int:
 
 
 def cached_text(key: str | None, write: Callable[[], str]) -> str:
-    """C text under a cache key, written now where it is not cached."""
+    """C text under a cache key; it is written first if it is not cached."""
     folder = cache_folder()
     if folder is None or key is None:
         return write()
-    # 128 bits of the hash: a collision is practically impossible.
+    # 128 bits of the hash are used: a collision is practically impossible.
     path = folder / f"{key[:32]}.json"
     entry = _read_entry(path)
     if entry is None:
@@ -62,7 +63,7 @@ def cached_text(key: str | None, write: Callable[[], str]) -> str:
 
 def cached_layout(description: str | None) -> tuple[str, Layout] | None:
     """Key of a C text and the layout of its observer, cached under the observer's description; None
-    where not cached.
+    if they are not cached.
     """
     folder = cache_folder()
     if folder is None or description is None:
@@ -75,7 +76,7 @@ def cached_layout(description: str | None) -> tuple[str, Layout] | None:
 
 
 def cache_layout(description: str | None, key: str | None, layout: Layout) -> None:
-    """Cache the key of a C text and the layout under the description of an observer, where it has both."""
+    """Cache the key of a C text and the layout under an observer's description, if it has a key and a description."""
     folder, data = cache_folder(), layout.data()
     if folder is not None and description is not None and key is not None and data is not None:
         entry = json.dumps({"traced": [key, *data]}).encode()
@@ -89,7 +90,7 @@ def _read_entry(path: Path) -> dict[str, str] | None:
         entry = json.loads(read_sealed(path) or b"{}")
     except ValueError:
         return None
-    # A file of an older layout, or one that another program wrote, counts as absent.
+    # A file with an older layout, or from another program, counts as absent.
     valid = isinstance(entry, dict) and len(entry) == 1 and isinstance(entry.get("c", entry.get("refused")), str)
     return entry if valid else None
 

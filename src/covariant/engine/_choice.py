@@ -1,4 +1,4 @@
-"""Which engine runs an observer: compiled C or JAX. Nothing else in the library chooses between them."""
+"""Chooses the engine that runs an observer, compiled C or JAX; no other module makes this choice."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
@@ -14,17 +14,17 @@ from scalargraph.errors import InputError
 
 EngineName = Literal["auto", "c", "jax"]
 FEWEST_ROWS = 100_000
-"""Fewest rows for which compilation in C pays even where the compiled observer is not cached."""
+"""Number of rows from which compiling C pays, even if the compiled observer cannot be cached."""
 
 
 class Engine(NamedTuple):
-    """The engine that runs an observer, with the reason for it; as text "c", or "jax: " with the reason.
+    """The engine that runs an observer; as text "c", or "jax: " with the reason.
 
     Attributes:
         name: "c" or "jax".
-        reason: One line that says why.
-        kernel: The compiled observer where the engine is C, otherwise None.
-        refused: Whether compilation in C was tried and there is none.
+        reason: One line that explains the choice.
+        kernel: The compiled observer if the engine is C, otherwise None.
+        refused: Whether compilation in C was tried and failed.
 
     Example:
         >>> from covariant import engine, observers
@@ -45,23 +45,23 @@ class Engine(NamedTuple):
 
 
 def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, asked: EngineName = "auto") -> Engine:
-    """Choose the engine that runs an observer: compiled C where that is possible and pays, JAX otherwise.
+    """Choose the engine that runs an observer: compiled C if that is possible and pays, otherwise JAX.
 
-    C needs a compiler and `cffi`, an observer that is a graph of scalars, and a compiler that accepts its text. With
-    "auto" the compilation must also pay: the compiled observer is cached for later processes, or there are
-    `FEWEST_ROWS` rows. Both engines compute in double precision and agree up to rounding.
+    C needs a compiler that accepts the generated text, the package `cffi`, and an observer that is a graph of scalars.
+    With "auto" the compilation must also pay: the compiled observer can be cached for later processes, or there are at
+    least `FEWEST_ROWS` rows. Both engines compute in double precision and agree up to rounding.
 
     Args:
         observer: Any observer.
         form: Shape of its measurements, number of its inputs, which of its arrays are arguments, and number of lanes.
         rows: Number of rows it will run over, all runs together; infinite for a stream.
-        asked: "c" and "auto" take C where they can, "jax" never does.
+        asked: "c" and "auto" use C if possible, "jax" never does.
 
     Returns:
-        The engine, with the reason where it is JAX.
+        The engine, with the reason if it is JAX.
 
     Raises:
-        ValueError: For an unknown engine.
+        ValueError: The engine is unknown.
 
     Example:
         >>> from covariant import engine, observers
@@ -80,11 +80,11 @@ def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, aske
         return Engine("jax", "measurements are complex numbers")
     pays = asked == "c" or rows >= FEWEST_ROWS
     uncached = Engine("jax", f"fewer than {FEWEST_ROWS} rows, and compiled C would not be kept")
-    # Checked before tracing, which takes long for a robot.
+    # This is checked before tracing, which takes long for a robot.
     if not pays and cache_folder() is None:
         return uncached
     traced = prepared(observer, form)
-    # Without a key no later process could load the compiled observer.
+    # An observer without a key cannot be cached for later processes.
     if not pays and traced.key is None:
         return uncached
     try:
@@ -96,10 +96,10 @@ def choose(observer: AbstractObserver, form: KernelForm, rows: int | float, aske
 def choose_open(
     observers: Sequence[AbstractObserver], form: KernelForm, rows: int | float, asked: EngineName = "auto"
 ) -> tuple[Engine, np.ndarray]:
-    """Choose the engine for observers of one kind, whose numbers are arguments of the compiled code where possible.
+    """Choose the engine for observers of one kind, whose numbers are arguments of the compiled code if possible.
 
-    Where there is no such code, as of a model whose numbers decide which entries of an array it takes, those of the
-    model stay in the code unless they differ.
+    This is impossible, for example, if numbers of the model decide which entries of an array it reads. Then numbers of
+    the model that all observers share are constants of the code.
     """
     opened = open_numbers(observers)
     chosen = choose(observers[0], form._replace(opened=opened.places), rows, asked)

@@ -1,4 +1,4 @@
-"""What a compiled observer needs: a compiler, and cffi, which calls it."""
+"""Checks that the tools for compiled observers are present (a compiler and cffi), and compiles C sources with them."""
 
 import functools
 from typing import Any
@@ -8,7 +8,7 @@ from scalargraph.compiler import FAST, compiled, compiler
 
 @functools.cache
 def missing() -> str | None:
-    """What compiled C lacks on this machine, in one line for messages; None where compiler and `cffi` are present."""
+    """The tool that compiled C lacks on this machine, in one line for messages; None if compiler and `cffi` exist."""
     if compiler() is None:
         return "there is no C compiler `cc`, so JAX does the work"
     try:

@@ -1,11 +1,12 @@
-"""What a compiled observer is compiled from, as a key that needs no tracing.
+"""Computes a cache key of a compiled observer from its classes, functions and numbers, without tracing it.
 
 An observer of this library is data: a tree of classes and functions of this library, named by their modules, and of
-settings and numbers. The key is a hash of that tree, of the files of this library, and of the packages, flags and
-compiler beside it. An observer with anything else in it, such as a function of a user's script, has no such key:
-what it computes shows in its traced operations alone (`_cache.cache_key`).
+settings and numbers. The key is a hash of this tree, of the library's files, and of the versions of packages, flags and
+compiler. An observer that contains anything else, such as a function of a user's script, has no such key; only its
+traced operations show what it computes (`_cache.cache_key`).
 
-The functions of this library are those of its files. A script that replaces one sets `COVARIANT_CACHE=off`.
+The key assumes that this library's functions are those of its files. Scripts that replace one set
+`COVARIANT_CACHE=off`.
 """
 
 import dataclasses
@@ -28,43 +29,43 @@ from covariant.engine._sources import LIBRARY, ROOT, source_files
 from scalargraph.cache import cache_folder
 
 PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
-"""They trace an observer and compute the constants in it."""
+"""Packages that trace an observer and compute its constants."""
 
 
 class _UnknownError(Exception):
-    """A part of an observer that is not described by what is in this library's files."""
+    """Raised for a part of an observer that the library's files do not determine."""
 
 
 def description_key(observer: Any, places: Places, *form: Any) -> str | None:
-    """Key of a compiled observer, by what the observer is made of."""
+    """Cache key of a compiled observer, computed from its parts."""
     if cache_folder() is None or _source_may_differ():
         return None
     leaves = jax.tree.leaves(eqx.filter(observer, eqx.is_inexact_array))
     opened: dict[int, tuple[int, ...] | None] = {}
     for leaf, at in zip(leaves, places or (None,) * len(leaves), strict=True):
-        if opened.setdefault(id(leaf), at) != at:  # one array in two places, of which one is open
+        if opened.setdefault(id(leaf), at) != at:  # one array occurs twice, but is open in one place only
             return None
     digest = hashlib.sha256(_environment().encode())
     try:
         for part in (*_parts((places, form), {}), *_parts(observer, opened)):
-            digest.update(b"%d:" % len(part) + part)  # with its length, so that no two lists are one text
+            digest.update(b"%d:" % len(part) + part)  # the length separates the parts of a list unambiguously
     except _UnknownError:
         return None
     return digest.hexdigest()
 
 
 def _parts(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes]:
-    """The parts of a value, each begun by what it is; entries of its open arrays are left out."""
+    """The parts of a value, each preceded by its type; the entries of open arrays are left out."""
     kind = type(x)
     if x is None or kind in (bool, int, str, bytes, complex):
         yield f"{kind.__name__} {x!r}".encode()
     elif kind is float:
-        yield f"float {x.hex()}".encode()  # so that numbers that print alike differ
+        yield f"float {x.hex()}".encode()  # hexadecimal, so that different numbers that print alike differ
     elif isinstance(x, enum.Enum):
         yield f"{_name(kind)} {x.name}".encode()
     elif isinstance(x, np.dtype):
         yield f"dtype {x.str}".encode()
-    elif kind is np.ndarray or isinstance(x, (np.generic, jax.Array)):  # a subclass may compute anything
+    elif kind is np.ndarray or isinstance(x, (np.generic, jax.Array)):  # a subclass could compute anything
         yield from _array(x, opened.get(id(x)))
     elif isinstance(x, tuple) and (kind is tuple or hasattr(x, "_fields")):
         yield f"{'tuple' if kind is tuple else _name(kind)} {len(x)}".encode()
@@ -89,12 +90,12 @@ def _parts(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes]
 
 def _record(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes]:
     fields = dataclasses.fields(x)
-    if vars(x).keys() != {field.name for field in fields}:  # something that its class does not declare
+    if vars(x).keys() != {field.name for field in fields}:  # it has an attribute that its class does not declare
         raise _UnknownError
     yield f"{_name(type(x))} {len(fields)}".encode()
     for field in fields:
         yield field.name.encode()
-        # An array in a static field is no leaf, though the same array may be one elsewhere.
+        # An array in a static field is not a leaf, although the same array may be a leaf elsewhere.
         yield from _parts(vars(x)[field.name], {} if field.metadata.get("static") else opened)
 
 
@@ -111,12 +112,12 @@ def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
 
 
 def _name(x: Any) -> str:
-    """The name by which this library's modules hold a class or a function."""
+    """The name under which the library's modules define a class or a function."""
     module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None)
     if not isinstance(module, str) or not isinstance(name, str) or module.partition(".")[0] not in LIBRARY:
         raise _UnknownError
     held: Any = sys.modules.get(module)
-    for part in name.split("."):  # a function that another one made has no such path
+    for part in name.split("."):  # a function defined inside another one cannot be reached by such a path
         held = getattr(held, part, None)
     if held is not x:
         raise _UnknownError
@@ -129,7 +130,7 @@ def _files() -> list[Path]:
 
 
 def _source_may_differ() -> bool:
-    """Whether a file may be another one than was imported: then its content does not say what is traced."""
+    """Whether a file may have changed since it was imported; then its content does not show what is traced."""
     try:
         return max(path.stat().st_mtime for path in _files()) > _programs.IMPORTED
     except OSError:  # it is gone
@@ -138,7 +139,7 @@ def _source_may_differ() -> bool:
 
 @functools.cache
 def _library() -> str:
-    """A hash of the files of this library, and of the versions of what it computes with."""
+    """A hash of the library's files, and of the versions of the packages with which it computes."""
     digest = hashlib.sha256("\n".join([sys.version, *map(version, PACKAGES)]).encode())
     for path in _files():
         digest.update(f"\n{path.relative_to(ROOT).as_posix()}\n".encode() + path.read_bytes())
@@ -146,6 +147,6 @@ def _library() -> str:
 
 
 def _environment() -> str:
-    """The library, and the flags of JAX as they are set now: some change types and constants of what is traced."""
+    """The library, and JAX's present flags, some of which change types and constants of what is traced."""
     flags = {name: getattr(jax.config, name, value) for name, value in jax.config.values.items()}
     return "\n".join([_library(), *(f"{name} {flags[name]!r}" for name in sorted(flags))])

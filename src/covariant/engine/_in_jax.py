@@ -1,4 +1,4 @@
-"""A function compiled from C as one that programs of JAX call, a lane for each element of a batch."""
+"""Compiles a function in C for calls from programs of JAX; each element of a batch is one lane."""
 
 import ctypes
 import functools
@@ -22,11 +22,11 @@ REALS: dict[Any, Literal["double", "float"]] = {np.dtype(np.float64): "double", 
 def compiled(function: Callable, *arguments: Any) -> Callable:
     """Compile a function in C, for calls from `jax.jit` and `jax.vmap`; a batch fills the lanes of vectors.
 
-    The results are those of the function up to rounding; errors at run time (`equinox.error_if`) are left out. It has
-    no derivative.
+    The results are those of the function up to rounding; run-time checks (`equinox.error_if`) are left out. The
+    compiled function has no derivative.
 
-    Use it where one function is called often under `jit` on a CPU and XLA is slow for it, as for many scalar
-    operations. It does not speed up large matrices. For a whole log use `run_log`.
+    Use it if one function is called often under `jit` on a CPU and XLA is slow for it, as for many scalar operations.
+    It does not speed up large matrices. For a whole log use `run_log`.
 
     Args:
         function: A function of pytrees of arrays that is a graph of scalars.
@@ -38,8 +38,8 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
         `ValueError`.
 
     Raises:
-        ValueError: The arguments are of another type, of several types, or there is no number in arguments or results.
-        LoweringError: The function is no graph of scalars.
+        ValueError: The arguments have another type or several types, or arguments or results contain no number.
+        LoweringError: The function is not a graph of scalars.
         OSError: There is no C compiler.
     """
     if compiler() is None:
@@ -84,7 +84,7 @@ def _rows(target: str, width: int, name: str) -> Callable:
     @jax.custom_jvp
     def rows_of(rows):
         shape = jax.ShapeDtypeStruct((*rows.shape[:-1], width), rows.dtype)
-        # With all batch axes in front, the rows of the whole batch are contiguous, and C runs over them in one loop.
+        # With all batch axes in front, the rows of the whole batch are contiguous, and C handles them in one loop.
         return jax.ffi.ffi_call(target, shape, vmap_method="broadcast_all")(rows)
 
     @rows_of.defjvp
@@ -97,7 +97,7 @@ def _rows(target: str, width: int, name: str) -> Callable:
 def _register_target(lowered: Lowered, real: Literal["double", "float"]) -> str:
     """Register the compiled function with XLA, and return the name of the target."""
     lanes = vector_bytes() // {"double": 8, "float": 4}[real]
-    # The version is in the text, so that another release, with other headers, gets another library.
+    # The text contains the version, so that another release of jaxlib, with other headers, gets another library.
     words = {"ROWS": [c_rows(lowered, "rows", lanes, real)], "VERSION": version("jaxlib")}
     return _load_library(fill("covariant.engine", "ffi.c", words))
 
@@ -112,4 +112,4 @@ def _load_library(source: str) -> str:
 
 
 _LOADED: list[ctypes.CDLL] = []
-"""Libraries that XLA may call, which therefore stay loaded."""
+"""Libraries that XLA may call; references to them keep them loaded."""

@@ -1,4 +1,4 @@
-"""An observer as a function of plain arrays of numbers, compiled from C."""
+"""Compiles an observer in C, as a function of plain arrays of numbers."""
 
 import functools
 from collections.abc import Sequence
@@ -35,14 +35,15 @@ class Kernel(NamedTuple):
 
     The functions of `library` are
 
-    - `kernel_init(open, y, t, state)`: states at rest at a measurement; `open` are the open numbers one after another.
-      With several lanes each number is a row, with an entry for each lane.
+    - `kernel_init(open, y, t, state)`: write states at rest at a measurement; `open` holds the open numbers one after
+      another. With several lanes each number is a row, with an entry for each lane.
     - `kernel_run(open, state, rows, logs, kept, count, found)`: advance the states in place, over as many rows as each
-      lane has. For each lane `logs` holds the pointers to its inputs, measurements and time steps, and `found` those to
+      lane has. For each lane `logs` holds pointers to its inputs, measurements and time steps, and `found` pointers to
       its estimates and to the `count` columns `kept` of its infos.
-    - `kernel_step(numbers, dt)`: one step with one lane on an array of state, input, measurement, estimate, info and
-      fixed numbers, in this order; returns the result code.
-    - `kernel_fix(open, fixed)`: the `kernel_fixed()` fixed numbers, all that a step needs of the open ones.
+    - `kernel_step(numbers, dt)`: make one step with one lane, on an array of state, input, measurement, estimate, info
+      and fixed numbers, in this order; return the result code.
+    - `kernel_fix(open, fixed)`: write the `kernel_fixed()` fixed numbers, the values computed from the open numbers
+      that a step needs.
 
     Attributes:
         layout: Sizes and shapes of its numbers.
@@ -71,18 +72,18 @@ class Kernel(NamedTuple):
 
 
 class NoKernelError(Exception):
-    """Error that there is no compiled observer; the message says why."""
+    """Raised if an observer cannot be compiled; the message gives the reason."""
 
 
 class KernelForm(NamedTuple):
-    """What a compiled observer is compiled for.
+    """The conditions for which an observer is compiled.
 
     Attributes:
         y: Shape of a measurement, (n,) or (N, N).
         inputs: Number of inputs m.
-        opened: For each of the observer's arrays of real numbers, counted as leaves of its pytree, which argument of
-            the compiled code each entry is, −1 for a constant; None for an array of constants. By default all are
-            constants.
+        opened: For each array of real numbers of the observer, in the order of its pytree's leaves, the index of the
+            argument of the compiled code for each entry, −1 for a constant; None for an array of constants. By default
+            all are constants.
         lanes: Number of runs done at once, 1 by default.
         real: Whether measurements are real numbers, True by default.
 
@@ -100,16 +101,16 @@ class KernelForm(NamedTuple):
 
 
 def prepared(observer: AbstractObserver, form: KernelForm) -> "Prepared":
-    """Trace an observer for compilation, with the numbers of its closed arrays written into the code."""
+    """Trace an observer for compilation; numbers that are not open are written into the code."""
     key = _KernelKey(observer, form)
     try:
         return _prepared(key)
-    except TypeError:  # something in it has no hash
+    except TypeError:  # a part of it cannot be hashed
         return Prepared(key)
 
 
 class _KernelKey:
-    """What a kernel is compiled from; equal where the kernels would be equal."""
+    """All that determines a kernel; equal keys mean equal kernels."""
 
     def __init__(self, observer: AbstractObserver, form: KernelForm):
         arrays, self.rest = eqx.partition(observer, eqx.is_inexact_array)
@@ -117,7 +118,7 @@ class _KernelKey:
         self.form, self.observer = form, observer
         values = [np.asarray(leaf) for leaf in self.leaves]
         places = form.opened or (None,) * len(values)
-        # Open numbers are arguments of the code, so only the values of the others distinguish one kernel from another.
+        # Open numbers are arguments of the code, so only the values of the other numbers distinguish kernels.
         written = tuple(
             a.tobytes() if at is None else a.ravel()[np.array(at, int) < 0].tobytes()
             for a, at in zip(values, places, strict=True)
@@ -133,7 +134,7 @@ class _KernelKey:
         return isinstance(other, _KernelKey) and self._key == other._key
 
     def recipe(self) -> Recipe:
-        """The observer with its open numbers as one argument."""
+        """The observer as a function of one argument, its open numbers."""
         count = 1 + max((k for at in self.form.opened if at is not None for k in at), default=-1)
         if count == 0:
             return Recipe(lambda values: self.observer, {})
@@ -142,15 +143,15 @@ class _KernelKey:
             leaves = filled(self.leaves, self.form.opened, values["open"])
             return eqx.combine(jax.tree.unflatten(self.tree, leaves), self.rest)
 
-        # The values do not matter: the code is the same for all.
+        # The values of the example do not matter: the code is the same for all.
         return Recipe(make, {"open": np.ones(count)})
 
 
 class Prepared:
-    """An observer whose cache key is known; its kernel is compiled when it is first asked for.
+    """An observer whose cache key is known; its kernel is compiled on first use.
 
     Attributes:
-        key: Key of its C text in the cache; None where it is not cached.
+        key: Key of its C text in the cache; None if it is not cached.
     """
 
     def __init__(self, key: _KernelKey):
@@ -178,7 +179,7 @@ class Prepared:
 
     @functools.cached_property
     def _outcome(self) -> Kernel | str:
-        """The kernel, or the reason why there is none, cached since it takes as long to compute."""
+        """The kernel, or the reason why there is none; the reason is cached too, as it takes as long to find."""
         try:
             source = cached_text(self.key, lambda: _c_text(self._traced, self._lanes))
             declared = DECLARED + (DECLARED_STEP if self._lanes == 1 else "")
@@ -186,7 +187,7 @@ class Prepared:
         except (LoweringError, OSError) as error:
             return str(error)
         finally:
-            self.__dict__.pop("_traced", None)  # a jaxpr of a robot takes megabytes
+            self.__dict__.pop("_traced", None)  # frees memory: a jaxpr of a robot takes megabytes
 
 
 _prepared = functools.lru_cache(maxsize=64)(Prepared)
@@ -194,12 +195,12 @@ _prepared = functools.lru_cache(maxsize=64)(Prepared)
 
 def _c_text(traced: TracedProgram, lanes: int) -> str:
     """The text of a kernel; raises `LoweringError`."""
-    # On a computer a step may take as long as its numbers ask for; code for a controller has fixed loops.
+    # On a computer the time of a step may depend on its numbers; code for a controller has fixed loops.
     program = traced.lower(loops=True)
     n_state, n_x, n_info = Layout.of(traced).sizes
     count = sum(leaf.size for leaf in program.given)
-    # What the open numbers alone decide is computed once for many steps: with its arguments a step has then about as
-    # many operations as with constants (double pendulum +1 %, Panda −1 %).
+    # Values that depend on open numbers only are computed once for many steps. Then a step has about as many operations
+    # as if these numbers were constants (double pendulum +1 %, Panda −1 %).
     (fix_step, step), (fix_estimate, estimate) = (split(each, count) for each in (program.step, program.estimate))
     fixed = len(fix_step.outputs), len(fix_estimate.outputs)
     sizes = {"o": count, "d": fixed[0], "e": fixed[1], "s": n_state, "u": program.u, "y": int(np.prod(program.y))}

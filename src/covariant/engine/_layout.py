@@ -1,4 +1,4 @@
-"""Sizes and shapes of the numbers of a compiled observer, and as data for a file."""
+"""Describes the sizes and shapes of the numbers of a compiled observer, also as data for a file."""
 
 import sys
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class Layout(NamedTuple):
         return cls((state, estimate, info), traced.y, traced.u, traced.told_as, traced.estimated_as)
 
     def data(self) -> list[Any] | None:
-        """The layout as JSON data; None where a class in it is not of this library."""
+        """The layout as JSON data; None if it contains a class from outside this library."""
         try:
             return [list(self.sizes), list(self.y), self.u, _data(self.info), _data(self.estimate)]
         except InputError:
@@ -43,7 +43,7 @@ class Layout(NamedTuple):
 
     @classmethod
     def from_data(cls, data: Any) -> "Layout":
-        """The layout that `data` describes; raises `ValueError` where it describes none."""
+        """The layout that `data` describes; raises `ValueError` if the data are not valid."""
         try:
             sizes, y, u, info, estimate = data
             states, estimates, infos = map(int, sizes)
@@ -73,7 +73,7 @@ def _tree(data: Any) -> Any:
 
 
 def _tuples(module: str, name: str) -> Any:
-    """A NamedTuple of this library, of a module that is loaded; a file names nothing else."""
+    """A NamedTuple class from a loaded module of this library; a file cannot name any other class."""
     held = getattr(sys.modules.get(module), name, None) if module.partition(".")[0] in LIBRARY else None
     if not (isinstance(held, type) and issubclass(held, tuple) and hasattr(held, "_fields")):
         raise InputError(f"{module}.{name} is not a tuple of this library")

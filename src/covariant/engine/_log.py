@@ -1,4 +1,4 @@
-"""Whole logs through an observer by compiled C, where it pays."""
+"""Runs observers over whole logs, by compiled C if it pays."""
 
 import itertools
 import os
@@ -17,21 +17,21 @@ from scalargraph.compiler import vector_bytes
 from scalargraph.errors import InputError
 
 RUNS_A_CORE = 4
-"""Runs per core above which they go through lanes: a step in all lanes takes about as long as four of one run."""
+"""Runs per core above which lanes are used: a step in all lanes takes about as long as four steps of single runs."""
 
 
 def run_log(
     observer: AbstractObserver, record: Record, keep: Collection[str] | None = None, engine: EngineName = "auto"
 ) -> tuple[Run, str]:
-    """Run an observer over a log, as `observers.run` does, by compiled C where it pays.
+    """Run an observer over a log, as `observers.run` does, by compiled C if it pays.
 
-    Use it for long logs and repeated runs. "auto" compiles only where the log is long enough to pay, or where a
-    compiled observer is cached; the second result says which engine ran and why. It is not for `jit` or derivatives:
-    use `observers.run` there.
+    Use it for long logs and repeated runs. "auto" compiles only if the log is long enough to pay, or if the compiled
+    observer can be cached; the second result says which engine ran and why. It cannot be used under `jit` or for
+    derivatives; use `observers.run` for these.
 
     Args:
         observer: Any observer.
-        record: The log: stamps (T,) [s], inputs (T, m), measurements (T, n) or (T, N, N). It is taken in double
+        record: The log: stamps (T,) [s], inputs (T, m), measurements (T, n) or (T, N, N), converted to double
             precision.
         keep: Names of the fields of the info that are recorded; by default all.
         engine: "auto", "c" or "jax"; see `choose` for the rule.
@@ -41,7 +41,7 @@ def run_log(
             reason.
 
     Raises:
-        ValueError: As `observers.run` does, and for an unknown engine.
+        ValueError: As from `observers.run`, or the engine is unknown.
 
     Example:
         >>> import numpy as np
@@ -66,27 +66,26 @@ def run_logs(
     others: Sequence[AbstractObserver] = (),
     repeats: int = 1,
 ) -> tuple[list[Run], str]:
-    """Run observers over logs: one over many logs, many over one log, or as many observers as logs in pairs.
+    """Run observers over logs: one over many logs, many over one log, or pairs of an observer and a log.
 
     Use it for searches and Monte Carlo studies: one program is compiled for all, and C runs them on every core.
-    Observers have to differ in numbers only, and not in kind or shape. `run_log` is for a single run.
+    Observers may differ only in their numbers, not in kind or shape. For a single run use `run_log`.
 
     Args:
-        observers: Of one kind, distinguished by their numbers, such as gains or masses. All are one compiled program,
-            and so are observers of other calls and processes that have other numbers.
+        observers: Observers of one kind that differ in their numbers, such as gains or masses. All share one compiled
+            program, also with observers of other calls and processes.
         records: Logs of any lengths, with measurements and inputs of one shape.
         keep: As for `run_log`.
         engine: As for `run_log`; the rows of all logs count together. C uses every core.
-        others: Observers of other calls: numbers that differ in any of them are arguments of the compiled program too,
-            zeros among them, so that a search for the best ones compiles one program.
-        repeats: Number of calls like this one to come, whose rows count too.
+        others: Observers of other calls. Numbers that differ in any of them become arguments of the compiled program
+            too, even zeros, so that a search over observers compiles a single program.
+        repeats: Number of similar calls to come; their rows count too.
 
     Returns:
         The runs in order, and the engine that computed them.
 
     Raises:
-        ValueError: As `observers.run` does, for counts that do not fit, and for observers or records of different
-            forms.
+        ValueError: As from `observers.run`; or the counts do not match, or observers or records have different forms.
 
     Example:
         >>> import numpy as np
@@ -111,14 +110,14 @@ def run_logs(
         raise InputError(f"run_logs: measurements and inputs must have one shape in all records; got {shapes}")
     count = max(len(many), len(logs))
     each, logs = many * (count // len(many)), logs * (count // len(logs))
-    # Below that number of runs cores would stand idle while others compute lanes.
+    # With fewer runs, some cores would be idle while others compute lanes.
     lanes = vector_bytes() // np.dtype(float).itemsize if count > RUNS_A_CORE * (os.cpu_count() or 1) else 1
     ((y, inputs),) = forms
     rows = repeats * sum(len(r.t) for r in logs)
     real = not any(np.iscomplexobj(r.y) for r in logs)
     chosen, numbers = choose_open([*many, *others], KernelForm(y, inputs, (), lanes, real), rows, engine)
     if chosen.kernel is not None:
-        # np.resize repeats the rows, as for one observer over many logs.
+        # np.resize repeats the rows, for one observer over many logs.
         opened = np.resize(numbers[: len(many)], (count, numbers.shape[1]))
         runs = _by_c(chosen.kernel, opened, logs, keep, many[0].input_at_end)
     else:
@@ -127,12 +126,12 @@ def run_logs(
 
 
 def _in_double(record: Record) -> Record:
-    """The stamps, inputs and measurements in double precision, so that all engines return the same types."""
+    """Stamps, inputs and measurements in double precision, so that all engines return the same types."""
     return Record(*(np.asarray(a, np.result_type(a, float)) for a in record[:3]))
 
 
 def _by_jax(observer: AbstractObserver, record: Record, keep: Collection[str] | None) -> Run:
-    # Copies, since arrays of JAX are read-only as NumPy sees them, and those of C are not.
+    # The results are copied, since NumPy cannot write to JAX's arrays, unlike to those from C.
     return jax.tree.map(np.array, run(observer, record, keep))
 
 
@@ -141,12 +140,12 @@ def _by_c(
 ) -> list[Run]:
     cores, lanes = os.cpu_count() or 1, kernel.lanes
     form = _Columns.of(kernel, keep)
-    # Runs of like lengths go together, since lanes wait for the longest.
+    # Runs of similar lengths are grouped, since lanes wait for the longest run.
     order = sorted(range(len(logs)), key=lambda k: len(logs[k].t))
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
-    # By identity, since one log may be in many runs and is laid out once.
+    # Identity is the key, so that a log used in many runs is converted once.
     rows = {id(log): _Rows.of(log, input_at_end) for log in logs}
-    with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C releases Python's lock while it runs
+    with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C releases Python's global lock while it runs
         results = pool.map(
             lambda block: _through(kernel, form, numbers[block], [rows[id(logs[k])] for k in block]), blocks
         )
@@ -155,10 +154,10 @@ def _by_c(
 
 
 class _Columns(NamedTuple):
-    """How columns of numbers become a run.
+    """Converts columns of numbers to a run.
 
     - `kept`: indices of the columns of an info that are recorded.
-    - `estimate`, `told`: `(T, columns) -> pytree`, of an estimate and of an info.
+    - `estimate`, `told`: `(T, columns) -> pytree`, converters of estimates and of infos.
     """
 
     kept: np.ndarray
@@ -180,7 +179,7 @@ class _Columns(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """A log as C reads it: stamps, and input, measurement and time step of each row."""
+    """A log in the form that C reads: stamps, and input, measurement and time step of each row."""
 
     t: np.ndarray
     start: float
@@ -192,17 +191,17 @@ class _Rows(NamedTuple):
     def of(cls, record: Record, input_at_end: bool) -> "_Rows":
         """Rows of a log as contiguous arrays."""
         t, u, y = map(np.ascontiguousarray, record[:3])
-        # Usually the input that acted since the previous stamp.
+        # By default, a row uses the input that acted since the previous stamp.
         acting = u if input_at_end else np.concatenate([u[:1], u[:-1]])
-        # The first dt is 0, a step of zero length, so that the first row is the estimate at rest; see `_make_run`.
+        # The first dt is 0: a step of zero length gives the estimate at rest as the first row; see `_make_run`.
         return cls(t.copy(), float(t[0]), acting, y.reshape(len(t), -1), np.diff(t, prepend=t[:1]))
 
 
 def _through(kernel: Kernel, form: _Columns, numbers: np.ndarray, logs: Sequence[_Rows]) -> list[Run]:
-    """Logs through a kernel, as many as it has lanes or fewer, with the open numbers of each."""
+    """Run logs through a kernel, at most one for each lane, with the open numbers of each."""
     columns = form.kept.tolist()
     outputs = [(np.empty((len(log.y), kernel.sizes[1])), np.empty((len(log.y), len(columns)))) for log in logs]
-    lanes = np.minimum(np.arange(kernel.lanes), len(logs) - 1).tolist()  # surplus lanes repeat the last log
+    lanes = np.minimum(np.arange(kernel.lanes), len(logs) - 1).tolist()  # unused lanes repeat the last log
     opened = np.ascontiguousarray(numbers[lanes].T)
     first, t = np.stack([logs[k].y[0] for k in lanes], axis=1), np.array([logs[k].start for k in lanes])
     state = np.empty((kernel.sizes[0], kernel.lanes))
@@ -222,7 +221,7 @@ def _through(kernel: Kernel, form: _Columns, numbers: np.ndarray, logs: Sequence
 def _make_run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) -> Run:
     infos = form.told(info)
     if infos.result is not None and infos.result[0] == StepCode.REPEATED:
-        infos.result[0] = StepCode.OK  # the first row is no step
+        infos.result[0] = StepCode.OK  # the first row is not a step
     return Run(t, form.estimate(x), infos)
 
 

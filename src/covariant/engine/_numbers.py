@@ -1,8 +1,8 @@
-"""Which numbers of an observer are arguments of its compiled code, so that one code serves other numbers too.
+"""Decides which numbers of an observer are arguments of its compiled code, so that one code serves many observers.
 
-A number that takes operations away stays in the code: zero, in the tables of a model ±1 too, and what is not finite.
-Numbers of a model that are equal in all observers, such as a mass that inertia and potential both hold, are one
-argument, so that what is computed of both is computed once.
+A number that saves operations as a constant stays in the code: zero, ±1 in the tables of a model, and values that are
+not finite. Numbers of a model that are equal in all observers, such as a mass that occurs in inertia and potential,
+become one argument, so that results computed from either are computed once.
 """
 
 from collections.abc import Sequence
@@ -17,19 +17,19 @@ from covariant.observers import AbstractObserver
 from scalargraph.errors import InputError
 
 MODEL = {"model", "metric"}
-"""Fields of observers that hold a model, or a metric designed for it, which stays in the code as tables do."""
+"""Fields of observers that contain a model, or a metric designed for it."""
 MOST_OPEN = 100
-"""Size of the largest array that is an argument, the covariance of ten joints; larger tables are constants."""
+"""Largest size of an array that becomes an argument, as of a covariance of ten joints; larger tables are constants."""
 
 Places = tuple[tuple[int, ...] | None, ...]
 
 
 class OpenNumbers(NamedTuple):
-    """Numbers of observers of one kind that are arguments of their code.
+    """The numbers of observers of one kind that are arguments of their code.
 
     Attributes:
-        places: For each array of real numbers of the observer, counted as leaves of its pytree, the argument of each
-            entry, −1 for a constant; None for an array of constants.
+        places: For each array of real numbers of the observer, in the order of its pytree's leaves, the index of the
+            argument for each entry, −1 for a constant; None for an array of constants.
         values: The arguments (N, K) of each of N observers.
     """
 
@@ -57,12 +57,12 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
         rows = np.stack([np.ravel(others[i]) for others in leaves]).astype(float)
         fields = {getattr(key, "name", None) for key in paths[i]}
         of_model = not fields.isdisjoint(MODEL)
-        varies = (rows != rows[0]).any(axis=0)  # so does NaN, which equals nothing
+        varies = (rows != rows[0]).any(axis=0)  # NaN counts as varying, since it equals nothing
         few = rows.shape[1] <= MOST_OPEN and "metric" not in fields and (models or not of_model)
         opened = varies | (_usual(rows[0], of_model) & few)
         each = []
         for column, is_open in zip(rows.T, opened.tolist(), strict=True):
-            # Equal gains are equal by chance or by symmetry up to rounding: they are not told apart by that.
+            # Gains may be equal by chance or by symmetry up to rounding, so each of them is an argument of its own.
             key = column.tobytes() if of_model else len(columns).to_bytes(8)
             if is_open and key not in shared:
                 shared[key] = len(columns)
@@ -74,7 +74,7 @@ def open_numbers(observers: Sequence[AbstractObserver], models: bool = True) -> 
 
 
 def _usual(values: np.ndarray, of_model: bool) -> np.ndarray:
-    """Which values take no operations away as constants."""
+    """Mask of the values that would save no operations as constants."""
     return np.isfinite(values) & (values != 0) & ~(of_model & (np.abs(values) == 1))
 
 
@@ -88,8 +88,8 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
 
 
 def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
-    """Arrays of an observer with its open numbers in their places."""
-    # One array for those that hold the same numbers: each takes as long to trace as a step of a model.
+    """The arrays of an observer with its open numbers filled in."""
+    # Arrays with the same numbers share one result, since tracing each takes as long as tracing a step of a model.
     made: dict[tuple[Any, ...], Any] = {}
     results = []
     for leaf, at in zip(leaves, places, strict=True):

@@ -1,4 +1,4 @@
-"""The files of the library on which a cached text depends: modules and templates, in sub-rooms too."""
+"""Lists the files of the library on which a cached text depends: modules and templates, also of sub-rooms."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ LIBRARY = ("covariant", "scalargraph")
 def source_files(*places: str, root: Path = ROOT) -> list[Path]:
     """Modules and templates below some folders, or single files, of the library.
 
-    An installed library has `templates/__pycache__` as well, because pip compiles the templates that are Python.
+    In an installed library pip also compiles templates that are Python; their `templates/__pycache__` is left out.
     """
     paths = [path for place in places for path in (root / place, *(root / place).rglob("*")) if path.is_file()]
     return sorted({path for path in paths if path.suffix == ".py" or path.parent.name == "templates"})

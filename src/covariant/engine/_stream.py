@@ -1,4 +1,4 @@
-"""An observer as a stream: samples in, estimates out, also where samples are invalid."""
+"""Runs an observer as a stream: samples in, estimates out, even if samples are invalid."""
 
 import math
 from collections import Counter
@@ -15,30 +15,30 @@ from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
 LONGEST_GAP = 1.0
-"""Longest gap [s] between samples that the model predicts over; after a longer one the estimate starts anew."""
+"""Longest gap [s] between samples that the model bridges; after a longer one the estimate starts anew."""
 LEAST_RATE = 1.25 / LONGEST_GAP
-"""Slowest usual rate [Hz]: a sample may come a quarter of a step late."""
+"""Lowest accepted sampling rate [Hz]: a sample may then come a quarter of a step late."""
 SET_BACK = 5
-"""Number of samples in a row with stamps before the last used one after which the clock counts as set back."""
+"""Number of consecutive samples with stamps before the last used one that mean that the clock was set back."""
 
 CODES = tuple(StepCode)
 NOT_FINITE = int(StepCode.NOT_FINITE)
 NUMBERS = "iufO"
-"""Kinds of NumPy arrays of real numbers, or of objects that may be some, as None for a missing one."""
+"""Kinds of NumPy arrays of real numbers, or of objects that may be numbers, such as None for a missing one."""
 DOUBLE, ndarray = np.dtype(float), np.ndarray
 
 
 class Health(NamedTuple):
-    """Counts of what a stream has seen since it was started or reset.
+    """Counts of samples and faults since a stream was started or reset.
 
     Attributes:
         samples: Calls of `step`.
-        results: How many of them ended with each result, by its name in lower case.
-        late: Samples with a stamp before the last one, left out.
-        unstamped: Samples whose stamp is no finite number.
-        misshapen: Measurements or inputs that are not the right count of real numbers, treated as missing.
-        restarts: How often the estimate started anew from a measurement, after a gap, after the clock was set, or after
-            an estimate that was not finite.
+        results: Number of samples with each result, by its name in lower case.
+        late: Samples with a stamp before the last one; they are left out.
+        unstamped: Samples whose stamp is not a finite number.
+        misshapen: Measurements or inputs that are not the right number of real numbers; they count as missing.
+        restarts: Number of times the estimate started anew from a measurement: after a gap, after the clock was set, or
+            after an estimate that was not finite.
 
     Example:
         >>> import numpy as np
@@ -61,20 +61,20 @@ class Health(NamedTuple):
 class Stream:
     """An observer that is fed sample by sample: `x = stream.step(t, y, u)`.
 
-    It is compiled on construction. `step` never raises an error of its own. The first complete measurement that is a
-    configuration starts the estimate; until then the estimate is NaN. NaN and infinite entries of y are missing. A
-    sample with the stamp of the one before changes nothing, nor does one with an earlier stamp, unless `SET_BACK` of
-    them come in a row. `health` counts what was wrong.
+    It is compiled on construction. `step` itself never raises an error. The first measurement that is complete and a
+    valid configuration starts the estimate; until then the estimate is NaN. Entries of y that are NaN or infinite count
+    as missing. A sample with the same stamp as the one before, or an earlier one, changes nothing, unless `SET_BACK`
+    earlier ones come in a row. `health` counts all faults.
 
     Args:
         observer: Any observer.
-        y: A measurement, a configuration (n,) or (N, N) or what the observer's sensors make of it, of which only the
-            shape counts.
-        rate: Usual sampling rate [Hz], at which one step is tried before the first sample.
+        y: A measurement, of which only the shape matters: a configuration (n,) or (N, N), or the readings of the
+            observer's sensors.
+        rate: Usual sampling rate [Hz]; one step at this rate is tried before the first sample.
         inputs: Number of inputs m; by default that of the observer's model.
-        engine: "auto" and "c" compile it in C where that is possible, "jax" in JAX.
+        engine: "auto" and "c" compile the observer in C if that is possible, "jax" in JAX.
         sink: Called as `sink(t, estimate, result)` after each sample, for a live picture or a file. `result` is a
-            `StepCode`. What it raises, `step` raises.
+            `StepCode`. Errors that it raises are raised by `step`.
 
     Attributes:
         engine: "c", or "jax: " with the reason.
@@ -121,9 +121,9 @@ class Stream:
         self._y_place, self._u_place = self._backend.places
         self._advance, self._copy = self._backend.advance, self._backend.x.copy
         self._largest = self.observer.largest(y).ravel()
-        self._first = configuration.ravel()  # places of what has to be measured at the start
+        self._first = configuration.ravel()  # indices of the entries that must be measured at the start
         self._shape = configuration.shape if configuration.ndim == 2 else None
-        # Compile before the first sample.
+        # One step compiles the observer before the first sample.
         self._backend.y[:], self._backend.u[:] = y.ravel(), 0.0
         self._backend.start(0.0)
         self._backend.advance(1 / rate)
@@ -160,12 +160,12 @@ class Stream:
             The estimate (q, v) (2n,) as a new array, or a `Motion` of arrays for a system that is not in coordinates;
             NaN until the estimate has started.
         """
-        # The common case is inlined, since a call would take as long as the observer's computation.
+        # The common case is written out here, since a function call takes as long as the observer's computation.
         try:
             if type(y) is not ndarray or y.dtype is not DOUBLE:
                 raise InputError
             self._y_place[:] = y
-        except ValueError:  # of another size, or not in one piece
+        except ValueError:  # of another size, or not contiguous
             self._read(self._y, y)
         try:
             if type(u) is not ndarray or u.dtype is not DOUBLE:
@@ -176,7 +176,7 @@ class Stream:
         if type(t) is not float:
             t = _stamp(t)
         dt = t - self._t
-        # Both comparisons are false for NaN, as for a sample without a stamp.
+        # Both comparisons are false for NaN, which stands for a missing stamp.
         if not (self._started and 0.0 <= dt <= LONGEST_GAP):
             return self._give(t, self._out_of_turn(t, dt))
         self._t, self._back = t, 0
@@ -188,13 +188,13 @@ class Stream:
         return x if self._sink is None else self._give(t, x)
 
     def _give(self, t: float, x: Any) -> Any:
-        """Hand an estimate to the sink, where there is one; returns it."""
+        """Pass an estimate to the sink, if there is one, and return it."""
         if self._sink is not None:
             self._sink(t, x, self.result)
         return x
 
     def _out_of_turn(self, t: float, dt: float) -> Any:
-        """Handle the first sample, one without a stamp, a late one, and one after a gap."""
+        """Handle the first sample, a sample without a stamp, a late one, and one after a gap."""
         if not math.isfinite(t):
             self._counts["unstamped"] += 1
             return self._outcome(StepCode.STEP_REFUSED)
@@ -204,17 +204,17 @@ class Stream:
         return self._outcome(StepCode.STEP_REFUSED)
 
     def _anew(self, dt: float) -> bool:
-        """Whether a gap or a clock that was set back makes the estimate start anew; otherwise the sample is late."""
+        """Whether the estimate must start anew, after a gap or a clock set back; otherwise the sample is late."""
         self._back = self._back + 1 if dt < 0 else 0
         jumped = dt > LONGEST_GAP or self._back >= SET_BACK
         self._counts["restarts"] += jumped
         return jumped
 
     def _begin(self, t: float) -> Any:
-        """Start at a measurement that is complete and a configuration; otherwise wait for one."""
+        """Start at this measurement if it is complete and a valid configuration; otherwise wait for the next."""
         self._t, self._back = t, 0
         result = StepCode.COASTED
-        # NaN compares as false: a measurement with a missing entry starts nothing.
+        # NaN compares as false, so a measurement with a missing entry does not start the estimate.
         if (np.abs(self._backend.y) <= self._largest)[self._first].all():
             self._backend.start(t)
             result = StepCode.OK if np.isfinite(self._backend.x).all() else StepCode.NOT_FINITE
@@ -224,7 +224,7 @@ class Stream:
         return self._outcome(result)
 
     def _read(self, into: np.ndarray, values: Any) -> None:
-        """Write a measurement or input into a buffer, or NaN where it is not the right count of real numbers."""
+        """Write a measurement or input to a buffer, or NaN if it is not the right number of real numbers."""
         try:
             if values is None:
                 into.fill(math.nan)
@@ -250,7 +250,7 @@ class Stream:
 
 
 def _stamp(t: Any) -> float:
-    """A stamp as a number, NaN where it is none."""
+    """A stamp as a number; NaN if it is not a number."""
     try:
         return float(t)
     except (TypeError, ValueError):

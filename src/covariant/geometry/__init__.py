@@ -1,4 +1,4 @@
-"""Configuration spaces: manifolds with a frame, and metrics on them, with closed forms where these are known."""
+"""Configuration spaces: manifolds with a velocity frame, and Riemannian metrics on them, in closed form if possible."""
 
 from scalargraph.rooms import attach
 

@@ -1,7 +1,7 @@
-"""Public functions of geometry: the space comes first, then the base point.
+"""Public functions of geometry. Each takes the space first, then the base point.
 
-A plain callable `q -> (n, n)` is a space too. Vectors are components (n,) in the frame of the space's manifold, and
-covectors components in its dual frame; in coordinates these are ∂/∂q and dq.
+A plain callable `q -> (n, n)`, the matrix of a metric, also counts as a space. Vectors are components (n,) in the frame
+of the space's manifold, and covectors are components in its dual frame; in coordinates these are ∂/∂q and dq.
 """
 
 import jax.numpy as jnp
@@ -63,8 +63,8 @@ def norm(space: Space, q: Configuration, x: Vector) -> Scalar:
 def connection(space: Space, q: Configuration, x: Vector, y: Vector) -> Vector:
     """Covariant derivative `B(x, y) = ∇_x y` of the field y with constant components.
 
-    With it, `∇_q̇ w = ẇ + B(v, w)` for a velocity v. `B(x, y) − B(y, x) = [x, y]`: in a frame that is not of
-    coordinates, the direction x and the differentiated field y do not commute.
+    For a moving vector w and a velocity v, `∇_q̇ w = ẇ + B(v, w)`. The arguments do not commute, except in coordinates:
+    `B(x, y) − B(y, x) = [x, y]`, where x is the direction and y the differentiated field.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -91,9 +91,9 @@ def connection(space: Space, q: Configuration, x: Vector, y: Vector) -> Vector:
 def christoffel(space: Space, q: Vector, x: Vector, y: Vector) -> Vector:
     """Christoffel symbols `Γ(q)(x, y)` contracted with x and y: the `connection` in coordinates, symmetric in both.
 
-    Use it for the terms of a geodesic equation, `q'' = −Γ(q)(q', q')`, or for Coriolis forces, which are the inertia
-    matrix times these. It is for coordinates: in the frame of a group the connection is not symmetric, and
-    `space.connection` is the right one.
+    Use it for the terms of a geodesic equation, `q'' = −Γ(q)(q', q')`; the Coriolis forces are the inertia matrix times
+    `Γ(q)(q', q')`. It is for coordinates only: in the frame of a group the connection is not symmetric, so use
+    `space.connection` there.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -121,9 +121,9 @@ def curvature(space: Space, q: Configuration, x: Vector, y: Vector, z: Vector) -
 
     On the unit sphere `R(x, y)z = <y, z>x − <x, z>y`.
 
-    Its sign decides how errors between neighbouring motions grow: negative curvature makes them diverge. `Intrinsic`
-    and `Geodesic` compensate the term `R(ξ, v)v`. Conventions of the sign differ between books; this is that of the
-    formula above. Use `sectional_curvature` for one number.
+    Its sign decides how errors between neighbouring motions grow: with negative curvature they diverge. `Intrinsic` and
+    `Geodesic` compensate the term `R(ξ, v)v`. Books differ in the sign convention; here it is the one of the formula
+    above. Use `sectional_curvature` for a single number.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -148,8 +148,8 @@ def curvature(space: Space, q: Configuration, x: Vector, y: Vector, z: Vector) -
 def sectional_curvature(space: Space, q: Configuration, x: Vector, y: Vector) -> Scalar:
     """Sectional curvature of the plane of two vectors; 1 on the unit sphere.
 
-    It is `K(x, y) = <R(x, y)y, x> / (|x|²|y|² − <x, y>²)` at q. Its unit is the reciprocal of that of the metric. Where
-    it is negative, geodesics that start side by side part.
+    It is `K(x, y) = <R(x, y)y, x> / (|x|²|y|² − <x, y>²)` at q. Its unit is the reciprocal of the metric's. If it is
+    negative, geodesics that start side by side diverge.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -168,7 +168,7 @@ def sectional_curvature(space: Space, q: Configuration, x: Vector, y: Vector) ->
         -1.0
     """
     space = as_space(space)
-    # Divided by the squared area of the parallelogram, so that K depends on the plane and not on the vectors in it.
+    # Divided by the squared area of the parallelogram, K depends on the plane and not on the vectors that span it.
     xx, xy, yy = space.inner(q, x, x), space.inner(q, x, y), space.inner(q, y, y)
     return space.inner(q, space.curvature(q, x, y, y), x) / (xx * yy - xy**2)
 
@@ -199,8 +199,8 @@ def exp(space: Space, q: Configuration, v: Vector, budget: Budget = Budget()) ->
     """Riemannian exponential: the end, after unit time, of the geodesic from q with velocity v.
 
     Use it to move a configuration along a vector without leaving the space, as for a correction or a sample around a
-    mean. It is the inverse of `log` up to the first conjugate point. Without a closed form it integrates the geodesic
-    equation; `manifold.retract` is cheaper where first order is enough.
+    mean. It is the inverse of `log` up to the first conjugate point. If it has no closed form, it integrates the
+    geodesic equation; `manifold.retract` is cheaper if first order is enough.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -229,15 +229,15 @@ def shoot(
 ) -> Shot:
     """Geodesic from p to q in unit time, with its residual and a result code.
 
-    Use it in place of `log` where you must know whether the search succeeded, or what the geodesic's velocity at the
-    end is. `OK` is not proof of the shortest geodesic: a numerical search returns one geodesic, and only conjugate
-    points are counted. Pass the previous solution as `guess` when p and q move slowly.
+    Use it in place of `log` to learn whether the search succeeded, or which velocity the geodesic has at its end. `OK`
+    does not prove that the geodesic is the shortest: a numerical search returns one geodesic, and only conjugate points
+    are counted. Pass the previous solution as `guess` if p and q move slowly.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
         p: configuration at which it starts.
         q: configuration at which it ends.
-        guess: first guess of its initial velocity (n,), optional; the search starts from it where it is the best one.
+        guess: first guess of its initial velocity (n,), optional; it is used if no other candidate ends closer to q.
         budget: work of the numerical search; closed forms ignore it.
 
     Returns:
@@ -260,8 +260,7 @@ def shoot(
 def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budget()) -> Vector:
     """Riemannian logarithm: the velocity at p of the unit-time geodesic to q.
 
-    A geodesic beyond a conjugate point is returned too, and `shoot` flags it: it is a geodesic, but not the shortest
-    one.
+    It may also return a geodesic that goes beyond a conjugate point and so is not the shortest one; `shoot` flags it.
 
     Use it as the error vector from p to q: `exp(space, p, log(space, p, q))` is q. It is a vector at p, so transport it
     before you compare it with one elsewhere.
@@ -273,7 +272,7 @@ def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budge
         budget: work of the numerical search; closed forms ignore it.
 
     Returns:
-        Velocity (n,) at p; NaN where the search did not converge, for which `shoot` reports the reason.
+        Velocity (n,) at p; NaN if the search did not converge, for which `shoot` reports the reason.
 
     Example:
         On the circle of 360° the shortest path from 10° to 350° is −20°:
@@ -284,7 +283,7 @@ def log(space: Space, p: Configuration, q: Configuration, budget: Budget = Budge
         [-20.0]
     """
     shot = shoot(space, p, q, None, budget)
-    # Only this code: with `CONJUGATE_POINT` the velocity still leads to q.
+    # NaN only for this code: with `CONJUGATE_POINT` the velocity still leads to q.
     return jnp.where(shot.result == StepCode.NOT_CONVERGED, jnp.nan, shot.velocity)
 
 
@@ -292,8 +291,8 @@ def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = 
     """Geodesic distance between p and q: the length of `log`.
 
     Use it to measure an error independently of coordinates. Its unit is that of the metric, such as √kg m for the
-    kinetic-energy metric. Without a closed form each call searches a geodesic, which costs far more than a norm. The
-    geodesic that is found need not be the shortest one: `shoot` flags it where it passes a conjugate point.
+    kinetic-energy metric. If there is no closed form, each call searches for a geodesic, which costs far more than a
+    norm. The geodesic need not be the shortest one: `shoot` flags it if it passes a conjugate point.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
@@ -302,7 +301,7 @@ def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = 
         budget: work of the numerical search; closed forms ignore it.
 
     Returns:
-        The distance, a scalar; NaN where the search did not converge.
+        The distance, a scalar; NaN if the search did not converge.
 
     Example:
         A quarter of a great circle of the unit sphere, in the stereographic chart:
@@ -312,7 +311,7 @@ def distance(space: Space, p: Configuration, q: Configuration, budget: Budget = 
         >>> bool(jnp.isclose(distance(sphere(), jnp.zeros(2), jnp.array([1.0, 0.0])), jnp.pi / 2))
         True
     """
-    # A geodesic has constant speed, so its length over unit time is that of its first velocity.
+    # A geodesic has constant speed, so its length over unit time is the length of its initial velocity.
     return norm(space, p, log(space, p, q, budget))
 
 
@@ -320,18 +319,18 @@ def transport(space: Space, p: Configuration, v: Vector, q: Configuration, budge
     """Parallel transport of v from p to q along the geodesic between them: a linear isometry.
 
     Use it to compare or add velocities at different configurations, such as an estimated and a true one. The result
-    depends on the path, and the geodesic is the usual choice. It costs a search of the geodesic besides; where the
-    velocity of this is known, `space.transport_along` saves it.
+    depends on the path, and the geodesic is the usual choice. The geodesic is searched first; if you know its initial
+    velocity, `space.transport_along` saves the search.
 
     Args:
         space: a space, or a metric in coordinates as a function `q -> (n, n)`.
         p: configuration at which v is.
         v: vector (n,) at p.
-        q: configuration to which they are transported.
+        q: configuration to which v is transported.
         budget: work of the numerical search and integration; closed forms ignore it.
 
     Returns:
-        The transported vector, in the shape of v; NaN where the search did not converge.
+        The transported vector, in the shape of v; NaN if the search did not converge.
 
     Example:
         >>> import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Geodesics of any space from its connection alone: Runge–Kutta steps, Newton shooting, conjugate points.
+"""Computes geodesics of any space from its connection: Runge–Kutta steps, Newton shooting, conjugate points.
 
 Everything is computed in the coordinates s of the retraction around the start p, with velocities in the frame; in a
 chart these are the coordinates themselves, up to a shift. Source: Aghannan & Rouchon 2003, section II; Milnor, Morse
@@ -21,16 +21,16 @@ from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
 NEWTON_LIMIT = 40
-"""Damped Newton iterations after which a search stops without success."""
+"""Number of damped Newton iterations after which a search gives up."""
 CONTINUATION_STAGES = 12
-"""Number of intermediate targets of a search whose direct attempt failed."""
+"""Number of intermediate targets of the continuation that follows a failed direct search."""
 NEAR_ENOUGH = 1e-2
 """Fraction of its length by which a geodesic with a fixed amount of work may miss its target."""
 
 
 @runtime_checkable
 class Curved(Protocol):
-    """What the computation of geodesics needs of a space: a manifold with a connection, and lengths.
+    """The part of a space that the computation of geodesics uses: a manifold with a connection, and lengths.
 
     Example:
         >>> from covariant.geometry import Euclidean
@@ -50,20 +50,21 @@ class Curved(Protocol):
 class Budget(NamedTuple):
     """Work that a numerical `exp` or `log` may do. Closed forms ignore it.
 
-    Keep the default for work offline. Give numbers for an observer that runs in real time or is exported, where every
-    step must take the same time. Then check the residual of `shoot`: too few corrections return a geodesic that misses
-    its end.
+    Keep the default for work offline. Set numbers for an observer that runs in real time or is exported, since every
+    step must then take the same time. Check the residual of `shoot` in that case: with too few corrections the geodesic
+    misses its end.
 
     Attributes:
-        newton: None, the default, for work offline, iterates Newton shooting until it converges, with `steps`
-            eighth-order steps along the unit-time geodesic. A number, for real time, makes exactly that many
-            corrections, with `steps` fourth-order steps: the amount of work is fixed, so that it can be exported.
+        newton: None, the default, is for work offline: Newton shooting iterates until it converges, with `steps`
+            eighth-order steps along the unit-time geodesic. A number is for real time: there are exactly that many
+            corrections, with `steps` fourth-order steps, so the amount of work is fixed and can be exported.
         steps: number of integration steps along the geodesic, 8 by default.
-        conjugate: whether a search that iterates until it converges counts the conjugate points too; True by default.
-        near: only with a fixed number of corrections: whether the end is close to the start, as for an observer that
-            has converged; False by default. The search starts from the second-order expansion alone, and its derivative
-            serves for that of the geodesic's end, so that a correction costs one geodesic and not n + 1. Each takes the
-            error two orders further: over a distance r a search misses by O(r³) without corrections, by O(r⁵) with one.
+        conjugate: whether a search that iterates until it converges also counts conjugate points; True by default.
+        near: whether the end is close to the start, as for an observer that has converged; False by default. It needs a
+            fixed number of corrections. The search then starts from the second-order expansion alone and uses the
+            expansion's derivative in place of that of the geodesic's end, so that a correction costs one geodesic
+            instead of n + 1. Each correction raises the order of the error by two: over a distance r a search misses by
+            O(r³) without corrections, and by O(r⁵) with one.
 
     Example:
         A fixed amount of work, as in real time. Each correction of the velocity shortens the miss:
@@ -89,7 +90,7 @@ class Shot(NamedTuple):
     Attributes:
         velocity: its velocity (n,) at p, `log_p q`.
         arrival: its velocity (n,) at q.
-        residual: length in the metric by which it misses q.
+        residual: the distance, in the metric, by which it misses q.
         result: a `covariant.StepCode` code.
 
     Example:
@@ -185,17 +186,17 @@ def follow(space: Curved, p: Configuration, ray: Ray, budget: Budget, fraction: 
 
     def flow(_, point: Ray) -> Ray:
         x = manifold.retract(p, point.s)
-        transported = jnp.concatenate([point.velocity[None], point.w])  # a geodesic carries its own velocity
+        transported = jnp.concatenate([point.velocity[None], point.w])  # a geodesic transports its own velocity
         rates = jax.vmap(lambda a: space.connection(x, point.velocity, a))(transported)
         # Parallel transport: ∇ w = 0 means ẇ = −B(v, w) in components of the frame.
         return Ray(manifold.local_rate(p, point.s, point.velocity), -rates[0], -rates[1:])
 
-    # Offline, errors of integration shall not limit Newton's method; a fixed amount of work is paid for at each sample.
+    # Offline, integration errors must not limit Newton's method. In real time each sample pays for the steps.
     rule = rk8 if budget.newton is None else rk4
     return rule(flow, 0.0, ray, fraction, budget.steps)
 
 
-@eqx.filter_jit  # called in many places of a search: each of its derivatives is traced once
+@eqx.filter_jit  # a search calls it in many places; with jit each of its derivatives is traced only once
 def arrive(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Ray:
     """End of the unit-time geodesic from p."""
     none = jnp.zeros((0, *velocity.shape), velocity.dtype)
@@ -229,7 +230,7 @@ class Target(NamedTuple):
 
 
 def root(square: Scalar) -> Scalar:
-    """Square root of a scalar, with a zero (not undefined) derivative at 0; 0 for a negative one."""
+    """Square root of a scalar, with a zero (not undefined) derivative at 0; a negative scalar gives 0."""
     none = square <= 0
     return jnp.where(none, 0.0, jnp.sqrt(jnp.where(none, 1.0, square)))
 
@@ -248,9 +249,9 @@ def metric_in_retraction(space: Curved, p: Configuration, s: Vector) -> Matrix:
 def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | None, budget: Budget) -> Shot:
     """Geodesic from p to q by Newton shooting.
 
-    The search starts from the best of `d + ½B(d, d)`, d = local(p, q), and the caller's guess. With a fixed budget it
-    is undamped and can be exported; otherwise it is damped, checked for conjugate points, and differentiated
-    implicitly.
+    The search starts from the caller's guess or from `d + ½B(d, d)`, d = local(p, q), whichever ends closer to q. With
+    a fixed budget it is undamped and can be exported; otherwise it is damped, checked for conjugate points, and
+    differentiated implicitly.
 
     Args:
         space: the space.
@@ -277,23 +278,23 @@ def shoot(space: Curved, p: Configuration, q: Configuration, guess: Vector | Non
             velocity = velocity + newton_step(space, p, target, velocity, budget)[0]
     end = arrive(space, p, velocity, budget)
     residual = target.length(target.s - end.s)
-    # A search that converges misses by rounding errors only; a fixed number of corrections may leave more.
+    # A converged search misses only by rounding errors; a fixed number of corrections may leave a larger residual.
     result = found(space, p, velocity, residual, NEAR_ENOUGH if budget.newton is not None else 1e4 * epsilon(velocity))
     if budget.newton is None and budget.conjugate:
-        # A count has no derivative; without `stop_gradient` the one of this whole recursion would be traced.
+        # A count has no derivative; `stop_gradient` avoids tracing derivatives of this whole recursion.
         is_conjugate = conjugate_points(space, p, jax.lax.stop_gradient(velocity), budget) > 0
         result = jnp.where((result == StepCode.OK) & is_conjugate, StepCode.CONJUGATE_POINT, result)
     return Shot(velocity, end.velocity, residual, result)
 
 
 def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget) -> Shot:
-    """Geodesic from p to a q close to it, corrected by the derivative of the second-order expansion of its end."""
+    """Geodesic from p to a nearby q, corrected by the derivative of the second-order expansion of its end."""
     if budget.newton is None:
         raise InputError("Budget: near=True makes a fixed number of corrections; name it, as in newton=1")
     d = space.manifold.local(p, q)
 
     def second_order(v: Vector) -> Vector:
-        # Along a geodesic s'' = −B(v, v) − Q(v, v) at s = 0, so it ends at v − (B + Q)/2 up to third order.
+        # In coordinates s the geodesic has s'' = −B(v, v) − Q(v, v) at s = 0: it ends at v − (B + Q)/2 to third order.
         return (space.connection(p, v, v) + space.manifold.retraction_acceleration(p, v)) / 2
 
     velocity = d + second_order(d)
@@ -302,14 +303,14 @@ def shoot_near(space: Curved, p: Configuration, q: Configuration, budget: Budget
         # I + D(second_order) is the inverse of the Jacobian of v ↦ s to first order in v; no linear system is solved.
         velocity = velocity + miss + jax.jvp(second_order, (velocity,), (miss,))[1]
     end = arrive(space, p, velocity, budget)
-    # A difference of s becomes a frame vector at q, so that the metric there measures it.
+    # The difference of coordinates s becomes a frame vector at q, since the metric there measures it.
     residual = space.norm(q, space.manifold.frame_velocity(p, d, d - end.s))
     return Shot(velocity, end.velocity, residual, found(space, p, velocity, residual, NEAR_ENOUGH))
 
 
 def found(space: Curved, p: Configuration, velocity: Vector, residual: Scalar, part: float) -> Code:
-    """Result code of a search: `OK` where the geodesic misses its target by no more than a part of its length."""
-    # The absolute part decides where p = q: the geodesic has length zero, of which every fraction is zero.
+    """Result code of a search: `OK` if the geodesic misses its target by at most a fraction `part` of its length."""
+    # The absolute term matters for p = q: the geodesic has length zero, and so has every fraction of it.
     close = residual <= part * space.norm(p, velocity) + 64 * epsilon(velocity)
     return jnp.where(close, StepCode.OK, StepCode.NOT_CONVERGED)
 
@@ -317,7 +318,7 @@ def found(space: Curved, p: Configuration, velocity: Vector, residual: Scalar, p
 def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector | None, budget: Budget) -> Vector:
     """The candidate for the initial velocity whose geodesic ends closest to q.
 
-    The second-order candidate is best near p, but overshoots at a distance.
+    The second-order candidate is best close to p, but overshoots farther away.
     """
     d = target.s
     second_order = space.connection(p, d, d) + space.manifold.retraction_acceleration(p, d)
@@ -328,7 +329,7 @@ def first_guess(space: Curved, p: Configuration, target: Target, guess: Vector |
     if len(candidates) > 1:
         velocities = jnp.stack(candidates)
         miss = jax.vmap(lambda v: target.length(d - arrive(space, p, v, budget).s))(velocities)
-        # A candidate whose geodesic overflows ends nowhere, and is never the best.
+        # A candidate whose geodesic overflows must not be chosen: its miss counts as infinite.
         best = velocities[jnp.argmin(jnp.where(jnp.isfinite(miss), miss, jnp.inf))]
     return best
 
@@ -345,7 +346,7 @@ def newton_step(space: Curved, p: Configuration, target: Target, velocity: Vecto
 
     jacobian, reached = jax.jacfwd(end, has_aux=True)(velocity)
     miss = target.s - reached
-    # Normal equations in the metric at q: `solve` needs a positive definite matrix, which JᵀGJ is and J is not.
+    # Normal equations in the metric at q: `solve` needs a positive definite matrix; JᵀGJ is one, J is not.
     weighted = jacobian.T @ target.metric
     return solve(weighted @ jacobian, weighted @ miss), target.square(miss)
 
@@ -367,25 +368,25 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
     """Newton's method with each step shortened until the residual decreases."""
 
     def far(s: _Search):
-        # Convergence is quadratic: below this the last correction leaves only rounding errors.
+        # Convergence is quadratic: a correction below this threshold leaves only rounding errors.
         return space.norm(p, s.correction) > epsilon(start) ** 0.5 * space.norm(p, s.velocity)
 
     def unfinished(s: _Search):
-        # Ten refusals in a row leave the damping 4⁻¹⁰ < 1e-6: no shorter step would decrease the residual.
+        # Ten rejected steps in a row reduce the damping to 4⁻¹⁰ < 1e-6: no shorter step would decrease the residual.
         return (s.tries == 0) | (far(s) & (s.tries < NEWTON_LIMIT) & (s.damping > 1e-6))
 
     def improve(s: _Search):
         candidate = s.velocity + s.damping * s.correction
-        # Step and residual come from one integration, so that a refused candidate costs no more than an accepted one.
+        # Step and residual come from one integration, so a rejected candidate costs no more than an accepted one.
         correction, miss = newton_step(space, p, target, candidate, budget)
         better = (miss < s.miss) & jnp.all(jnp.isfinite(correction))
-        # Grown as fast as it was cut: close to the solution full steps return, and with them quadratic convergence.
+        # The damping factor grows as fast as it was cut, so full steps, and quadratic convergence, return in the end.
         damping = jnp.where(better, jnp.minimum(1.0, 4 * s.damping), s.damping / 4)
         new = _Search(candidate, correction, miss, damping, s.tries + 1)
         old = s._replace(damping=damping, tries=s.tries + 1)
         return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
 
-    # The residual starts at infinity, so that the start itself, a step of zero length, counts as an improvement.
+    # The residual starts at infinity, so that the start itself, a step of zero length, is accepted.
     one = jnp.ones((), start.dtype)
     first = _Search(start, jnp.zeros_like(start), one * jnp.inf, one, jnp.zeros((), jnp.int32))
     last = jax.lax.while_loop(unfinished, improve, first)
@@ -393,7 +394,7 @@ def damped_newton(space: Curved, p: Configuration, target: Target, start: Vector
 
 
 def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector, budget: Budget) -> Vector:
-    """Initial velocity by a direct search, and where that fails by continuation.
+    """Initial velocity by a direct search and, if that fails, by continuation.
 
     The continuation searches for a sequence of targets that move from p to q in small steps.
     """
@@ -402,12 +403,12 @@ def find_geodesic(space: Curved, p: Configuration, target: Target, start: Vector
         k, velocity, _ = carry
         direct, fraction = k == 0, k / CONTINUATION_STAGES
         waypoint = aim(space, p, jnp.where(direct, target.s, fraction * target.s))
-        # Velocities grow like the distance of the waypoints, k/(k − 1) from one to the next.
+        # Velocities grow in proportion to the distance of the waypoint: by k/(k − 1) from one to the next.
         extrapolated = velocity * k / jnp.maximum(k - 1, 1)
         begin = jnp.where(direct, start, jnp.where(k == 1, fraction * target.s, extrapolated))
         velocity = damped_newton(space, p, waypoint, begin, budget)
         miss = target.length(target.s - arrive(space, p, velocity, budget).s)
-        # The root of rounding suffices to tell convergence from failure; `shoot` checks the residual that is reported.
+        # The square root of rounding suffices to detect failure; `shoot` computes the residual that is reported.
         return k + 1, velocity, miss <= epsilon(start) ** 0.5 * space.norm(p, velocity)
 
     def unfinished(carry):
@@ -427,7 +428,7 @@ def implicit_newton(space: Curved, p: Configuration, target: Target, start: Vect
         return find_geodesic(space, p, target, first, budget)
 
     def solve_linear(linear, y):
-        # The map is linear, so its derivative at 0 is its matrix, of the few rows that a configuration has.
+        # The map is linear, so its derivative at 0 is its matrix; it is small, as a configuration has few entries.
         return least_squares(jax.jacfwd(linear)(jnp.zeros_like(y)), y)
 
     return jax.lax.custom_root(miss, jax.lax.stop_gradient(start), search, solve_linear)
@@ -441,9 +442,11 @@ def least_squares(a: Matrix, b: Vectors) -> Vectors:
 def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: Budget) -> Code:
     """Number of points conjugate to p strictly inside the geodesic, with multiplicity.
 
-    By the index theorem this is the index of the second variation of the energy. Over fields that are Jacobi fields on
-    each of the budget's steps, that form is block tridiagonal. With A, B the derivatives of a step's end point by its
-    start point and velocity, and J the Jacobi fields that vanish at p, its pivots are `g B⁻¹ J_next J⁻¹`.
+    By the index theorem this is the index of the second variation of the energy. On fields that are Jacobi fields
+    within
+    each of the budget's steps, this form is block tridiagonal. A and B are the derivatives of a step's end point with
+    respect to its start point and velocity, and J are the Jacobi fields that vanish at p; its pivots are
+    `g B⁻¹ J_next J⁻¹`.
     """
     n = velocity.shape[0]
     none = jnp.zeros((0, n), velocity.dtype)
@@ -457,19 +460,19 @@ def conjugate_points(space: Curved, p: Configuration, velocity: Vector, budget: 
         # Jacobi fields are derivatives of geodesics by their initial values: the flow of the linearised equation.
         change = jax.jacfwd(step)(x)
         following = change @ fields
-        # Congruence by J keeps the signature of a pivot and avoids its inverse. Velocities are in the frame, J is not.
+        # Congruence by J keeps the signature of a pivot and needs no inverse. Velocities are in the frame, J is not.
         axes = jnp.eye(n, dtype=x.dtype)
         to_frame = jax.vmap(lambda a: space.manifold.frame_velocity(p, x[:n], a), out_axes=1)(axes)
         g = space(space.manifold.retract(p, x[:n]))
-        # This is Jᵀ (g B⁻¹ J_next J⁻¹) J; the inverse of B is a solution of a linear system.
+        # This is Jᵀ (g B⁻¹ J_next J⁻¹) J; a linear system is solved instead of inverting B.
         pivot = (to_frame @ fields[:n]).T @ g @ least_squares(change[:n, n:], following[:n])
-        # Symmetric up to discretisation; by Sylvester's law the signs of the pivots are those of the eigenvalues.
+        # It is symmetric up to discretisation; by Sylvester's law its pivots have the signs of its eigenvalues.
         negative = jnp.sum(pivots((pivot + pivot.T) / 2) < 0)
         return (step(x), following, index + negative.astype(index.dtype)), None
 
     x = jnp.concatenate([jnp.zeros_like(velocity), velocity])
-    # Columns n and later: fields that vanish at p, one for each direction of the initial velocity.
+    # Columns from n on are the fields that vanish at p, one for each direction of the initial velocity.
     first = (step(x), jax.jacfwd(step)(x)[:, n:], jnp.zeros((), jnp.int32))
-    # Interior nodes only: by the index theorem a conjugate point at q itself does not count.
+    # Only interior nodes are visited: by the index theorem a conjugate point at q itself does not count.
     (_, _, index), _ = jax.lax.scan(advance, first, length=budget.steps - 1)
     return index

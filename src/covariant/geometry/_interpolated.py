@@ -1,4 +1,4 @@
-"""A metric interpolated from its values at the points of a grid.
+"""Interpolates a metric between its values at the points of a grid.
 
 Source: Keys 1981, Cubic convolution interpolation for digital image processing, IEEE Trans. ASSP 29.
 """
@@ -19,10 +19,10 @@ from scalargraph.errors import InputError
 class Interpolated(eqx.Module):
     """A metric interpolated between the points of a uniform grid: a function `x (n,) -> (n, n)`.
 
-    The interpolated quantities are the factors of `P = L D Lᵀ`, with the logarithms of D, so that every interpolated
-    value is positive definite; the entries of P would not ensure this. Interpolation is cubic, of third order in the
-    spacing, with continuous derivatives, so that Christoffel symbols and geodesics exist. There is no extrapolation:
-    the value is NaN outside the grid, and within two spacings of a grid point without a metric.
+    The interpolated quantities are the factors of `P = L D Lᵀ`, with logarithms of D. So every interpolated value is
+    positive definite, which interpolating the entries of P would not ensure. Interpolation is cubic, of third order in
+    the spacing, with continuous derivatives, so that Christoffel symbols and geodesics exist. There is no
+    extrapolation: the value is NaN outside the grid, and within two spacings of a grid point without a metric.
 
     Attributes:
         low: lower ends (n,) of the axes, in the units of the coordinates.
@@ -54,20 +54,20 @@ class Interpolated(eqx.Module):
 
         Args:
             axes: coordinates (c_i,) of the points along each of the n axes, equally spaced, four at least.
-            values: P at the points, (c_1, …, c_n, n, n); not finite where it is unknown.
+            values: P at the points, (c_1, …, c_n, n, n); an unknown value has entries that are not finite.
 
         Raises:
-            ValueError: where axes and values do not fit, an axis is not uniform or has fewer than four points, or a
-                value is not symmetric positive definite.
+            ValueError: axes and values do not fit, an axis is not uniform or has fewer than four points, or a value is
+                not symmetric positive definite.
         """
         axes, values = tuple(np.asarray(axis) for axis in axes), np.asarray(values)
         n = len(axes)
         _check_axes(axes, values)
         _check_symmetry(axes, values)
-        # A valid matrix replaces each unknown one, so that a factorisation that fails means a wrong value.
+        # Unknown values are replaced by a valid matrix, so that a failing factorisation means a wrong value.
         known = _metric_mask(values)[..., None, None]
         filled = np.where(known, values, np.eye(n, dtype=values.dtype))
-        # Entries of L and log D may have any value, so every interpolation of them is a positive definite matrix.
+        # L and log D may have any entries, so every interpolation of them gives a positive definite matrix.
         factors = np.asarray(_to_factors(jnp.asarray(filled.reshape(-1, n, n))))
         factors = factors.reshape(*values.shape[:n], -1)
         _check_definite(axes, values, factors)
@@ -81,9 +81,9 @@ class Interpolated(eqx.Module):
         if x.shape != (n,):
             raise InputError(f"the metric is a function of {n} coordinates; x has shape {x.shape}")
         position = (x - self.low.astype(x.dtype)) / self.spacing.astype(x.dtype)
-        # A cell needs four neighbours; with the border, the first of them has the index of the cell.
+        # A cell needs four neighbours; because of the border, the first of them has the same index as the cell.
         last = jnp.array(self.factors.shape[:n], jnp.int32) - 4
-        # NaN and coordinates outside get some cell of the grid; the last line replaces their value by NaN.
+        # For NaN, and for coordinates outside, some cell of the grid is used; the last line makes the value NaN.
         cell = jnp.clip(jnp.floor(jnp.nan_to_num(position)).astype(jnp.int32), jnp.zeros_like(last), last)
         start = (*cell, jnp.zeros((), cell.dtype))
         corner = jax.lax.dynamic_slice(self.factors, start, (*(4,) * n, self.factors.shape[-1])).astype(x.dtype)
@@ -97,19 +97,19 @@ class Interpolated(eqx.Module):
 
 
 def _keys(s: Vector) -> Float[Array, "n 4"]:
-    """Weights of the four neighbours along each axis, at the fraction s of the cell between the two in the middle."""
+    """Weights of four neighbours along each axis, at the fraction s of the cell between the two middle ones."""
     inner_distance, outer_distance = jnp.stack([s, 1 - s]), jnp.stack([1 + s, 2 - s])
-    # Keys' kernel with a = −1/2, the value at which interpolation is of third order.
+    # Keys' kernel with a = −1/2, for which interpolation is of third order.
     inner = (1.5 * inner_distance - 2.5) * inner_distance * inner_distance + 1.0
     outer = ((-0.5 * outer_distance + 2.5) * outer_distance - 4.0) * outer_distance + 2.0
     return jnp.stack([outer[0], inner[0], inner[1], outer[1]], axis=1)
 
 
 def _with_border(factors: np.ndarray, n: int) -> np.ndarray:
-    """The grid with one more layer around it, continued as a parabola, for the cells at its border."""
+    """The grid with one more layer of points around it, extrapolated by parabolas, for the cells at its border."""
     for axis in range(n):
         a = np.moveaxis(factors, axis, 0)
-        # Third difference zero: the parabola through the last three points, as Keys prescribes at a border.
+        # A vanishing third difference is the parabola through the last three points, Keys' condition at a border.
         before, after = (3 * (e[0] - e[1]) + e[2] for e in (a, a[::-1]))
         factors = np.moveaxis(np.concatenate([before[None], a, after[None]]), 0, axis)
     return factors
@@ -125,7 +125,7 @@ def _to_factors(p: Matrix) -> Float[Array, "k"]:
 
 def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:
     """`L D Lᵀ`, computed as `(L√D)(L√D)ᵀ`, so that it is exactly symmetric."""
-    # Half of log D, so that the exponential is √D.
+    # exp(½ log D) is √D.
     entries, root = factors[:-n], jnp.exp(factors[-n:] / 2)
     starts = itertools.accumulate(range(n - 1, 0, -1), initial=0)
     columns = [
@@ -137,7 +137,7 @@ def _from_factors(factors: Float[Array, "k"], n: int) -> Matrix:
 
 
 def _metric_mask(values: np.ndarray) -> np.ndarray:
-    """Mask of the grid points that have a metric."""
+    """Mask of the grid points at which the metric is known."""
     return np.asarray(np.isfinite(values).all(axis=(-2, -1)))
 
 
@@ -149,7 +149,7 @@ def _check_axes(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
         if axis.ndim != 1 or axis.size < 4:
             raise InputError(f"axis {k + 1} needs at least four points to interpolate between; it has {axis.size}")
         steps = np.diff(axis)
-        # The steps of a grid far from 0 differ by the rounding of its coordinates.
+        # If a grid is far from 0, its steps differ by the rounding of its coordinates.
         rounding = 4 * np.finfo(axis.dtype).eps * np.abs(axis).max()
         if not (np.isfinite(axis).all() and steps.min() > 0 and np.ptp(steps) <= 1e-6 * steps.mean() + rounding):
             raise InputError(
@@ -162,10 +162,10 @@ def _check_symmetry(axes: tuple[np.ndarray, ...], values: np.ndarray) -> None:
     if not known.any():
         raise InputError("there is no metric at any point of the grid")
     filled = np.where(known[..., None, None], values, 0)
-    # Relative to the diagonal, so that the test does not depend on the units of the coordinates.
+    # The test is relative to the diagonal, so it does not depend on the units of the coordinates.
     size = np.sqrt(np.abs(np.diagonal(filled, axis1=-2, axis2=-1)))
     scale = size[..., :, None] * size[..., None, :]
-    # 1e-6 is eight roundings of single precision, in which a metric may have been stored.
+    # 1e-6 is about eight roundings of single precision, in which a metric may have been stored.
     wrong = np.asarray((np.abs(filled - np.swapaxes(filled, -1, -2)) > 1e-6 * scale).any(axis=(-2, -1)))
     if wrong.any():
         where, point = _first(axes, wrong)

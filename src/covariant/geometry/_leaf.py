@@ -1,13 +1,13 @@
-"""Machines with closed loops: the configurations of a space at which a constraint holds, with their own connection.
+"""Spaces of machines with closed loops: configurations that satisfy a constraint, with a connection of their own.
 
-With `A = dc` the rows of the constraint c, `A⁺ = g⁻¹Aᵀ(A g⁻¹Aᵀ)⁻¹` and the orthogonal projection `P = I − A⁺A`, the
-connection of a leaf c = 0 is that of the whole space, changed to
+A = dc are the rows of the constraint c, `A⁺ = g⁻¹Aᵀ(A g⁻¹Aᵀ)⁻¹`, and `P = I − A⁺A` is the orthogonal projection. On the
+whole space, the connection of a leaf c = 0 is the ordinary one, B, changed to
 
     B̃(a, b) = P B(a, b) + A⁺(∂_a A) b
 
-on the whole space. It has no torsion, every leaf c = const is totally geodesic in it, and on vectors with A b = 0 it is
-the Levi-Civita connection of the leaf. Configurations and vectors stay those of the whole space, n numbers each: no
-coordinates on the leaf are chosen, and none can become singular.
+It has no torsion, every leaf c = const is totally geodesic in it, and on vectors with A b = 0 it is the Levi-Civita
+connection of the leaf. Configurations and vectors remain those of the whole space, n numbers each: no coordinates are
+chosen on the leaf, so none can become singular.
 
 Source: Kobayashi & Nomizu 1969, Foundations of Differential Geometry II, chapter VII, for the equation of Gauss.
 """
@@ -31,15 +31,15 @@ from covariant.geometry._space import AbstractSpace, derivative, differential
 from scalargraph.errors import InputError
 
 NEWTON_STEPS = 2
-"""Steps back to the leaf after a displacement: the first leaves an error of second order in what it removes."""
+"""Newton steps back to the leaf after a displacement; the first one leaves an error of second order."""
 READING_STEPS = 3
-"""Gauss–Newton steps from an estimate to the measured coordinates; each squares the error that is left."""
+"""Gauss–Newton steps from an estimate to the measured coordinates; each of them squares the remaining error."""
 STAGES = 32
-"""Steps in which the first measurement is reached from the configuration that tells how the loop is assembled."""
+"""Number of steps from the configuration `assembly` to the first measurement."""
 
 
 class Normals(NamedTuple):
-    """The vectors across a leaf at a configuration.
+    """The normal vectors of a leaf at a configuration.
 
     Attributes:
         rows: Differentials A (m, n) of the constraint.
@@ -58,31 +58,31 @@ class Normals(NamedTuple):
     gram: Float[Array, "m m"]
 
     def across(self, c: Float[Array, "m"]) -> Vector:
-        """The vector `A⁺c` (n,) across the leaf, along which the constraint changes by c (m,)."""
+        """The vector `A⁺c` (n,), normal to the leaf, along which the constraint changes by c (m,)."""
         return solve(self.gram, c) @ self.raised
 
     def along(self, a: Vector) -> Vector:
-        """The part `P a` (n,) of a vector along the leaf."""
+        """The tangential part `P a` (n,) of a vector."""
         return a - self.across(self.rows @ a)
 
 
 class Leaf(AbstractSpace):
-    """The configurations of a space at which a constraint holds, such as those of a machine with closed loops.
+    """The configurations of a space that satisfy a constraint, such as those of a machine with closed loops.
 
-    Use it for linkages, parallel mechanisms and grippers: open the loops, describe the tree that is left, and say what
-    closes them. Observers with constant gains and `IntrinsicKalman` run on it unchanged. Configurations and velocities
-    are those of the tree, and every estimate stays on the leaf. A coordinate without an encoder is NaN in the
-    measurements; those that are measured must determine the others, or only `IntrinsicKalman` estimates them, from a
-    complete first measurement on.
+    Use it for linkages, parallel mechanisms and grippers: open the loops, describe the tree that remains, and give the
+    constraint that closes them. Observers with constant gains and `IntrinsicKalman` run on it unchanged. Configurations
+    and velocities are those of the tree, and every estimate stays on the leaf. A coordinate without an encoder is NaN
+    in the measurements. The measured coordinates must determine the others; if they do not, only `IntrinsicKalman` can
+    estimate the others, and it needs a complete first measurement.
 
     Attributes:
         space: The whole space, such as that of the tree.
-        constraint: Function of a configuration with the value (m,) that is zero on the leaf; its rows must be
-            independent along every motion, see `Leaf.closing`.
-        assembly: A configuration on the leaf. A linkage can be assembled in several ways from the same angles of its
-            motors, so that this one is never guessed.
-        held: Which rows of the constraint hold (m,); others have to be zero everywhere, as those of feet in the air.
-            All of them where it is None (default).
+        constraint: Function of a configuration whose value (m,) is zero on the leaf; its rows must be independent along
+            every motion, see `Leaf.closing`.
+        assembly: A configuration on the leaf. The same motor angles may allow several ways to assemble a linkage, so
+            this one has to be given.
+        held: Which rows of the constraint are active (m,); inactive ones must be zero everywhere, such as rows of feet
+            in the air. None (default) means all.
 
     Example:
         A mass on a rod of 2 m, in the plane. It turns without force, and its acceleration is v²/r towards the centre:
@@ -115,10 +115,10 @@ class Leaf(AbstractSpace):
     def closing(
         cls, space: AbstractSpace, constraint: Callable[[Configuration], Float[Array, "m"]], near: Configuration
     ) -> "Leaf":
-        """The leaf through the configuration closest to `near`, with rows of the constraint that are independent.
+        """The leaf through the configuration closest to `near`, with the independent rows of the constraint.
 
-        Two points of a planar linkage that coincide in space give three rows, of which one is zero everywhere. Such
-        combinations are found at random configurations of the leaf, and left out.
+        If two points of a planar linkage coincide in space, this gives three rows, one of which is zero everywhere.
+        Rows that depend on others are detected at random configurations of the leaf, and left out.
 
         Args:
             space: The whole space.
@@ -129,8 +129,8 @@ class Leaf(AbstractSpace):
             The leaf.
 
         Raises:
-            ValueError: The loop does not close near this configuration, the number of independent rows changes along
-                the motion, as at a change point, or rows depend on each other differently from place to place, as in an
+            ValueError: The loop does not close near this configuration; the number of independent rows changes along
+                the motion, as at a change point; or the dependence of rows changes from place to place, as in an
                 overconstrained linkage.
 
         Example:
@@ -172,7 +172,7 @@ class Leaf(AbstractSpace):
         return free - normals.across(normals.rows @ free + self._change(x, v, v))
 
     def load(self, x: Configuration, v: Vector, force: Vector) -> Float[Array, "m"]:
-        """Force in the joint that closes the loop: the multipliers of the constraint.
+        """Force in the joint that closes the loop: the Lagrange multipliers of the constraint.
 
         Args:
             x: Configuration.
@@ -189,7 +189,7 @@ class Leaf(AbstractSpace):
         force = self.space.kinetic_force(x, v)
         if momentum is None:
             return force
-        # A momentum has a part across the leaf, which v has not; it acts as the rows turn.
+        # Unlike v, a momentum has a part normal to the leaf; it acts when the rows turn.
         normals = self.normals(x)
         across = solve(normals.gram, normals.raised @ momentum)
         of_rows = differential(self.space.manifold, lambda y: across @ self._rate(y, v), x)
@@ -199,13 +199,13 @@ class Leaf(AbstractSpace):
         """Riemann curvature `R(a, b)c` for vectors along the leaf, by the equation of Gauss.
 
         With the second fundamental form II of the leaf in the whole space, it adds `<II(a, w), II(b, c)> − <II(b, w),
-        II(a, c)>` to the curvature of that, so that no derivative of the projection is needed.
+        II(a, c)>` to the curvature of the whole space. So no derivative of the projection is needed.
         """
         space, normals = self.space, self.normals(x)
 
         def left(w):
-            """What the connections of w along a and b miss in rows (2, m)."""
-            # Forces instead of vectors: A g⁻¹ of them is a product with raised rows, and no system is transposed.
+            """Normal parts of the covariant derivatives of w along a and b, in rows (2, m)."""
+            # Computed from forces: A g⁻¹ of a force is a product with raised rows, and no linear system is transposed.
             return jax.vmap(
                 lambda along: normals.raised @ space.connection_force(x, along, w) - self._change(x, along, w)
             )(jnp.stack([a, b]))
@@ -216,7 +216,7 @@ class Leaf(AbstractSpace):
             rows = left(w)
             return of_b @ rows[0] - of_a @ rows[1]
 
-        # `resisted` is linear, so that its derivative is the same at any w.
+        # `resisted` is linear, so its derivative is the same at every w.
         bent = space.raise_(x, jax.grad(resisted)(jnp.zeros_like(a)))
         return normals.along(space.curvature(x, a, b, c) + bent)
 
@@ -242,7 +242,7 @@ class Leaf(AbstractSpace):
             return axes.at[:n, :n].set(block).at[n : 2 * n, n : 2 * n].set(block)
 
         before, after = jax.vmap(along)(jax.vmap(self.normals)(jnp.stack([x, y])))
-        # Across the leaf the map is the identity: it stays invertible, and of no effect on what is along the leaf.
+        # On normal vectors the map is the identity: it stays invertible, and tangential vectors are not affected.
         return after @ matrix @ before + axes - before
 
     def restored(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
@@ -254,7 +254,7 @@ class Leaf(AbstractSpace):
         return q, self.lower(q, v)
 
     def normals(self, x: Configuration) -> Normals:
-        """The vectors across the leaf at a configuration.
+        """The normal vectors of the leaf at a configuration.
 
         Args:
             x: Configuration.
@@ -265,11 +265,11 @@ class Leaf(AbstractSpace):
         return self._beside(x, self.manifold.zero(x))[0]
 
     def second_form(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """Second fundamental form `II(a, b)` of the leaf: how a geodesic of the leaf bends in the whole space.
+        """Second fundamental form `II(a, b)`: how a geodesic of the leaf bends in the whole space.
 
-        It is the part across the leaf of the connection of the whole space. In a parallel frame the velocity error of
-        an observer changes by `II(ξ, v)` as a foot lifts off, and in an `impact` by S ξ, for which
-        `<S ξ, a> = <II(ξ, a), n>` with the velocity n that is lost.
+        It is the normal part of the connection of the whole space. In a parallel frame the velocity error of an
+        observer changes by `II(ξ, v)` when a foot lifts off. In an `impact` it changes by S ξ, with
+        `<S ξ, a> = <II(ξ, a), n>` for the normal velocity n that is lost.
 
         Args:
             x: Configuration.
@@ -277,16 +277,16 @@ class Leaf(AbstractSpace):
             b: Vector (n,) along the leaf.
 
         Returns:
-            The vector (n,), across the leaf.
+            The vector (n,), normal to the leaf.
         """
         normals, free = self._beside(x, self.space.connection_force(x, a, b))
         return normals.across(self._left(normals, x, a, b, free))
 
     def impact(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
-        """Plastic impact: the part of the velocity across the leaf is lost at once, as where a foot lands.
+        """Plastic impact: the normal part of the velocity is lost at once, as when a foot lands.
 
-        A configuration that is not on the leaf, such as an estimate, is projected to it first, with the velocity
-        carried along in parallel.
+        A configuration that is not on the leaf, such as an estimate, is projected to it first, and the velocity is
+        transported in parallel.
 
         Args:
             x: Configuration close to the leaf.
@@ -300,13 +300,13 @@ class Leaf(AbstractSpace):
         return q, self.projected(q, v - self.space.connection(x, s, v))
 
     def _beside(self, x: Configuration, force: Vector) -> tuple[Normals, Vector]:
-        """The vectors across the leaf, and that of a covector (n,): the metric is inverted once for all."""
+        """The normal vectors, and the vector of a covector (n,): all are raised together, in one pass."""
         rows = rows_of(self.space, self.constraint, x)
         vectors = jax.vmap(lambda row: self.space.raise_(x, row))(jnp.concatenate([rows, force[None]]))
         return Normals(rows, vectors[:-1], _gram(rows, vectors[:-1], self.held)), vectors[-1]
 
     def regular(self, x: Configuration) -> Flag:
-        """Whether the rows are independent at x: at a change point they are not, and the leaf branches."""
+        """Whether the rows are independent at x. At a change point they are not, and the leaf branches."""
         return _is_regular(self.normals(x).gram)
 
     def _rate(self, x: Configuration, b: Vector) -> Float[Array, "m"]:
@@ -317,16 +317,16 @@ class Leaf(AbstractSpace):
         return derivative(self.space.manifold, lambda y: self._rate(y, b), x, a)
 
     def _left(self, normals: Normals, x: Configuration, a: Vector, b: Vector, free: Vector) -> Float[Array, "m"]:
-        """By how much the connection `free` of the whole space misses that of the leaf, in rows (m,)."""
+        """Normal part, in rows (m,), by which the connection `free` of the whole space leaves the leaf."""
         return normals.rows @ free - self._change(x, a, b)
 
     def _back(self, x: Configuration) -> Vector:
-        """Newton step to the leaf."""
+        """Displacement of a Newton step to the leaf."""
         return -self.normals(x).across(self.constraint(x))
 
 
 class _EveryLeaf(AbstractSpace):
-    """The whole space with the connection in which each leaf is totally geodesic: geodesics are integrated in it."""
+    """The whole space with the connection in which every leaf is totally geodesic; geodesics are integrated in it."""
 
     leaf: Leaf
 
@@ -354,7 +354,7 @@ class _EveryLeaf(AbstractSpace):
 
 
 def _of_ambient(name: str) -> Any:
-    """The method of the manifold of the whole space."""
+    """A method that calls the manifold of the whole space."""
 
     def method(self, *arguments):
         return getattr(self.ambient, name)(*arguments)
@@ -363,7 +363,7 @@ def _of_ambient(name: str) -> Any:
 
 
 class _LeafManifold(AbstractManifold):
-    """The manifold of a leaf: configurations and frame of the whole space, and a retraction that stays on the leaf."""
+    """The manifold of a leaf: configurations and frame of the whole space, with a retraction that stays on the leaf."""
 
     leaf: Leaf
 
@@ -438,7 +438,7 @@ class _LeafManifold(AbstractManifold):
 
     @property
     def _free(self) -> Flag:
-        """Whether nothing holds, as with all feet in the air."""
+        """Whether no row is active, as with all feet in the air."""
         return jnp.zeros((), bool) if self.leaf.held is None else ~jnp.any(self.leaf.held)
 
     def _complete(self, x: Configuration, y: Configuration) -> Flag:
@@ -448,10 +448,10 @@ class _LeafManifold(AbstractManifold):
         return self.ambient.unique(x, y) & self.leaf.regular(x)
 
     def checked(self, y: Configuration) -> Configuration:
-        """The configuration on the leaf that the first measurement y shows, from the assembly on."""
+        """The configuration on the leaf that fits the first measurement y, reached step by step from the assembly."""
         y = self.ambient.checked(y)
         complete = ~jnp.any(self.missing(y))
-        # A complete configuration tells itself how the loop is assembled.
+        # A complete configuration shows by itself how the loop is assembled.
         begin = jnp.where(complete, jnp.nan_to_num(y), self.origin(y.dtype))
         way = self.ambient.towards(begin, y)
 
@@ -484,7 +484,7 @@ class _LeafManifold(AbstractManifold):
 
 
 class _Fit(NamedTuple):
-    """The matrix (n, n) of the least squares whose solutions are along a leaf, and the mask of what is measured."""
+    """Least squares over displacements along a leaf: its matrix (n, n), and the mask of the measured entries."""
 
     matrix: Matrix
     present: Bool[Array, "n"]
@@ -492,21 +492,21 @@ class _Fit(NamedTuple):
 
     @classmethod
     def of(cls, rows: Float[Array, "m n"], present: Bool[Array, "n"], held: Any, damped: bool = True) -> "_Fit":
-        # On the directions across the leaf the matrix is made regular, without an effect on the solution.
+        # Adding the normal directions makes the matrix regular and does not change the solution.
         across = rows.T @ solve(_gram(rows, rows, held), rows)
-        # A small weight of the last iterate decides what no measured coordinate tells, and nothing else.
+        # A small weight on the last iterate determines only the components that no measurement determines.
         weights = present.astype(rows.dtype) + damped * float(jnp.finfo(rows.dtype).eps) ** 0.5
         return cls(across + jnp.diag(weights), present, held)
 
     def step(self, rows: Float[Array, "m n"], e: Vector, c: Float[Array, "m"]) -> Vector:
-        """The displacement closest to e in its measured entries, along which the constraint falls by c."""
+        """The displacement closest to e in its measured entries that reduces the constraint by c."""
         free = solve(self.matrix, jnp.where(self.present, e, 0.0))
         across = solve(self.matrix, rows.T)
         return free - across @ solve(_gram(rows, across.T, self.held), rows @ free + c)
 
 
 def _gram(rows: Float[Array, "m n"], raised: Float[Array, "m n"], held: Bool[Array, "m"] | None) -> Float[Array, "m m"]:
-    """`rows raisedᵀ`, with 1 on the diagonal for rows that hold nothing, and are zero."""
+    """`rows raisedᵀ`, with 1 on the diagonal for inactive rows, which are zero."""
     gram = rows @ raised.T
     return gram if held is None else gram + jnp.diag((~held).astype(rows.dtype))
 

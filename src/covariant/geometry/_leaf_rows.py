@@ -1,4 +1,4 @@
-"""The rows of a constraint that are independent, and a configuration in which it holds, before a leaf is used."""
+"""Selects the independent rows of a constraint, and finds a configuration that satisfies it, before a leaf is used."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,21 +15,21 @@ from scalargraph import on_batches
 from scalargraph.errors import InputError
 
 SINGULAR = 1e-6
-"""Smallest pivot, of a matrix with ones on its diagonal, with which it counts as regular."""
+"""Smallest pivot at which a matrix with a unit diagonal counts as regular."""
 SAMPLES = 24
 """Random configurations of the leaf at which the rows of the constraint are compared."""
 CLOSED = 1e-6
-"""Largest value of the constraint at which a loop counts as closed."""
+"""Value of the constraint below which a loop counts as closed."""
 
 
 def rows_of(space: Any, constraint: Callable, x: Configuration) -> Float[Array, "m n"]:
-    """Differentials of a constraint at a configuration, by the components of a displacement."""
+    """Differentials of a constraint at a configuration, with respect to the components of a displacement."""
     manifold = space.manifold
     return jax.jacrev(lambda a: constraint(manifold.nudged(x, a)))(manifold.zero(x))
 
 
 class Look(NamedTuple):
-    """Functions of configurations in NumPy, which need no compiling before a loop is looked at in some places."""
+    """Functions of configurations that NumPy evaluates, so that a few evaluations need no compilation."""
 
     rows: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     retract: Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -45,12 +45,12 @@ class Look(NamedTuple):
 
 
 def closed(look: Look, near: np.ndarray) -> np.ndarray:
-    """A configuration on the leaf, by Newton steps of least length that allow dependent rows."""
+    """A configuration on the leaf, by Newton steps of least length, which also work if rows are dependent."""
     x, left = near, np.inf
     for _ in range(50):
         c, rows = look.rows(x)
         last, left = left, float(np.max(np.abs(c)))
-        if left < CLOSED and left >= last / 2:  # what is left is rounding
+        if left < CLOSED and left >= last / 2:  # the remaining value is rounding
             break
         x = look.retract(x, -np.linalg.pinv(rows, rcond=SINGULAR) @ c)
     if not left < CLOSED:
@@ -62,7 +62,7 @@ def closed(look: Look, near: np.ndarray) -> np.ndarray:
 
 
 def independent(look: Look, constraint: Callable, start: np.ndarray) -> Callable:
-    """The constraint without rows that others determine in the same way everywhere on the leaf."""
+    """The constraint without rows that depend on others in the same way everywhere on the leaf."""
     rows = [look.rows(x)[1] for x in _samples(look, start)]
     ranks = [np.linalg.matrix_rank(a, tol=SINGULAR * np.linalg.norm(a, 2)) for a in rows]
     least, most, count = min(ranks), max(ranks), len(rows[0])
@@ -81,7 +81,7 @@ def independent(look: Look, constraint: Callable, start: np.ndarray) -> Callable
             "an overconstrained linkage, which closes by its exact lengths alone; open it at another joint, or give "
             "the independent rows"
         )
-    # Rows that are as independent as any: rows themselves, and no combinations, so that their loads have a meaning.
+    # Whole rows are selected, not combinations of rows, so that their loads have a physical meaning.
     import scipy.linalg
 
     order = scipy.linalg.qr(vectors[:, values > SINGULAR**2].T, pivoting=True)[-1]
@@ -108,7 +108,7 @@ def _samples(look: Look, start: np.ndarray) -> list[np.ndarray]:
         step = step - np.linalg.pinv(rows, rcond=SINGULAR) @ (rows @ step)
         try:
             x = closed(look, look.retract(x, 0.3 * step / np.linalg.norm(step)))
-        except InputError:  # the end of the motion: the walk goes on from the place before
+        except InputError:  # beyond the end of the motion; the walk continues from the previous configuration
             continue
         samples.append(x)
     return samples

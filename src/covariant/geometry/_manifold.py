@@ -1,7 +1,7 @@
-"""Manifolds of configurations: retraction, local coordinates and the frame of velocities, without a metric.
+"""Manifolds of configurations without a metric: retraction, local coordinates and the frame of velocities.
 
 A configuration is an array x; a velocity is a column a (n,) of components in a frame `e_i`: ∂/∂q in coordinates, the
-body frame on a group, and those of the factors side by side in a product. All geometry without a metric is here.
+body frame on a group, and the frames of the factors side by side in a product. All geometry without a metric is here.
 
 Source: Absil, Mahony & Sepulchre 2008, Optimization Algorithms on Matrix Manifolds, chapter 4, for retractions.
 """
@@ -21,14 +21,14 @@ from covariant._typing import Flag, Vector
 from scalargraph.errors import InputError
 
 Configuration = Inexact[Array, "..."]
-"""An array that is a configuration: (n,) in coordinates, (N, N) on a matrix group, flat in a product."""
+"""An array that is a configuration: (n,) in coordinates, (N, N) on a matrix group, flattened in a product."""
 
 
 class AbstractManifold(eqx.Module):
     """A configuration manifold with a frame and a retraction.
 
-    The retraction `s ↦ retract(x, s)` defines coordinates s (n,) around x; `local` gives those of a configuration. A
-    curve through x with the frame velocity a has `x' = tangent(x, a)`.
+    The retraction `s ↦ retract(x, s)` defines coordinates s (n,) around x; `local` returns the coordinates of a
+    configuration. A curve through x with the frame velocity a has `x' = tangent(x, a)`.
 
     Example:
         The midpoint of two configurations, on any manifold:
@@ -46,7 +46,7 @@ class AbstractManifold(eqx.Module):
 
     @property
     def commuting(self) -> bool:
-        """Whether the frame is that of coordinates: brackets vanish, and s are differences of the coordinates."""
+        """Whether the frame comes from coordinates: brackets vanish, and s are differences of the coordinates."""
         return False
 
     @property
@@ -58,14 +58,14 @@ class AbstractManifold(eqx.Module):
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
         """Indices of the entries of s (n,) that form a rotation vector or an angle on a circle [rad], as tuples.
 
-        One tuple for each rotation vector or angle; None where this is unknown. Where all of these vectors are shorter
-        than π, `local` is the smooth inverse of `retract`.
+        There is one tuple for each rotation vector or angle; None if this is unknown. If all of these vectors are
+        shorter than π, `local` is the smooth inverse of `retract`.
         """
         return None
 
     @property
     def factors(self) -> "tuple[AbstractManifold, ...]":
-        """The manifolds of which this one is a product; empty for a manifold that is no product."""
+        """The manifolds of which this one is a product; empty if it is not a product."""
         return ()
 
     @property
@@ -75,12 +75,12 @@ class AbstractManifold(eqx.Module):
 
     @property
     def redundant(self) -> bool:
-        """Whether some entries of x tell the others, as on a `Leaf`, so that not all have to be measured."""
+        """Whether some entries of x determine the others, as on a `Leaf`, so that not all have to be measured."""
         return False
 
     @property
     def ambient(self) -> "AbstractManifold":
-        """The manifold whose retraction s are coordinates of: itself, or of a `Leaf` that of the whole space."""
+        """The manifold whose retraction defines the coordinates s: itself; for a `Leaf`, that of the whole space."""
         return self
 
     @abc.abstractmethod
@@ -94,7 +94,7 @@ class AbstractManifold(eqx.Module):
             A configuration.
 
         Raises:
-            ValueError: where the dimension n is unknown.
+            ValueError: the dimension n is unknown.
         """
 
     @abc.abstractmethod
@@ -123,7 +123,7 @@ class AbstractManifold(eqx.Module):
         Returns:
             An array in the shape of x, on the manifold to first order in a.
         """
-        # Linear in a, and equal to `retract` to first order, which is all that a derivative at a = 0 sees.
+        # It is linear in a and agrees with `retract` to first order, which suffices for derivatives at a = 0.
         return x + self.tangent(x, a)
 
     @abc.abstractmethod
@@ -218,7 +218,7 @@ class AbstractManifold(eqx.Module):
     def carried_momentum(self, x: Configuration, s: Vector, mu: Vector) -> Vector:
         """A momentum in the frame at x, expressed in the frame at `retract(x, s)`.
 
-        As a momentum in space it is unchanged. With −s it is expressed the other way round.
+        As a momentum in space it is unchanged. With −s the conversion goes in the opposite direction.
 
         Args:
             x: configuration at which s = 0.
@@ -269,7 +269,7 @@ class AbstractManifold(eqx.Module):
         """
 
     def shown(self, x: Configuration, present: Bool[Array, "n"], e: Vector) -> Vector:
-        """The displacement that small differences of measured entries show.
+        """The displacement that corresponds to small differences of the measured entries.
 
         Args:
             x: configuration.
@@ -277,36 +277,36 @@ class AbstractManifold(eqx.Module):
             e: their differences (n,), 0 for others.
 
         Returns:
-            The displacement (n,): e itself, or of a `Leaf` the one along it that fits best.
+            The displacement (n,): e itself; on a `Leaf` the displacement along it that fits best.
         """
         return e
 
     def told(self, x: Configuration, present: Bool[Array, "n"]) -> Bool[Array, "n"]:
-        """Which components are known where some are measured.
+        """Which components are determined if some are measured.
 
         Args:
             x: configuration close to the measurement.
             present: mask (n,) of the components that are measured.
 
         Returns:
-            Mask (n,): these, or on a `Leaf` all of them where a few tell the others, as they do but at a dead centre.
+            Mask (n,): the measured ones; on a `Leaf` all, if the measured ones determine the others.
         """
         return present
 
     def seen(self, x: Configuration, y: Configuration) -> Configuration:
-        """The measurement y, with NaN only where it says nothing.
+        """The measurement y, with NaN only if it contains no information on an entry.
 
         Args:
             x: configuration close to the measurement.
             y: measurement, in the shape of x, with NaN where it is missing.
 
         Returns:
-            y itself, or on a `Leaf`, where a part of it tells of the rest, with NaN only if all of it is missing.
+            y itself. On a `Leaf`, where some entries determine others, NaN remains only if all entries are missing.
         """
         return y
 
     def dead_centre(self, x: Configuration, y: Configuration) -> Flag:
-        """Whether what is measured of y leaves the rest open, as it may on a `Leaf` alone."""
+        """Whether the measured entries of y leave others undetermined, which is possible on a `Leaf` only."""
         return jnp.zeros((), bool)
 
     def unique(self, x: Configuration, y: Configuration) -> Flag:
@@ -317,12 +317,12 @@ class AbstractManifold(eqx.Module):
             y: configuration.
 
         Returns:
-            False, to within rounding, where a second s of the same length also leads to y; else True.
+            False, to within rounding, if a second s of the same length also leads to y; else True.
         """
         return jnp.ones((), bool)
 
     def admitted(self, y: Configuration) -> Configuration:
-        """The measurement y, or NaN in place of an array that is no configuration; `missing` entries stay NaN."""
+        """The measurement y, or NaN in place of an array that is not a configuration; `missing` entries stay NaN."""
         return y
 
     def checked(self, y: Configuration) -> Configuration:
@@ -332,11 +332,11 @@ class AbstractManifold(eqx.Module):
             y: configuration to check.
 
         Returns:
-            y. Inside a compiled function its numbers are not known: there NaN replaces an array that is no
-            configuration, so that a compiled program calls nothing outside itself and can be cached.
+            y. In a compiled function the numbers are not known: NaN replaces an array that is not a configuration, so
+            that a compiled program makes no calls to the outside and can be cached.
 
         Raises:
-            ValueError: for a wrong shape, and, outside compiled functions, for an array that is no configuration.
+            ValueError: the shape is wrong or, outside compiled functions, the array is not a configuration.
         """
         if len(y.shape) != len(self.shape) or any(w not in (None, n) for n, w in zip(y.shape, self.shape, strict=True)):
             expected = ", ".join("n" if size is None else str(size) for size in self.shape)
@@ -347,14 +347,14 @@ class AbstractManifold(eqx.Module):
 class Coordinates(AbstractManifold):
     """Configurations written as coordinates q (n,), some of which may be angles on a full circle.
 
-    It is the manifold of a machine with joints. Declare an angle as a circle only where it can turn fully. In a joint
-    that is limited to ±200° a difference of more than half a turn would be wrapped wrongly. `ProductManifold` joins
+    It is the manifold of a machine with joints. Declare an angle as a circle only if it can turn fully: in a joint that
+    is limited to ±200°, a difference of more than half a turn would be wrapped wrongly. `ProductManifold` combines
     coordinates with groups.
 
     Attributes:
         circles: indices of the coordinates that are such angles [rad]; differences of them are wrapped to ±π. None of
             them by default.
-        dimension: number of coordinates n, where it is known.
+        dimension: number of coordinates n, if it is known.
 
     Example:
         A cart with a pendulum: position [m] and angle [rad]. From 3 rad to −3 rad it is 0.283 rad through ±π:
@@ -424,7 +424,7 @@ class Coordinates(AbstractManifold):
         return tuple((i,) for i in range(n))
 
     def towards(self, x: Vector, y: Vector) -> Vector:
-        # The NaN is replaced before `wrap`, so that neither the value nor a derivative of it sees one.
+        # NaN is replaced before `wrap`, so that neither the value nor its derivative becomes NaN.
         return wrap(self.circles, jnp.where(jnp.isnan(y), 0.0, y - x))
 
     def measured(self, x: Vector, y: Vector) -> Vector:
@@ -447,8 +447,8 @@ def wrap(circles: tuple[int, ...], e: Vector) -> Vector:
         >>> [round(float(e), 3) for e in wrap((1,), jnp.array([6.0, 6.0]))]
         [6.0, -0.283]
     """
-    # Entry by entry, so that an entry that is no angle is not even rounded.
-    # `round` goes to even numbers, so π and −π stay; its derivative is 0, so that of an angle is 1 everywhere.
+    # The entries are treated one by one, so that an entry that is not an angle is not even rounded.
+    # `round` goes to even numbers, so π and −π stay; its derivative is 0, so the derivative of a wrapped angle is 1.
     wrapped = [x - 2 * np.pi * jnp.round(x / (2 * np.pi)) if i in circles else x for i, x in enumerate(e)]
     return jnp.stack(wrapped) if circles else e
 
@@ -457,13 +457,13 @@ class ProductManifold(AbstractManifold):
     """Several manifolds as one, such as the pose of a satellite and the angles of its arm.
 
     A configuration is one array (m,): the configurations of the factors, flattened, one after the other. Velocities are
-    concatenated likewise. Each factor must know the shape of its configurations.
+    concatenated in the same order. Each factor must know the shape of its configurations.
 
     Attributes:
         manifolds: the factors, at least one.
 
     Raises:
-        ValueError: for no factors, or for coordinates of unknown number.
+        ValueError: there are no factors, or coordinates of unknown number among them.
 
     Example:
         An attitude and two angles: configurations have 9 + 2 entries, velocities 3 + 2.
@@ -500,7 +500,7 @@ class ProductManifold(AbstractManifold):
     def rotations(self) -> tuple[tuple[int, ...], ...] | None:
         groups = []
         for factor, start in zip(self.factors, starts(self._dimensions), strict=True):
-            # One factor whose rotations are unknown leaves those of the product unknown.
+            # If the rotations of one factor are unknown, so are those of the product.
             if factor.rotations is None:
                 return None
             groups += [tuple(start + i for i in turn) for turn in factor.rotations]
@@ -588,7 +588,7 @@ class ProductManifold(AbstractManifold):
     def _dimensions(self) -> list[int]:
         shapes = [jax.ShapeDtypeStruct(factor.shape, float) for factor in self.factors]  # pyright: ignore[reportArgumentType]
         pairs = zip(self.factors, shapes, strict=True)
-        # Shapes alone: the dimension of a velocity is known without computing one.
+        # Only shapes are evaluated: this gives the dimension of a velocity without computing one.
         return [jax.eval_shape(factor.zero, shape).shape[0] for factor, shape in pairs]
 
     def _each(self, operation: str, *arguments: list[Array]) -> Array:

@@ -1,4 +1,4 @@
-"""Spaces defined by the matrix of their metric or by a kinetic energy, in coordinates or in the frame of a manifold."""
+"""Spaces defined by the matrix of a metric or by a kinetic energy, in coordinates or in the frame of a manifold."""
 
 import abc
 import dataclasses
@@ -19,7 +19,7 @@ class AbstractMetric(AbstractSpace):
     """A space whose metric is a matrix at every configuration, `metric(x) -> (n, n)`.
 
     Attributes:
-        manifold: manifold of the configurations, in whose frame the matrix is; plain coordinates by default.
+        manifold: manifold of the configurations; the matrix refers to its frame. By default plain coordinates.
 
     Example:
         A subclass defines the matrix:
@@ -49,13 +49,13 @@ class AbstractMetric(AbstractSpace):
 class Metric(AbstractMetric):
     """A metric defined only by its matrix `x -> (n, n)`; every operation is derived from it.
 
-    Use it for an inertia matrix in coordinates. `Lagrangian` accepts the plain function and wraps it so. For a chain of
-    many bodies `KineticEnergy` is cheaper, and a space with closed forms, such as `sphere`, is faster and exact. The
-    matrix must be positive definite everywhere, which is not checked.
+    Use it for an inertia matrix in coordinates. `Lagrangian` also accepts the plain function. For a chain of many
+    bodies `KineticEnergy` is cheaper, and a space with closed forms, such as `sphere`, is faster and exact. The matrix
+    must be positive definite everywhere; this is not checked.
 
     Attributes:
-        matrix: function of a configuration, with a symmetric positive definite matrix (n, n) as its value. It is in the
-            frame of `manifold`, as for a machine whose inertia depends on its configuration; in coordinates by default.
+        matrix: function of a configuration, with a symmetric positive definite matrix (n, n) as its value. The matrix
+            refers to the frame of `manifold`; by default to coordinates.
 
     Example:
         The plane in polar coordinates (r, φ) is flat:
@@ -105,19 +105,19 @@ def as_space(metric: AbstractSpace | MatrixField, manifold: AbstractManifold | N
     """Space from a metric: a plain callable `q -> (n, n)` gets the derived operations.
 
     Use it at the entry of a function that takes either a space or a matrix field; the functions of this room call it
-    themselves. A plain function has no circles: pass a `manifold` where coordinates are angles.
+    themselves. A plain function has no circles: pass a `manifold` if some coordinates are angles.
 
     Args:
         metric: a space, or a function of coordinates (n,) with a symmetric positive definite matrix (n, n) as its
             value.
-        manifold: manifold on which the metric is put, such as coordinates some of which are circles; by default that of
-            the space, and plain coordinates for a function.
+        manifold: manifold of the configurations, such as coordinates with circles; by default the manifold of the space
+            or, for a function, plain coordinates.
 
     Returns:
         A space; without a `manifold`, a space is returned unchanged.
 
     Raises:
-        ValueError: where a `manifold` is passed with a space that is not in coordinates.
+        ValueError: a `manifold` is passed with a space that is not in coordinates.
 
     Example:
         >>> import jax.numpy as jnp

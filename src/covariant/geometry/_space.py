@@ -1,11 +1,12 @@
 """Configuration spaces: a manifold with a frame and a metric, and all operations that follow from the metric.
 
-`lower` alone defines the metric; the connection, the curvature and geodesics follow from it and the frame. A space with
-something better, such as closed forms or the recursions of a robot, overrides the methods concerned. Every operation is
+`lower` alone defines the metric; the connection, the curvature and geodesics follow from it and the frame. A space that
+can do better, by closed forms or by the recursions of a robot, overrides the methods concerned. Every operation is
 directional: no array of n³ entries is formed.
 
-`B(a, b) = ∇_a b` is the covariant derivative, along a, of the field whose components are b everywhere. Its arguments do
-not commute outside coordinates: `B(a, b) − B(b, a) = [a, b]`. The first is the direction, the second is differentiated.
+`B(a, b) = ∇_a b` is the covariant derivative, along a, of the field with the constant components b. Its arguments do
+not commute, except in coordinates: `B(a, b) − B(b, a) = [a, b]`. The first is the direction, the second is
+differentiated.
 
 Source: Aghannan & Rouchon 2003, section II; Koszul's formula in a frame, and Hamel's equations, as in Marsden & Ratiu
 1999, Introduction to Mechanics and Symmetry, chapter 13. Curvature sign: on the unit sphere `R(x, y)z = <y, z>x − <x,
@@ -33,9 +34,9 @@ class AbstractSpace(Functional):
 
     A subclass defines `lower`; every other operation is derived from it.
 
-    Subclass it where the metric has a closed form or a structure of its own. Otherwise use a ready space, `Metric` for
-    a matrix, or `KineticEnergy` for an energy; `LeftInvariant` is for Lie groups. Operations that are derived cost
-    automatic differentiation and numerical geodesics, so define them in the subclass where a closed form is known.
+    Subclass it if the metric has a closed form or a special structure. Otherwise use a ready space, `Metric` for a
+    matrix, or `KineticEnergy` for an energy; `LeftInvariant` is for Lie groups. Derived operations cost automatic
+    differentiation and numerical geodesics, so define those for which you know a closed form in the subclass.
 
     Attributes:
         manifold: the manifold of the configurations, with its frame.
@@ -58,7 +59,7 @@ class AbstractSpace(Functional):
 
     @abc.abstractmethod
     def lower(self, x: Configuration, a: Vector) -> Vector:
-        """The covector `<a, ·>`; where the metric is kinetic energy, the momentum of the velocity a.
+        """The covector `<a, ·>`; if the metric is the kinetic energy, the momentum of the velocity a.
 
         Args:
             x: configuration.
@@ -69,7 +70,7 @@ class AbstractSpace(Functional):
         """
 
     def raise_(self, x: Configuration, mu: Vector) -> Vector:
-        """The vector of a covector: the inverse of `lower`; where μ is a force, its acceleration.
+        """The vector of a covector, the inverse of `lower`; if μ is a force, this is its acceleration.
 
         Args:
             x: configuration.
@@ -118,13 +119,13 @@ class AbstractSpace(Functional):
         Returns:
             Covector (n,).
         """
-        # Terms in the order of the docstring: (∂_a M)b, (∂_b M)a, ∂<a, b>.
+        # The first three terms of the docstring: (∂_a M)b, (∂_b M)a, ∂<a, b>.
         one = derivative(self.manifold, lambda y: self.lower(y, b), x, a)
         two = derivative(self.manifold, lambda y: self.lower(y, a), x, b)
         total = one + two - differential(self.manifold, lambda y: self.inner(y, a, b), x)
         if not self.manifold.commuting:
-            # Terms of Koszul's formula in a frame; all three vanish in coordinates, and are left out there to save
-            # work.
+            # The remaining terms of Koszul's formula, for a frame; they vanish in coordinates, where they are left out
+            # to save work.
             total = total + self.lower(x, self.manifold.bracket(x, a, b))
             total = total - coadjoint(self.manifold, x, a, self.lower(x, b))
             total = total - coadjoint(self.manifold, x, b, self.lower(x, a))
@@ -143,17 +144,17 @@ class AbstractSpace(Functional):
             Matrix (n, n).
         """
         zero = self.manifold.zero(x)
-        # C acts on the differentiated field, the second argument: only so is M' − 2C skew also outside coordinates.
+        # C acts on the differentiated field, the second argument; only then is M' − 2C skew in every frame.
         force = jax.vmap(lambda a: self.connection_force(x, v, a), out_axes=1)
         return force(jnp.eye(zero.shape[0], dtype=zero.dtype))
 
     def kinetic_force(self, x: Configuration, v: Vector, momentum: Vector | None = None) -> Vector:
-        """Derivative `½∂<v, v>` of the kinetic energy by the configuration, with constant components of the velocity.
+        """Derivative `½∂<v, v>` of the kinetic energy by the configuration, for constant velocity components.
 
         Args:
             x: configuration.
             v: velocity (n,).
-            momentum: momentum (n,) of the motion, which matters only on a `Leaf`; by default that of the velocity.
+            momentum: momentum (n,) of the motion, needed only on a `Leaf`; by default the momentum of v.
 
         Returns:
             Covector (n,).
@@ -187,11 +188,11 @@ class AbstractSpace(Functional):
         return self.raise_(x, force - self.connection_force(x, v, v))
 
     def projected(self, x: Configuration, a: Vector) -> Vector:
-        """The part of a vector (n,) of the frame along the space: all of it, but on a `Leaf`."""
+        """The part of a vector (n,) tangential to the space; only on a `Leaf` it differs from the vector."""
         return a
 
     def restored(self, x: Configuration, v: Vector) -> tuple[Configuration, Vector]:
-        """A motion after a numerical step, without the error that leads off the space, as it may on a `Leaf`.
+        """A motion after a numerical step, moved back to the space, from which it may drift on a `Leaf`.
 
         Args:
             x: configuration.
@@ -203,7 +204,7 @@ class AbstractSpace(Functional):
         return x, v
 
     def between(self, x: Configuration, y: Configuration, matrix: Float[Array, "N N"]) -> Float[Array, "N N"]:
-        """A linear map of errors (position (n,), velocity (n,), others) at x to those at y, without a part off a leaf.
+        """A linear map of errors (position (n,), velocity (n,), others) from x to y, restricted to tangential parts.
 
         Args:
             x: configuration before.
@@ -211,12 +212,12 @@ class AbstractSpace(Functional):
             matrix: the map (N, N).
 
         Returns:
-            The map (N, N), which is invertible where it was.
+            The map (N, N), which is invertible if `matrix` is.
         """
         return matrix
 
     def restored_momentum(self, x: Configuration, momentum: Vector) -> tuple[Configuration, Vector]:
-        """As `restored`, for a momentum (n,) in place of a velocity."""
+        """The same as `restored`, for a momentum (n,) in place of a velocity."""
         return x, momentum
 
     def curvature(self, x: Configuration, a: Vector, b: Vector, c: Vector) -> Vector:
@@ -271,11 +272,11 @@ class AbstractSpace(Functional):
         return geodesics.shoot(self, p, q, guess, budget)
 
     def _connection_and_change(self, x: Configuration, along: Vector, a: Vector, b: Vector) -> tuple[Vector, Vector]:
-        """`B(a, b)`, and the covector `M (∂_along B)(a, b)` of its change in the direction `along`."""
+        """`B(a, b)`, and the covector `M (∂_along B)(a, b)` of its change along the direction `along`."""
         change = self.manifold.tangent(x, along)
         force, slope = jax.jvp(lambda y: self.connection_force(y, a, b), (x,), (change,))
         vector = self.raise_(x, force)
-        # Product rule: the change of M enters `slope` too, and must not count as a change of B.
+        # Product rule: `slope` contains the change of M too, which is subtracted here.
         return vector, slope - jax.jvp(lambda y: self.lower(y, vector), (x,), (change,))[1]
 
 
@@ -319,11 +320,12 @@ def differential(manifold: AbstractManifold, f: Callable[[Array], Array], x: Con
         >>> differential(Coordinates(), lambda q: q[0] * q[1], jnp.array([3.0, 2.0])).tolist()
         [2.0, 3.0]
     """
-    # The derivative by the step a, not by the array x: frame components, and no direction off the manifold.
+    # Differentiating by the step a gives frame components; differentiating by x would include directions off the
+    # manifold.
     return jax.grad(lambda a: f(manifold.nudged(x, a)))(manifold.zero(x))
 
 
 def coadjoint(manifold: AbstractManifold, x: Configuration, a: Vector, mu: Vector) -> Vector:
     """Coadjoint operator of the frame, `ad*_a μ`, with `<ad*_a μ, b> = <μ, [a, b]>`."""
-    # The second argument of `linear_transpose` is an example of b; its numbers are not used.
+    # The second argument of `linear_transpose` is only an example of b; its values are not used.
     return jax.linear_transpose(lambda b: manifold.bracket(x, a, b), a)(mu)[0]

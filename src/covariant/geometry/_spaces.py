@@ -1,6 +1,6 @@
-"""Reference spaces whose exponential, logarithm and transport are known in closed form.
+"""Reference spaces with exponential, logarithm and transport in closed form.
 
-All constant curvatures K ≠ 0 are one class: the stereographic chart with the metric `4 / (1 + K|q|²)² I`, in which
+One class covers all constant curvatures K ≠ 0: the stereographic chart with the metric `4 / (1 + K|q|²)² I`, in which
 geodesics are Möbius translations (Ungar 2008, Analytic Hyperbolic Geometry, chapters 3 and 6, with c = −K).
 """
 
@@ -70,7 +70,7 @@ class FlatTorus(Euclidean):
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         periods = self.periods.astype(q.dtype)
-        # `round` goes to even numbers: of two paths of half a period the direct one is taken.
+        # `round` goes to even numbers: of two paths of half a period the direct one is chosen.
         shortest = q - p - periods * jnp.round((q - p) / periods)
         return _found(shortest, shortest)
 
@@ -100,26 +100,26 @@ class ConstantCurvature(AbstractMetric):
         return -self.k * self._scale(x) * ((x @ a) * b + (x @ b) * a - (a @ b) * x)
 
     def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
-        # R(a, b)c = K(<b, c>a − <a, c>b), and an inner product is σ² times the one of components.
+        # R(a, b)c = K(<b, c>a − <a, c>b); an inner product is σ² times the product of components.
         return self.k * self._scale(x) ** 2 * ((b @ c) * a - (a @ c) * b)
 
     def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
         middle, end = self._exponential(p, velocity / 2), self._exponential(p, velocity)
 
-        def carry(a):  # in two halves, since the formula for the transport to an antipode is 0/0
+        def carry(a):  # in two halves, since the formula for transport to an antipode is 0/0
             return self._carry(middle, self._carry(p, a, middle), end)
 
         carried = jax.vmap(carry)(w.reshape(-1, p.shape[0])).reshape(w.shape)
         return Transported(end, carry(velocity), carried)
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
-        # The isometry that takes p to 0 makes the geodesic a straight line through the origin of the chart.
+        # An isometry that takes p to 0 makes the geodesic a straight line through the origin of the chart.
         displacement = self._add(-p, q)
         velocity = 2 / self._scale(p) * displacement * self._arctan_ratio(displacement @ displacement)
         return _found(velocity, self._carry(p, velocity, q))
 
     def _exponential(self, p: Vector, velocity: Vector) -> Vector:
-        # A point at the distance r from the origin is at tan(√K r/2)/√K in the chart, hence the half of r = σ|v|.
+        # A point at distance r from the origin has the radius tan(√K r/2)/√K in the chart, hence half of r = σ|v|.
         half = self._scale(p) * velocity / 2
         return self._add(p, half * self._tan_ratio(half @ half))
 
@@ -128,7 +128,7 @@ class ConstantCurvature(AbstractMetric):
 
     def _add(self, x: Vector, y: Vector) -> Vector:
         """Möbius addition: the isometry that takes 0 to x, applied to y."""
-        # The denominator is zero only for y opposite −x on the sphere: the sum is the point that the chart leaves out.
+        # The denominator vanishes only on the sphere, for y opposite −x: the chart does not contain that sum.
         k, xy, xx, yy = self.k, x @ y, x @ x, y @ y
         return ((1 - 2 * k * xy - k * yy) * x + (1 + k * xx) * y) / (1 - 2 * k * xy + k**2 * xx * yy)
 
@@ -158,20 +158,20 @@ class ConstantCurvature(AbstractMetric):
 
 
 _NEAR = 0.1
-"""Below this |K s²| a series replaces the closed form. The bound is generous: around s = 0 only the series is used."""
-# The first term left out is at most 0.1¹⁸/37 = 3e-20 of the sum, that of the arc tangent.
+"""Value of |K s²| below which a series replaces the closed form; it is generous, so all small s use the series."""
+# The first omitted term, of the arc tangent, is at most 0.1¹⁸/37 = 3e-20 of the sum.
 _TERMS = 18
 
 
 def _root(x: Scalar) -> tuple[Flag, Scalar]:
-    """Whether the series applies at x, and `√|x|`; where the series applies, the root of `_NEAR` instead."""
+    """Whether the series applies at x, and `√|x|`; if it applies, the root of `_NEAR` replaces the latter."""
     small = jnp.abs(x) < _NEAR
-    # Replaced before the root: `where` after it would leave an infinite derivative, and NaN, at zero.
+    # x is replaced before the root: a later `where` would leave an infinite derivative, and NaN, at zero.
     return small, jnp.sqrt(jnp.where(small, _NEAR, jnp.abs(x)))
 
 
 def _polynomial(coefficients: list[float], x: Scalar) -> Scalar:
-    # Where the series is not used its argument is 0: it cannot overflow, nor spoil a derivative.
+    # If the series is not used, its argument is 0: it cannot overflow or spoil a derivative.
     near = jnp.where(jnp.abs(x) < _NEAR, x, 0.0)
     total = jnp.zeros_like(x)
     for coefficient in reversed(coefficients):
@@ -183,7 +183,7 @@ def _tangent_series() -> list[float]:
     """Coefficients of `tan(s)/s` in s², from `tan' = 1 + tan²`."""
     coefficients: list[float] = [1.0]
     for k in range(1, _TERMS):
-        # The coefficient of s^{2k} on both sides of tan' = 1 + tan²: a convolution of the earlier ones.
+        # Comparing coefficients of s^{2k} in tan' = 1 + tan²: a convolution of the earlier ones.
         coefficients.append(sum(coefficients[j] * coefficients[k - 1 - j] for j in range(k)) / (2 * k + 1))
     return coefficients
 
@@ -193,7 +193,7 @@ _ARCTAN = [(-1.0) ** k / (2 * k + 1) for k in range(_TERMS)]
 
 
 def sphere(radius: float = 1.0) -> ConstantCurvature:
-    """Sphere in the stereographic chart, which leaves out one point, opposite the origin.
+    """Sphere in the stereographic chart, which omits one point, opposite the origin.
 
     Use it to test methods against known geometry. The point opposite the origin is at infinity, so keep motions away
     from it. Near the origin lengths are twice those of the coordinates. For attitudes use `lie.SO3` with
@@ -219,8 +219,8 @@ def sphere(radius: float = 1.0) -> ConstantCurvature:
 def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
     """Hyperbolic space of curvature −1/radius², in the Poincaré ball |q| < radius.
 
-    Use it to test methods where negative curvature makes motions diverge. Points outside the ball are not in the space.
-    Near the origin lengths are twice those of the coordinates.
+    Use it to test methods in a space whose negative curvature makes motions diverge. Points outside the ball are not in
+    the space. Near the origin lengths are twice those of the coordinates.
 
     Args:
         radius: radius of the ball, 1 by default.
@@ -241,15 +241,15 @@ def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
 class Pullback(AbstractMetric):
     """A space in other coordinates, with the operations of the original one.
 
-    Use it where a space has closed forms in one chart and a model is written in another. Geodesics and distances are
-    the same in both. `forward` must be smooth and invertible where it is used, and errors of `inverse` go into the
-    results unnoticed.
+    Use it if a space has closed forms in one chart and a model is written in another. Geodesics and distances are the
+    same in both. `forward` must be smooth and invertible in the region used; errors of `inverse` enter the results
+    without a warning.
 
     Attributes:
         space: the space in its original coordinates.
         forward: smooth function (n,) -> (n,) from the new coordinates to those of `space`, differentiated
             automatically.
-        inverse: its inverse, from the coordinates of `space` to the new ones.
+        inverse: its inverse function, from the coordinates of `space` to the new ones.
 
     Example:
         The plane in polar coordinates (r, φ), with the metric diag(1, r²):
@@ -316,16 +316,16 @@ class Pullback(AbstractMetric):
 class Product(AbstractMetric):
     """Product of spaces, with their coordinates side by side.
 
-    Use it for machines that do not influence each other, or a flat part beside a curved one: closed forms of the
-    factors are used, and geodesics are those of each factor. Inertia that couples the parts needs a `Metric` of the
-    whole. Factors on groups need a `ProductManifold`.
+    Use it for machines that do not influence each other, or for a flat part beside a curved one: closed forms of the
+    factors are used, and geodesics are computed for each factor. If inertia couples the parts, use a `Metric` of the
+    whole. If factors are groups, use a `ProductManifold`.
 
     Attributes:
         spaces: the factors.
         sizes: number of coordinates of each factor.
 
     Raises:
-        ValueError: where `spaces` and `sizes` are not of the same length.
+        ValueError: `spaces` and `sizes` have different lengths.
 
     Example:
         >>> import jax.numpy as jnp
@@ -361,7 +361,7 @@ class Product(AbstractMetric):
             space.shoot(*parts, first, budget) for (space, *parts), first in zip(self._each(p, q), guesses, strict=True)
         ]
         velocity, arrival = (jnp.concatenate([s[i] for s in shots]) for i in (0, 1))
-        # Factors are orthogonal, so squares of lengths add; the largest result code is the worst one.
+        # Factors are orthogonal, so squares of lengths add up; the largest result code is the worst one.
         residual = jnp.sqrt(sum(s.residual**2 for s in shots))
         return Shot(velocity, arrival, residual, jnp.max(jnp.stack([s.result for s in shots])))
 

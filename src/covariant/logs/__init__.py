@@ -1,4 +1,4 @@
-"""Logs: text, Parquet and messages of ROS are read into a `Record` in SI units, and columns of numbers are written."""
+"""Reads logs (text, Parquet, ROS messages) into a `Record` in SI units, and writes columns of numbers."""
 
 from scalargraph.rooms import attach
 

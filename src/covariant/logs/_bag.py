@@ -1,4 +1,4 @@
-"""Logs of ROS messages: rosbag2 folders with SQLite or MCAP storage, single files of these, and rosbag1 files.
+"""Reads logs of ROS messages: rosbag2 folders with SQLite or MCAP storage, single files of these, and rosbag1 files.
 
 Messages are read one after another, and only the numbers of the wanted columns are stored.
 """
@@ -18,19 +18,19 @@ from covariant.logs._mcap import check_checksums
 from scalargraph.errors import InputError
 
 HEADER, RECEIVED = "t", "received"
-"""Columns of stamps: the time in the header, at which the content was true, and the time at which it was recorded."""
+"""Columns of stamps: the time in the header, when the content was true, and the time when it was recorded."""
 LOOKED_AT = 500
-"""Messages of each topic that are searched for names: several senders may share a topic, each with other joints."""
+"""Number of messages of each topic in which names are searched, as several senders with other joints may share one."""
 FIELDS = ("position", "velocity", "effort")
-"""Fields of a JointState, each a list with a number for each joint, or empty."""
+"""Fields of a JointState; each is a list with one number for each joint, or empty."""
 POSITION, QUATERNION = ("px", "py", "pz"), ("qw", "qx", "qy", "qz")
 IMU = ("wx", "wy", "wz", "ax", "ay", "az")
-"""Angular velocity [rad/s] and acceleration without gravity's pull [m/s²] of an Imu message."""
+"""Angular velocity [rad/s] and specific force [m/s²] of an Imu message."""
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
 def joints(message: Any) -> dict[str, float]:
-    """Numbers of a JointState message, by name."""
+    """The numbers of a JointState message, by name."""
     numbers = {}
     for field in FIELDS:
         values = getattr(message, field)
@@ -52,7 +52,7 @@ def _odometry(message: Any) -> dict[str, float]:
 
 
 def _imu(message: Any) -> dict[str, float]:
-    # An attitude, which many of these sensors do not know, is left out.
+    # The attitude is left out, as many of these sensors do not measure it.
     spin, push = message.angular_velocity, message.linear_acceleration
     return dict(zip(IMU, (spin.x, spin.y, spin.z, push.x, push.y, push.z), strict=True))
 
@@ -64,11 +64,11 @@ KINDS: dict[str, Callable[[Any], dict[str, float]]] = {
     "nav_msgs/msg/Odometry": _odometry,
     "sensor_msgs/msg/Imu": _imu,
 }
-"""The messages that are read, and the numbers of each by their names."""
+"""For each type of message that can be read, a function that returns its numbers by name."""
 
 
 class _Place(NamedTuple):
-    """Source of a column: its topic, and the name of its number in the messages of that topic."""
+    """Source of a column: the topic, and the name of the number in messages of that topic."""
 
     topic: str
     name: str
@@ -83,9 +83,9 @@ def bag_columns(path: Path) -> dict[str, bool]:
 
 
 def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Sequence[str] = ()) -> dict[str, Any]:
-    """Read columns of a log of messages, with a row for each stamp of a topic that holds one of them.
+    """Read columns of a log of messages; each stamp of a topic that contains one of them gives a row.
 
-    Rows before all columns have a number are left out.
+    The rows before every column has a number are left out.
     """
     with _messages(path) as (topics, messages):
         places = _places(_find_places(path, topics, messages()))
@@ -99,7 +99,7 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Seq
     stamps = np.unique(np.concatenate([series[topic][0] for topic in leading]))
     columns = {name: _at(stamps, series[topic], name, name in held) for name, (topic, _) in places.items()}
     latest = {name: _latest(values) for name, values in columns.items()}
-    # −1 marks rows before the first number of a column; the log begins where no column has such a row.
+    # −1 marks rows before the first number of a column; the log begins where no column is marked any more.
     begin = max((int((at < 0).sum()) for at in latest.values()), default=0)
     if begin == len(stamps):
         empty = [name for name, at in latest.items() if at[-1] < 0]
@@ -112,21 +112,21 @@ def read_bag(path: Path, wanted: Sequence[str], held: Sequence[str], beside: Seq
 
 
 def _at(stamps: np.ndarray, series: tuple[np.ndarray, dict[str, np.ndarray]], name: str, latest: bool) -> np.ndarray:
-    """A column of a topic at stamps that contain those of the topic, or its latest number at any stamps."""
+    """A column at the stamps of its topic and NaN at the others, or with `latest` its latest number at every stamp."""
     clock, values = series[0], series[1][name]
     column = np.full(len(stamps), np.nan)
     if not latest:
         column[np.searchsorted(stamps, clock)] = values
         return column
     clock, values = clock[~np.isnan(values)], values[~np.isnan(values)]
-    # `right` and −1: a number at the very stamp counts as the latest one.
+    # `right` and −1: a number logged at the stamp itself counts as the latest one.
     at = np.searchsorted(clock, stamps, side="right") - 1
     column[at >= 0] = values[at[at >= 0]]
     return column
 
 
 def _latest(values: np.ndarray) -> np.ndarray:
-    """The row of the latest number at each row, −1 before there is one."""
+    """For each row, the row of the latest number so far; −1 before the first one."""
     return np.maximum.accumulate(np.where(np.isnan(values), -1, np.arange(len(values))))
 
 
@@ -137,7 +137,7 @@ def _gather(
     places: Mapping[str, _Place],
     received: bool,
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Stamps [ns] and columns of each topic, in the order of the stamps."""
+    """Stamps [ns] and columns of each topic, ordered by stamp."""
     clocks = {topic: array("q") for topic in topics}
     cells = {topic: {name: array("d") for name, place in places.items() if place.topic == topic} for topic in topics}
     for topic, ns, message in messages:
@@ -150,7 +150,7 @@ def _gather(
         stamps = np.frombuffer(clock, np.int64) if len(clock) else np.zeros(0, np.int64)
         if len(stamps) > 1 and not stamps.any():
             raise LogError(f"{path}: all headers of {topic} have the stamp 0; name the column {RECEIVED!r} as t")
-        # Messages are stored in the order of their arrival, which may differ from that of their headers.
+        # Messages are stored in the order of arrival, which may differ from the order of the stamps in their headers.
         order = np.argsort(stamps, kind="stable")
         stamps = stamps[order]
         twice = np.flatnonzero(np.diff(stamps) == 0)
@@ -165,7 +165,7 @@ def _gather(
 
 def _stamp(message: Any) -> int:
     stamp = message.header.stamp
-    # Integers of Python: seconds since 1970 in a float resolve a quarter of a microsecond only.
+    # Python integers, as a float resolves seconds since 1970 to a quarter of a microsecond only.
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
@@ -191,9 +191,9 @@ def _find_places(path: Path, topics: Mapping[str, int], messages: Iterator[tuple
 
 
 def _places(places: Sequence[_Place]) -> dict[str, _Place]:
-    """Source of each column: by the number's name, for a position also by its joint's, and by topic and name.
+    """Source of each column, by the number's name, by topic and name, and for a position also by the joint's name.
 
-    The columns of stamps come first, with no source.
+    The columns of stamps come first and have no source.
     """
     named = [(place.name.removesuffix("/position"), place) for place in places]
     named += [(place.name, place) for place in places] + [(f"{place.topic}/{place.name}", place) for place in places]
@@ -205,14 +205,14 @@ def _places(places: Sequence[_Place]) -> dict[str, _Place]:
 
 @contextlib.contextmanager
 def _messages(path: Path) -> Iterator[tuple[dict[str, int], Callable[..., Iterator[tuple[str, int, Any]]]]]:
-    """Topics that can be read with the number of their messages, and `messages(topics)`: topic, stamp and message."""
+    """Readable topics with the number of their messages, and `messages(topics)`, which yields topic, stamp, message."""
     need = "reading messages of ROS needs"
     highlevel = load_optional("rosbags.highlevel", use=need, extra="ros")
     types = load_optional("rosbags.typesys", use=need, extra="ros")
     try:
         for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
             check_checksums(file)
-        # Bags in SQLite hold no definitions of their messages before ROS Iron: these are then taken from Humble.
+        # Before ROS Iron, bags in SQLite contain no message definitions; those of Humble are used then.
         with highlevel.AnyReader([path], default_typestore=types.get_typestore(types.Stores.ROS2_HUMBLE)) as reader:
             known = [connection for connection in reader.connections if connection.msgtype in KINDS]
             if not known:
@@ -233,6 +233,6 @@ def _messages(path: Path) -> Iterator[tuple[dict[str, int], Callable[..., Iterat
             yield dict(counts), messages
     except (LogError, ImportError, FileNotFoundError):
         raise
-    except Exception as error:  # a damaged file may make its reader fail in any way
+    except Exception as error:  # the reader may raise any exception for a damaged file
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         raise LogError(f"{path}: cannot be read as a rosbag: {reason}") from error

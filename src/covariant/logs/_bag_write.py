@@ -1,4 +1,4 @@
-"""Writing of ROS messages, as an MCAP file or as the folder of a rosbag2."""
+"""Writes ROS messages, as an MCAP file or as the folder of a rosbag2."""
 
 import contextlib
 import errno
@@ -18,7 +18,7 @@ from scalargraph.files import temporary
 VERSION = 8
 """Version of the layout of a rosbag2; ROS reads it since 2023."""
 JOINTS, POSE, VALUES = "/joint_states", "/pose", "/values"
-"""Topics of joints, of a pose, and of all other columns, which are written as positions of joints of the same name."""
+"""Topics of joints, of a pose, and of all other columns, which are written as positions of joints with their names."""
 
 
 def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | None) -> None:
@@ -46,7 +46,7 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
                 for connection, message in topics:
                     writer.write(connection, now, known.serialize_cdr(message(header, k), connection.msgtype))
         if path.suffix.lower() == ".mcap":
-            # The writer makes a folder for MCAP too, with metadata and one .mcap file; a log needs only this file.
+            # The writer makes a folder for MCAP too, with metadata and one .mcap file; only this file is needed.
             bag /= f"{bag.name}.mcap"
             write_checksums(bag)
         os.replace(bag, path)
@@ -54,7 +54,7 @@ def write_bag(path: Path, columns: Mapping[str, np.ndarray], origin_ns: int | No
 
 @contextlib.contextmanager
 def _report_database_errors() -> Iterator[None]:
-    """Raise errors of the database, as on a full disk, as `OSError`."""
+    """Raise errors of the database, such as a full disk, as `OSError`."""
     import sqlite3
 
     try:
@@ -64,7 +64,7 @@ def _report_database_errors() -> Iterator[None]:
 
 
 def _topics(types: Mapping[str, Any], columns: dict[str, np.ndarray]) -> Iterator[tuple[str, str, Any]]:
-    """Yield topic, message type and function `message(header, row)` of each topic that the columns fill."""
+    """Yield topic, message type and function `message(header, row)` of each topic for which there are columns."""
     fields = {name: name.rpartition("/")[::2] for name in columns}
     joints = dict.fromkeys(joint for joint, field in fields.values() if joint and field in FIELDS)
     joint_columns = {

@@ -1,4 +1,4 @@
-"""Cells of a log as numbers. They are read as text first, so that an invalid one can be quoted with column and row."""
+"""Converts cells of a log to numbers; they are read as text first, so that errors can quote a cell, column and row."""
 
 from typing import Any
 
@@ -21,13 +21,13 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
         Numbers (T,), NaN where a cell is empty.
 
     Raises:
-        LogError: Names the first row that holds anything else than a finite number.
+        LogError: A cell is not a finite number; the message names the first such row.
     """
     pa = pyarrow()
     if pa.types.is_boolean(column.type):
         raise LogError(f"{where} holds true and false, which are no numbers; name another column")
     try:
-        # `safe=False`: a whole number beyond 2⁵³ is rounded, where Arrow would refuse it.
+        # `safe=False` rounds an integer beyond 2⁵³; otherwise Arrow would refuse it.
         values = floats(column.cast(pa.float64(), safe=False))
     except pa.ArrowInvalid:
         values = _texts(where, column, needed)
@@ -41,7 +41,7 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
 
 
 def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
-    """Slower conversion, for a column with a cell that may have a plus sign or spaces, or is no number."""
+    """Slower conversion, for a column whose cells may have a plus sign or spaces, or are not numbers."""
     pa = pyarrow()
     compute = pa.compute
     cells = compute.utf8_trim_whitespace(compute.fill_null(column.cast(pa.string()), ""))
@@ -49,16 +49,16 @@ def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
     if not written.all():
         row = int((~written).argmax())
         raise fault(where, row, column[row].as_py(), needed)
-    # Arrow's parser of numbers knows no plus sign.
+    # Arrow's number parser does not accept a plus sign.
     plain = compute.replace_substring_regex(cells, r"^\+", "")
     filled = compute.if_else(compute.equal(plain, ""), "nan", plain)
     return floats(filled.cast(pa.float64()))
 
 
 def floats(column: Any) -> np.ndarray:
-    """Convert a float64 column of Arrow to an array that may be changed, NaN where a cell is null.
+    """Convert a float64 column of Arrow to a writable array, with NaN for cells that are null.
 
-    Not by `to_numpy`: pyarrow would import pandas for that, which takes longer than to read a log.
+    It does not use `to_numpy`, for which pyarrow would import pandas; that takes longer than reading a log.
     """
     pa, cells = pyarrow(), column.combine_chunks()
     if not cells.null_count:
@@ -68,7 +68,7 @@ def floats(column: Any) -> np.ndarray:
 
 
 def fault(where: str, row: int, cell: str | float | None, needed: bool) -> LogError:
-    """Error for a cell that is no finite number."""
+    """Error for a cell that is not a finite number."""
     content = "an empty cell" if cell is None or not str(cell).strip() else repr(cell)
     remedy = "only positions may be missing; fill it or cut the row" if needed else "leave it empty if it is missing"
     return LogError(f"{where}, row {row + 1}: found {content}, needs a finite number; {remedy}")

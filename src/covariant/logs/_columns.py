@@ -1,4 +1,4 @@
-"""The content of a log: names of its columns, the result of reading it, and the error for an unusable log."""
+"""Defines the content of a log: names of its columns, the result of reading it, and the error for an unusable log."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,10 +33,10 @@ class LogError(InputError):
 
 
 class ClockError(LogError):
-    """Error of stamps that repeat or go back. The message names the first of them.
+    """Error for stamps that repeat or decrease. The message names the first such stamp.
 
     Attributes:
-        record: The log as it stands, in SI units and radians.
+        record: The log as it is, in SI units and radians.
 
     Example:
         >>> from covariant import Record, logs
@@ -56,28 +56,29 @@ class ClockError(LogError):
 
 
 ATTITUDES = {"quaternion_wxyz": 4, "quaternion_xyzw": 4, "matrix": 9}
-"""The representations of an attitude, by their field of `Columns`, and the number of columns each needs."""
+"""Representations of an attitude, named as the fields of `Columns`, and the number of columns that each needs."""
 
 
 class Columns(NamedTuple):
     """Names of the columns of a log in its file; an empty cell is a missing measurement.
 
-    On a group, `position`, one attitude or `angle` describe the measured configuration, in place of `q`, or before it
-    where there are joints as well. One empty cell makes all of it missing in that row. Attitudes after the first, such
-    as the other four names of eight in `quaternion_wxyz`, are those of ball joints; each is missing by itself.
+    On a group, `position`, one attitude or `angle` describe the measured configuration, in place of `q`; if there are
+    joints as well, they come before `q`. One empty cell makes all of the configuration of a body missing in that row.
+    Further attitudes, such as the last four of eight names in `quaternion_wxyz`, belong to ball joints; each can be
+    missing on its own.
 
     Attributes:
         t: Time stamp [s], or dates.
         q: Measured positions, one name for each coordinate.
         u: Inputs; none for a system without inputs.
         v: Logged velocities, used only for comparison: no observer uses them.
-        truth: True velocities, where the log comes from a simulation; of a state-space model, the true state.
+        truth: True velocities, if the log comes from a simulation; for a state-space model, the true state.
         position: Position of the body in the world [m]: three names, or two in the plane.
         quaternion_wxyz, quaternion_xyzw: Its attitude, R_world_body, as a unit quaternion, scalar first or last.
         matrix: Its attitude as the nine entries of R_world_body, row by row.
         angle: Angles [rad]: the heading of a body in the plane, and of each wheel.
-        units: For a field, as "q", the unit in which its columns are logged, or one for each of them: `("deg",)`,
-            `("deg", "mm")`; otherwise they are logged in SI units and radians. See `unit_factor`.
+        units: Unit of the columns of a field, such as "q", or a tuple with one unit for each column: `("deg",)`,
+            `("deg", "mm")`. Other columns are in SI units and radians. See `unit_factor`.
 
     Example:
         >>> from covariant import logs
@@ -106,7 +107,7 @@ class Columns(NamedTuple):
             place: Index of the column in the field, from 0.
 
         Returns:
-            Its unit; None where it is logged in SI units.
+            Its unit; None if it is logged in SI units.
         """
         names = self.units.get(field, ())
         return names[place if len(names) > 1 else 0] if names else None
@@ -124,15 +125,15 @@ class Log(NamedTuple):
         record: Stamps, inputs and measured configurations.
         v: Logged velocities (T, n), or None.
         truth: True velocities (T, n), or None.
-        origin_ns: Time [ns since 1970] from which the stamps count, where the log has dates or times since 1970;
+        origin_ns: Time [ns since 1970] at which the stamps are zero, if the log has dates or times since 1970;
             otherwise None, and the stamps are as in the file.
-        first_row: Row of the file, counted from 1, that is the first of the record.
-        every: Distance in rows from one row of the record to the next.
-        whole: All rows of the log, of which `record` has those that were asked for; None where these are all. Inputs
-            before and between the rows of `record` act in them, see `signals.acting_inputs`.
-        readings: Of each sensor that was asked for its readings in these rows, NaN where there is none: the numbers
-            (T, k) of `q`, or of a pose the position (3,) and the rotation (3, 3), row by row, (T, 12). None for one of
-            which the log has no column, as a `Record` has not.
+        first_row: Number of the file's row, counted from 1, that is the first of the record.
+        every: Distance in rows of the file between rows of the record.
+        whole: All rows of the log, if `record` has only some of them; otherwise None. Inputs before and between the
+            rows of `record` act in them, see `signals.acting_inputs`.
+        readings: For each sensor in `sensors`, its readings in these rows, NaN if there is none: numbers (T, k) of `q`
+            or, for a pose, the position (3,) and the rotation (3, 3), row by row, (T, 12). None if the log has no
+            column of the sensor, as in a `Record`.
 
     Example:
         >>> import numpy as np
@@ -162,13 +163,13 @@ class Log(NamedTuple):
 
 
 TEXTS = (".csv", ".txt", ".tsv")
-"""Endings of logs as text."""
+"""Suffixes of logs as text."""
 BAGS = (".mcap", ".db3", ".bag")
-"""Endings of logs of ROS messages."""
+"""Suffixes of logs of ROS messages."""
 
 
 def kind(path: Path) -> str:
-    """Type of a log by its ending."""
+    """Type of a log, from the suffix of its name."""
     suffix = path.suffix.lower()
     if suffix in BAGS or (path / "metadata.yaml").is_file():
         return "bag"
@@ -181,7 +182,7 @@ def kind(path: Path) -> str:
 
 
 def check_log(path: Path, rows: int = 0) -> None:
-    """Refuse a log with too many rows, or with a file that is no regular one, as a pipe would be read for ever."""
+    """Refuse a log with too many rows, or a file that is not regular, such as a pipe, which might never end."""
     for part in path.iterdir() if path.is_dir() else [path]:
         if not part.is_dir():
             check_file(part, STORE if part.suffix == ".yaml" else TEXT_LOG if part.suffix in TEXTS else BINARY_LOG)
@@ -190,7 +191,7 @@ def check_log(path: Path, rows: int = 0) -> None:
 
 
 def pyarrow() -> Any:
-    """The package pyarrow, imported with what reads and writes files."""
+    """The package pyarrow, imported with the modules that read and write files."""
     try:
         import pyarrow
         import pyarrow.compute

@@ -1,7 +1,7 @@
-"""Measured configurations as columns and as arrays: coordinates unchanged, attitudes and poses as matrices.
+"""Converts measured configurations between columns and arrays, with attitudes and poses as matrices.
 
-For a configuration of several kinds, each row (m,) of `y` is the block-diagonal matrix of a body and its wheels,
-flattened row by row, followed by the matrices of ball joints and by the coordinates.
+If a configuration has several kinds of parts, each row (m,) of `y` is the block-diagonal matrix of a body and its
+wheels, flattened row by row, followed by the matrices of ball joints and by the coordinates.
 """
 
 from typing import NamedTuple
@@ -54,7 +54,7 @@ def bodies(columns: Columns) -> tuple[Body, ...]:
 
     Returns:
         First the body with an attitude or a position, then a wheel for each angle, then a ball joint for each further
-        attitude; empty where the configuration has coordinates only.
+        attitude; empty if the configuration has coordinates only.
 
     Raises:
         LogError: The columns do not form a configuration.
@@ -116,7 +116,7 @@ def _matrices_from_columns(
     order = sum(body.order for body in parts)
     cells = np.stack([named[name] for body in parts for name in (*body.rotation, *body.position)], axis=1)
     y = np.full((len(cells), order, order), np.nan)
-    # A pose with an empty cell is missing as a whole.
+    # One empty cell makes the whole pose missing.
     present = np.isfinite(cells).all(axis=1)
     named = {name: column[present] for name, column in named.items()}
     y[present] = 0.0
@@ -124,7 +124,7 @@ def _matrices_from_columns(
         rotation = np.stack([named[name] for name in body.rotation], axis=1)
         _check(name, body, rotation, np.flatnonzero(present) + 1)
         turn, end = slice(corner, corner + body.space), corner + body.space
-        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)  # after the check, so only rounding is removed
+        y[present, turn, turn] = KINDS[body.kind].matrices(rotation)  # the check before leaves only rounding to remove
         if body.position:
             y[present, turn, end] = np.stack([named[name] for name in body.position], axis=1)
             y[present, end, end] = 1.0
@@ -136,11 +136,11 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
 
     Args:
         columns: Names and kinds of the columns.
-        y: Configurations (T, n), (T, N, N) or (T, m); NaN is kept.
+        y: Configurations (T, n), (T, N, N) or (T, m); NaN stays NaN.
 
     Returns:
-        Arrays (T,) in the order of `columns.measured`. Quaternions are without jumps of sign, and angles without jumps
-        of a whole turn.
+        Arrays (T,) in the order of `columns.measured`. Quaternions have no jumps of sign, and angles no jumps of a
+        whole turn.
 
     Example:
         >>> import numpy as np
@@ -158,7 +158,7 @@ def to_columns(columns: Columns, y: np.ndarray) -> dict[str, np.ndarray]:
         cells = np.full((len(g), len(body.rotation)), np.nan)
         cells[present] = KINDS[body.kind].cells(g[present, : body.space, : body.space])
         named |= dict(zip(body.rotation, cells.T, strict=True))
-        # A body without a position has no names here, and zip ends at once.
+        # If a body has no position, there are no names and zip stops at once.
         named |= dict(zip(body.position, g[:, : body.space, -1].T, strict=False))
     return {name: named[name] for name in columns.measured}
 
@@ -190,14 +190,14 @@ def matrices(columns: Columns, y: np.ndarray) -> list[np.ndarray]:
 
 
 def coordinates(columns: Columns, y: np.ndarray) -> Float[np.ndarray, "T n"]:
-    """Coordinates in configurations: all entries where there are no bodies, otherwise the last ones.
+    """Coordinates in configurations: all entries if there are no bodies, otherwise the last ones.
 
     Args:
         columns: Names of the columns.
         y: Configurations (T, n), (T, N, N) or (T, m).
 
     Returns:
-        Coordinates (T, n); (T, 0) where `columns.q` is empty.
+        Coordinates (T, n); (T, 0) if `columns.q` is empty.
 
     Example:
         >>> import numpy as np

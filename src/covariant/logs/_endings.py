@@ -1,6 +1,6 @@
-"""Endings of logs that can be written, available without loading what writes them."""
+"""Lists the file-name suffixes of logs that can be written, without loading the code that writes them."""
 
 MESSAGES = (".mcap", ".rosbag2")
-"""Endings of the logs of ROS messages that can be written."""
+"""Suffixes of the logs of ROS messages that can be written."""
 WRITTEN = (".csv", ".txt", ".tsv", ".parquet", *MESSAGES)
-"""Endings of all logs that can be written."""
+"""Suffixes of all logs that can be written."""

@@ -1,4 +1,4 @@
-"""Columns that hold lists: each entry is a column, as `observation.state[0]`, as data sets of robots are written."""
+"""Splits columns of lists, as in data sets of robots, into a column for each entry, such as `observation.state[0]`."""
 
 import contextlib
 import json
@@ -12,13 +12,13 @@ from covariant.logs._tables import LogSource
 from scalargraph.files import bounded, read_bytes
 
 MOST_ENTRIES = 256
-"""Longest list whose entries are columns; longer ones are pictures and scans."""
+"""Largest length of a list whose entries become columns; longer lists are pictures and scans."""
 _INFO = ("../meta/info.json", "../../meta/info.json")
-"""Where a data set of LeRobot describes its columns, from the folder of a file."""
+"""Paths, from the folder of a file, at which a LeRobot data set describes its columns."""
 
 
 def _list_length(column: Any) -> int:
-    """Number of entries of each cell of a column of lists of numbers; 0 for another column, or lengths that differ."""
+    """Length of the lists in a column of lists of numbers; 0 for other columns, and if lengths differ."""
     types, cell = pyarrow().types, column.type
     fixed = types.is_fixed_size_list(cell)
     if not (fixed or types.is_list(cell) or types.is_large_list(cell)):
@@ -33,12 +33,12 @@ def _list_length(column: Any) -> int:
 
 
 def by_entries(source: LogSource, path: Path | None = None) -> LogSource:
-    """A source in which a column for each entry takes the place of each column of lists; `path` is that of its file."""
+    """A source in which each column of lists is replaced by one column for each entry; `path` is the file's path."""
     if not source.lists:
         return source
     lengths = {name: _list_length(source.load([name], (), ()).column(name)) for name in source.lists}
     entries = {f"{name}[{k}]": (name, k) for name, length in lengths.items() for k in range(length)}
-    # A column that has this very name counts.
+    # An existing column with exactly this name takes precedence.
     entries = {name: place for name, place in entries.items() if name not in source.names}
     written = {name: [entry for entry, (column, _) in entries.items() if column == name] for name in lengths}
 
@@ -68,9 +68,9 @@ def by_entries(source: LogSource, path: Path | None = None) -> LogSource:
 
 
 def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:
-    """What a data set calls the entries of its columns, by `observation.state[0]`; empty where it does not say."""
+    """Names that a data set gives to the entries of its columns, by `observation.state[0]`; empty if it gives none."""
     for place in _INFO:
-        # A file beside the log that is something else, or broken, is no fault of the log.
+        # If the file beside the log is something else, or broken, the log is still valid.
         with contextlib.suppress(ValueError, AttributeError, KeyError, TypeError), bounded(place):
             features = json.loads(read_bytes(path.parent / place, STORE))["features"]
             return {
@@ -82,7 +82,7 @@ def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:
 
 
 def _flat(names: Any, length: int) -> list[str]:
-    """Names of the entries, which stand in a list, or in a table with one; none where their number is another."""
+    """Names of the entries, from a list or a table that contains one; none if their number differs from `length`."""
     if isinstance(names, Mapping) and len(names) == 1:
         (names,) = names.values()
     return [str(name) for name in names] if isinstance(names, list) and len(names) == length else []

@@ -1,4 +1,4 @@
-"""Several recordings in one file, as the episodes of a data set: stamps that start again, and how to take one."""
+"""Detects several recordings in one file, the episodes of a data set, and says how to extract one."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -10,11 +10,11 @@ _NAME = re.compile(
     r"(?:.*[_ ./])?(?:episode|trial|traj|trajectory|rollout|demo)(?:[_ ]?(?:index|idx|id|no|nr|number))?"
 )
 SHOWN = 3
-"""Number of episodes whose rows a message lists."""
+"""Number of episodes whose rows are listed in a message."""
 
 
 def episode_columns(names: Iterable[str]) -> list[str]:
-    """Names of columns that may number episodes.
+    """Names of columns that may contain the number of an episode.
 
     Example:
         >>> from covariant.logs._episodes import episode_columns
@@ -30,17 +30,17 @@ def episodes_fault(
     cells: Callable[[str], Float[np.ndarray, "T"]],
     rising: bool = False,
 ) -> str | None:
-    """What is wrong with stamps that start again with each episode of a file: its rows, and how to take one.
+    """Fault of stamps that restart with each episode of a file: the rows of the episodes, and how to extract one.
 
     Args:
         t: Stamps (T,) as logged.
         names: Names of all columns.
         cells: Function of a name: numbers (T,) of that column.
-        rising: Whether a file of several episodes counts whose stamps go on rising, too.
+        rising: Whether several episodes are a fault even if the stamps keep rising.
 
     Returns:
-        The fault and its remedy, which follow the name of the column of stamps; None for one recording, or stamps that
-        go back elsewhere than where an episode ends.
+        The fault and its remedy, as text that follows the name of the column of stamps. None if there is one recording,
+        or if stamps decrease elsewhere than at the end of an episode.
 
     Example:
         >>> import numpy as np

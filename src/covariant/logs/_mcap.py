@@ -1,6 +1,7 @@
-"""Checksums of MCAP files: compared before a log is read, and written into those that this library writes.
+"""Checks the checksums of MCAP files before a log is read, and writes them into files that this library writes.
 
-The package that reads and writes messages writes none, and reads a file whose bits have flipped as other numbers.
+The package that reads and writes messages writes no checksums, and reads flipped bits as other numbers without an
+error.
 
 Source: the MCAP format specification, version 0: https://mcap.dev/spec.
 """
@@ -16,17 +17,17 @@ from scalargraph.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, CHUNK, DATA_END = 0x02, 0x06, 0x0F
-"""Codes of the records that hold a checksum; of these, 0 stands for one that is not known."""
+"""Codes of the records that contain a checksum; a checksum of 0 means that it is not known."""
 HEAD = struct.Struct("<BQ")
-"""Code of a record and length of its content."""
+"""Layout of a record's head: its code, and the length of its content."""
 TIMES_AND_SIZE, CRC = struct.Struct("<QQQ"), struct.Struct("<I")
-"""What stands before the checksum of a chunk, and a checksum."""
+"""Layout of the data before the checksum of a chunk, and layout of a checksum."""
 BLOCK = 1 << 20
 """Bytes that are read at a time."""
 
 
 class _Record(NamedTuple):
-    """A record of a file: its code, the offset of its content, and the length of that."""
+    """A record of a file: its code, and the offset and length of its content."""
 
     code: int
     start: int
@@ -39,7 +40,7 @@ def check_checksums(path: Path) -> None:
         records = list(_records(file))
         for number, record in enumerate((each for each in records if each.code == CHUNK), start=1):
             stated, content = _chunk(file, record)
-            # A compressed chunk is checked by whoever unpacks it.
+            # The content of a compressed chunk is checked when it is unpacked.
             if stated and content is not None and zlib.crc32(content) != stated:
                 raise InputError(f"chunk {number} does not fit its checksum: the file is damaged; copy it again")
         for name, stated, computed in _sections(file, records):
@@ -55,7 +56,7 @@ def write_checksums(path: Path) -> None:
             _, content = _chunk(file, record)
             if content is not None:
                 _put(file, record.start + TIMES_AND_SIZE.size, zlib.crc32(content))
-        # The data first, whose checksum covers those of the chunks.
+        # The data section comes first, because its checksum covers the checksums of the chunks.
         for record, (_, _, computed) in zip(_ends(records), _sections(file, records), strict=True):
             _put(file, record.start + record.length - CRC.size, computed)
         file.flush()
@@ -63,7 +64,7 @@ def write_checksums(path: Path) -> None:
 
 
 def _records(file: BinaryIO) -> Iterator[_Record]:
-    """The records of a file, as far as they are whole; none of a file that is no MCAP file."""
+    """The complete records of a file; none if it is not an MCAP file."""
     size = file.seek(0, os.SEEK_END)
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
@@ -82,22 +83,22 @@ def _records(file: BinaryIO) -> Iterator[_Record]:
 
 
 def _chunk(file: BinaryIO, record: _Record) -> tuple[int, bytes | None]:
-    """The stated checksum of a chunk, and its content; None if that is compressed."""
+    """The stated checksum of a chunk, and its content; None instead of the content if it is compressed."""
     file.seek(record.start)
     content = file.read(record.length)
     (stated,) = CRC.unpack_from(content, TIMES_AND_SIZE.size)
     at = TIMES_AND_SIZE.size + CRC.size
-    (compression,) = CRC.unpack_from(content, at)  # the length of its name, which is empty for none
+    (compression,) = CRC.unpack_from(content, at)  # length of the method's name, 0 for no compression
     return stated, None if compression else content[at + CRC.size + 8 :]
 
 
 def _ends(records: list[_Record]) -> list[_Record]:
-    """The records that end with the checksum of a section: of the data, and of the summary."""
+    """The records that end with the checksum of a section: the data section or the summary."""
     return [record for record in records if record.code in (DATA_END, FOOTER)]
 
 
 def _sections(file: BinaryIO, records: list[_Record]) -> Iterator[tuple[str, int, int]]:
-    """Name, stated and computed checksum of each section, in the order of `_ends`."""
+    """Name, stated checksum and computed checksum of each section, in the order of `_ends`."""
     for record in _ends(records):
         file.seek(record.start)
         content = file.read(record.length)
@@ -106,7 +107,7 @@ def _sections(file: BinaryIO, records: list[_Record]) -> Iterator[tuple[str, int
             yield "data section", stated, _checksum(file, 0, record.start - HEAD.size)
         else:
             (summary,) = struct.unpack_from("<Q", content)
-            begin = summary or record.start - HEAD.size  # a file without a summary has the footer alone
+            begin = summary or record.start - HEAD.size  # without a summary the section consists of the footer
             yield "summary", stated, _checksum(file, begin, record.start + record.length - CRC.size)
 
 

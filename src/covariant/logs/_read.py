@@ -1,4 +1,4 @@
-"""Reading of logs of every kind into records in SI units."""
+"""Reads logs of every kind into records in SI units."""
 
 import contextlib
 from collections import Counter
@@ -30,7 +30,7 @@ from scalargraph.errors import InputError, MissingPackageError
 from scalargraph.files import bounded
 
 OPTIONAL = ("v", "truth")
-"""Fields of `Columns` that are used for comparison only."""
+"""Fields of `Columns` that are used only for comparison."""
 MEASURED = ("q", "position", *ATTITUDES, "angle")
 """Fields of the measured configuration, in the order of `Columns.measured`."""
 
@@ -49,14 +49,14 @@ def read(
     missing_inputs: bool = False,
     absent: Collection[str] = (),
 ) -> Log:
-    """Read a log; an empty cell or `nan` is a missing measurement, and an error in t and u.
+    """Read a log; an empty cell or `nan` is a missing measurement; in t and u it is an error.
 
     Rows are counted from 1, without header, comments and empty lines. Attitudes become rotation matrices: a quaternion
     or matrix that is off by less than 5 % is replaced by the nearest rotation. Dates, and times since 1970, count from
     the first of them, `Log.origin_ns`.
 
-    Use it to get a `Record` with units, attitudes and missing values treated right. The verbs call it with the columns
-    of the model file; `covariant.logs.record` is the short form for a few named columns.
+    Use it to get a `Record` with correct units, attitudes and missing values. The verbs call it with the columns of the
+    model file; `covariant.logs.record` is a short form for a few named columns.
 
     Args:
         log: One of
@@ -66,28 +66,29 @@ def read(
               of a rosbag2;
             - a data frame of any library that narwhals knows (pandas, polars, a table of pyarrow and others), or a
               dataset of xarray, whose variables along one dimension are the columns;
-            - a `Record`, which is in SI units already: only the numbers of its positions and inputs are compared with
+            - a `Record`, which is already in SI units: only its numbers of positions and inputs are compared with
               `columns`, and its true state stays in `Log.record.x`.
         columns: Names and units of the columns.
-        every: Reads each k-th row only.
-        until: Last time [s] since the first row that is read.
-        start: First time [s] since the first row that is read. The whole log must be valid even so.
-        optional: Fields of `columns` that count as not named where the log has none of their columns.
-        sensors: Sensors beside the positions, for `Log.readings`: the columns of each, `q` or a position and an
-            attitude, and the SI unit of its numbers, "" where it is not known. Of a log of messages their stamps are
-            rows too, without positions; in a table they are rows already.
-        periods: Period (n,) after which each position reads the same again, in its SI unit; 0 for none. Its jumps are
-            removed from the whole log, before rows are left out.
-        missing_inputs: Whether an empty cell of u is a missing input, NaN, for an estimate that may run over it; False
-            by default.
-        absent: Columns of positions that the log may lack, or hold without a number, as those of joints without an
-            encoder: they are NaN then. One position at least must be there.
+        every: Read only each k-th row.
+        until: Time [s] since the first row at which reading ends.
+        start: Time [s] since the first row at which reading begins. The whole log must be valid nevertheless.
+        optional: Fields of `columns` that are ignored if the log has none of their columns.
+        sensors: Further sensors, for `Log.readings`: the columns of each, `q` or a position and an attitude, and the SI
+            unit of its numbers, "" if it is not known. In a log of messages their stamps also become rows, without
+            positions; in a table they are rows already.
+        periods: Period (n,) after which each position reads the same again, in its SI unit; 0 for none. Jumps by a
+            period are removed from the whole log, before rows are left out.
+        missing_inputs: Whether an empty cell of u is accepted as a missing input, NaN, for estimators that can handle
+            it; False by default.
+        absent: Columns of positions that may be missing in the log, or have no number, such as those of joints without
+            an encoder; they become NaN. At least one position must be present.
 
     Returns:
         The rows that were asked for, in SI units and radians.
 
     Raises:
-        LogError: Names the file (or "table", "dataset", "record"), column and row of the first fault.
+        LogError: There is a fault; the message names file (or "table", "dataset", "record"), column and row of the
+            first one.
         FileNotFoundError: There is no such file.
         ImportError: A package is missing: pyarrow, narwhals for data frames, or rosbags for ROS messages.
 
@@ -146,13 +147,13 @@ def record(
         t: Name of the column of stamps [s], or dates.
         q: Name or names of the columns of positions [rad or m].
         u: Name or names of the columns of inputs [SI units]; none by default.
-        units: Units of the columns of t, q or u where they are others, as `{"t": "ms", "q": ["deg", "mm"]}`.
+        units: Units of the columns of t, q or u that are not SI units, as `{"t": "ms", "q": ["deg", "mm"]}`.
 
     Returns:
         Stamps (T,), inputs (T, m) and positions (T, n) in SI units and radians.
 
     Raises:
-        LogError: Names the first fault, as in `read`.
+        LogError: There is a fault; the message names the first one, as in `read`.
 
     Example:
         >>> import pandas
@@ -180,13 +181,13 @@ def _of_columns(
     missing_inputs: bool,
     absent: Collection[str],
 ) -> Log:
-    """All rows of a log that has columns."""
+    """All rows of a log that consists of columns."""
     columns, present, table, source = _columns_and_table(
         name, log, columns, optional, [each for each, _ in sensors], absent
     )
     units = source.units
     for field in ("t", *MEASURED, "u", *OPTIONAL):
-        # Dates and durations state their unit by their type.
+        # The type of dates and durations already determines their unit.
         if field != "t" or not timed(table.column(columns.t)):
             _need_units(name, columns, field, units)
 
@@ -199,7 +200,7 @@ def _of_columns(
                     cells.append(np.full(len(table), np.nan))
                     continue
                 values = numbers(_where(name, column, unit), table.column(column), needed)
-                # Without a number in any row it is another column, and not a sensor with gaps.
+                # A column without any number is a wrong column, and not a sensor with gaps.
                 if not empty and column not in absent and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
                 if has_sign_bit(values):
@@ -232,7 +233,7 @@ def _of_columns(
 
 
 def _whole_column(name: str, source: LogSource, column: str) -> Float[np.ndarray, "T"]:
-    """A column of numbers (T,) of a log; NaN where it holds anything else."""
+    """A column of numbers (T,) of a log; NaN for all other cells."""
     cells = source.load([column], (), ()).column(column)
     try:
         return numbers(name, cells, needed=False)
@@ -241,14 +242,14 @@ def _whole_column(name: str, source: LogSource, column: str) -> Float[np.ndarray
 
 
 def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str], si: str | None = None) -> None:
-    """Raise `LogError` for a column that has a unit in its name, or in the log, but would be read in another, and for
-    one whose unit is not known; `units` are those that the log states, and `si` is that of a sensor.
+    """Raise `LogError` for a column whose name or log states another unit than the one in which it would be read, or a
+    unit that is not known. `units` are those that the log states, and `si` is the unit of a sensor.
     """
     names = getattr(columns, field)
     names = (names,) if isinstance(names, str) else names
     meant: Sequence[str] = MEANT.get(field, ()) if si is None else [si] * bool(si)
     key, table = (field, "under [units] of the model file") if si is None else ("units", "in the table of the sensor")
-    # Units that the log states are written as in a name, so that one parser reads both.
+    # Units stated by the log are written like units in names, so that one parser reads both.
     labels = [f"{name} [{units[name]}]" if name in units else name for name in names]
     in_names = [unit_in_name(label, meant) for label in labels]
     for place, (name, text) in enumerate(zip(names, in_names, strict=True)):
@@ -266,7 +267,7 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
 
 
 def _of_record(log: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Log:
-    """A log that is a record already, with as many positions and inputs as there are columns of them."""
+    """A log from a record; its numbers of positions and inputs must be those of the columns."""
     log = _check_record("record", log, columns, missing_inputs, absent)
     log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
     if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
@@ -279,17 +280,17 @@ def _of_record(log: Record, columns: Columns, missing_inputs: bool, absent: Coll
 def _select_rows(
     name: str, log: Log, every: int, until: float | None, start: float | None, unmeasured: np.ndarray
 ) -> Log:
-    """Every k-th row of a log between two times since its first row; `unmeasured` are the positions without sensor."""
+    """Every k-th row of a log between two times since its first row; `unmeasured` are positions without a sensor."""
     t = log.record.t
     since = t - t[0]
-    # Both ends are included: "left" at the start, "right" at the end.
+    # Both ends are included, hence "left" at the start and "right" at the end.
     low = 0 if start is None else int(np.searchsorted(since, start, side="left"))
     rows = slice(low, len(t) if until is None else int(np.searchsorted(since, until, side="right")), every)
     if len(t[rows]) < 2:
         asked = (("every", every), ("from", start), ("until", until))
         given = ", ".join(f"{word}={value:g}" for word, value in asked if value is not None)
         raise LogError(f"{name}: {given} keep {len(t[rows])} of {len(t)} rows, and two are needed")
-    # An observer starts from a measurement, which has to be complete.
+    # An observer starts from the first measurement, which therefore has to be complete.
     if (np.isnan(log.record.y[rows][0]).ravel() & ~unmeasured).any():
         row = low + 1
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
@@ -299,7 +300,7 @@ def _select_rows(
 
 
 def _rows(part: Any, rows: slice) -> Any:
-    """Some rows of an array, or of all arrays of a named tuple, such as a record or the motion of a group."""
+    """Some rows of an array, or of all arrays in a named tuple, such as a record or the motion of a group."""
     if part is None:
         return None
     if isinstance(part, tuple):
@@ -309,13 +310,13 @@ def _rows(part: Any, rows: slice) -> Any:
 
 
 class LogSurvey(NamedTuple):
-    """All columns of numbers of a log.
+    """All numeric columns of a log.
 
     Attributes:
-        columns: Arrays (T,) by name, in the order of the log and in its units; NaN where a cell is empty.
-        units: Units that the log states beside the names, by column: attributes of a dataset, metadata of Parquet.
-        remarks: Sentences on what is odd about the names, such as that there are none.
-        labels: What the log calls the entries of its columns of lists, by column: `{"action[0]": "shoulder_pan.pos"}`.
+        columns: Arrays (T,) by name, in the order of the log and in its units; empty cells are NaN.
+        units: Units that the log states apart from names, by column: attributes of a dataset, metadata of Parquet.
+        remarks: Sentences on anything unusual about the names, for example that there are none.
+        labels: Names that the log gives to the entries of lists, by column: `{"action[0]": "shoulder_pan.pos"}`.
 
     Example:
         >>> import pandas
@@ -331,19 +332,19 @@ class LogSurvey(NamedTuple):
 
 
 def survey(log: str | PathLike[str] | Any) -> LogSurvey:
-    """All columns of numbers of a log, by name.
+    """Read all numeric columns of a log, by name.
 
-    Columns that hold anything else are left out, but dates are seconds since the first of them. Of columns that have
-    one name the first counts where they are equal, and otherwise none.
+    Other columns are left out, except that dates become seconds since the first of them. If several columns have the
+    same name, the first one is used if they are equal, and none otherwise.
 
     Args:
         log: A path, data frame or dataset, as for `read`.
 
     Returns:
-        The columns, the units that the log states, and what is odd about its names.
+        The columns, the units that the log states, and remarks about its names.
 
     Raises:
-        LogError: The file is no log; as for `read`.
+        LogError: The file is not a log; as for `read`.
 
     Example:
         >>> import pandas
@@ -358,7 +359,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
         table, remarks = _unite(name, source.load(named, (), ()), refuse=False)
         table = with_points(pyarrow(), name, table, source.decimal_commas)
     columns: dict[str, np.ndarray] = {}
-    # A log of messages loads its clock as well.
+    # A log of messages also loads its clock.
     for column_name in [each for each in named if each in table.column_names]:
         column = table.column(column_name)
         with contextlib.suppress(LogError):
@@ -375,7 +376,7 @@ def _where(name: str, column: str, unit: str | None) -> str:
 
 
 def _unmeasured(record: Record, columns: Columns, absent: Collection[str]) -> np.ndarray:
-    """Mask of the entries of a measurement without a number in any row, where they may be absent."""
+    """Mask of the entries of a measurement that have no number in any row and are allowed to be absent."""
     y = np.asarray(record.y, float).reshape(len(record.t), -1)
     may, empty = np.zeros(y.shape[1], bool), np.isnan(y).all(0)
     may[y.shape[1] - len(columns.q) :] = np.isin(columns.q, list(absent))  # the joints come last
@@ -383,7 +384,7 @@ def _unmeasured(record: Record, columns: Columns, absent: Collection[str]) -> np
 
 
 def _check_record(name: str, record: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Record:
-    """The record after `Record.check`, before rows are dropped, so that messages count rows as in the log."""
+    """The record after `Record.check`; this is done before rows are dropped, so that messages count rows of the log."""
     try:
         start = np.flatnonzero(~_unmeasured(record, columns, absent)) if absent else None
         return record.check(start, missing_inputs=missing_inputs)
@@ -396,19 +397,19 @@ def _check_record(name: str, record: Record, columns: Columns, missing_inputs: b
 def _columns_and_table(
     name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns], may_lack: Any
 ) -> tuple[Columns, list[Columns], Any, LogSource]:
-    """The columns without the optional ones that the log lacks, those of the sensors that it has, a table of all, and
-    the source of these.
+    """The columns without optional ones that the log lacks, the columns of its sensors, a table of all of them, and
+    their source.
     """
     with _legible(name, log):
         source = _open_source(name, log)
         names = source.names
-        # A field of which some columns are there is not absent: the others are an error below.
+        # A field counts as absent only if all its columns are missing; otherwise a missing one is an error below.
         absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
         if set(columns.measured) & set(names):
             wanted = [column for column in wanted if column in names or column not in may_lack]
-        # A sensor of which some columns are there is not absent either.
+        # A sensor also counts as absent only if all its columns are missing.
         present = [each for each in sensors if set(each.measured) & set(names)]
         beside = [name for each in present for name in each.measured if name not in wanted]
         _find(name, wanted + beside, source)
@@ -488,7 +489,7 @@ def _find(log: str, wanted: Sequence[str], source: LogSource) -> None:
 
 
 def _no_header(source: LogSource) -> str:
-    """Remark on a text without a header."""
+    """Remark that a text has no header."""
     return (
         f"Its first line, {source.first_line[:60]!r}, names no columns, so that they are called "
         f"{', '.join(source.names)}; use these names, or put a header above it"
@@ -496,9 +497,9 @@ def _no_header(source: LogSource) -> str:
 
 
 def _unite(log: str, table: Any, refuse: bool = True) -> tuple[Any, list[str]]:
-    """A table in which each name stands once, and a remark on each name that stood more often.
+    """A table in which each name occurs once, and a remark for each name that occurred more often.
 
-    Of equal columns the first stays. Others raise `LogError`, or are all left out.
+    Of equal columns the first one is kept. Different ones raise `LogError`, or are all left out.
     """
     remarks = []
     for name, count in Counter(table.column_names).items():
@@ -521,7 +522,7 @@ def _unite(log: str, table: Any, refuse: bool = True) -> tuple[Any, list[str]]:
 
 
 def _are_equal(cells: Sequence[Any]) -> bool:
-    """Whether cells hold the same; 0.5 is 0.50, and a missing number is another one."""
+    """Whether cells have the same content; 0.5 equals 0.50, and a missing number differs from any other."""
     compared = []
     for cell in cells:
         plain = cell.strip() if isinstance(cell, str) else cell

@@ -1,4 +1,4 @@
-"""Conversion of rotations between columns of a log and matrices, vectorised over whole columns in NumPy."""
+"""Converts rotations between columns of a log and matrices, for whole columns at once in NumPy."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 TOLERANCE = 0.05
-"""Largest deviation of a quaternion's length or a matrix's singular value from 1 that counts as rounding."""
+"""Largest deviation from 1 of a quaternion's length, or of a matrix's singular value, that counts as rounding."""
 
 Cells = Float[np.ndarray, "T k"]
 Rotations = Float[np.ndarray, "T d d"]
@@ -28,7 +28,7 @@ class Kind(NamedTuple):
 
 
 def _from_wxyz(q: Cells) -> Rotations:
-    # Logs hold few digits, so the length is 1 only up to their rounding.
+    # Logs have few digits, so the length of a quaternion is 1 only up to their rounding.
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -39,17 +39,17 @@ def _from_wxyz(q: Cells) -> Rotations:
 
 
 def _to_wxyz(r: Rotations) -> Cells:
-    """The quaternions of a motion, without jumps of sign between q and −q; the first has w ≥ 0."""
-    # Each row of the table is 4 qᵢ q for one entry qᵢ; the longest row is the most accurate. Source: Shepperd 1978.
+    """The quaternions of a motion, without jumps between q and −q; the first one has w ≥ 0."""
+    # Each row of the table is 4 qᵢ q for an entry qᵢ; the longest row is the most accurate. Source: Shepperd 1978.
     x, y, z = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
-    # A unit quaternion has r₂₁ − r₁₂ = 4wx and r₂₁ + r₁₂ = 4yz, and so on in cycles.
+    # For a unit quaternion r₂₁ − r₁₂ = 4wx and r₂₁ + r₁₂ = 4yz, and likewise for cyclic permutations.
     a, b, c = (r[:, i, j] - r[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
     d, e, f = (r[:, i, j] + r[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0)))
     rows = ((1 + x + y + z, a, b, c), (a, 1 + x - y - z, f, e), (b, f, 1 - x + y - z, d), (c, e, d, 1 - x - y + z))
     table = np.moveaxis(np.array(rows), 2, 0)
     longest = table[np.arange(len(r)), np.argmax(np.einsum("kii->ki", table), axis=1)]
     q = longest / np.linalg.norm(longest, axis=1, keepdims=True)
-    # q and −q are one rotation. A negative product with the previous row is a jump of sign, undone from there on.
+    # q and −q are the same rotation. A negative product with the previous row is a jump of sign, reversed from there.
     products = np.concatenate([q[:1, 0], np.einsum("ki,ki->k", q[1:], q[:-1])])
     return q * np.cumprod(np.where(products < 0, -1.0, 1.0))[:, None]
 
@@ -80,7 +80,7 @@ def _shape_fault(cells: Cells) -> tuple[np.ndarray, Callable[[int], str]]:
 
 
 def _nearest(cells: Cells) -> Rotations:
-    # U Vᵀ of the singular value decomposition is the nearest orthogonal matrix; reflections are errors before this.
+    # U Vᵀ of the singular value decomposition is the nearest orthogonal matrix; reflections were refused before.
     left, _, right = np.linalg.svd(cells.reshape(-1, 3, 3))
     return left @ right
 
@@ -108,4 +108,4 @@ KINDS = {
     "matrix": Kind(_nearest, _shape_fault, lambda r: r.reshape(-1, 9)),
     "angle": Kind(_from_angle, _no_fault, _to_angle),
 }
-"""The representations by name; "angle" [rad] is for rotations in the plane, all others for those in space."""
+"""The representations by name; "angle" [rad] is for rotations in the plane, the others for rotations in space."""

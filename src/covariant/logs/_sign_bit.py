@@ -1,17 +1,17 @@
-"""16-bit words of a magnitude and a sign, as serial-bus servos send them, read as plain numbers."""
+"""Detects 16-bit sign-magnitude words, which serial-bus servos send, that were logged as plain numbers."""
 
 import numpy as np
 from jaxtyping import Float
 
 SIGN_BIT = 1 << 15
-"""Sign of such a word; the other bits are the magnitude."""
+"""The sign bit of such a word; the other bits are the magnitude."""
 
 
 def has_sign_bit(values: Float[np.ndarray, "T"]) -> bool:
-    """Whether numbers are 16-bit words of a magnitude and a sign that were read as plain numbers.
+    """Whether numbers are 16-bit sign-magnitude words that were read as plain numbers.
 
-    Where such a word changes its sign it jumps by half of all numbers, and its magnitude does not. A word in two's
-    complement jumps by all of them, and a counter that passes that number by one, so both are left alone.
+    When such a word changes sign, the number jumps by half of its range while the magnitude changes little. A word in
+    two's complement jumps by the whole range, and a counter that passes this number changes by one; neither counts.
 
     Args:
         values: Numbers (T,) as logged.
@@ -32,7 +32,7 @@ def has_sign_bit(values: Float[np.ndarray, "T"]) -> bool:
 
 
 def sign_bit_fault(name: str) -> str:
-    """Message of an error for a column of such words.
+    """Message of an error for a column of sign-magnitude words.
 
     Example:
         >>> from covariant.logs import sign_bit_fault

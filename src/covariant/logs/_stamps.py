@@ -1,4 +1,4 @@
-"""Time stamps in seconds, from numbers in any unit, dates, and times since 1970."""
+"""Converts time stamps to seconds, from numbers in any unit, dates, and times since 1970."""
 
 import re
 from fractions import Fraction
@@ -15,18 +15,18 @@ from covariant.signals import LATEST_STAMP, check_rounding
 from scalargraph.errors import InputError
 
 LATEST = 1e8
-"""Stamps beyond this [s], three years, count from 1970 and not from the start of the machine."""
+"""Stamps beyond this [s], three years, count from 1970; smaller ones count from the start of the machine."""
 
 DAYS = ((25_569.0, 73_050.0), (719_529.0, 767_010.0), (2_440_587.5, 2_488_069.5))
-"""Days from 1970 to 2100, since 1900, since the year 0, and Julian."""
+"""Ranges of days that mean the years 1970 to 2100: days since 1900, days since the year 0, and Julian days."""
 DAY = 86_400.0
-"""Seconds of a day."""
+"""Number of seconds in a day."""
 _LARGEST_STEP_OF_DAYS = 2e-5
-"""Median step below which such numbers are days: 1.7 s in days, and 50 000 rows a second in seconds."""
+"""Median step below which such numbers count as days: 1.7 s in days; in seconds, 50 000 rows a second."""
 _SMALLEST_STEP = 1e-6
-"""Median step [s] below which numbers are no seconds: a machine is not logged a million times a second."""
+"""Median step [s] below which numbers cannot be seconds: no machine is logged a million times a second."""
 _FEWEST_ROWS = 50
-"""Number of rows from which their rate counts: a few may be an excerpt of something else."""
+"""Number of rows needed to judge their rate: a few rows may be an excerpt."""
 
 
 class Stamps(NamedTuple):
@@ -34,7 +34,7 @@ class Stamps(NamedTuple):
 
     Attributes:
         t: Stamps (T,) [s].
-        origin_ns: Time [ns since 1970] at which t is zero; None where t is as in the file.
+        origin_ns: Time [ns since 1970] at which t is zero; None if t is as in the file.
     """
 
     t: Float[np.ndarray, "T"]
@@ -49,7 +49,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
     Args:
         where: Log and column, the beginning of error messages.
         column: A chunked array of Arrow.
-        given: Unit of the numbers; None for seconds.
+        given: Unit of the numbers; None means seconds.
 
     Returns:
         The stamps.
@@ -61,7 +61,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
     if dated(column):
         _need_no_unit(where, given, "dates")
         ticks = _dates(pa, where, column)
-        # Integers are subtracted before they become floats, so that no digit of a date is lost.
+        # Integers are subtracted before conversion to floats, so that no digit of a date is lost.
         return Stamps((ticks - ticks[0]) * 1e-9, int(ticks[0]))
     if pa.types.is_duration(column.type):
         _need_no_unit(where, given, str(column.type))
@@ -92,18 +92,18 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
 
 
 def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | None:
-    """What is wrong with stamps that cannot be seconds: dates in days, or parts of a day or a year.
+    """Fault of stamps that cannot be seconds: dates in days, or fractions of a day or a year.
 
-    Spreadsheets count days from 1900, `datenum` from the year 0, and astronomers from 4713 BC. Such stamps would have
-    more than 50 000 rows a second as seconds. The reader and the draft refuse them, since a log that is read in a wrong
-    unit of time gives wrong velocities.
+    Spreadsheets count days from 1900, `datenum` from the year 0, and astronomers from 4713 BC. As seconds, such stamps
+    would mean more than 50 000 rows a second. The reader and the draft of a model file refuse them, since a wrong unit
+    of time gives wrong velocities.
 
     Args:
         values: Stamps (T,) as logged.
-        unit: Their unit; None where none is stated.
+        unit: Their unit; None if none is stated.
 
     Returns:
-        The fault and its remedy, which follow the name of the column; None for a clock that may count seconds.
+        The fault and its remedy, as text that follows the name of the column; None if the clock may count seconds.
 
     Example:
         >>> import numpy as np
@@ -128,8 +128,8 @@ def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | 
 
 
 def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
-    """The first number, and all numbers minus the first, exactly if possible, since a float has 16 digits."""
-    # int64 holds nanoseconds since 1970; decimals have 18 digits before the point, enough for microseconds.
+    """The first number, and all numbers minus the first; exactly if possible, since a float has only 16 digits."""
+    # int64 covers nanoseconds since 1970; decimals have 18 digits before the point, enough for microseconds.
     for exact in (pa.int64(), pa.decimal128(30, 12)):
         try:
             plain = pa.compute.utf8_trim_whitespace(column) if pa.types.is_string(column.type) else column
@@ -163,7 +163,7 @@ def _dates(pa: Any, where: str, column: Any) -> np.ndarray:
     """Nanoseconds since 1970 (T,); a date without a zone is read as UTC."""
     if pa.types.is_string(column.type):
         plain = pa.compute.utf8_trim_whitespace(column)
-        # ISO 8601 also allows a comma before the fraction of a second; Arrow reads a point only.
+        # ISO 8601 also allows a comma before the fraction of a second; Arrow accepts only a point.
         plain = pa.compute.replace_substring_regex(plain, r"(:[0-9]{2}),([0-9]+)", r"\1.\2")
         zone = None if re.search(r"(Z|[+-][0-9]{2}:?[0-9]{2})$", plain[0].as_py()) is None else "UTC"
         try:

@@ -1,4 +1,4 @@
-"""Logs in memory: data frames of any library that narwhals knows, and datasets of xarray, as tables of Arrow."""
+"""Reads logs in memory, data frames of any library that narwhals knows and datasets of xarray, as tables of Arrow."""
 
 import contextlib
 import json
@@ -18,7 +18,7 @@ from covariant.signals import Record
 from scalargraph.errors import file_name
 
 _UNIT_KEY = re.compile(r"(?:.*[_ .:])?units?(?:_of_measure(?:ment)?)?", re.IGNORECASE)
-"""Keys of the metadata of a column under which its unit stands, and of a table under which those of its columns do."""
+"""Metadata keys for the unit of a column, and for the units of all columns in the metadata of a table."""
 
 
 class LogSource(NamedTuple):
@@ -26,15 +26,15 @@ class LogSource(NamedTuple):
 
     Attributes:
         names: All names under which columns can be loaded.
-        shown: One name for each column; a log of messages knows longer ones as well.
-        load: `load(wanted, held, beside)`: the wanted columns as a table of Arrow. Columns that are `held` repeat the
-            last value where they are not logged with the others. Of a log of messages, those `beside` them make rows of
-            their own as well.
+        shown: One name for each column; a log of messages also accepts longer ones.
+        load: `load(wanted, held, beside)`: the wanted columns as a table of Arrow. Columns that are `held` repeat their
+            last value in rows in which they were not logged. In a log of messages the columns `beside` add rows at
+            their own stamps.
         units: Units that the log itself states, by column.
-        first_line: The first line of a text that has no header, whose columns are called 1, 2, 3.
-        decimal_commas: Whether a comma within a cell is a decimal mark for certain, as between semicolons.
+        first_line: The first line of a text that has no header; its columns are called 1, 2, 3.
+        decimal_commas: Whether a comma within a cell is certainly a decimal mark, as between semicolons.
         lists: Columns whose cells may be lists.
-        labels: What the log calls the entries of lists, by column.
+        labels: Names that the log gives to the entries of lists, by column.
     """
 
     names: Sequence[str]
@@ -48,7 +48,7 @@ class LogSource(NamedTuple):
 
 
 def source_name(log: Any) -> str:
-    """Name of a log in messages and tables: its path as it is shown, or "table", "dataset" or "record" in memory.
+    """Name of a log in messages and tables: its path in printable form, or "table", "dataset" or "record" in memory.
 
     Args:
         log: A path, data frame, dataset or `Record`.
@@ -99,7 +99,7 @@ def table_source(name: str, log: Any) -> LogSource:
 
 
 def _may_hold_lists(cells: Any) -> bool:
-    """Whether a series of narwhals holds lists; pandas keeps lists, arrays and texts alike as objects."""
+    """Whether a series of narwhals may contain lists; pandas stores lists, arrays and texts alike as objects."""
     narwhals = load_optional("narwhals", use="reading data frames needs", extra="logs")
     if cells.dtype != narwhals.Object:
         return isinstance(cells.dtype, (narwhals.List, narwhals.Array))
@@ -107,7 +107,7 @@ def _may_hold_lists(cells: Any) -> bool:
 
 
 def stated_units(schema: Any) -> dict[str, str]:
-    """Units in the metadata of a schema of Arrow, of which pandas writes its own as JSON, and of its fields."""
+    """Units in the metadata of an Arrow schema and of its fields; pandas writes its own metadata as JSON."""
     units = {}
     for key, text in _decoded(schema.metadata).items():
         with contextlib.suppress(ValueError):
@@ -128,13 +128,13 @@ def _units_of(attributes: Mapping[Any, Any]) -> dict[str, str]:
 
 
 def _is_dataset(log: Any) -> bool:
-    """Whether a log is a dataset of xarray, which is looked for only where xarray is imported."""
+    """Whether a log is a dataset of xarray; this is tested only if xarray is imported already."""
     xarray = sys.modules.get("xarray")
     return xarray is not None and isinstance(log, xarray.Dataset)
 
 
 def _with_index(log: Any) -> Any:
-    """A data frame of pandas with its index as a column where the index has a name, as a clock often has."""
+    """A data frame of pandas with its index as a column, if the index has a name, as a clock often does."""
     pandas = sys.modules.get("pandas")
     if pandas is None or not isinstance(log, pandas.DataFrame):
         return log
@@ -147,12 +147,12 @@ def _with_index(log: Any) -> Any:
 
 
 def _dataset_source(name: str, log: Any) -> LogSource:
-    """The one-dimensional variables and coordinates along the dimension that most of them share."""
+    """The one-dimensional variables and coordinates along the dimension that most of them have."""
     lines = {str(key): variable for key, variable in log.variables.items() if len(variable.dims) == 1}
     along = [variable.dims[0] for variable in lines.values()]
     if not along:
         raise LogError(f"{name}: it has no variable along one dimension, such as time")
-    # Of equal counts `max` takes the first, in the order of the dataset.
+    # If counts are equal, `max` takes the first one in the order of the dataset.
     time = max(dict.fromkeys(along), key=along.count)
     columns = {key: variable for key, variable in lines.items() if variable.dims[0] == time}
     units = {
@@ -173,7 +173,7 @@ def _dataset_source(name: str, log: Any) -> LogSource:
 
 
 def _arrow(name: str, column: str, convert: Callable[[], Any]) -> Any:
-    """A column as Arrow has it; raises `LogError` for cells of several kinds."""
+    """A column converted to Arrow; raises `LogError` if its cells have different types."""
     pa = pyarrow()
     try:
         cells = convert()
@@ -183,7 +183,7 @@ def _arrow(name: str, column: str, convert: Callable[[], Any]) -> Any:
 
 
 def plain_text(cells: Any) -> Any:
-    """A column of Arrow in which text of every kind is of its plain type."""
+    """A column of Arrow in which every type of text is converted to the plain one."""
     types = pyarrow().types
     if any(each(cells.type) for each in (types.is_dictionary, types.is_large_string, types.is_string_view)):
         return cells.cast(pyarrow().string())

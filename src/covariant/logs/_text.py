@@ -1,4 +1,4 @@
-"""Logs as text: header, delimiter and decimal mark are detected, and comments are left out."""
+"""Reads logs as text: detects header, delimiter and decimal mark, and leaves comments out."""
 
 import csv
 import re
@@ -12,29 +12,29 @@ from covariant.logs._columns import LogError
 from scalargraph.files import read_bytes
 
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "strokes", " ": "spaces"}
-"""Delimiters of cells, the least ambiguous first, and their names; any number of spaces is one."""
+"""Delimiters of cells with their names, the least ambiguous first; any number of spaces counts as one delimiter."""
 LONGEST_LINE = 2**20
-"""Longest line [bytes] of header and sample."""
+"""Longest line [bytes] that is accepted in header and sample."""
 SAMPLE = 30
-"""Number of rows by which the delimiter is chosen."""
+"""Number of rows from which the delimiter is determined."""
 _NOTHING = re.compile(rb"^[ \t]*(?:[#%][^\n]*)?(?:\n|\Z)", re.MULTILINE)
 """A line that is empty or a comment."""
 DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
-"""How a date begins."""
+"""Beginning of a date."""
 _COMMA = r"^(\s*[+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?\s*)$"
 _CERTAIN_COMMA = r"^\s*[+-]?(?:0*,[0-9]+|[0-9]+,(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)(?:[eE][+-]?[0-9]+)?\s*$"
-"""A number whose comma does not stand between thousands."""
+"""A number whose comma cannot separate thousands."""
 _POINT = r"^\s*[+-]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?\s*$"
 
 
 class Sheet(NamedTuple):
-    """Text of a log, split into its parts.
+    """The text of a log, split into its parts.
 
     Attributes:
-        header: Names of the columns; 1, 2, 3 and so on where the file names none.
+        header: Names of the columns; 1, 2, 3 and so on if the file has none.
         delimiter: Character between two cells, a key of `DELIMITERS`.
         rows: Bytes of the rows in UTF-8, without comments and empty lines.
-        first_line: The first line of a file that has no header; empty where there is one.
+        first_line: The first line of a file without a header; empty if there is a header.
     """
 
     header: list[str]
@@ -59,16 +59,16 @@ def sheet(path: Path) -> Sheet:
     if len(header) > MOST_COLUMNS:
         raise LogError(f"{path}: it has {len(header)} columns, more than {MOST_COLUMNS}; keep those of the machine")
     first_line = ""
-    if remark and all(is_number(cell) for cell in header if cell):  # as numpy.savetxt writes its header
+    if remark and all(is_number(cell) for cell in header if cell):  # numpy.savetxt writes its header as a comment
         names = _split_cells(path, [remark.replace(",", " ") if delimiter == " " else remark], delimiter)[0]
         if len(names) == len(header):
-            # The last comment has as many cells as the first line, which holds numbers only: it is the header.
+            # The first line has only numbers, and the last comment has as many cells: the comment is the header.
             header, sample, rows = names, [header, *sample], text
     if _is_row(header, sample):
-        # The names must not hide that the line is a measurement.
+        # The first line is a measurement too, although its cells now have names.
         first_line, sample, rows = lines[0], [header, *sample], text
         header = [str(k + 1) for k in range(max(map(len, sample)))]
-    # Rows, or the header, may end with a delimiter: then the other one lacks an empty cell.
+    # If only the rows, or only the header, end with a delimiter, the other one lacks an empty cell, added here.
     if header[-1] and sample and all(len(row) == len(header) + 1 and not row[-1] for row in sample):
         header = [*header, ""]
     elif not header[-1] and sample and all(len(row) == len(header) - 1 for row in sample):
@@ -84,9 +84,9 @@ def sheet(path: Path) -> Sheet:
 
 
 def _is_row(header: list[str], sample: list[list[str]]) -> bool:
-    """Whether the first line is a row: no cell of it is a word above numbers, and the numbers are no count of columns.
+    """Whether the first line is a row: no cell is a word above numbers, and the numbers do not just count the columns.
 
-    A count of columns, as pandas writes it above columns without names, differs in form from the rows.
+    pandas writes such a count above columns without names; it differs in form from the rows.
     """
     numbers = [cell for cell in header if _is_value(cell)]
     below = [[row[k] for row in sample if k < len(row) and row[k]] for k in range(len(header))]
@@ -98,7 +98,7 @@ def _is_row(header: list[str], sample: list[list[str]]) -> bool:
 
 
 def _is_value(cell: str) -> bool:
-    """Whether a cell holds what a row does: a number, not a number, or a date."""
+    """Whether a cell contains a value, as in a row: a number, NaN, or a date."""
     return is_number(cell) or re.fullmatch(NUMBER, cell) is not None or re.match(DATE, cell) is not None
 
 
@@ -107,11 +107,11 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
     if not found.rows.strip():
         raise LogError(f"{path}: the file has a header and no rows")
     ragged = []
-    # By places, since two columns may have one name.
+    # Columns are selected by position, since two of them may have the same name.
     places = [str(place) for place, name in enumerate(found.header) if name in wanted]
     table = pa.csv.read_csv(
         pa.BufferReader(found.rows),
-        # One thread, since Arrow knows the number of an invalid row only then.
+        # With several threads Arrow would not know the number of an invalid row.
         read_options=pa.csv.ReadOptions(
             use_threads=False, column_names=[str(place) for place in range(len(found.header))]
         ),
@@ -121,7 +121,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
         convert_options=pa.csv.ConvertOptions(
             include_columns=places,
             column_types=dict.fromkeys(places, pa.string()),
-            # Only empty cells are missing: Arrow's default list has words such as NA, which shall be quoted as faults.
+            # Only empty cells count as missing: Arrow's default list has words such as NA, which are faults here.
             null_values=[""],
             strings_can_be_null=True,
         ),
@@ -132,7 +132,7 @@ def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
             f"{path}: row {row.number} has {row.actual_columns} cells where the header has {row.expected_columns}: "
             f"{row.text[:60]!r}; a missing measurement is an empty cell between its {DELIMITERS[found.delimiter]}"
         )
-    # A quoted cell may contain line breaks, but if its closing mark is missing it contains whole rows.
+    # A quoted cell may contain line breaks, but if its closing mark is missing, it swallows whole rows.
     if b'"' in found.rows and table.num_rows < found.rows.strip(b"\n").count(b"\n") + 1:
         _check_quotes(path, found)
     table = table.rename_columns([found.header[int(place)] for place in table.column_names])
@@ -161,7 +161,7 @@ def _check_quotes(path: Path, found: Sheet) -> None:
 
 
 def with_points(pa: Any, log: str, table: Any, certain: bool) -> Any:
-    """Replace decimal commas by decimal points; where they are not `certain`, 1,234 alone may be a thousand."""
+    """Replace decimal commas by points. If they are not `certain`, a single 1,234 may also mean a thousand."""
     texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
     commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
     certain |= any(_matching(pa, table.column(name), _CERTAIN_COMMA) is not None for name in texts)
@@ -196,7 +196,7 @@ def _matching(pa: Any, column: Any, pattern: str) -> int | None:
 
 
 def _unix(text: bytes) -> bytes:
-    """The bytes in UTF-8 without its mark, each line ended by a line feed."""
+    """The text in UTF-8 without a byte order mark, with each line ended by a line feed."""
     if text[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = text.decode("utf-16").encode()
     text = text.removeprefix(b"\xef\xbb\xbf")
@@ -204,7 +204,7 @@ def _unix(text: bytes) -> bytes:
 
 
 def _remark(text: bytes) -> str:
-    """The last comment before the first line that is none, without its mark."""
+    """The last comment before the first line that is not a comment, without its comment mark."""
     last = b""
     for line in text.split(b"\n", SAMPLE):
         plain = line.strip(b" \t")
@@ -215,7 +215,7 @@ def _remark(text: bytes) -> str:
 
 
 def _split_cells(path: Path, lines: Sequence[str], delimiter: str) -> list[list[str]]:
-    """The cells of each line, without the spaces around them."""
+    """The cells of each line, without surrounding spaces."""
     if delimiter == " ":
         lines = [" ".join(line.split()) for line in lines]
     return [[cell.strip() for cell in row] for row in _split_lines(path, lines, delimiter)]
@@ -234,14 +234,14 @@ def _split_lines(path: Path, lines: Sequence[str], delimiter: str) -> Iterator[l
 
 
 def _agrees(rows: list[list[str]]) -> bool:
-    """Whether a delimiter splits all lines alike, but for one at the end of header or rows."""
+    """Whether a delimiter gives all lines the same number of cells; header and rows may differ by one cell."""
     header, *others = rows
     widths = {len(row) for row in others} or {len(header)}
     return len(header) > 1 and len(widths) == 1 and abs(len(header) - widths.pop()) <= 1
 
 
 def _of_header(line: str) -> str:
-    """The delimiter of a file whose rows do not agree: the first one that its header holds."""
+    """The delimiter of a file whose rows do not agree: the first delimiter that its header contains."""
     return next((delimiter for delimiter in DELIMITERS if delimiter in line), ",")
 
 

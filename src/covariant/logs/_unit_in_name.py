@@ -1,4 +1,4 @@
-"""Units in the names of columns, as people write them."""
+"""Recognises units in the names of columns, in the ways in which people write them."""
 
 import contextlib
 import re
@@ -10,7 +10,7 @@ from scalargraph.errors import InputError
 
 MEANT = {"t": ("s",), "q": ("rad", "m"), "u": ("N m", "N"), "v": ("rad/s", "m/s")}
 MEANT |= {"truth": (*MEANT["v"], *MEANT["u"]), "position": ("m",), "angle": ("rad",)}
-"""Units in which columns of each field are logged unless the model file states others; forces are scored as well."""
+"""Units of each field unless the model file states others; `truth` may hold velocities or, for scoring, forces."""
 _PLAIN = {
     **dict.fromkeys(("deg", "degs", "degree", "degrees", "°", "º"), "deg"),
     **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
@@ -35,7 +35,7 @@ _PLAIN = {
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("watt", "watts"), "W"),
 }
-"""How people write units, in lower case, and how they are written here; `nm` is a torque unless a length is meant."""
+"""Common spellings of units, in lower case, and the library's spelling; `nm` is a torque unless a length is meant."""
 _PREFIXES = {"milli": ("m", 1e-3), "micro": ("u", 1e-6), "nano": ("n", 1e-9), "centi": ("c", 1e-2), "kilo": ("k", 1e3)}
 _PLAIN |= {
     prefix + word: f"{symbol}{unit}"
@@ -50,36 +50,36 @@ _PLAIN |= {
     for word in ("deg", "degs", "degree", "degrees")
 }
 _RATES = {"degs": "deg/s", "rads": "rad/s"}
-"""Units of velocities whose names are those of angles as well."""
+"""Spellings of velocity units that are also spellings of angle units."""
 _NO_UNITS = {"%", "adc", "bit", "bits", "cnt", "cnts", "count", "counts", "cts", "cycles", "erpm", "inc", "increments"}
 _NO_UNITS |= {"jiffies", "lsb", "percent", "pct", "permille", "pulse", "pulses", "pwm", "step", "steps"}
 _NO_UNITS |= {"tick", "ticks"}
-"""What people write in the place of a unit for a number whose size depends on the machine."""
+"""Words that people write instead of a unit, for numbers whose size depends on the machine."""
 _FOREIGN = {"gon", "grad", "grads", "gradians", "arcmin", "arcsec", "inch", "inches", "feet", "ft", "thou", "mils"}
 _FOREIGN |= {"mph", "knots", "week", "weeks", "fortnight", "hhmmss", "quads"}
 _WEIGHTS = {"lb", "lbs", "lbf", "pounds", "oz", "ounces", "kg", "kgf", "gf", "dyn", "dynes"}
 _FOREIGN |= _WEIGHTS
-"""Units that are not among those here; weights count in the names of forces, since lb is a leg as well."""
+"""Units that the library does not convert; weights count only in names of forces, since `lb` may also be a leg."""
 _EXACT = ("mA", "uA", "µA", "mV", "uV", "kV", "mW", "kW", "mN", "kN", "urad", "µrad")
-"""Units that are told from other words by their capitals."""
+"""Units that only their capital letters distinguish from other words."""
 _LAST = {"turn", "rev", "min", "mins", "hr", "cm", "um", "km", "rps", "mps", "nm", "day", "second", "minute", "hour"}
 _LAST |= {"count", "tick", "step", "steps", "pulse", "cnt", "ft", "feet", "grad", "week", "weeks", "mils", "quads"}
 _LAST |= {"watt", "volt", "milli", "micro", "nano", "lb", "lbs", "oz", "kg", "gf", "dyn", "thou", "pounds", "cycles"}
-"""Words that are a unit only at the end of a name: `cm_x` is of a centre of mass."""
+"""Words that are a unit only at the end of a name: `cm_x` belongs to a centre of mass."""
 _ENDS_OF_RANGES = {"min", "mins"}
-"""Units of time that mean something else in names of other columns: q_min."""
+"""Units of time that mean something else in names of other columns, such as q_min."""
 _ROWS = re.compile(
     r"(?:frame|sample|row|scan|iter|iteration|loop|step|count|counter|index|idx|seq|sequence)"
     r"(?:[_ ]?(?:no|nr|num|number|id|idx|index|count|counter))?|(?:.*[_ ./])?(?:frames|samples|rows|iterations|seq)",
     re.IGNORECASE,
 )
-"""Names of columns that count rows, where seconds are meant."""
+"""Names of columns that count rows, used in place of a time."""
 _WORDLESS = {"adc", "pwm", "bit", "bits", "inc", "step", "amp"}
-"""Of these, words that outside of brackets name what is measured."""
+"""Of these, words that name the measured quantity, unless they stand in brackets."""
 
 
 def _alternatives(words: Iterable[str]) -> str:
-    """The part of a regular expression that matches the longest of several words."""
+    """A regular expression that matches the longest of several words."""
     return "|".join(re.escape(word) for word in sorted(words, key=len, reverse=True))
 
 
@@ -94,7 +94,7 @@ _WORD = re.compile(
     r"|(?P<force>[mkcuµM]?N)[-_ .*·]?(?P<arm>[cm]?m)"
     r"|(?P<imperial>(?i:(?:ozf?|lbs?|lbf|kgf?|gf)[-_ .*·]?(?:in|inch|ft|foot|cm|mm|m)"
     r"|(?:in|inch|ft|foot)[-_ .*·]?(?:ozf?|lbs?|lbf)))"
-    # Ticks of 10 ms: a digit alone is an index, as in q1deg.
+    # Ticks of 10 ms are matched with their number; a digit alone is an index, as in q1deg.
     rf"|(?P<plain>(?<![0-9])10+(?:ms|us|ns)|(?i:{_alternatives(_NAMED)})|{_alternatives(_EXACT)})"
     rf"){_END}"
 )
@@ -104,16 +104,16 @@ _GLUED = re.compile(
     r"|(?<=time|tamp)(?:ms|us|ns)|(?<=[_ ./])(?:hz|amp))$",
     re.IGNORECASE,
 )
-"""Units that end no other word, as in `pitchdeg`, `timems` and `q°`, or no name that goes on, as in `i_amp`."""
+"""Units glued to a word, as in `pitchdeg`, `timems` and `q°`, or at the end of a name, as in `i_amp`."""
 _LETTER = re.compile(r"(?:^|(?<=[_ ./]))[AVWNJmshg]$")
-"""A unit of one letter, which takes a mark before it: `cart_m`."""
+"""A unit of one letter, which must follow a separator: `cart_m`."""
 _BRACKETS = re.compile(
     r"(?P<stem>.*?)(?P<space>\s*)"
     r"(?:\[(?P<square>[^\[\]()]*)\]|\((?P<round>[^\[\]()]*)\)|\{(?P<curly>[^{}]*)\}|<(?P<pointed>[^<>]*)>)\s*$"
 )
 """A name with something in brackets at its end."""
 _INDEX = re.compile(r"(?!.*[0-9]\s*(?:\.\.|-)\s*[0-9])[-+.,:;\s0-9e]*")
-"""What is in the brackets of q[0], q[0, 1] and q(1), but not of q [0..4095]."""
+"""Content of brackets that is an index, as in q[0], q[0, 1] and q(1); a range as in q [0..4095] is not."""
 KNOWN = {
     "t": ("s, ms, us, ns, min, h", 't = "0.01 s" for samples of 10 ms'),
     "q": ("rad, mrad, deg, turn, rev and m, mm, cm", 'q = "turn/4096" for ticks of a 4096th of a turn'),
@@ -123,9 +123,9 @@ KNOWN = {
     "position": ("m, mm, cm", 'position = "0.0254 m" for inches'),
     "angle": ("rad, mrad, deg, turn, rev", 'angle = "turn/4096" for ticks of a 4096th of a turn'),
 }
-"""Units of the columns of each field, and how a model file states another one under [units]."""
+"""Units of the columns of each field, and how a model file states others under [units]."""
 _TURNS = {"th", "theta", "phi", "psi", "angle", "ang"}
-"""Words of angles: theta_m is the angle of a motor, not a length."""
+"""Words for angles: theta_m is the angle of a motor, not a length."""
 
 
 def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
@@ -136,7 +136,7 @@ def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
         meant: Units of the quantities that the column may hold, as `("rad", "m")`.
 
     Returns:
-        The unit, where it is of one of these kinds; otherwise None.
+        The unit, if it is of one of these kinds; otherwise None.
 
     Example:
         >>> from covariant.logs import unit_in_name
@@ -148,12 +148,12 @@ def unit_in_name(name: str, meant: Sequence[str]) -> str | None:
         if unit is not None and not (unit == "m" and _TURNS & words_of(name)):
             return unit
         if found.bracketed and _is_stated(found.text):
-            return None  # What stands in brackets counts, whatever the words before it.
+            return None  # a text in brackets takes precedence over the words before it
     return None
 
 
 class _Statement(NamedTuple):
-    """A text in the name of a column that may be a unit, where it stands, and whether it stands in brackets."""
+    """A text in the name of a column that may be a unit, its position, and whether it is in brackets."""
 
     text: str
     start: int
@@ -162,13 +162,13 @@ class _Statement(NamedTuple):
 
 
 def _statements(name: str) -> Iterator[_Statement]:
-    """What may be a unit in a name, the likeliest first: what is in brackets, the last word, the words before it."""
+    """Texts in a name that may be units, the likeliest first: the one in brackets, the last word, the words before."""
     brackets = _BRACKETS.fullmatch(name)
     stem = name
     if brackets is not None:
         stem = brackets["stem"]
         whole = _Statement(_content(brackets), len(stem), len(name), bracketed=True)
-        # A remark may hold a unit: q (left, deg).
+        # A remark in brackets may contain a unit: q (left, deg).
         yield from (whole, *(whole._replace(text=word.text) for word in _words(whole.text)))
     yield from _words(stem)
 
@@ -180,7 +180,7 @@ def _words(text: str) -> Iterator[_Statement]:
         if not (words and words[-1].end == len(text)) and (match := pattern.search(text)) is not None:
             words.append(_Statement(match[0], *match.span()))
     for word in reversed(words):
-        # The indices of columns stand after their units: q_deg_1.
+        # An index may follow the unit: q_deg_1.
         if word.text.lower() not in _LAST or not re.search(r"[^\W\d_]", text[word.end :]):
             yield word
 
@@ -190,7 +190,7 @@ def _content(brackets: re.Match[str]) -> str:
 
 
 def _written(match: re.Match[str]) -> str:
-    """A unit among words, with a slash where it divides and a space where it multiplies."""
+    """A unit that is written among words, with a slash for division and a space for multiplication."""
     if match["over"]:
         return f"{match['over']}/{match['under']}" + ("^2" if match["power"] else "")
     if match["force"]:
@@ -199,14 +199,14 @@ def _written(match: re.Match[str]) -> str:
 
 
 def _unit_of(text: str, meant: Sequence[str]) -> str | None:
-    """A unit of the kind of one of several units, as it is written here; None if a text is none."""
+    """A unit of the same kind as one of several units, in the library's spelling; None if the text is not one."""
     text = text.strip().rstrip(".")
     if _INDEX.fullmatch(text):
         return None
     spaced = re.sub(r"(?<=N)\s*[-_.×]\s*(?=[cm]?m$)", " ", text)
-    # deg s^-1
+    # For example: deg s^-1.
     divided = re.sub(r"[ ·*.]?\b([^\W\d_]+)(?:\^?[-−]1|⁻¹)", r"/\1", spaced)
-    # degrees/s, newton meters
+    # For example: degrees/s, newton meters.
     by_word = re.sub(r"[^\W\d_]+", lambda word: _PLAIN.get(word[0].lower(), word[0]), divided.replace("_", "/"))
     for unit in (_PLAIN.get(text.lower()), _RATES.get(text.lower()), spaced, by_word):
         if unit is not None and is_unit_of(unit, meant):
@@ -215,7 +215,7 @@ def _unit_of(text: str, meant: Sequence[str]) -> str | None:
 
 
 def _is_stated(text: str) -> bool:
-    """Whether a text stands for a unit of any kind, known here or not."""
+    """Whether a text means a unit of any kind, whether the library knows it or not."""
     text = text.strip()
     plain = text.lower()
     return bool(text) and (
@@ -224,11 +224,11 @@ def _is_stated(text: str) -> bool:
 
 
 def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) -> str | None:
-    """Text in the name of a column that stands for a unit, and is none of its quantity.
+    """Text in the name of a column that stands for a unit, but not for a known one of its quantity.
 
-    It is in brackets, or the last word of the name. An index, as in `position[1]`, is none, nor are keys, as in
-    `position[hip]` beside `position[knee]` or `torque_A` beside `torque_B`, nor is a remark in other brackets, as in
-    `q (left)`, unless it holds another unit or a number of ticks, counts or per cent, as in `q (raw ticks)`.
+    It is in brackets, or the last word of the name. Not counted are an index, as in `position[1]`; keys, as in
+    `position[hip]` beside `position[knee]` or `torque_A` beside `torque_B`; and a remark in other brackets, as in
+    `q (left)`, unless it contains another unit or a number of ticks, counts or per cent, as in `q (raw ticks)`.
 
     Args:
         name: Name of a column, as "q1 [ticks]".
@@ -236,7 +236,7 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
         others: Names of all columns of the same field.
 
     Returns:
-        The text; None where the name states no unit, or a known one.
+        The text; None if the name states no unit, or a known one.
 
     Example:
         >>> from covariant.logs import unknown_unit
@@ -248,7 +248,7 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
     match = _BRACKETS.fullmatch(name)
     if match is not None and (text := _content(match).strip()) and not _INDEX.fullmatch(text):
         if match["square"] is None or not match["stem"]:
-            # q (0-4095), q (raw ticks), u (A rms), and t in the letters of another language
+            # Examples: q (0-4095), q (raw ticks), u (A rms), and t in the letters of another language.
             is_unit = _is_stated(text) or any(_words(text)) or text[0].isdigit()
             is_unit |= not text.isascii() if is_unit_of("s", meant) else re.match(r"[AVW]\W", text) is not None
             return text if is_unit else None
@@ -271,7 +271,7 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
             return word.text
         elif (is_force and word.text in "AVW") or (not is_time and word.text == "V"):
             siblings = [each for each in others if each[:-1] == stem[:-1]]
-            # The joints A and B
+            # A and V may also be names, such as joints A and B, as other columns show.
             return word.text if all(each[-1:] in "AVW" for each in siblings) else None
     return None
 
@@ -279,15 +279,15 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
 def unknown_unit_fault(
     name: str, field: str, text: str, stated: bool = False, drafted: bool = False, sensor: str | None = None
 ) -> str:
-    """Message of an error: what units a field has, and what to do about another one.
+    """Message of an error: the units that a field may have, and what to do about another one.
 
     Args:
         name: Name of the column.
         field: A key of `KNOWN`.
         text: The unit that is not known.
-        stated: Whether it is stated by the log itself, and not in the name of the column.
-        drafted: Whether the model file is still to be drafted.
-        sensor: SI unit of the readings of a sensor, which the columns are of; None for a field.
+        stated: Whether the log itself states it, instead of the name of the column.
+        drafted: Whether the model file has yet to be drafted.
+        sensor: SI unit of the readings, if the column belongs to a sensor; None for a field.
 
     Example:
         >>> from covariant.logs import unknown_unit_fault

@@ -1,4 +1,4 @@
-"""Units of the columns of a log: the factor by which a number is multiplied to be in SI units and radians."""
+"""Converts units of the columns of a log: the factor from a unit to SI units and radians."""
 
 import math
 import re
@@ -47,7 +47,7 @@ _FACTOR = re.compile(rf"(?P<number>{DECIMAL})|(?P<symbol>[^\W\d_²³]+|°)(?P<po
 
 
 def _unit(text: str) -> _Unit:
-    """Parse a unit: factors are multiplied, and one after a slash divides; raises `ValueError`."""
+    """Parse a unit: factors are multiplied, and a slash divides by the next one; raises `ValueError`."""
     size, exponents, has_symbol, rest, sign = 1.0, [0] * 5, False, text.strip(), 1
     while rest or sign < 0 or not text.strip():
         match = _FACTOR.match(rest)
@@ -57,7 +57,7 @@ def _unit(text: str) -> _Unit:
                 f"unit {text!r} is not understood at {rest[:12]!r}; write it as in ms, us, deg, deg/s, mm, mN m, "
                 "turn/4096 for ticks of a 4096th of a turn, or -1 N m for the other sign"
             )
-        # A slash divides by the next factor only. A zero divisor becomes infinity, so that the check below refuses it.
+        # A slash divides by the next factor only. A zero divisor becomes infinity, which the check below refuses.
         size *= part.factor if sign > 0 else 1 / (part.factor or math.inf)
         if part.exponents is not None:
             has_symbol = True
@@ -81,7 +81,7 @@ def _part(match: re.Match[str]) -> _Unit | None:
         base = base._replace(factor=base.factor * _PREFIXES[name[0]])
     if base is None or base.exponents is None:
         return None
-    # The power includes the prefix: mm² is (mm)², SI Brochure, section 3.
+    # A power applies to the prefix too: mm² is (mm)², SI Brochure, section 3.
     return _Unit(base.factor**power, tuple(power * e for e in base.exponents))
 
 
@@ -89,8 +89,8 @@ def unit_factor(text: str) -> float:
     """Factor that converts a number in a unit to SI units and radians.
 
     Args:
-        text: The unit: `ms`, `deg/s`, `mN m`, `turn/4096` for ticks of a 4096th of a turn, `-1 N m` for the other sign,
-            or a bare number, `1e-3`.
+        text: The unit: `ms`, `deg/s`, `mN m`, `turn/4096` for ticks of a 4096th of a turn, `-1 N m` for the opposite
+            sign, or a bare number, `1e-3`.
 
     Returns:
         The factor, finite and not zero.
@@ -109,7 +109,7 @@ def unit_factor(text: str) -> float:
 def check_unit(text: str, wanted: str) -> None:
     """Check that a unit measures the same kind of quantity as another.
 
-    A bare number always fits, and every unit fits if `wanted` is unknown.
+    A bare number fits any unit, and any unit fits if `wanted` is unknown.
 
     Args:
         text: The unit.

@@ -1,4 +1,4 @@
-"""Writing of columns of numbers: first into a file beside the target, so that the target is complete or unchanged."""
+"""Writes columns of numbers, first to a file beside the target, so that the target is complete or unchanged."""
 
 import csv
 import io
@@ -18,8 +18,8 @@ from scalargraph.files import write_atomically
 def write(path: str | PathLike[str], columns: Mapping[str, np.ndarray], origin_ns: int | None = None) -> None:
     """Write columns of numbers to a file or folder; floats are read back exactly, NaN included.
 
-    The file appears at once and complete, replacing one of the same name; after a failure the old one is unchanged. A
-    folder is not replaced.
+    The file appears at once and complete, and replaces a file of the same name; after a failure the old file is
+    unchanged. A folder is never replaced.
 
     Args:
         path: A `.csv`, `.txt` or `.tsv` file, a `.parquet` file, or ROS messages: an `.mcap` file, or the folder of a
@@ -79,8 +79,8 @@ def _check_columns(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, n
 
 
 def _column(pa: Any, array: np.ndarray) -> Any:
-    """A column of Arrow over the memory of an array; where Arrow converts one itself, it imports pandas first."""
-    # Arrow's buffers are in the byte order of the machine; an array of a file may be in the other.
+    """A column of Arrow that shares the memory of an array; Arrow's own conversion would import pandas first."""
+    # Arrow expects the byte order of the machine; an array read from a file may have the other.
     numbers = pa.py_buffer(np.ascontiguousarray(array, array.dtype.newbyteorder("=")))
     return pa.Array.from_buffers(pa.from_numpy_dtype(array.dtype), len(array), [None, numbers])
 

@@ -1,4 +1,4 @@
-"""The algorithm as published: back along the solution, then forward with the metric. An independent computation."""
+"""Computes a metric by the published algorithm, back along the solution and then forward, as an independent check."""
 
 from typing import Literal, NamedTuple
 
@@ -13,7 +13,7 @@ from covariant.models import StateSpace
 
 
 class Characteristic(NamedTuple):
-    """The published algorithm along one characteristic.
+    """Result of the published algorithm along one characteristic.
 
     Attributes:
         t: time stamps (K,) [s] from −T to 0.
@@ -46,7 +46,7 @@ def metric_through(
 ) -> Characteristic:
     """Metric along the characteristic through x: steps 1 to 3 of section III of Sanfelice & Praly 2015.
 
-    Back along the solution to −T, then forward along it with the metric from π(−T) = start.
+    The solution is integrated backward to −T, then forward together with the metric, from π(−T) = start.
 
     Args:
         model: system with state x (n,) and output y (p,).
@@ -56,15 +56,15 @@ def metric_through(
         steps: number of integration steps each way.
         start: metric at −T, a matrix (n, n) or a multiple of I.
         u: constant input (m,), zero by default.
-        route: "riccati" integrates π. "radon" integrates Radon's linear pair (α, β), π = α β⁻¹, instead: equation (10),
-            whose first line must read `−f_xᵀ α + h_xᵀ h_x β`. Here β is reset to I at every step, since the pair grows
-            without bound.
+        route: "riccati" integrates π. "radon" integrates Radon's linear pair (α, β), π = α β⁻¹, of equation (10), whose
+            first line must read `−f_xᵀ α + h_xᵀ h_x β`. Since the pair grows without bound, β is reset to I at every
+            step.
 
     Returns:
         Time stamps, states and metrics.
 
     Raises:
-        ValueError: where the length of x is not the number of states of the model.
+        ValueError: the length of x differs from the number of states of the model.
 
     Example:
         For x' = −x, y = x and λ = 3 the solution is P = 1:
@@ -86,7 +86,7 @@ def metric_through(
     def back(y, _):
         return rk8(lambda s, y: -model.f(t0, y, input_held), t0, y, h), y
 
-    # Each step records the state before it, so that `later` begins with x, the last node of the way forward.
+    # Each step records the state before it, so `later` begins with x, the last node of the way forward.
     first, later = jax.lax.scan(back, x, length=steps)
     nodes = jnp.concatenate([first[None], later[::-1]])
 
@@ -94,25 +94,26 @@ def metric_through(
         y, p = joint
         a, q, c = coefficients(model, equation, y, input_held)
         quadratic = 0.0 if q is None else p @ q @ p
-        # L_f P = Ṗ + P f_x + f_xᵀ P solved for Ṗ; the rate is in a = f_x + λ/2, and R⁻¹ in the scaled rows c.
+        # L_f P = Ṗ + P f_x + f_xᵀ P solved for Ṗ; a = f_x + λ/2 contains the rate, the scaled rows c contain R⁻¹.
         return model.f(t0, y, input_held), -p @ a - a.T @ p + c.T @ c - quadratic
 
     def radon(s, joint):
         y, alpha, beta = joint
         a, q, c = coefficients(model, equation, y, input_held)
-        # P = αβ⁻¹ has Ṗ = α'β⁻¹ − P β'β⁻¹, Riccati's equation; the first line of (10) is misprinted (see the errata).
+        # P = αβ⁻¹ has Ṗ = α'β⁻¹ − P β'β⁻¹, the Riccati equation. The first line of (10) is misprinted, see the errata.
         grown = a @ beta if q is None else q @ alpha + a @ beta
         return model.f(t0, y, input_held), -a.T @ alpha + c.T @ c @ beta, grown
 
     def forward(p, node):
-        # Each step starts from the state stored on the way back, so that an unstable solution is followed exactly.
+        # Each step starts from the state stored on the way back, so an unstable solution is followed exactly.
         if route == "riccati":
             p = rk8(riccati, t0, (node, p), h)[1]
         else:
-            # From (P, I) anew at each step: over a long way both grow along the same solutions, and β becomes singular.
+            # The pair restarts from (P, I) at each step: over a long time both grow along the same solutions, and β
+            # becomes singular.
             _, alpha, beta = rk8(radon, t0, (node, p, eye), h)
             p = alpha @ jnp.linalg.inv(beta)
-        # The exact solution is symmetric; rounding is not.
+        # Rounding makes P slightly asymmetric; the exact solution is symmetric.
         p = (p + p.T) / 2
         return p, p
 

@@ -1,4 +1,4 @@
-"""The Riccati equation of a contraction metric, and its two sides."""
+"""Defines the Riccati equation of a contraction metric, and computes its two sides."""
 
 import inspect
 from collections.abc import Callable
@@ -17,11 +17,11 @@ from scalargraph.errors import InputError
 class Equation(eqx.Module):
     """Riccati equation `L_f P = dhᵀ R⁻¹ dh − λ P − P Q P` for the metric P.
 
-    It is equation (8) of the paper with Q alone and (15) with λ alone.
+    It is equation (8) of the paper if only Q is set, and (15) if only λ is set.
 
-    A rate λ gives a metric that contracts at a known rate, and Q gives that of a Kalman–Bucy filter with this noise.
-    Use it in `metric_at` and `RiccatiMetric`. Q and R are densities: for a sensor with samples R is the variance of one
-    divided by the sampling rate, as `observers.StateNoise` computes it.
+    A rate λ gives a metric that contracts at a known rate; Q gives the metric of a Kalman–Bucy filter with this noise.
+    Use it in `metric_at` and `RiccatiMetric`. Q and R are spectral densities: for a sampled sensor, R is the variance
+    of one sample divided by the sampling rate, as `observers.StateNoise` computes it.
 
     Attributes:
         rate: λ [1/s], 0 by default; the observer with gain ¼ contracts the distance in P at the rate λ/2.
@@ -31,7 +31,7 @@ class Equation(eqx.Module):
             noise.
 
     Raises:
-        ValueError: when there is neither λ nor Q, or a negative λ.
+        ValueError: there is neither λ nor Q, or λ is negative.
 
     Example:
         >>> import jax.numpy as jnp
@@ -45,16 +45,16 @@ class Equation(eqx.Module):
     measurement_cov: Float[Array, "p p"] | None = None
 
     def __check_init__(self):
-        # Only Python numbers are checked: the value of an array may be unknown, as inside a compiled function.
+        # Only Python numbers are checked, since the value of an array is unknown in a compiled function.
         if isinstance(self.rate, float | int):
             if not 0 <= self.rate < float("inf"):
                 raise InputError(f"rate must be a number ≥ 0; got {self.rate}")
-            # Without λ and Q nothing is forgotten, and W grows without bound.
+            # Without λ and Q the past is never forgotten, and W grows without bound.
             if self.rate == 0 and self.process_cov is None:
                 raise InputError("an equation needs a rate λ > 0, a process_cov Q, or both; it has neither")
 
     def noise(self, x: Vector) -> Matrix | None:
-        """Q (n, n) at the state x (n,), or None for an equation without Q."""
+        """Q (n, n) at the state x (n,), or None if the equation has no Q."""
         q = self.process_cov(x) if callable(self.process_cov) else self.process_cov
         return None if q is None else jnp.asarray(q, x.dtype)
 
@@ -100,7 +100,7 @@ def coefficients(model: StateSpace, equation: Equation, x: Vector, u: Array):
     a, c = model.jacobians(jnp.zeros((), x.dtype), x, u)
     eye = jnp.eye(x.shape[0], dtype=x.dtype)
     if equation.measurement_cov is not None:
-        # With R = L Lᵀ: (L⁻¹c)ᵀ(L⁻¹c) = cᵀR⁻¹c, so that R⁻¹ is never formed.
+        # With R = L Lᵀ, (L⁻¹c)ᵀ(L⁻¹c) = cᵀR⁻¹c, so R⁻¹ need not be formed.
         c = half_solve(jnp.asarray(equation.measurement_cov, x.dtype), c)
     # P(f_x + λ/2) + (f_x + λ/2)ᵀ P = P f_x + f_xᵀ P + λ P.
     shifted = a + jnp.asarray(equation.rate, x.dtype) / 2 * eye

@@ -1,4 +1,4 @@
-"""Grids of states, and the blocks in which they are computed."""
+"""Defines grids of states, and divides them into the blocks in which they are computed."""
 
 import math
 import operator
@@ -16,8 +16,9 @@ from scalargraph.errors import InputError
 class Grid:
     """A box of n axes with equally spaced points, both ends included.
 
-    Use it for the states at which a metric is tabulated, as by `verbs.design_metric`. The number of points is the
-    product of all counts, so it grows fast with the number of axes. The names are those of the states, in their order.
+    Use it for the states at which a metric is tabulated, for example by `verbs.design_metric`. The number of points is
+    the product of all counts, so it grows fast with the number of axes. Names are those of the states, in the same
+    order.
 
     Attributes:
         names: name of each axis, an identifier; all different.
@@ -117,19 +118,19 @@ class Blocks(NamedTuple):
         return math.prod(part.stop - part.start for part in self.region(index))
 
     def points(self, index: tuple[int, ...]) -> Float[np.ndarray, "points n"]:
-        """Coordinates of the points of a block, with the last point of an axis repeated beyond its end."""
+        """Coordinates of the points of a block; beyond the end of an axis its last point is repeated."""
         parts = zip(index, self.sides, self.axes, strict=True)
         lines = [axis[np.minimum(k * side + np.arange(side), len(axis) - 1)] for k, side, axis in parts]
         return np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, len(lines))
 
 
 def cut(grid: Grid, points: int) -> Blocks:
-    """Cut a grid into blocks, as close to cubes as the counts allow."""
+    """Divide a grid into blocks that are as close to cubes as the counts allow."""
     if points < 1:
         raise InputError(f"a block needs at least one point; got {points}")
     sides, remaining, shape = [1] * len(grid.shape), points, grid.shape
     for k, axis in enumerate(sorted(range(len(shape)), key=shape.__getitem__)):
-        # The small number is for rounding: 4096 ** (1 / 3) is less than 16 in doubles.
+        # The small number compensates rounding: 4096 ** (1 / 3) is less than 16 in doubles.
         side = min(shape[axis], int(remaining ** (1 / (len(shape) - k)) + 1e-9))
         sides[axis] = math.ceil(shape[axis] / math.ceil(shape[axis] / side))  # no thin blocks at the edge
         remaining //= sides[axis]

@@ -1,4 +1,4 @@
-"""The metric of the high-gain observer, with which this observer becomes a Riccati observer."""
+"""Computes the metric for which a Riccati observer is the high-gain observer."""
 
 import math
 
@@ -17,9 +17,9 @@ def high_gain(model: StateSpace, rate: Number) -> MatrixField:
 
     It solves equation (15) for a chain of integrators, pulled back by the map `x -> (h, L_f h, …, L_f^{n−1} h)` from
     the state to the derivatives of the output. Use it in `observers.Riccati` with gain ½: for a chain of integrators
-    all poles of the observer are at −rate, and the other terms of a model are dominated where the rate is large enough.
-    Where the map is singular, so is the metric. Source: Gauthier, Hammouri & Othman 1992, A simple observer for
-    nonlinear systems.
+    all poles of the observer are at −rate, and a sufficiently large rate dominates the other terms of a model. If the
+    map is singular, so is the metric. Source: Gauthier, Hammouri & Othman 1992, A simple observer for nonlinear
+    systems.
 
     Args:
         model: system with one output; its input is taken as zero.
@@ -29,7 +29,7 @@ def high_gain(model: StateSpace, rate: Number) -> MatrixField:
         The metric as a function `x (n,) -> (n, n)`.
 
     Raises:
-        ValueError: for a model with more than one output.
+        ValueError: the model has more than one output.
 
     Example:
         The double integrator:
@@ -51,11 +51,11 @@ def high_gain(model: StateSpace, rate: Number) -> MatrixField:
         def derivatives(y):
             functions = [lambda z: model.h(t0, z, input_held)[0]]
             for _ in range(n - 1):
-                # The default argument binds this derivative; a closure would refer to the last one of the list.
+                # The default argument binds the current derivative; a closure would refer to the last one of the list.
                 functions.append(lambda z, last=functions[-1]: jax.jvp(last, (z,), (model.f(t0, z, input_held),))[1])
             return jnp.stack([function(y) for function in functions])
 
-        # x ↦ (h, L_f h, …, L_fⁿ⁻¹h) turns the model into a chain of integrators, whose metric its Jacobian pulls back.
+        # The map turns the model into a chain of integrators; its Jacobian pulls back the metric of this chain.
         jacobian = jax.jacfwd(derivatives)(x)
         order = np.arange(n)
         binomial = np.array([[math.comb(i + j, j) for j in order] for i in order])

@@ -1,4 +1,4 @@
-"""Evaluation of a function on a grid: one compiled program, run over the blocks by threads or workers of a cluster."""
+"""Evaluates a function on a grid: one compiled program runs over the blocks, in threads or in workers of a cluster."""
 
 import contextlib
 import functools
@@ -40,20 +40,20 @@ def map_grid(
     """Evaluate a function at every point of a grid, and write the values to a Zarr store.
 
     A run that was stopped, killed or failed continues when called again. The store keeps a hash of what the function
-    computes, so that a run does not go on with another function. One that calls Python has no hash: change the
-    provenance with it.
+    computes, so that a run cannot continue with another function. A function that calls Python has no hash: whenever
+    you change it, change the provenance too.
 
     Args:
-        function: takes one point x (n,) [units of the grid] to a dict of arrays of any fixed shapes; JAX must be able
-            to trace it.
+        function: maps one point x (n,) [units of the grid] to a dict of arrays of fixed shapes; JAX must be able to
+            trace it.
         grid: the grid of points.
         path: path of the store.
-        variables: description of each of these arrays, by its name.
+        variables: description of each of these arrays, by the array's name.
         provenance: where the function comes from, in values that JSON can represent; it is written to the store.
         block: largest number of points that one worker computes at a time.
-        scheduler: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", or a `distributed.Client`,
-            whose workers compute instead; they need access to the path. On processors of one kind all write the same
-            bytes.
+        scheduler: address of the scheduler of a Dask cluster, such as "tcp://10.0.0.1:8786", or a `distributed.Client`.
+            Its workers then do the computation, and need access to the path. On processors of one kind they write the
+            same bytes.
         workers: number of threads of this process, by default one for each processor.
         on_progress: called as `on_progress(done, total)` with numbers of points, first with those already computed,
             then after every block.
@@ -62,11 +62,11 @@ def map_grid(
         The absolute path of the store.
 
     Raises:
-        ValueError: one line, for a function that does not match `variables`, and for a path that holds anything but an
-            earlier run with the same function, grid, variables, provenance and block.
-        FileNotFoundError: where the folder of the path does not exist.
-        ImportError: for a missing package.
-        Exception: any that the function raises.
+        ValueError: one line: the function does not match `variables`, or the path holds anything other than an earlier
+            run with the same function, grid, variables, provenance and block.
+        FileNotFoundError: the folder of the path does not exist.
+        ImportError: a package is missing.
+        Exception: any error that the function raises.
 
     Example:
         >>> import jax.numpy as jnp
@@ -79,7 +79,7 @@ def map_grid(
         [-1.0, -0.54, 0.42, 0.99]
     """
     crew = Crew(workers, scheduler).check()
-    # Absolute, since the workers of a cluster have their own working folders.
+    # The path is made absolute, since workers of a cluster have other working folders.
     path, blocks = Path(path).absolute(), cut(grid, block)
     outputs, function_hash = _outputs(function, grid, variables), _function_hash(function, grid)
     _store.prepare(path, _store.configuration(grid, blocks, outputs, provenance, function_hash), blocks)
@@ -103,21 +103,21 @@ def map_grid(
 
 
 class _Work(NamedTuple):
-    """Everything needed to compute any block."""
+    """All data that the computation of a block needs."""
 
     function: Callable[[Array], Mapping[str, Any]]
     path: str
     blocks: Blocks
 
     def __call__(self) -> Callable[[Index], None]:
-        """Compile the program for blocks of the full size: one serves them all."""
+        """Compile one program for blocks of the full size; it serves all blocks."""
         points = jax.ShapeDtypeStruct(self.blocks.points((0,) * len(self.blocks.sides)).shape, jnp.float64)
-        # In batches small enough for a processor's cache, in which few points wait for the slowest one.
+        # Small batches fit in a processor's cache, and few points have to wait for the slowest one.
         program = jax.jit(lambda x: jax.lax.map(self.function, x, batch_size=BATCH)).lower(points).compile()
         return functools.partial(self.compute, program)
 
     def compute(self, program: Callable[[Any], Any], index: Index) -> None:
-        """Evaluate a block, cut off what lies beyond the grid, and write it."""
+        """Evaluate a block, remove the points beyond the grid, and write the rest."""
         region, sides = self.blocks.region(index), self.blocks.sides
         inside = tuple(slice(part.stop - part.start) for part in region)
         values = jax.device_get(program(self.blocks.points(index)))
@@ -131,13 +131,13 @@ def _function_hash(function: Callable, grid: Grid) -> str | None:
     known = fingerprint(traced.jaxpr)
     if known is not None:
         return known
-    # Operations that this library does not lower itself have a meaning in the graph that JAX compiles.
+    # If this library cannot hash an operation, the text of the graph that JAX compiles identifies it.
     text = traced.lower().as_text()
     return None if "callback" in text else hashlib.sha256(text.encode()).hexdigest()
 
 
 def _outputs(function: Callable, grid: Grid, variables: Mapping[str, Variable]) -> dict[str, dict[str, Any]]:
-    """The arrays to store for each variable; raises `ValueError` where the function does not return them."""
+    """The arrays to store for each variable; raises `ValueError` if the function does not return them."""
     outputs = jax.eval_shape(function, jax.ShapeDtypeStruct((len(grid.names),), jnp.float64))
     if not isinstance(outputs, Mapping) or set(outputs) != set(variables):
         returned = sorted(outputs) if isinstance(outputs, Mapping) else f"a {type(outputs).__name__}"

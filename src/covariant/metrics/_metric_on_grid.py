@@ -1,4 +1,4 @@
-"""Contraction metrics on a grid of states.
+"""Computes contraction metrics on a grid of states.
 
 Source: Sanfelice & Praly 2015, section III.
 """
@@ -38,7 +38,7 @@ def metric_on_grid(
     workers: int | None = None,
     on_progress: Callable[[int, int], object] | None = None,
 ) -> Path:
-    """Solve the Riccati equation at every point of a grid of states, into a Zarr store.
+    """Solve the Riccati equation at every point of a grid of states, and write the solutions to a Zarr store.
 
     The store holds the fields of a `metrics.Solution`: `metric` P, `error_bound`, `horizon` [s], `reconstructibility`
     and `result`.
@@ -62,7 +62,7 @@ def metric_on_grid(
         The absolute path of the store.
 
     Raises:
-        ValueError: where the axes of the grid are not the states.
+        ValueError: the axes of the grid differ from the states.
 
     Example:
         For x' = 0, y = x and λ = 2 the solution is P = 1/λ everywhere:
@@ -117,10 +117,10 @@ VARIABLES = {
 
 
 def load_metric(path: str | os.PathLike[str]) -> Interpolated:
-    """Metric of a finished store of `metric_on_grid`, interpolated between the points of its grid.
+    """Load the metric of a finished store of `metric_on_grid`, interpolated between the points of its grid.
 
     Use it to give a stored metric to `observers.Riccati`: a look-up is far cheaper than `RiccatiMetric`. There is no
-    metric outside the grid, and the accuracy within depends on its spacing. `verbs.design_metric` writes the store.
+    metric outside the grid; inside, the accuracy depends on its spacing. `verbs.design_metric` writes such a store.
 
     Args:
         path: path of the store.
@@ -129,7 +129,7 @@ def load_metric(path: str | os.PathLike[str]) -> Interpolated:
         The metric as a function `x (n,) -> (n, n)`.
 
     Raises:
-        ValueError: where the store is not one of `metric_on_grid`, or not finished.
+        ValueError: the store was not written by `metric_on_grid`, or is not finished.
     """
     return _field(open_metric(path))
 
@@ -141,15 +141,15 @@ def _field(store: Any) -> Interpolated:
 
 
 class MetricSummary(NamedTuple):
-    """Summary of a finished store of `metric_on_grid`; NaN for a number that no point has.
+    """Summary of a finished store of `metric_on_grid`; a number that no point has is NaN.
 
     Attributes:
         results: number of points with each `covariant.signals.StepCode`; results without points are left out.
-        reconstructibility: the smallest in the domain.
+        reconstructibility: the smallest value in the domain.
         low: lower bound of equation (9), `low I ≤ P ≤ high I`, over the points that have a metric; it depends on the
             units of the coordinates.
         high: upper bound of equation (9).
-        error_bound: the largest known one, over the same points.
+        error_bound: the largest known bound, over the same points.
 
     Example:
         >>> from covariant.metrics import Equation, Grid, metric_on_grid, metric_summary
@@ -178,7 +178,7 @@ def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
         Counts of results, and bounds over the points.
 
     Raises:
-        ValueError: where the store is not one of `metric_on_grid`, or not finished.
+        ValueError: the store was not written by `metric_on_grid`, or is not finished.
     """
     store = open_metric(path)
     parts = [_part(store.isel(region).load()) for region in _regions(store)]
@@ -194,7 +194,7 @@ def metric_summary(path: str | os.PathLike[str]) -> MetricSummary:
 
 
 def open_metric(path: str | os.PathLike[str]) -> Any:
-    """Open the finished store of `metric_on_grid` as a dataset of xarray.
+    """Open a finished store of `metric_on_grid` as a dataset of xarray.
 
     Args:
         path: path of the store.
@@ -203,7 +203,7 @@ def open_metric(path: str | os.PathLike[str]) -> Any:
         Lazy `xarray.Dataset` with the variables of `metric_on_grid`.
 
     Raises:
-        ValueError: where the store is not one of `metric_on_grid`, or not finished.
+        ValueError: the store was not written by `metric_on_grid`, or is not finished.
     """
     store = open_grid(path, complete=True)
     if set(store) != set(VARIABLES):
@@ -214,7 +214,7 @@ def open_metric(path: str | os.PathLike[str]) -> Any:
 
 
 def _regions(store: Any) -> Iterator[dict[str, slice]]:
-    """Boxes that cover the grid, each small enough for memory: the chunks in which the metric is read."""
+    """Boxes that cover the grid and are small enough for memory: the chunks in which the metric is read."""
     metric = store["metric"]
     ends = [np.cumsum((0, *sizes)) for sizes in metric.chunks[:-2]]
     sides = [[slice(int(a), int(b)) for a, b in itertools.pairwise(end)] for end in ends]
@@ -226,22 +226,22 @@ def _part(store: Any) -> tuple[np.ndarray, tuple[float, ...]]:
     """Counts of the results; then least reconstructibility, least and largest eigenvalue, and largest error bound."""
     result, metric = store["result"].values, store["metric"].values
     known = np.isfinite(metric).all(axis=(-2, -1))
-    # A block without any metric: NaN, which `fmin` and `fmax` ignore.
+    # A block without any metric gives NaN, which `fmin` and `fmax` ignore.
     values = np.linalg.eigvalsh(metric[known]) if known.any() else np.full((1, 1), np.nan)
     inside = np.where(result != StepCode.OUT_OF_DOMAIN, store["reconstructibility"].values, np.nan)
     error_bound = np.where(known, store["error_bound"].values, np.nan)
     ends = (np.fmin.reduce(inside, axis=None), values.min(), values.max(), np.fmax.reduce(error_bound, axis=None))
-    # Of the same length in every block, so that the counts of blocks add up.
+    # The counts have the same length in every block, so that they can be added.
     return np.bincount(result.ravel(), minlength=len(StepCode)), tuple(map(float, ends))
 
 
 def _finite_or_none(bound: Array) -> list[float | None]:
-    """A bound as JSON can hold it, with None where it is infinite."""
+    """A bound as JSON data, with None for infinity."""
     return [value if math.isfinite(value) else None for value in np.asarray(bound).tolist()]
 
 
 def _describe_equation(equation: Equation) -> dict[str, Any]:
-    """An equation as JSON can hold it, with the name of a field Q."""
+    """An equation as JSON data; a field Q is represented by its name."""
 
     def as_json(cov: Any) -> Any:
         if callable(cov):

@@ -1,4 +1,4 @@
-"""The metric at a state, from a past as long as needed."""
+"""Computes the metric at a state, following the past for as long as needed."""
 
 from typing import NamedTuple
 
@@ -18,24 +18,24 @@ from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
 MOST_STEPS = 1024
-"""Integration steps after which the past counts as too short in any case."""
+"""Number of integration steps after which the search for a sufficiently long past ends."""
 SINGULAR = 1e-9
 """Reconstructibility below which a state counts as not reconstructible, in double precision."""
 ON_BORDER = 1e-7
-"""Fraction of a domain's width within which a state is on its border."""
+"""Fraction of the domain's width within which a state counts as lying on its border."""
 FAR = 1e6
-"""The past has escaped when a coordinate exceeds this many times one plus its final value."""
+"""The past counts as escaped if a coordinate exceeds this many times one plus its final value."""
 
 
 class Solution(NamedTuple):
     """Metric P at a state, and its accuracy.
 
     Attributes:
-        metric: P (n, n); NaN where the result says that there is none.
+        metric: P (n, n); NaN if the result says that there is none.
         error_bound: bound on the affine-invariant distance to the solution with an infinite past; see
             `Window.error_bound`.
         horizon: length of the past that was used [s].
-        reconstructibility: 0 … 1, smallest eigenvalue of W with its diagonal scaled to one; independent of units.
+        reconstructibility: 0 … 1, smallest eigenvalue of W scaled to a unit diagonal; it does not depend on units.
         result: a `covariant.signals.StepCode` code. With `LEFT_DOMAIN` and `ESCAPED` the metric is the solution that
             equals `start` where the past begins.
 
@@ -68,23 +68,23 @@ def metric_at(
     u: Float[Array, "m"] | None = None,
     max_steps: int = MOST_STEPS,
 ) -> Solution:
-    """Solution of the Riccati equation at a state, with as long a past as needed.
+    """Solution of the Riccati equation at a state, with a past that is as long as needed.
 
     Works under `jit` and `vmap`.
 
     Use it to examine a metric at a few states, with an error bound and a result code. The amount of work depends on the
-    state, so it is no function for real time: use `RiccatiMetric` with a fixed past or `load_metric` there. Where the
-    past output does not determine the state, the code says so.
+    state, so it is not for real time: use `RiccatiMetric` with a fixed past or `load_metric` there. If the past output
+    does not determine the state, the result code says so.
 
     Args:
         model: system with state x (n,) and output y (p,).
         equation: the Riccati equation.
         x: state (n,).
-        start: metric before the past that is used, a matrix (n, n) or a multiple of I.
-        tolerance: largest change of P by the unknown earlier past, as an affine-invariant distance (1e-8 means eight
-            digits in every direction, the weakest too); by default half of the digits of the precision.
-        domain: box in which the model is valid, its lower and upper corners (n,); the past is followed no further than
-            its border. Unbounded by default.
+        start: metric at the beginning of this past, a matrix (n, n) or a multiple of I.
+        tolerance: largest change of P that the unknown earlier past may cause, as an affine-invariant distance (1e-8
+            means eight digits in every direction, even in the weakest); by default half of the digits of the precision.
+        domain: box in which the model is valid, its lower and upper corners (n,); the past is followed to its border at
+            most. Unbounded by default.
         u: constant input (m,); zero by default. The time passed to f and h is zero.
         max_steps: number of integration steps after which the search ends.
 
@@ -92,7 +92,7 @@ def metric_at(
         The metric, its error bound and a result code.
 
     Raises:
-        ValueError: when the length of x is not the number of states of the model.
+        ValueError: the length of x differs from the number of states of the model.
 
     Example:
         For x' = 0, y = x and λ = 2 the solution is P = 1/λ:
@@ -110,17 +110,17 @@ def metric_at(
     check_state(model, x)
     eps = float(jnp.finfo(x.dtype).eps)
     wanted = eps**0.5 if tolerance is None else tolerance
-    # A thousandth of what is asked for, so that errors of integration stay below the bound; not below rounding.
+    # A thousandth of the tolerance keeps integration errors below the bound, but it must not be below rounding.
     rtol = max(1e-3 * wanted, 20 * eps)
     low, high = _box(domain, x)
-    # A side without bounds is never left, and ∞/1 says so where ∞/∞ would be NaN.
+    # The width of an unbounded side is replaced by 1: ∞/1 is infinitely far from the border, ∞/∞ would be NaN.
     width = jnp.where(jnp.isfinite(high - low), high - low, 1.0)
     far = FAR * (1 + jnp.abs(x))
 
     outside = jnp.any((x < low) | (x > high))
 
     def inside(y):
-        """Distance to the border of the domain, as a fraction of its width; on the border it counts as inside."""
+        """Distance to the border of the domain, as a fraction of its width; a point on the border counts as inside."""
         return jnp.min(jnp.minimum(y - low, high - y) / width) + ON_BORDER
 
     def escaped(y):
@@ -136,19 +136,19 @@ def metric_at(
     metric: Array = window.metric(start)
     error_bound, index = window.error_bound(start), reconstructibility(window.information)
     finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(metric))
-    # The threshold grows with the root of the rounding unit, for single precision.
+    # In single precision the threshold is larger, by the square root of the ratio of the rounding units.
     none = SINGULAR * (eps / float(jnp.finfo(jnp.float64).eps)) ** 0.5
     outcomes = (  # the first true condition determines the result
         (outside, StepCode.OUT_OF_DOMAIN),
         (~finite, StepCode.NOT_FINITE),
-        # Where the information is singular to rounding, its bound is rounding noise and may have any sign.
+        # If the information is singular to rounding, its bound is only rounding noise and may have any sign.
         ((error_bound < wanted) & (index > none), StepCode.OK),
         (inside(window.x) < ON_BORDER if domain is not None else outside, StepCode.LEFT_DOMAIN),
         (escaped(window.x), StepCode.ESCAPED),
         (~(index > none), StepCode.NOT_RECONSTRUCTIBLE),
     )
     result = jnp.select([when for when, _ in outcomes], [int(code) for _, code in outcomes], int(StepCode.NOT_SETTLED))
-    # Codes are in order of severity; from this one on there is no metric.
+    # Codes are ordered by severity; from this one on there is no metric.
     metric = jnp.where(result >= int(StepCode.NOT_RECONSTRUCTIBLE), jnp.nan, metric)
     return Solution(metric, error_bound, horizon, index, result.astype(jnp.int32))
 
@@ -190,7 +190,7 @@ def gramians(
     steps: int = 64,
     within: int = 2,
 ) -> Float[Array, "steps n n"]:
-    """Reconstructibility Gramians (6) over the last 1/steps, 2/steps, … of the past of a state.
+    """Reconstructibility Gramians (6) over windows of the past of a state: the last 1/steps, 2/steps, … of it.
 
     Args:
         model: system with state x (n,) and output y (p,).
@@ -212,7 +212,7 @@ def gramians(
         [0.5, 1.0, 1.5, 2.0]
     """
     check_state(model, x)
-    unweighted = Equation(rate=jnp.zeros((), x.dtype))  # as an array, since the number 0 is refused as a rate
+    unweighted = Equation(rate=jnp.zeros((), x.dtype))  # an array, since a Python number 0 is refused as a rate
     flow, zero = backward(model, unweighted, u, x.dtype), jnp.zeros((), x.dtype)
 
     def extend(window: Window, _):
@@ -230,13 +230,13 @@ def rate_from_gramian(
     *,
     share: float = 0.5,
 ) -> float:
-    """Rate λ = 1/τ [1/s] for equation (15), such that the metric weights as much past as reconstructs a state.
+    """Rate λ = 1/τ [1/s] for equation (15), for which the metric weights the past needed to reconstruct a state.
 
     τ is the shortest window for which the least reconstructibility of the points is at least `share` of the best over
     all windows. A larger λ converges faster, but the metric is worse conditioned and passes more noise: (9) has the
     lower bound ε exp(−λτ).
 
-    This is for systems whose past stays bounded.
+    Use it only for systems whose past stays bounded.
 
     Args:
         model: system with state x (n,) and output y (p,).
@@ -249,9 +249,9 @@ def rate_from_gramian(
         The rate λ.
 
     Raises:
-        ValueError: where a point is not reconstructible from any of the windows, and where the shortest window is the
-            best. In the latter case the solution grows backwards in time, as that of a damped system does, and a metric
-            exists only for λ above twice its rate of growth.
+        ValueError: a point is not reconstructible from any of the windows, or the shortest window is the best. In the
+            latter case the solution grows backward in time, as for a damped system, and a metric exists only for λ
+            above twice its rate of growth.
 
     Example:
         A harmonic oscillator of 1 rad/s whose position is measured. Half a period determines its velocity well:
@@ -270,7 +270,7 @@ def rate_from_gramian(
     if unobserved.any():
         point = ", ".join(f"{entry:.4g}" for entry in np.asarray(points)[int(unobserved.argmax())])
         raise InputError(f"({point}) is not reconstructible from any past up to {longest:g} s, so it has no rate")
-    # One rate for all points, so each window counts by the point that it determines worst.
+    # One rate is chosen for all points, so each window is rated by the point that it determines worst.
     least = indices.min(axis=0)
     enough = int((least >= share * least.max()).argmax())
     if not enough:
@@ -278,7 +278,7 @@ def rate_from_gramian(
             f"the first of {len(least)} windows up to {longest:g} s tells most: shorten the longest window, or, where "
             "the past grows, take a rate above twice its rate of growth"
         )
-    # 1/τ: the window number `enough`, counted from 0, has the length τ = longest (enough + 1)/steps.
+    # The window with index `enough`, counted from 0, has the length τ = longest (enough + 1)/steps.
     return len(least) / (longest * (enough + 1))
 
 
@@ -298,13 +298,13 @@ def reconstructibility(gramian: Matrix) -> Scalar:
         0.0
     """
     diagonal: Array = jnp.diagonal(gramian)
-    # An unobserved coordinate keeps its zero row: the eigenvalue 0, not a division by zero.
+    # A coordinate that is not observed keeps its zero row: it gives the eigenvalue 0 and no division by zero.
     scale = jnp.where(diagonal > 0, jax.lax.rsqrt(jnp.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    # A diagonal of ones: the index does not depend on the units of the coordinates.
+    # With a unit diagonal the index does not depend on the units of the coordinates.
     scaled = scale[:, None] * gramian * scale[None, :]
     finite = jnp.all(jnp.isfinite(scaled))
     least = jnp.linalg.eigvalsh(jnp.where(finite, scaled, 0.0))[0]
-    # A Gramian has no negative eigenvalue; rounding makes one of a singular matrix slightly negative.
+    # A Gramian has no negative eigenvalue, but rounding may make one of a singular matrix slightly negative.
     return jnp.where(finite, jnp.maximum(least, 0.0), jnp.nan)
 
 
@@ -319,7 +319,7 @@ def spd_distance(a: Matrix, b: Matrix) -> Scalar:
         b: matrix (n, n).
 
     Returns:
-        The distance, a scalar; NaN where a or b is not positive definite.
+        The distance, a scalar; NaN if a or b is not positive definite.
 
     Example:
         >>> import jax.numpy as jnp
@@ -330,24 +330,24 @@ def spd_distance(a: Matrix, b: Matrix) -> Scalar:
     whitened = whiten(a, b)
     finite = jnp.all(jnp.isfinite(whitened))
     ratios: Array = jnp.linalg.eigvalsh(jnp.where(finite, (whitened + whitened.T) / 2, 0.0))
-    # A ratio ≤ 0 means that a or b is not positive definite: then the distance is NaN.
+    # A ratio ≤ 0 means that a or b is not positive definite; the distance is then NaN.
     return jnp.sqrt(jnp.sum(jnp.log(jnp.where(finite & (ratios > 0), ratios, jnp.nan)) ** 2))
 
 
 class RiccatiMetric(eqx.Module):
     """The metric of the Riccati equation as a function `x (n,) -> (n, n)`, computed along the characteristic through x.
 
-    Use it for `observers.Riccati` where a table over all states would be too large. Each call integrates over the past
-    `length` in `steps` steps. A past that is too short leaves an influence of `start`: compare with `metric_at`, which
-    reports what is needed. `load_metric` is cheaper for up to about three states.
+    Use it for `observers.Riccati` if a table over all states would be too large. Each call integrates over the past
+    `length` in `steps` steps. If this past is too short, `start` still influences the result: compare with `metric_at`,
+    which reports the length needed. For up to about three states, `load_metric` is cheaper.
 
     Attributes:
         model: the system.
         equation: the Riccati equation.
         length: length of the past that is used [s]. It is fixed, as is `steps`, so the function can be exported;
             `metric_at` finds the length that is needed.
-        steps: number of Runge–Kutta steps along it.
-        start: metric before this past, a matrix (n, n) or a multiple of I.
+        steps: number of Runge–Kutta steps along this past.
+        start: metric at the beginning of this past, a matrix (n, n) or a multiple of I.
         u: constant input (m,), zero by default.
 
     Example:

@@ -1,8 +1,8 @@
-"""A map on disk: a Zarr group with coordinates, variables, and a flag `done` for each block, which is set last.
+"""Stores a map on disk: a Zarr group with coordinates, variables, and a flag `done` for each block, which is set last.
 
-A block of the grid is one chunk of every variable and one of `done`, so that no two writers share a file. This protects
-against killed processes, but not against a power cut, since files are not forced to the disk one by one. Chunks that
-contain only the fill value are written too, so that a missing chunk always means that the block is damaged.
+Each block of the grid is one chunk of every variable and one of `done`, so no two writers share a file. This protects
+against killed processes, but not against a power failure, since files are not forced to the disk one by one. Chunks
+that contain only the fill value are written too, so a missing chunk always means that the block is damaged.
 """
 
 import contextlib
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 FORMAT = "covariant grid 1"
 DONE = "done"
 FUNCTION = "function"
-"""Attribute with the content hash of the function."""
+"""Name of the attribute that holds the content hash of the function."""
 
 
 class Variable(NamedTuple):
     """Description of one output of a function on a grid.
 
     Attributes:
-        dims: names of its own axes, beside those of the grid; `()` for a number.
+        dims: names of the variable's axes that follow those of the grid; `()` for a number.
         units: its unit.
-        description: a text.
+        description: a text that explains it.
 
     Example:
         >>> from covariant.metrics import Variable
@@ -63,8 +63,8 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
         points not yet computed are NaN, and integers and flags are therefore read as float64.
 
     Raises:
-        ValueError: one line, if there is no map, if a map has lost files of blocks that were computed, or if
-            `complete` is required and blocks are missing.
+        ValueError: one line: there is no map, a map has lost files of blocks that were computed, or `complete` is
+            required and blocks are missing.
 
     Example:
         >>> from covariant.metrics import Grid, Variable, map_grid, open_grid
@@ -78,7 +78,7 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     path = Path(path)
     attributes = _attributes(path)
     counts = [-(-n // side) for n, side in zip(attributes["grid"]["counts"], attributes["block"], strict=True)]
-    # The flags first: a block that another process writes meanwhile has all its chunks before its flag.
+    # Flags are read first: a block that another process writes meanwhile has all its chunks before its flag.
     flagged = math.prod(counts) if attributes["complete"] else len(_chunks(path / DONE, len(counts)))
     missing = math.prod(counts) - len(written(path, len(counts)))
     if missing > math.prod(counts) - flagged or (complete and not attributes["complete"]):
@@ -91,7 +91,7 @@ def open_grid(path: str | os.PathLike[str], *, complete: bool = False) -> "xarra
     done, dataset = dataset[DONE], dataset[list(attributes["variables"])]
     if attributes["complete"]:
         return dataset
-    # Floating-point variables already hold NaN there, the fill value of their arrays.
+    # In floating-point variables the fill value NaN marks missing points already.
     return dataset.map(lambda v: v if np.issubdtype(v.dtype, np.inexact) else v.astype(float).where(done), True)
 
 
@@ -121,7 +121,8 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
     attributes = _attributes(path)
     compared, begun = set(settings), bool(written(path, len(blocks.sides)))
     other_version = _versions() not in attributes["versions"]
-    # An empty store mixes nothing, nor does a finished one, whose hash of another version tells nothing either.
+    # The hash of the function is not compared in an empty store, nor in a finished one of another version, whose hashes
+    # mean nothing here.
     if not begun or (attributes["complete"] and other_version):
         compared -= {FUNCTION, "digest"}
     stored, asked = ({name: each.get(name) for name in settings if name in compared} for each in (attributes, settings))
@@ -138,10 +139,10 @@ def prepare(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
 
 @contextlib.contextmanager
 def tidied(path: Path) -> Iterator[None]:
-    """Context in which a map is written; on entry it removes the files of killed writers, where nobody else writes."""
+    """Context in which a map is written; on entry, if nobody else is writing, files of killed writers are removed."""
 
     def tidy():
-        for partial in path.rglob("*.partial"):  # Zarr moves each chunk from such a file to its place
+        for partial in path.rglob("*.partial"):  # Zarr writes each chunk to such a file first
             partial.unlink(missing_ok=True)
 
     with attended(path, tidy):
@@ -156,25 +157,25 @@ def finish(path: Path) -> None:
 def written(path: Path, n: int) -> set[tuple[int, ...]]:
     """List the indices of blocks that are done and have all their chunks."""
     attributes = _attributes(path)
-    blocks = _chunks(path / DONE, n)  # a chunk of `done` exists only where the flag is set
-    # A chunk may be lost while its flag is set, for example by an incomplete copy.
+    blocks = _chunks(path / DONE, n)  # a chunk of `done` exists only if the flag is set
+    # A chunk may be lost although its flag is set, for example by an incomplete copy.
     for name, variable in attributes["variables"].items():
-        # The axes of the variable itself are never cut: each has one chunk, 0.
+        # The variable's own axes are never divided: each has a single chunk, number 0.
         blocks &= {index[:n] for index in _chunks(path / name, n + len(variable["shape"]))}
     return blocks
 
 
 def _chunks(array: Path, n: int) -> set[tuple[int, ...]]:
     """List the indices of the existing chunks of an array of n axes."""
-    # The chunks are listed, not read: reading would open every chunk of the grid, of which only a few exist at first.
+    # Chunks are listed, not read: reading would try every chunk of the grid, of which only a few exist at first.
     chunks = (array / "c").glob("/".join("*" * n))
-    # A name that is no number is a file that a writer has not moved to its place yet; an empty one was damaged.
+    # A name that is not a number belongs to a file that is still being written; an empty file is damaged.
     whole = (chunk for chunk in chunks if chunk.name.isdecimal() and chunk.stat().st_size)
     return {tuple(map(int, chunk.parts[-n:])) for chunk in whole}
 
 
 def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]) -> None:
-    """Write a block, and then its flag: if the writer is killed in between, the block is computed again.
+    """Write a block, then its flag: if the writer is killed in between, the block is computed again.
 
     Args:
         path: path of the store.
@@ -188,10 +189,10 @@ def write(path: str, region: tuple[slice, ...], values: Mapping[str, np.ndarray]
 
 
 def _create(path: Path, settings: dict[str, Any], blocks: Blocks) -> None:
-    """Fill a folder beside the path and rename it to the path, so that a store is complete or absent."""
+    """Fill a folder beside the path and rename it to the path, so that the store is either complete or absent."""
     with temporary(path, Path.mkdir) as fresh:
         _fill(optional("zarr").open_group(str(fresh), mode="w"), settings, blocks)
-        # Renaming a folder is atomic, so that another process never sees half a store.
+        # Renaming a folder is atomic, so other processes never see an incomplete store.
         fresh.rename(path)
 
 
@@ -240,7 +241,7 @@ def _versions() -> dict[str, str]:
 
 
 def _difference(there: Any, here: Any, name: str = "") -> str:
-    """The first difference, with its dotted name."""
+    """A description of the first difference, with its dotted name."""
     if isinstance(there, dict) and isinstance(here, dict):
         key = next(key for key in [*here, *there] if there.get(key) != here.get(key))
         if not name and key == FUNCTION:

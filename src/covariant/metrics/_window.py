@@ -1,11 +1,11 @@
-"""A window of the past, represented by its action on metrics (Redheffer's scattering form of the Riccati equation).
+"""Represents a window of the past by its action on metrics (Redheffer's scattering form of the Riccati equation).
 
 Let Φ, W, V describe the window [−s, 0] of the solution through x: a metric π at its beginning becomes the metric
 
     P = W + Φᵀ (π⁻¹ + V)⁻¹ Φ
 
-at its end. The three obey equations in s that run backwards along with the solution itself. So one pass computes P, and
-at every s it bounds how much the unknown π can still change P.
+at its end. Φ, W and V obey differential equations in s, which are integrated backward together with the solution. So
+one pass computes P, and at every s it bounds how much the unknown π can still change P.
 
 Source: Redheffer 1962, On the relation of transmission-line theory to scattering and transfer, J. Math. and Phys. 41.
 """
@@ -22,7 +22,7 @@ from covariant.metrics._equation import Equation, check_state, coefficients, mod
 from covariant.models import StateSpace
 
 MARGIN = 10.0
-"""Largest assumed ratio of the metric before the window to that of the window, if Q gives no bound."""
+"""Assumed largest ratio of the metric before the window to the metric of the window, if Q gives no bound."""
 
 
 class Window(NamedTuple):
@@ -63,7 +63,7 @@ class Window(NamedTuple):
         return self.information + self._propagate(start)
 
     def error_bound(self, start: Number | Matrix) -> Scalar:
-        """Bound on the affine-invariant distance between the metrics that the unknown past permits.
+        """Bound on the affine-invariant distance between any two metrics that the unknown past allows.
 
         With a positive Q it holds for every past. Without Q, the metric at the beginning is assumed to be at most
         `MARGIN` times W, or at most `start`.
@@ -77,24 +77,24 @@ class Window(NamedTuple):
         known = jnp.all(pivots(self.information) > 0)
         if self.spread is None:
             # Without Q nothing bounds π, so it is assumed to be at most `MARGIN` times W, or at most `start` if that is
-            # more.
+            # larger.
             before = MARGIN * self.transition.T @ self.information @ self.transition
             most = jnp.maximum(self._distance_bound(before), self._distance_bound(self._propagate(start)))
         else:
-            # Where Q is singular, V becomes positive as the window grows; until then it gives no bound.
+            # If Q is singular, V becomes positive definite only as the window grows; before that it gives no bound.
             known = known & jnp.all(pivots(self.spread) > 0)
-            # (π⁻¹ + V)⁻¹ ≤ V⁻¹ for every π, so this bounds what any past can add to W.
+            # (π⁻¹ + V)⁻¹ ≤ V⁻¹ for every π, so this bounds the contribution of any past to W.
             most = self._distance_bound(self.transition.T @ solve(self.spread, self.transition))
         return jnp.where(known, most, jnp.nan)
 
     def _distance_bound(self, addition: Matrix) -> Scalar:
         """Bound Σ μ on the distance √(Σ log²(1 + μ)) from W to W + addition, with μ the eigenvalues of W⁻¹ addition."""
-        # log(1 + μ) ≤ μ for μ ≥ 0, and the root of a sum of squares is at most the sum.
+        # log(1 + μ) ≤ μ for μ ≥ 0, and the root of a sum of squares is at most the sum of the numbers.
         return jnp.trace(solve(self.information, addition))
 
     def _propagate(self, start: Number | Matrix) -> Matrix:
         eye = jnp.eye(self.x.shape[0], dtype=self.x.dtype)
-        # With π = L Lᵀ: (π⁻¹ + V)⁻¹ = L (I + Lᵀ V L)⁻¹ Lᵀ, which needs no inverse of π and stays positive definite.
+        # With π = L Lᵀ, (π⁻¹ + V)⁻¹ = L (I + Lᵀ V L)⁻¹ Lᵀ, which needs no inverse of π and stays positive definite.
         half = jnp.sqrt(start) * eye if jnp.ndim(start) == 0 else cholesky(jnp.asarray(start))
         half_propagated = half.T @ self.transition
         if self.spread is None:
@@ -110,7 +110,7 @@ def window_at(
     steps: int,
     u: Float[Array, "m"] | None = None,
 ) -> Window:
-    """Window of the past that ends in x, in a fixed number of Runge–Kutta steps: for real time.
+    """Window of the past that ends in x, in a fixed number of Runge–Kutta steps, as real time requires.
 
     Args:
         model: system with state x (n,) and output y (p,).
@@ -124,7 +124,7 @@ def window_at(
         The window.
 
     Raises:
-        ValueError: The length of x is not the number of states of the model.
+        ValueError: the length of x differs from the number of states of the model.
 
     Example:
         For x' = −x, y = x and λ = 3 the solution is P = 1, for any metric 20 s ago:
@@ -144,7 +144,7 @@ def window_at(
 
 
 def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
-    """Flow of a `Window` whose beginning moves back by s seconds."""
+    """Differential equation of a `Window` whose beginning moves back by s seconds."""
     input_held, t0 = model_input(model, u, dtype), jnp.zeros((), dtype)
 
     def flow(s, window: Window) -> Window:
@@ -153,11 +153,11 @@ def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
         output = _times(c, phi)
         propagated = _times(a, phi)
         if q is None or v is None:
-            # The beginning moves back in time, hence −f and −f_x; information only accumulates.
+            # The beginning moves back in time, hence −f and −f_x; information can only accumulate.
             return Window(-model.f(t0, x, input_held), -propagated, _times(output.T, output), None)
         correlation = _times(v, c.T)
         drift = _times(a, v)
-        # Φ' = −aΦ − V cᵀc Φ, W' = Φᵀcᵀc Φ and V' = Q − aV − V aᵀ − V cᵀc V, with s counted into the past.
+        # Φ' = −aΦ − V cᵀc Φ, W' = Φᵀcᵀc Φ and V' = Q − aV − V aᵀ − V cᵀc V, where s increases into the past.
         spread = q - drift - drift.T - _times(correlation, correlation.T)
         return Window(
             -model.f(t0, x, input_held), -propagated - _times(correlation, output), _times(output.T, output), spread
@@ -167,7 +167,7 @@ def backward(model: StateSpace, equation: Equation, u: Array | None, dtype):
 
 
 def _times(a: Array, b: Array) -> Array:
-    """Product of two small matrices, written out: in a batch this is several times faster than a batched product."""
+    """Product of two small matrices, written out; in a batch this is several times faster than a batched product."""
     return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
 
 

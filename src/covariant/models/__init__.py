@@ -1,4 +1,4 @@
-"""Models: mechanical systems and general nonlinear systems as JAX functions, from files, by name or from robots."""
+"""Defines models as JAX functions, mechanical and general nonlinear systems: from files, by name, or from robots."""
 
 from scalargraph.rooms import attach
 

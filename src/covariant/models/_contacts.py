@@ -1,8 +1,8 @@
-"""A machine whose feet touch the ground: while they stay there its configurations are a leaf of the whole space.
+"""Models machines whose feet touch the ground: while feet stay in place, configurations are a leaf of the whole space.
 
-One leaf serves all sets of feet, since the rows of those in the air are zero: a program without branches.
+One leaf serves all sets of feet, since the rows of feet in the air are zero; so the program needs no branches.
 
-Source: Kozlov & Treshchev 1991, Billiards, for impacts as projections; Lötstedt 1984 for the plastic ones.
+Source: Kozlov & Treshchev 1991, Billiards, for impacts as projections; Lötstedt 1984 for plastic impacts.
 """
 
 from typing import Any
@@ -15,18 +15,18 @@ from covariant.geometry import Leaf
 from covariant.models._mechanical import MechanicalSystem
 
 ON_THE_GROUND = 0.5
-"""An input that says whether a foot is on the ground does so above this value."""
+"""Value of a contact input above which the foot counts as being on the ground."""
 
 
 def contacts(u: Float[Array, "*T m"], count: int) -> Bool[Array, "*T k"]:
-    """Which feet are on the ground, by the last inputs.
+    """Which feet are on the ground, from the last inputs.
 
     Args:
         u: Inputs (..., m).
         count: Number k of feet.
 
     Returns:
-        True for those on the ground (..., k).
+        True for the feet on the ground (..., k).
 
     Example:
         >>> import jax.numpy as jnp
@@ -38,15 +38,15 @@ def contacts(u: Float[Array, "*T m"], count: int) -> Bool[Array, "*T k"]:
 
 
 def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array, "k d"]) -> MechanicalSystem:
-    """The model while some of its feet stay where they are.
+    """The model while some of its feet stay in place.
 
     Args:
         model: A model with `feet`.
         down: Which feet are on the ground (k,).
-        spots: Where these feet are (k, d) [m]; the places of others are not used.
+        spots: Positions (k, d) of these feet [m]; the entries of the others are not used.
 
     Returns:
-        The model on a `Leaf`. With all feet in the air it moves as the model itself.
+        The model on a `Leaf`. With all feet in the air it moves like the original model.
 
     Example:
         A leg of which the foot is held turns about it, and its body rises by no more than that allows:
@@ -61,7 +61,7 @@ def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array
         (True, True)
     """
     assert model.feet is not None
-    # Nothing needs the assembly here: a foot lands in one way only.
+    # The assembly is not needed here, since a foot can land in one way only.
     constraint, assembly = eqx.Partial(_slipped, model.feet, down, spots), model.manifold.origin(spots.dtype)
     held = jnp.repeat(down, spots.shape[1])
     leaf = Leaf(model.space, constraint, assembly, held)
@@ -69,6 +69,6 @@ def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array
 
 
 def _slipped(feet: Any, down: Bool[Array, "k"], spots: Float[Array, "k d"], q: Any) -> Float[Array, "k_d"]:
-    """How far feet on the ground are from their spots; 0 for those in the air, and so are their rows."""
+    """Displacements of the feet on the ground from their spots; 0 for feet in the air, so that their rows are zero."""
     gaps: Any = jnp.where(down[:, None], feet(q) - spots, 0.0)
     return gaps.ravel()

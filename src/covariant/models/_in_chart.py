@@ -1,4 +1,4 @@
-"""A mechanical system rewritten in other coordinates."""
+"""Rewrites a mechanical system in other coordinates."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,17 +24,17 @@ def in_chart(
     Args:
         model: Mechanical system.
         chart: Smooth map `z (n,) -> configuration` with an invertible derivative, for instance `marine.euler_rotation`
-            for a body on SO(3), whose velocities then are the rates of its Euler angles. Numbers in the chart are
-            leaves of the model's pytree where the chart itself is a pytree, such as a `Parametric`.
+            for a body on SO(3); velocities are then the rates of its Euler angles. If the chart is a pytree, such as a
+            `Parametric`, its numbers are leaves of the model's pytree.
         coordinates: Names of the entries of z.
-        circles: Indices of the entries of z that are angles on a full circle [rad]. A circle of the model is none of
-            the chart unless named here: its measurements are then used unwrapped, and must continue over a full turn.
+        circles: Indices of the entries of z that are angles on a full circle [rad]. A circle of the model has to be
+            named here again; otherwise its measurements are not wrapped and must continue over a full turn.
 
     Returns:
         The same system in coordinates.
 
     Raises:
-        ValueError: The values of the chart are no configurations of the model.
+        ValueError: The values of the chart are not configurations of the model.
 
     Example:
         >>> import jax.numpy as jnp
@@ -54,7 +54,7 @@ def in_chart(
         else None
     )
     return Lagrangian(
-        part(eqx.filter_jit(_metric)),  # differentiated and batched in many places: jit traces it once for each
+        part(eqx.filter_jit(_metric)),  # jit, so that it is traced once, although it is differentiated in many places
         part(_potential),
         part(_force),
         part(_dissipation),
@@ -119,7 +119,7 @@ def _has_known_shape(model: MechanicalSystem) -> bool:
 
 def _metric(model: MechanicalSystem, chart: Chart, z: Vector) -> Matrix:
     jacobian = chart_jacobian(model.manifold, chart, z)
-    # v = J z' leaves the kinetic energy unchanged, so the matrix in the chart is JᵀG J.
+    # v = J z' does not change the kinetic energy, so the matrix in the chart is JᵀG J.
     return jacobian.T @ model.space(chart(z)) @ jacobian
 
 

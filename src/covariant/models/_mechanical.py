@@ -1,9 +1,10 @@
-"""Mechanical systems `∇_v v = raise(−dU + force + dissipation)` on any configuration space, as JAX functions.
+"""Defines mechanical systems `∇_v v = raise(−dU + force + dissipation)` on any configuration space, as JAX functions.
 
 `Lagrangian` builds one in coordinates, `GroupSystem` one on a Lie group with a left-invariant kinetic energy.
 
 Source: Aghannan & Rouchon 2003, section II; Maithripala, Berg & Dayawansa 2004, section II-D, equations (12)–(16);
-Hamel's equations in a frame, Marsden & Ratiu 1999, chapter 13. Dissipation is an addition: every real machine has it.
+Hamel's equations in a frame, Marsden & Ratiu 1999, chapter 13. Dissipation is added to the sources' equations, since
+every real machine has it.
 """
 
 import functools
@@ -28,8 +29,8 @@ from scalargraph.errors import InputError
 class Motion(NamedTuple):
     """Configuration and velocity of a mechanical system.
 
-    It is the state of a system on a group, where the configuration is a matrix and cannot stand in one vector with the
-    velocity. For a system in coordinates a state is the vector (q, v) instead; `model.state(motion)` converts to it.
+    It is the state of a system on a group, whose configuration is a matrix and cannot share a vector with the velocity.
+    In coordinates, a state is the vector (q, v) instead; `model.state(motion)` converts to it.
 
     Attributes:
         q: Configuration: coordinates (n,) [their units], or on a group the matrix (N, N).
@@ -52,9 +53,9 @@ class Sought(NamedTuple):
 
     Attributes:
         what: What the quantity is: "velocity" or "state".
-        names: Names of its entries; empty where they are the rates of the coordinates.
+        names: Names of its entries; empty if they are the rates of the coordinates.
         units: Unit of each entry.
-        of: `of(x)`, the values of the quantity in the state x, or in many states, time first.
+        of: `of(x)`: the values of the quantity in the state x, or in many states, with time first.
 
     Example:
         >>> from covariant import models
@@ -78,17 +79,17 @@ class MechanicalSystem(Functional):
         space: Configuration space, with the kinetic energy `½ <v, v>` [J] as metric.
         potential: Potential energy `q -> ()` [J]; on a group a smooth function of the matrix entries. Zero by default.
         force: Generalised force `(t, q, u) -> (n,)` of the input u (m,); by default u itself.
-        dissipation: Generalised force that depends on the velocity, `(q, v) -> (n,)`, or `(t, q, v, u) -> (n,)` such as
-            that of a rudder or a drag that an input scales. Observers evaluate it at the estimate. Friction opposes the
-            motion: viscous friction with coefficient b is `lambda q, v: -b * v`. Zero by default.
-        coordinates: Names of the entries of q, where they are coordinates.
-        units: Units of the entries of q, where they are coordinates.
-        velocities: Names of the components of v, where they are not the rates of the coordinates.
-        velocity_units: Units of the components of v, where they are not the rates of the coordinates.
-        inputs: Number of inputs m, where it is not n.
-        feet: Positions `q -> (k, d)` [m] of k feet or hands that touch the ground at known times, where they then stay.
+        dissipation: Generalised force that depends on the velocity, `(q, v) -> (n,)`, or `(t, q, v, u) -> (n,)`, for
+            example for a rudder or a drag that an input scales. Observers evaluate it at the estimate. Friction opposes
+            the motion: viscous friction with coefficient b is `lambda q, v: -b * v`. Zero by default.
+        coordinates: Names of the entries of q, if they are coordinates.
+        units: Units of the entries of q, if they are coordinates.
+        velocities: Names of the components of v, if they are not the rates of the coordinates.
+        velocity_units: Units of the components of v, if they are not the rates of the coordinates.
+        inputs: Number of inputs m, if it differs from n.
+        feet: Positions `q -> (k, d)` [m] of k feet or hands that touch the ground at known times and then stay there.
             The last k inputs are their contacts: 1 for a foot on the ground, 0 for one in the air. None by default.
-        parameters: A `Parameter` for each name, as documentation. Functions built by `Parametric` also hold their
+        parameters: A `Parameter` for each name, as documentation. Functions built by `Parametric` also store these
             numbers as leaves of the pytree, so that a model with other numbers needs no new compilation.
 
     Raises:
@@ -170,7 +171,7 @@ class MechanicalSystem(Functional):
 
         Returns:
             Units of each entry, by field of `logs.Columns`: positions `q`, velocities `v`, the reference `truth`, and
-            inputs `u` where they are commands.
+            inputs `u` if they are commands.
         """
         units = {"q": self.units, "v": self.sought.units, "truth": self.sought.units}
         servos = getattr(self.force, "servos", None)
@@ -181,7 +182,7 @@ class MechanicalSystem(Functional):
         """The quantity that an observer of the model estimates: the velocity.
 
         Returns:
-            Its names, units and values; the names are empty where the velocities are the rates of the coordinates.
+            Its names, units and values; the names are empty if the velocities are the rates of the coordinates.
         """
         units = self.velocity_units or tuple(f"{unit}/s" for unit in self.units)
         return Sought("velocity", self.velocities, units, lambda x: self.motion(x).v)
@@ -199,7 +200,7 @@ class MechanicalSystem(Functional):
         elif isinstance(function, eqx.Partial):
             function = functools.partial(function.func, *function.args, **function.keywords)
         try:
-            # Tried, not counted: parameters may have defaults, be bound already, or be gathered by *args.
+            # A call is tried instead of counting arguments, which may have defaults, be bound, or be in *args.
             inspect.signature(function).bind(None, None)
         except TypeError:
             return True
@@ -217,8 +218,8 @@ class MechanicalSystem(Functional):
             u: Input (m,).
 
         Returns:
-            Force (c,) per unit of each row of the constraint [N for a distance, N m for an angle]: for a point of two
-            links that coincide, on the second link in the frame of the first. Empty without loops.
+            Force (c,) per unit of each row of the constraint [N for a distance, N m for an angle]. For coinciding
+            points of two links it acts on the second link, in the frame of the first. Empty without loops.
 
         Example:
             >>> import jax.numpy as jnp
@@ -237,7 +238,7 @@ class MechanicalSystem(Functional):
             motion: Configuration and velocity; leading axes, such as time, are allowed.
 
         Returns:
-            (q, v) (2n,) for a system in coordinates, the motion itself elsewhere.
+            (q, v) (2n,) for a system in coordinates, otherwise the motion itself.
         """
         return jnp.concatenate(motion, axis=-1) if self.manifold.commuting else motion
 
@@ -256,12 +257,11 @@ class MechanicalSystem(Functional):
 class Lagrangian(MechanicalSystem):
     """A mechanical system in coordinates q (n,), whose positions are measured.
 
-    All functions are checked at once where the coordinates are named.
-
+    If the coordinates are named, all functions are checked at once.
     Use it for a machine with joints, such as a pendulum, a crane or an arm, whose equations follow from inertia and
     potential. The equations of motion are derived from these by automatic differentiation. Name the coordinates, so
-    that mistakes in shapes are found at once. Use `GroupSystem` for a body that turns freely, `models.robots.load` for
-    a robot file, and `StateSpace` where the system is not mechanical.
+    that mistakes in shapes are found early. Use `GroupSystem` for a body that turns freely, `models.robots.load` for a
+    robot file, and `StateSpace` for a system that is not mechanical.
 
     Args:
         metric: Inertia matrix `q (n,) -> (n, n)`, or a space in coordinates from `covariant.geometry`.
@@ -271,12 +271,12 @@ class Lagrangian(MechanicalSystem):
         circles: Indices of coordinates that are angles on a full circle [rad]; errors in them are wrapped to ±π.
         coordinates: Names of the entries of q.
         units: Units of the entries of q.
-        inputs: Number of inputs m, where it is not n.
+        inputs: Number of inputs m, if it differs from n.
         feet: Positions `q -> (k, d)` [m] of feet, as for `MechanicalSystem`.
         parameters: A `Parameter` for each name, as for `MechanicalSystem`.
 
     Raises:
-        ValueError: A function returns the wrong shape, or `circles` are no indices of coordinates.
+        ValueError: A function returns the wrong shape, or `circles` are not indices of coordinates.
 
     Example:
         >>> import jax.numpy as jnp
@@ -315,8 +315,8 @@ class Lagrangian(MechanicalSystem):
 class GroupSystem(MechanicalSystem):
     """A mechanical system on a Lie group, `g' = g hat(v)`, `I v' = ad*_v I v + force + dissipation` in the body frame.
 
-    Use it for a body that turns freely, such as a satellite, an aircraft or a vehicle under water. It has no singular
-    attitude, as Euler angles have. The velocity is in the body frame, and the input is by default a force or torque in
+    Use it for a body that turns freely, such as a satellite, an aircraft or a vehicle under water. Unlike Euler angles,
+    it has no singular attitude. The velocity is in the body frame, and the input is by default a force or torque in
     that frame. Use `Lagrangian` for machines whose joints have coordinates.
 
     Args:
@@ -331,7 +331,7 @@ class GroupSystem(MechanicalSystem):
         parameters: A `Parameter` for each name, as for `MechanicalSystem`.
 
     Raises:
-        ValueError: A function returns the wrong shape, or the names or units are not n.
+        ValueError: A function returns the wrong shape, or the number of names or units differs from n.
 
     Example:
         >>> import jax.numpy as jnp
@@ -388,7 +388,7 @@ def no_dissipation(q, v):
 
 def no_potential(q):
     """The default potential energy: zero, in the real type of q."""
-    # finfo of a complex type is that of its real part: on SU(n) the matrices are complex, the energy is real.
+    # For a complex type finfo gives the real part's type: on SU(n) matrices are complex, but the energy is real.
     return jnp.zeros((), jnp.finfo(q.dtype).dtype)
 
 
@@ -400,7 +400,7 @@ def check_model(model: MechanicalSystem, dimension: int | None = None) -> None:
         dimension: Number of coordinates, for a model that does not name them.
 
     Raises:
-        ValueError: Names the first function with another shape, or the circles that are no coordinates.
+        ValueError: A function has another shape, or circles are not coordinates; the message names the first fault.
 
     Example:
         >>> from covariant import models
@@ -446,7 +446,7 @@ def check_shapes(functions, given: str, whom: str) -> None:
 
 
 def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
-    """Generalised force `−∂U + force` on the system without its dissipation, in the frame.
+    """Generalised force `−∂U + force` on the system, without its dissipation, in the frame.
 
     Args:
         model: Mechanical system.
@@ -458,7 +458,7 @@ def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, 
         Covector (n,).
 
     Raises:
-        ValueError: The force has another shape, such as one input that would act on all coordinates.
+        ValueError: The force has another shape, for example a single input that would act on all coordinates.
 
     Example:
         >>> import jax.numpy as jnp
@@ -467,7 +467,7 @@ def applied_force(model: MechanicalSystem, t: Scalar, q: Array, u: Float[Array, 
         >>> models.applied_force(spring, 0.0, jnp.array([2.0]), jnp.array([1.0])).tolist()
         [-5.0]
     """
-    # Equal shapes are demanded, since broadcasting one input over all coordinates would pass unnoticed.
+    # The shapes must be equal, since one input broadcast over all coordinates would go unnoticed.
     force, slope = model.force(t, q, u), differential(model.manifold, model.potential, q)
     if force.shape != slope.shape:
         raise InputError(f"force must return shape {slope.shape}; with {u.shape[0]} inputs it returned {force.shape}")
@@ -548,7 +548,7 @@ def input_count(model: Any, n: int) -> int:
 
     Args:
         model: A model with an attribute `inputs`.
-        n: Its number of velocities, the result where the model does not state one.
+        n: Its number of velocities; it is the result if the model does not state a number of inputs.
 
     Returns:
         The number m.
@@ -565,8 +565,8 @@ def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Flo
     """Forward dynamics `v' = raise(−∂U + force + dissipation − M B(v, v))` (Hamel's equations).
 
     Use it to write a simulation, a controller or a test of a model by hand; it works under `jit`, `vmap` and `grad`.
-    Each call solves a system with the inertia matrix. `simulation.simulate` integrates it, with adaptive steps. On a
-    group v' is the rate of the components in the body frame, and not a coordinate acceleration.
+    Each call solves a linear system with the inertia matrix. `simulation.simulate` integrates it with adaptive steps.
+    On a group, v' is the rate of the components in the body frame and not a coordinate acceleration.
 
     Args:
         model: Mechanical system.
@@ -591,8 +591,8 @@ def acceleration(model: MechanicalSystem, t: Scalar, q: Array, v: Vector, u: Flo
 def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
     """Kinetic plus potential energy [J].
 
-    Use it to check a model or an integration: without force and dissipation the energy stays constant, and friction
-    must never let it grow. The potential is defined up to a constant, so only differences have a meaning.
+    Use it to check a model or an integration: without force and dissipation the energy is constant, and friction must
+    never increase it. The potential is defined up to a constant, so only differences have a meaning.
 
     Args:
         model: Mechanical system.
@@ -612,7 +612,7 @@ def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
 
 
 def spatial_momentum(system: MechanicalSystem, g: Element, v: Vector) -> Vector:
-    """Momentum `Ad*_{g⁻¹} I v` in the space frame of a system on a group, constant where no force acts.
+    """Momentum `Ad*_{g⁻¹} I v` in the space frame of a system on a group; it is constant if no force acts.
 
     Args:
         system: Mechanical system on a Lie group.
@@ -632,7 +632,7 @@ def spatial_momentum(system: MechanicalSystem, g: Element, v: Vector) -> Vector:
         [1.0, 2.0, 3.0]
     """
     group = _group_of(system)
-    # Noether: for a left-invariant energy without potential, Ad*_{g⁻¹} μ is the conserved momentum map.
+    # By Noether's theorem, for a left-invariant energy without potential, Ad*_{g⁻¹} μ is conserved.
     return group.coadjoint_action(group.inverse(g), system.space.lower(g, v))
 
 
@@ -681,9 +681,9 @@ def advance(
 ) -> Motion:
     """Integrate the system over dt [s] in equal steps.
 
-    Use it for one sample of a loop, in real time or inside a compiled function: the work is fixed. The error of the
-    default rule is of order (dt/steps)⁴, and stiff friction needs more steps. Use `simulation.simulate` for a whole
-    motion to a tolerance.
+    Use it for one sample of a loop, in real time or inside a compiled function: the amount of work is fixed. The error
+    of the default rule is of order (dt/steps)⁴, and stiff friction needs more steps. For a whole motion with a given
+    tolerance use `simulation.simulate`.
 
     Args:
         system: Mechanical system.
@@ -711,13 +711,13 @@ def advance(
 
 
 def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, dt, steps, rule) -> Motion:
-    @jax.jit  # traced once, not at each slope of the rule
+    @jax.jit  # traced once, although each step of the rule calls it several times
     def flow(s, now):
         return Motion(now.v, acceleration(system, s, now.q, now.v, u(s, system.state(now))))
 
     h = dt / jnp.asarray(steps, motion.v.dtype)
 
-    # The time of a step is a product: a running sum of h would accumulate rounding errors.
+    # The time of a step is computed as a product, since a running sum of h would accumulate rounding errors.
     def step(i, now):
         return Motion(*system.space.restored(*rule(flow, t + jnp.asarray(i, h.dtype) * h, now, h)))
 
@@ -725,10 +725,10 @@ def _in_coordinates(system: MechanicalSystem, t: Number, motion: Motion, u: Inpu
 
 
 def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, dt, steps, rule) -> Motion:
-    """Integrate on the manifold, so that the configuration remains on it.
+    """Integrate on the manifold, so that the configuration stays on it.
 
-    The other unknown of each step is the momentum in the frame at the start of the step. Where no force acts on it, as
-    on a floating base, it is constant to rounding for any step.
+    The second unknown of each step is the momentum in the frame at the start of the step. If no force acts on a part of
+    it, as on a floating base, this part is constant to rounding for any step size.
     """
     h = dt / jnp.asarray(steps, motion.v.dtype)
 
@@ -736,7 +736,7 @@ def _in_frame(system: MechanicalSystem, t: Number, motion: Motion, u: InputLaw, 
         begin = t + jnp.asarray(i, h.dtype) * h
         start = MomentumChart(system, now[0])
 
-        @jax.jit  # traced once, not at each slope of the rule
+        @jax.jit  # traced once, although each step of the rule calls it several times
         def flow(s, x):
             return start.flow(s, x, u)[0]
 
@@ -798,10 +798,10 @@ class MomentumChart(NamedTuple):
         q, v = x = self.motion(s, momentum)
         inputs = u(t, x)
         force = applied_force(system, t, q, inputs) + resistance(system, t, q, v, inputs)
-        # ½∂<v, v> is the only place where the metric is differentiated: μ in place of v spares the term M' v.
+        # The metric is differentiated only in ½∂<v, v>: using μ in place of v avoids the term M' v.
         force = force + system.space.kinetic_force(q, v, system.manifold.carried_momentum(self.centre, s, momentum))
         rate = system.manifold.local_rate(self.centre, s, v)
-        # −s carries the force back, from the frame at q to that of the centre.
+        # −s converts the force from the frame at q to the frame at the centre.
         return (rate, system.manifold.carried_momentum(self.centre, -s, force)), x
 
     def end(self, s: Vector, momentum: Vector) -> tuple[Array, Vector]:

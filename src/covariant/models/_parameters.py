@@ -1,4 +1,4 @@
-"""Parameters of a model: with units and sources for people, and as leaves of the pytree for programs."""
+"""Parameters of a model, with units and sources for readers, and as leaves of a pytree for programs."""
 
 import math
 import sys
@@ -18,22 +18,22 @@ from scalargraph.errors import InputError
 AnyArray = Array | np.ndarray
 
 POSITIVE, ZERO_OR_MORE, ANY_SIGN = math.ulp(0.0), 0.0, -sys.float_info.max
-"""Least value of a number; the smallest positive float lets one comparison tell "positive" from "≥ 0"."""
+"""Least values of a number. With the smallest positive float, one comparison `≥` also expresses "positive"."""
 RANGES = {POSITIVE: "positive", ZERO_OR_MORE: "≥ 0", ANY_SIGN: "finite"}
 
 
 class Parameter(eqx.Module):
     """A number of a model, or an array of numbers, with its unit and its source.
 
-    The value is a leaf of the model's pytree: the same model with other values needs no new compilation.
+    The value is a leaf of the model's pytree, so the same model with other values needs no new compilation.
 
-    Use it in a model of your own, so that files, tables and messages name the number with its unit. Pass the values to
-    the functions through `Parametric`, so that `covariant.fit` can open them.
+    Use it in your own model, so that files, tables and messages name the number with its unit. Pass the values to the
+    functions through `Parametric`, so that `covariant.fit` can fit them.
 
     Attributes:
         value: The number or array, converted to real floating point.
-        unit: Unit, such as "kg m^2"; "1" where it has none.
-        source: Where the value is from.
+        unit: Unit, such as "kg m^2"; "1" for none.
+        source: Source of the value.
 
     Example:
         >>> from covariant import models
@@ -48,15 +48,15 @@ class Parameter(eqx.Module):
 
 
 class Parametric(Functional):
-    """A function of a model whose parameters are stored apart from its code.
+    """A function of a model whose parameters are stored separately from its code.
 
-    `Parametric(f, mass=1.0)` is called as `f` without its keyword `mass`. A program is compiled once for `f` and the
-    shapes of its parameters; a closure, such as a lambda that uses a number from around it, would be compiled again for
-    each number. The parameters reach `f` as arrays, of the real type that matches its first floating-point argument
-    with an axis.
+    `Parametric(f, mass=1.0)` is called like `f`, without the keyword `mass`. A program is compiled once for `f` and the
+    shapes of its parameters; a closure, such as a lambda that uses a number from its surroundings, would be compiled
+    again for each number. The parameters are passed to `f` as arrays, with the real type of its first floating-point
+    argument that has an axis.
 
     Attributes:
-        function: The function `f`. It should be a function of a module, so that it is the same object each time.
+        function: The function `f`. Define it at module level, so that it is the same object each time.
         parameters: Its parameters by name: numbers, arrays, or nested dictionaries of them.
 
     Example:
@@ -77,7 +77,7 @@ class Parametric(Functional):
         self.parameters = {name: _numbers(value) for name, value in parameters.items()}
 
     def __call__(self, *arguments: Any) -> Array:
-        # Parameters in double precision would otherwise promote a state in single precision.
+        # Double-precision parameters would otherwise promote a single-precision state.
         real = next((jnp.finfo(a.dtype).dtype for a in arguments if jnp.ndim(a) and _inexact(a)), jnp.zeros(()).dtype)
         return self.function(*arguments, **jax.tree.map(lambda number: number.astype(real), self.parameters))
 
@@ -98,15 +98,15 @@ def _inexact(array: Any) -> bool:
 
 
 def namespace(*given: Any) -> Any:
-    """The array library for given numbers: NumPy, or `jax.numpy` where one of them is traced by JAX.
+    """The array library for these numbers: `jax.numpy` if one of them is traced by JAX, else NumPy.
 
-    Open parameters of a family are traced. In NumPy a model is built without compiling anything.
+    Open parameters of a family are traced. With NumPy a model is built without compiling anything.
     """
     return np if known(given) else jnp
 
 
 def known(given: Any) -> bool:
-    """Whether the values of numbers are known, none of them being traced by JAX."""
+    """Whether the values of all these numbers are known, that is, none is traced by JAX."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
 
 
@@ -121,6 +121,6 @@ def check_parameters(
 
 
 def check_range(what: str, value: Any, least: float) -> None:
-    """Raise `ValueError` for a number that is not finite or below its least value; traced ones are not checked."""
+    """Raise `ValueError` for a number that is not finite or below its least value; traced numbers are not checked."""
     if known(value) and not ((numbers := np.asarray(value)) >= least).all() & np.isfinite(numbers).all():
         raise InputError(f"{what} must be {RANGES[least]}; got {numbers.tolist()!r}")

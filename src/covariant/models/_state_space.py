@@ -1,4 +1,4 @@
-"""General nonlinear systems `x' = f(t, x, u)`, `y = h(t, x, u)`, written once as JAX functions."""
+"""Defines general nonlinear systems `x' = f(t, x, u)`, `y = h(t, x, u)` as JAX functions."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -22,9 +22,9 @@ class StateSpace(Functional):
     """A nonlinear system `x' = f(t, x, u)`, `y = h(t, x, u)` with measured outputs; its Jacobians are automatic.
 
     Use it for systems that are not mechanical, such as tanks, reactors or electric machines, and for mechanical ones
-    with other measurements than positions. Use `Lagrangian` or `GroupSystem` where positions are measured: observers
-    then have geometry, and constant gains with a known error law. `f` and `h` must be JAX functions. Mark outputs that
-    are angles by `circles`, or a full turn counts as an error.
+    whose measurements are not positions. If positions are measured, use `Lagrangian` or `GroupSystem`: observers can
+    then use the geometry, and constant gains with a known error law. `f` and `h` must be JAX functions. Mark outputs
+    that are angles by `circles`, otherwise a full turn counts as an error.
 
     Attributes:
         f: State derivative `(t, x, u) -> (n,)` of the time t [s], the state x (n,) and the input u (m,).
@@ -34,8 +34,8 @@ class StateSpace(Functional):
         outputs: Names of the outputs; y1, y2, … by default if coordinates are given.
         inputs: Number of inputs m; 0 by default.
         circles: Indices of outputs that are angles on a full circle [rad]; errors in them are wrapped to ±π.
-        box: Lower and upper bound of each state within which the model is valid, for designs that need one.
-        parameters: `Parameter` objects by name, which document the model.
+        box: Lower and upper bound of each state, within which the model is valid, for designs that need one.
+        parameters: `Parameter` objects by name, as documentation.
 
     Raises:
         ValueError: A function has the wrong shape, or the names, units or box do not fit the state.
@@ -97,7 +97,7 @@ class StateSpace(Functional):
         """Known units of the logged quantities.
 
         Returns:
-            Units of each entry of `truth`, the reference states, by field of `logs.Columns`.
+            Units of each entry of `truth`, the reference states.
         """
         return {"truth": self.units}
 
@@ -126,11 +126,11 @@ class StateSpace(Functional):
         Returns:
             `∂f/∂x` (n, n) and `∂h/∂x` (p, n).
         """
-        # Forward mode: reverse mode needs as many passes for the square ∂f/∂x, and more memory.
+        # Forward mode is used, as reverse mode needs as many passes for the square ∂f/∂x, and more memory.
         return jax.jacfwd(self.f, 1)(t, x, u), jax.jacfwd(self.h, 1)(t, x, u)
 
     def output_error(self, predicted: Float[Array, "p"], y: Float[Array, "p"]) -> Float[Array, "p"]:
-        """Output error `predicted − y`, wrapped to ±π on circle outputs; zero where the measurement is missing (NaN).
+        """Output error `predicted − y`, wrapped to ±π for circles; zero if the measurement is missing (NaN).
 
         Args:
             predicted: Predicted output (p,).
@@ -139,7 +139,7 @@ class StateSpace(Functional):
         Returns:
             The error (p,).
         """
-        # Wrapped last: the difference of two angles may exceed ±π.
+        # Wrapping comes last, since the difference of two angles may exceed ±π.
         return wrap(self.circles, jnp.where(jnp.isnan(y), 0.0, predicted - y))
 
 
@@ -147,8 +147,8 @@ class StateSpace(Functional):
 def state_space(model: MechanicalSystem) -> StateSpace:
     """Convert a model to state-space form.
 
-    Use it where an observer or a design needs x and y: `Contracting`, `StateEKF`, `Riccati` and the metrics. The result
-    has lost the geometry, so that `Intrinsic` and the certificates of intrinsic observers do not accept it. A system on
+    Use it for observers and designs that need x and y: `Contracting`, `StateEKF`, `Riccati` and the metrics. The result
+    no longer has the geometry, so `Intrinsic` and the certificates of intrinsic observers do not accept it. A system on
     a group has no such form.
 
     Args:
@@ -221,7 +221,7 @@ def _check(model: StateSpace, box: Sequence[tuple[Any, Any]]) -> int:
         if entries and len(entries) != n:
             raise InputError(f"{name} needs one entry for each of the {n} states; it has {len(entries)}")
     for name, (low, high) in zip(model.coordinates, box, strict=False):
-        # Python cannot branch on traced numbers, so bounds that are being fitted are not checked.
+        # Python cannot branch on traced numbers, so bounds that are open in a fit are not checked.
         if not (isinstance(low, Tracer) or isinstance(high, Tracer) or low < high):
             raise InputError(f"box of {name}: the lower bound {low:g} must be below the upper one {high:g}")
     return count

@@ -1,4 +1,4 @@
-"""Conditioning and curvature of the metric of a mechanical system, sampled over a box."""
+"""Samples the conditioning and the curvature of a mechanical system's metric over a box."""
 
 from typing import NamedTuple
 
@@ -14,12 +14,12 @@ from scalargraph.errors import InputError
 
 
 class Survey(NamedTuple):
-    """Conditioning and curvature of the metric of a mechanical system, over sampled configurations; nothing is proved.
+    """Conditioning and curvature of a mechanical system's metric at sampled configurations; nothing is proved.
 
     Attributes:
         conditioning: Smallest and largest ratio (2,) of the largest to the smallest eigenvalue of the inertia matrix.
-        curvature: Smallest and largest sectional curvature (2,) of random planes [1/(kg m²)], all directions alike in
-            the metric; None where there is one dimension only.
+        curvature: Smallest and largest sectional curvature (2,) of random planes [1/(kg m²)], with directions
+            distributed uniformly in the metric; None for a single dimension.
         samples: Number of configurations, and of planes.
 
     Example:
@@ -41,7 +41,7 @@ def survey(
     Args:
         model: Mechanical system.
         box: Bounds (k, 2) of the k coordinates [their units]; ±π by default. Other factors of the configuration space,
-            such as ball joints, are turned and moved at random.
+            such as ball joints, get random positions.
         samples: Number of configurations, and of planes.
         seed: Seed of the random numbers.
 
@@ -67,13 +67,13 @@ def survey(
     steps = np.zeros((samples, n))
     steps[:, n - count :] = rng.uniform(box[:, 0], box[:, 1], (samples, count))
     planes = rng.normal(size=(samples, 2, n))
-    # The length of a normal vector (3,) is about 1.6 standard deviations: turns of 2.5 rad in the mean.
+    # The mean length of a normal vector (3,) is about 1.6 standard deviations: rotations of 2.5 rad on average.
     steps[:, : n - count] = rng.normal(size=(samples, n - count), scale=np.pi / 2)
     matrices, curvatures = evaluate_batch(
         lambda s, w: _at_configuration(model, model.manifold.retract(origin, s), w), steps, planes
     )
     eigenvalues = np.full((samples, n), np.nan)
-    finite = np.isfinite(matrices).all((1, 2))  # LAPACK fails at others
+    finite = np.isfinite(matrices).all((1, 2))  # LAPACK fails for matrices that are not finite
     eigenvalues[finite] = np.linalg.eigvalsh(matrices[finite])
     ratios = eigenvalues[:, -1] / eigenvalues[:, 0]
     return Survey(
@@ -86,9 +86,9 @@ def survey(
 def _at_configuration(
     model: MechanicalSystem, x: Array, w: Float[Array, "2 n"]
 ) -> tuple[Float[Array, "n n"], Float[Array, ""]]:
-    """The metric, and the sectional curvature of a plane, random where w is."""
+    """The metric, and the sectional curvature of a plane; the plane is random if w is."""
     matrix = model.space(x)
     n = matrix.shape[0]
-    # L⁻ᵀ w is equally likely in all directions of the metric L Lᵀ.
+    # For a normal w, L⁻ᵀ w is distributed uniformly over the directions of the metric L Lᵀ.
     a, b = w @ half_solve(matrix, jnp.eye(n, dtype=matrix.dtype))
     return matrix, sectional_curvature(model.space, x, a, b) if n > 1 else jnp.zeros(())

@@ -1,4 +1,4 @@
-"""The ideal fluid in the plane, periodic in both directions, as free motion on the group SU(n).
+"""Models the ideal fluid in the plane, periodic in both directions, as free motion on the group SU(n).
 
 The domain is the torus [0, 2π)² [m]; u = (−∂₂ψ, ∂₁ψ) [m/s] with stream function ψ [m²/s] and vorticity ω = Δψ [1/s]:
 
@@ -58,7 +58,7 @@ def ideal_fluid(n: int, viscosity: float = 0.0) -> GroupSystem:
         >>> models.fluid.ideal_fluid(3).group.dimension
         8
     """
-    # n odd: one half then exists modulo n (`_coefficients`), and no frequency n/2 lacks its negative.
+    # n is odd, so that one half exists modulo n (`_coefficients`), and every frequency has its negative.
     if not isinstance(n, int) or n < 3 or n % 2 == 0:
         raise InputError(f"ideal_fluid: n must be an odd integer of 3 or more; got {n!r}")
     if not viscosity >= 0:
@@ -96,7 +96,7 @@ def velocity_coordinates(n: int, stream: Modes) -> Vector:
 
 
 def stream_modes(n: int, v: Vector) -> Modes:
-    """Fourier coefficients of the stream function of a velocity: the inverse of `velocity_coordinates`.
+    """Fourier coefficients of the stream function of a velocity, the inverse of `velocity_coordinates`.
 
     Args:
         n: Number of frequencies in each direction.
@@ -205,7 +205,7 @@ def field(modes: Modes, points: int) -> Grid:
     """
     rows = _rows(modes.shape[0], points)
     padded = jnp.zeros((points, points), modes.dtype).at[rows[:, None], rows].set(modes)
-    # norm="forward": the sum of coefficients times exponentials has no factor in front.
+    # With norm="forward" the sum of coefficients times exponentials has no factor in front.
     return jnp.fft.ifft2(padded, norm="forward").real
 
 
@@ -236,7 +236,7 @@ def modes(n: int, values: Grid) -> Modes:
 def carry(n: int, g: Element, tracer: Modes) -> Modes:
     """Transport a passive tracer, such as a dye, by a motion of the fluid.
 
-    The tracer obeys `a_t = −{ψ, a}`, so `X_a ↦ g⁻¹ X_a g`. Without viscosity the vorticity is such a tracer.
+    The tracer obeys `a_t = −{ψ, a}`, so `X_a ↦ g⁻¹ X_a g`. Without viscosity the vorticity is such a tracer itself.
 
     Args:
         n: Number of frequencies in each direction.
@@ -277,7 +277,7 @@ def casimirs(n: int, v: Vector) -> Float[Array, "k"]:
         >>> bool(jnp.isclose(square, 2 * jnp.pi**2))
         True
     """
-    # Hermitian since the field is real; μ' = [μ, ζ] keeps the eigenvalues, of which the traces are power sums.
+    # The matrix is Hermitian, since the field is real. μ' = [μ, ζ] keeps its eigenvalues, whose power sums are traces.
     values = jnp.linalg.eigvalsh(_matrix(n, vorticity_modes(n, v)))
     return (2 * np.pi) ** 2 / n * jnp.sum(values[:, None] ** jnp.arange(2, n + 1, dtype=values.dtype)[None], axis=0)
 
@@ -323,8 +323,8 @@ class Laplacian(AbstractInertia):
     def solve(self, mu: Vector) -> Vector:
         """Velocity (n² − 1,) whose momentum is mu, with one step of iterative refinement."""
         x = self._rounded_solution(mu)
-        # A transform makes the same rounding error at every step, which accumulates: without this correction a thousand
-        # steps change the Casimirs by some 1e-12.
+        # A fixed transform makes the same rounding error at every step, and these accumulate: without this correction
+        # a thousand steps change the Casimirs by about 1e-12.
         return x + self._rounded_solution(mu - self(x))
 
     def _rounded_solution(self, mu: Vector) -> Vector:
@@ -387,7 +387,7 @@ def _scale_modes(n: int, factors: np.ndarray, x: Vector) -> Vector:
 
 def _nonzero_squares(n: int) -> np.ndarray:
     squares = _squared_wave_numbers(n)
-    squares[0, 0] = 1.0  # the mean, which no velocity has
+    squares[0, 0] = 1.0  # the mean, which is zero for every velocity
     return squares
 
 
@@ -395,7 +395,7 @@ def _rows(n: int, points: int) -> np.ndarray:
     """Indices of the n frequencies of either sign among those of a grid."""
     if points < n:
         raise InputError(f"a grid of {n} frequencies needs at least {n} points a side; got {points}")
-    return _frequencies(n) % points  # negative frequencies are at the end
+    return _frequencies(n) % points  # negative frequencies are stored at the end
 
 
 def _times(factors: np.ndarray | Array, coefficients: Modes) -> Modes:
@@ -419,11 +419,11 @@ def _coefficients(n: int, matrix: Element) -> Modes:
 def _right_jacobian_inverse(group: SU, x: Vector, y: Vector) -> Vector:
     """Inverse of the right Jacobian, J_r(x)⁻¹ y.
 
-    Where x is diagonal with angles θ, entry (j, k) of y is divided by the mean of exp(−is(θ_j − θ_k)), 0 ≤ s ≤ 1.
+    If x is diagonal with angles θ, entry (j, k) of y is divided by the mean of exp(−is(θ_j − θ_k)), 0 ≤ s ≤ 1.
     """
     angles, vectors = jnp.linalg.eigh(-1j * group.hat(x))
     half = (angles[:, None] - angles[None]).astype(vectors.dtype) / 2
-    # jnp.sinc(t) is sin(πt)/(πt), which is finite where two angles are equal.
+    # jnp.sinc(t) is sin(πt)/(πt), which stays finite if two angles are equal.
     factors = jnp.exp(1j * half) / jnp.sinc(half / np.pi)
     turned = factors * (vectors.conj().T @ group.hat(y) @ vectors)
     return group.vee(vectors @ turned @ vectors.conj().T)
@@ -435,6 +435,6 @@ def _(primals, tangents):
     z = _right_jacobian_inverse(group, x, y)
     _, x_dot, y_dot = tangents
     rate = jnp.zeros_like(y) if y_dot is None else y_dot
-    if x_dot is not None:  # from y = J(x) z; the eigenvectors themselves may have no derivative
+    if x_dot is not None:  # derivative of y = J(x) z; the eigenvectors themselves may not be differentiable
         rate = rate - jax.jvp(lambda p: group.right_jacobian(p, z), (x,), (x_dot,))[1]
     return z, _right_jacobian_inverse(group, x, rate)

@@ -1,4 +1,4 @@
-"""Observers: each in a file of its own, and the baselines they are compared with, all in one form."""
+"""Observers that estimate the state of a system from its measurements, and baselines for comparison, in one form."""
 
 from scalargraph.rooms import attach
 

@@ -1,4 +1,4 @@
-"""Names of the observers in the registry, available without loading the observers."""
+"""Lists the names of the observers in the registry, without loading the observers."""
 
 OBSERVER_NAMES = (
     "intrinsic",
@@ -18,7 +18,7 @@ OBSERVER_NAMES = (
     "joint-kalman",
     "salcudean",
 )
-"""Names of the first entries of `REGISTRY`, those for mechanical systems, in the order of the registry."""
+"""Names of the first entries of `REGISTRY`, for mechanical systems, in the order of the registry."""
 STATE_OBSERVER_NAMES = ("covariance-ekf", "information-ekf", "riccati", "legged-base")
 """Names of the entries of `REGISTRY` for state-space models, in the order of the registry."""
 SMOOTHED = ("intrinsic-kalman", "ekf", "ukf", "joint-kalman", "covariance-ekf")

@@ -1,7 +1,7 @@
-"""The registry of observers that `calibration` can tune: one entry for each.
+"""The registry of observers that `calibration` can tune, with one entry for each.
 
-An observer is entered here and nowhere else. `calibration.estimators` and `tuned_estimators`, the commands `estimate`
-and `compare`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.
+An observer is registered only here. `calibration.estimators` and `tuned_estimators`, the commands `estimate` and
+`compare`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ from covariant.observers.sensors import MissingInputs, Sensor, SlowVariables
 from covariant.observers.wrappers import Contacts
 
 EDGE = 0.1
-"""Standard deviation of the position of an encoder's edge, as a fraction of a tick: the manufacturing tolerance."""
+"""Standard deviation of the position of an encoder's edge, as a fraction of a tick: a typical tolerance."""
 
 
 def mechanical(model: Any) -> bool:
@@ -72,12 +72,12 @@ def rotations(model: Any) -> bool:
 
 
 def states(model: Any) -> bool:
-    """Every state-space model but bases on legs."""
+    """Every state-space model, except bases of legged robots."""
     return model.sought.what == "state" and not on_legs(model)
 
 
 def on_legs(model: Any) -> bool:
-    """Bases of robots on legs."""
+    """Bases of legged robots."""
     return model.sought.what == "state" and isinstance(model.f, Legs)
 
 
@@ -91,15 +91,15 @@ def intrinsic_kalman(
     sensors: tuple[Sensor, ...] = (),
     inputs: MissingInputs | None = None,
 ) -> IntrinsicKalman:
-    """Intrinsic Kalman filter, for encoders that count ticks where their tick is known, else for Gaussian noise."""
+    """Intrinsic Kalman filter: for encoders that count ticks if their tick is known, else for Gaussian noise."""
     n = measurement.shape[0]
     velocity = jnp.diag(jnp.broadcast_to(jnp.asarray(speed, float), n) ** 2)
     if quantum is None or not model.manifold.commuting:
         return IntrinsicKalman(
             model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs, adaptive=True
         )
-    # A reading is an interval here, so that the only noise is that of the positions of edges. Its error repeats from
-    # row to row, as that of a wrong model does: the filter cannot learn from it what it does not know.
+    # A reading is an interval here, so the only noise is that of the positions of edges. The error of a reading repeats
+    # from row to row, as with a wrong model, so the filter cannot learn the size of the unknown from it.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
     return IntrinsicKalman(
         model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs
@@ -107,31 +107,31 @@ def intrinsic_kalman(
 
 
 class Entry(NamedTuple):
-    """An observer, and how to construct it for a model.
+    """An observer with the data needed to construct it for a model.
 
     Attributes:
         name: Name on the command line.
         observer: Class of the observer.
         make: Function that constructs the observer, `make(model, *numbers)`, with the numbers of `tuned_by`.
         tuned_by: Numbers that the observer needs. For a mechanical system `calibration.tuned_estimators` computes them.
-            "gains" are α [1/s] and β [1/s²]; "gains and force" are these and the rate [1/s] at which a force is learnt.
-            "noise" are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of
-            the initial velocity; "noise or ticks" are these, one tick of the encoders or None, and the slow states that
-            are estimated, a tuple of `SlowVariables`, the sensors beside the configuration, a tuple of `Sensor`, and
-            what inputs may be while they are missing, a `MissingInputs` or None.
-            Of filters that use no model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
+            "gains" are α [1/s] and β [1/s²]; "gains and force" add the rate [1/s] at which a force is learnt. "noise"
+            are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
+            initial velocity; "noise or ticks" add one tick of the encoders or None, the slow states that are estimated,
+            a tuple of `SlowVariables`, the further sensors, a tuple of `Sensor`, and the behaviour of missing inputs, a
+            `MissingInputs` or None.
+            For filters without a model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
             [samples] and the degree of a polynomial; "motion" are the standard deviation [rad/s²] and the correlation
             time [s] of the accelerations, and the standard deviation of a sample; "jerk" is a bound on the jerk
             [rad/s³].
-            For a state-space model "state noise" is its `StateNoise`.
+            For a state-space model, "state noise" is its `StateNoise`.
         about: Short description of the observer.
         when: When to choose it.
         source: Where it was published.
         fits: Function that says whether the observer can be constructed for a model; any mechanical system by default.
-        promises: Laws that the tests check besides those of every observer. "error law": to first order the error in a
-            parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free": the estimate
-            is the same in all coordinates, to the accuracy of its geodesics. None by default.
-        has_gate: Whether it judges measurements itself, by its covariance; others are put behind a `Gated`. False by
+        promises: Laws that the tests check in addition to those of every observer. "error law": to first order the
+            error in a parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free":
+            the estimate is the same in all coordinates, up to the accuracy of its geodesics. None by default.
+        has_gate: Whether it has a gate based on its covariance; other observers are wrapped in a `Gated`. False by
             default.
 
     Example:
@@ -159,7 +159,7 @@ class Entry(NamedTuple):
     has_gate: bool = False
 
     def construct(self, model: Any, *numbers: Any) -> AbstractObserver:
-        """The observer of a model; if the model has feet, through their `Contacts`.
+        """The observer for a model; if the model has feet, wrapped in `Contacts`.
 
         Args:
             model: The model.
@@ -173,7 +173,7 @@ class Entry(NamedTuple):
 
     @property
     def knows_model(self) -> bool:
-        """Whether the observer predicts with the model, and not from the positions alone."""
+        """Whether the observer predicts with the model, instead of using positions alone."""
         return self.tuned_by not in ("bandwidth", "window", "motion", "jerk")
 
 

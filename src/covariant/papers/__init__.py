@@ -1,1 +1,1 @@
-"""Examples of the papers, reproduced with this library's observers, and the errata that matter."""
+"""Reproduces examples of the papers with this library's observers, and lists the papers' relevant errata."""

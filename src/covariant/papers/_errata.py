@@ -1,7 +1,7 @@
-"""Observers with wrong printed equations, which demonstrably fail; `errata.ERRATA` lists all misprints.
+"""Implements observers from wrong printed equations, to show that they fail; `errata.ERRATA` lists all misprints.
 
-Sources: Aghannan & Rouchon 2003, equation (14): all four curvature terms have the sign opposite to their own (5).
-Maithripala, Berg & Dayawansa 2004, equations (8), (18), (19), (21), (44), (45) and the definition of S below (30).
+Sources: Aghannan & Rouchon 2003, equation (14), whose four curvature terms have the wrong sign according to its own
+(5). Maithripala, Berg & Dayawansa 2004, equations (8), (18), (19), (21), (44), (45) and the definition of S below (30).
 """
 
 import equinox as eqx
@@ -15,7 +15,7 @@ from covariant.observers import AbstractFlowObserver, Info, MechanicalState, Sam
 from covariant.papers.errata import ERRATA
 
 CONTINUOUS = "the printed observer is a counter-example in continuous time only"
-"""Reason why such an observer has no sampled steps."""
+"""Message: the observers of this file have no sampled steps."""
 
 
 class PrintedBallAndBeam(AbstractFlowObserver):
@@ -54,7 +54,7 @@ class PrintedBallAndBeam(AbstractFlowObserver):
         # The force S = −grad U + g⁻¹u at the measured position, as in (14).
         sr, st = -jnp.sin(theta), (u[0] - r * jnp.cos(theta)) / (1 + r**2)
         k = 1 + r_hat**2
-        # R(ξ, v̂)v̂ by (5) is minus these: the metric diag(1, k), k = 1 + r̂², has the curvature −1/k².
+        # By (5), R(ξ, v̂)v̂ is minus these terms: the metric diag(1, k), k = 1 + r̂², has the curvature −1/k².
         curvature_r = (-vr * vt * et + vt**2 * er) / k
         curvature_t = (vr**2 * et - vr * vt * er) / k**2
         vr_dot = r_hat * theta_dot * vt + (sr + r_hat * et * st) - self.beta * er
@@ -85,7 +85,7 @@ class PrintedGroup(AbstractFlowObserver):
         model: The system.
         alpha: Gain α [1/s], doubled in the observer.
         beta: Gain β [1/s²].
-        slips: The misprints, keys of `SLIPS`.
+        slips: The misprints to include, keys of `SLIPS`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -112,9 +112,9 @@ class PrintedGroup(AbstractFlowObserver):
         space, group, q, v = self.model.space, self.model.group, state.q, state.v
         error = _printed_log(y, q) if "logarithm" in self.slips else group.between(y, q)
         s = source(self.model, t, y, u)
-        # `source` has raised the force already; lowering it removes the inverse inertia, as in the print.
+        # `source` has raised the force already; lowering it removes the inverse inertia, which the print lacks.
         s = space.lower(q, s) if "source" in self.slips else s
-        # The α of the paper is half of that of Aghannan and Rouchon, see (17).
+        # The paper's α is half of the α of Aghannan and Rouchon, see (17).
         w = v - 2 * self.alpha * error
         transported = s - (
             space.connection(q, s, error) if "transport" in self.slips else space.connection(q, error, s)
@@ -122,11 +122,11 @@ class PrintedGroup(AbstractFlowObserver):
         curvature = space.curvature(q, v, error, v)
         if "curvature count" in self.slips:
             curvature = 2 * curvature - space.connection(q, group.lie_bracket(v, error), v)
-        # With R(a, b) = ∇_a∇_b − ∇_b∇_a − ∇_[a, b], as in this library, the term enters with a minus; (18) has a plus.
+        # With R(a, b) = ∇_a∇_b − ∇_b∇_a − ∇_[a, b], as in this library, the term has a minus sign; (18) has a plus.
         v_dot = transported + (curvature if "curvature sign" in self.slips else -curvature) - self.beta * error
         v_dot = v_dot - space.connection(q, w, v) + friction(self.model, t, q, v, u)
         if "alpha" in self.slips:
-            # The connection has the bracket with the factor α; this leaves it with the factor 1, as (21) does.
+            # The connection contains the bracket with the factor α; this changes the factor to 1, as in (21).
             v_dot = v_dot + (1 - self.alpha) * group.lie_bracket(error, v)
         return SampledState(w, v_dot, jnp.ones_like(state.t))
 
@@ -139,7 +139,7 @@ class PrintedGroup(AbstractFlowObserver):
 
 def _printed_log(y: Element, estimate: Element) -> Vector:
     """Equations (44) and (45) as printed: the spatial logarithm of the rotation, and a difference of two frames."""
-    # log(g̃gᵀ) is the rotation vector in space; that of gᵀg̃ in the body would be gᵀ times it.
+    # log(g̃gᵀ) is the rotation vector in space; in the body, log(gᵀg̃) would be gᵀ times it.
     omega = SO3.log(estimate[:3, :3] @ y[:3, :3].T)
     if y.shape[0] == 3:
         return omega

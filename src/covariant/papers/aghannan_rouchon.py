@@ -1,4 +1,4 @@
-"""Aghannan & Rouchon 2003, reproduced: figure 4, the basin of attraction, and the tutorial example."""
+"""Reproduces Aghannan & Rouchon 2003: figure 4, the basin of attraction, and the tutorial example."""
 
 import functools
 import time
@@ -53,7 +53,7 @@ class Trajectory(NamedTuple):
 
     @property
     def error(self) -> np.ndarray:
-        """Euclidean norm (T,) of (q̂ − q, v̂ − v); not finite once the observer has escaped."""
+        """Euclidean norm (T,) of (q̂ − q, v̂ − v); not finite after the observer has escaped."""
         with np.errstate(invalid="ignore"):  # infinite once the observer has escaped
             return np.linalg.norm(self.estimate - self.x, axis=1)
 
@@ -75,7 +75,7 @@ def figure4_observers() -> dict[str, AbstractFlowObserver]:
     }
 
 
-@functools.cache  # one object, so that compiled programs are reused
+@functools.cache  # the same object at each call, so that compiled programs are reused
 def _plant() -> models.Lagrangian:
     return models.ball_and_beam()
 
@@ -150,7 +150,7 @@ def _figure4(observer, t, amplitude, scale, rtol):
     def measure(s, q):
         return q + amplitude * noise(s)
 
-    # Of a basin some runs escape: the limit of steps ends them.
+    # Some runs from outside the basin escape; the limit of steps ends them.
     x, state = observe(
         plant, observer, x0, state0, t, feedback, measure, rtol=rtol, atol=rtol / 100, max_steps=MOST_STEPS
     )
@@ -172,7 +172,7 @@ def tutorial(progress: Callable[[str], None] = lambda stage: None) -> dict[str, 
     exact = _chart_differences(lambda model: Geodesic(model, ALPHA, BETA, Budget()), errors)
     progress("tutorial example: approximate observer")
     approximate = _chart_differences(lambda model: Intrinsic(model, ALPHA, BETA), errors)
-    # `approximate` is relative to the error; the difference itself shows the order.
+    # `approximate` is relative to the error, so the order is that of the absolute difference.
     slope = np.polyfit(np.log(errors), np.log(np.multiply(errors, approximate)), 1)[0]
     return {
         "initial_error": list(errors),
@@ -208,7 +208,7 @@ def _simulate_oscillator(observer, x0, start):
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Compute all numbers of the paper that are reproduced.
+    """Compute all reproduced numbers of the paper.
 
     Args:
         progress: Called with the name of each of `STAGES` stages.
@@ -223,7 +223,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     for name, observer in figure4_observers().items():
         basin = SCALES if name in BASINS else ()
         progress(f"figure 4: {name}" + (", and its basin of attraction" if basin else ""))
-        # Looser tolerances where noise at 50 rad/s forces short steps, and where only convergence is in question.
+        # Tolerances are looser if noise at 50 rad/s forces short steps, or if only convergence matters.
         runs = [(False, 1.0, 1e-10), (True, 1.0, 1e-7), *((False, scale, 1e-8) for scale in basin)]
         errors = [_finite(run.error) for run in figure4_batch(observer, STAMPS, runs)]
         for key, error in zip(("fig4", "fig4_noise"), errors, strict=False):
@@ -257,7 +257,7 @@ COLORS = {
     "copy": "amber",
     "no_curvature": "olive",
 }
-"""Names in the palette of the figures: one colour for an observer in all of them."""
+"""Names in the figures' palette, one colour for each observer."""
 
 
 def figure4_runs(duration: float = 20.0) -> dict[str, Trajectory]:
@@ -275,7 +275,7 @@ def figure4_runs(duration: float = 20.0) -> dict[str, Trajectory]:
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Draw figure 4, and with the suffix `_errors` the errors without noise.
+    """Draw figure 4 and, in a second file with the suffix `_errors`, the errors without noise.
 
     Args:
         path: File of the first figure.

@@ -1,15 +1,15 @@
-"""Misprints of the four papers, each as printed, as it should read, and with the test that shows the difference.
+"""Lists misprints of the four papers: each as printed, as it should read, and with a test that shows the difference.
 
-This list is the only place with these formulas: the pages of the papers and the keys of the counter-examples in
-`covariant.papers._errata` come from it. What only depends on a convention (the sign of the curvature, α or 2α) is in
-the table of symbols, `docs/notation.md`, and is no misprint.
+These formulas are stored only here; the pages of the papers and the keys of the counter-examples in
+`covariant.papers._errata` use them. Differences of convention (the sign of the curvature, α or 2α) do not count as
+misprints; they are in the table of symbols, `docs/notation.md`.
 """
 
 from typing import NamedTuple
 
 
 class Erratum(NamedTuple):
-    """A printed formula that is wrong if it is implemented as it stands.
+    """A printed formula that is wrong if it is implemented literally.
 
     Attributes:
         paper: Name of the paper, as `covariant reproduce` takes it.
@@ -17,9 +17,9 @@ class Erratum(NamedTuple):
         printed: The formula as printed.
         corrected: The formula as it should read.
         reason: What is wrong, in a few words.
-        effect: What happens to somebody who implements the print.
+        effect: Consequence for someone who implements the printed formula.
         shown_by: The test that fails with the printed formula, as `path::function`, from the repository's root.
-        slip: Key in `covariant.papers._errata.SLIPS` of the counter-example; empty where there is none.
+        slip: Key in `covariant.papers._errata.SLIPS` of the counter-example; empty if there is none.
 
     Example:
         >>> from covariant.papers.errata import ERRATA

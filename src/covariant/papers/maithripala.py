@@ -1,6 +1,6 @@
-"""Maithripala, Berg & Dayawansa 2004, reproduced: the heavy top of their figure 1, and the effect of misprints.
+"""Reproduces Maithripala, Berg & Dayawansa 2004: the heavy top of their figure 1, and the effect of misprints.
 
-The paper gives neither inertia nor initial state; those below are chosen. The rates of the theory depend on neither.
+The paper states neither inertia nor initial state; those below are chosen. The theoretical rates depend on neither.
 """
 
 import functools
@@ -27,13 +27,13 @@ TOP, DISC = (0.2, 0.2, 0.1), (0.1, 0.1, 0.19)
 TILT, MISALIGNED = (0.3, 0.2, 0.0), (0.1, -0.15, 0.05)
 """Rotation vectors [rad] of the initial attitude of the top, and of the initial error of the estimate."""
 SPINNING, TUMBLING = (1.0, -0.5, 5.0), (10.0, 0.0, 1.0)
-"""Initial angular velocities [rad/s]: about the axis, and across it, where a disc has negative curvature."""
+"""Initial angular velocities [rad/s]: about the axis, and perpendicular to it, where a disc has negative curvature."""
 PRINTED = ("curvature sign", "curvature count")
 """The curvature (8) and its sign in (18) as printed, as entries of `SLIPS`."""
 UNEQUAL = (1.0, 2.0, 3.5)
 """Principal inertias of a body on which the two logarithms are compared."""
 POINTS = 601
-"""Number of stamps of every run, the same for all so that an observer is compiled once."""
+"""Number of stamps of every run; it is the same for all, so that an observer is compiled once."""
 STAGES = 7
 """Number of progress reports of `reproduce`."""
 
@@ -44,7 +44,7 @@ class Trajectory(NamedTuple):
     Attributes:
         t: Stamps (T,) [s].
         v: True angular velocities (T, 3) [rad/s] in the body frame.
-        estimate: Estimated ones (T, 3).
+        estimate: Estimated angular velocities (T, 3).
 
     Example:
         >>> import numpy as np
@@ -59,7 +59,7 @@ class Trajectory(NamedTuple):
 
     @property
     def error(self) -> np.ndarray:
-        """Euclidean norm (T,) of the velocity error; not finite once the observer has escaped."""
+        """Euclidean norm (T,) of the velocity error; not finite after the observer has escaped."""
         with np.errstate(invalid="ignore"):
             return np.linalg.norm(self.estimate - self.v, axis=1)
 
@@ -67,7 +67,7 @@ class Trajectory(NamedTuple):
 def follow(
     inertia: tuple[float, ...], velocity: tuple[float, ...], observer: Callable[..., AbstractFlowObserver], t
 ) -> Trajectory:
-    """Run an observer, initially at rest and misaligned, on a top in free motion.
+    """Run an observer on a top in free motion; it starts at rest, with a wrong attitude.
 
     Args:
         inertia: Principal inertias of the top [kg m²].
@@ -83,7 +83,7 @@ def follow(
     return Trajectory(np.asarray(t), np.asarray(x), np.asarray(v))
 
 
-@functools.cache  # one object, so that compiled programs are reused
+@functools.cache  # the same object at each call, so that compiled programs are reused
 def _top(inertia: tuple[float, ...]) -> models.GroupSystem:
     return models.heavy_top(inertia)
 
@@ -100,7 +100,7 @@ def corrected(doubled: bool) -> Callable[..., AbstractFlowObserver]:
     """The corrected observer of figure 1.
 
     Args:
-        doubled: Whether α is doubled as in the paper, or that of this library.
+        doubled: Whether α is doubled as in the paper, or is the α of this library.
 
     Returns:
         A function from a top to its observer.
@@ -146,7 +146,7 @@ def fitted_rate(run: Trajectory, begin: float) -> float:
 
 
 def conserved(duration: float = 60.0) -> dict[str, float]:
-    """Largest changes of quantities that the free top conserves, by which the simulation is judged.
+    """Largest changes of quantities that the free top conserves; they measure the accuracy of the simulation.
 
     Args:
         duration: Length of the simulation [s].
@@ -165,7 +165,7 @@ def _invariant_drift(t):
     x = simulate(top, models.Motion(SO3.exp(jnp.array(TILT)), jnp.array(SPINNING)), t).x
 
     def invariants(g, v):
-        # A row of g is gᵀe₃: the vertical in the body, about which weight has no torque.
+        # A row of g is gᵀe₃, the vertical in the body frame; weight has no torque about it.
         vertical = g[2]  # e₃ in the body frame
         return jnp.stack([models.energy(top, g, v), vertical @ top.space.lower(g, v), vertical @ vertical])
 
@@ -181,8 +181,8 @@ def logarithm_gap(angle: float, axes: int = 200) -> dict[str, float]:
         axes: Number of axes.
 
     Returns:
-        `too_long_…`: relative excess of its length over the distance, mean and largest; `degrees_…`: the angle between
-        both logarithms.
+        `too_long_…`: relative excess of the group logarithm's length over the distance, mean and largest; `degrees_…`:
+        the angle between the two logarithms.
     """
     directions = np.random.default_rng(0).normal(size=(axes, 3))
     x = angle * directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -209,7 +209,7 @@ def _logarithm_gap(x):
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Compute all numbers of the paper that are reproduced.
+    """Compute all reproduced numbers of the paper.
 
     Args:
         progress: Called with the name of each of `STAGES` stages.
@@ -230,7 +230,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
         "t": t[::20].tolist(),
         "error_doubled": _finite(doubled.error[::20]),
         "error": _finite(single.error[::20]),
-        # After nearly eight time constants of the slow pole each: what is left is small enough for linear theory.
+        # Both fits begin after nearly eight time constants of the slow pole, when linear theory holds.
         "rate_doubled": fitted_rate(doubled, 15.0),
         "rate": fitted_rate(single, 7.0),
         "theory_doubled": slow_rate(True),
@@ -256,7 +256,7 @@ def _finite(values) -> list[float | None]:
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Draw figure 1, and with the suffix `_errors` the errors with the rates of the theory and those of the print.
+    """Draw figure 1 and, with the suffix `_errors`, the errors with the theoretical rates, and those of the print.
 
     Args:
         path: File of the first figure.

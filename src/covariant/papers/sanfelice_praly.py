@@ -1,4 +1,4 @@
-"""Sanfelice & Praly 2015, reproduced: the oscillator of unknown frequency, its metric, figure 1, and the observer."""
+"""Reproduces Sanfelice & Praly 2015: the oscillator of unknown frequency, its metric, figure 1, and the observer."""
 
 import math
 import time
@@ -61,7 +61,7 @@ def grid() -> Float[np.ndarray, "125 3"]:
 def quadrature(x: Vector, rate: Number, length: Number, steps: int = 400) -> Matrix:
     """Weighted Gramian `∫ exp(λt) Φᵀ h_xᵀ h_x Φ dt` from −length [s] to 0, at the state x (3,), for λ = `rate` [1/s].
 
-    Φ is in closed form, so that P (3, 3) needs neither a Riccati equation nor Jacobians; it takes `steps` integration
+    Φ is known in closed form, so P (3, 3) is computed without a Riccati equation or Jacobians, in `steps` integration
     steps.
     """
     x1, x2, x3 = x
@@ -112,7 +112,7 @@ def _routes(points: Array, rate: Array) -> dict[str, Array]:
 
     def at(x):
         solution = metric_at(model, equation, x, tolerance=1e-12)
-        # e⁻⁴⁰ = 4e-18: the start of the metric is forgotten to below rounding.
+        # e⁻⁴⁰ = 4e-18: the initial metric is forgotten to below rounding.
         radon = metric_through(model, equation, x, 40 / rate, 800, route="radon").metric[-1]
         riccati = metric_through(model, equation, x, 40 / rate, 800).metric[-1]
         routes = {
@@ -162,22 +162,22 @@ def _least_rate(points: Array, rate: Array, gain: Array):
         def flow(t, z):
             return observer.flow(zero, Estimate(z, zero), none, x[:1]).x
 
-        # Half: a rate of lengths, where the other is that of squared lengths.
+        # Half, since this is a rate of lengths and `contraction_rate` is one of squared lengths.
         return contraction_rate(flow, lambda t, z: metric(z), zero, x) / 2
 
     return jax.vmap(at)(points).min()
 
 
 def gap(duration: float = 40.0, missing: tuple[float, float] = (15.0, 25.0)) -> dict[str, np.ndarray]:
-    """Errors of the observer and the filter with the same forgetting rate, λ = 2, on one noisy log with a gap.
+    """Errors of the observer and of the filter with the same forgetting rate, λ = 2, on one noisy log with a gap.
 
     Args:
         duration: Length of the log [s].
         missing: Begin and end of the gap [s].
 
     Returns:
-        Stamps `t`, norms of the errors `riccati` and `ekf`, and least eigenvalues of P, `…_least`: that of the filter,
-        and that of the metric at the observer's estimate.
+        Stamps `t`, norms of the errors `riccati` and `ekf`, and least eigenvalues `…_least` of P: for the filter, and
+        for the metric at the observer's estimate.
     """
     model, rate = models.unknown_frequency(), 2.0
     metric, start = analytic_metric(rate), jnp.array([0.8, 0.3, 1.5])
@@ -197,12 +197,12 @@ def gap(duration: float = 40.0, missing: tuple[float, float] = (15.0, 25.0)) -> 
 
 
 def prior(duration: float = 40.0) -> dict[str, float]:
-    """A case where the filter is better: its prior knows the frequency to 1 %, which a stationary metric cannot use.
+    """A case in which the filter is better: its prior knows the frequency to 1 %, which a stationary metric cannot use.
 
     Returns root mean square errors of x3 [1/s²] over the log; noise is 0.1 m, and Q and R are the same for both.
     """
     model, std, dt = models.unknown_frequency(), 0.1, 0.01
-    # A sample of variance σ² every dt is continuous noise of the density σ² dt.
+    # Samples of variance σ², one every dt, correspond to continuous noise of density σ² dt.
     equation = Equation(process_cov=jnp.diag(jnp.array([1e-6, 1e-6, 1e-4])), measurement_cov=jnp.array([[std**2 * dt]]))
     record = _noisy(duration, std)
     start = jnp.array([0.9, 0.1, 1.01])
@@ -253,7 +253,7 @@ def _least(matrices: Array | np.ndarray) -> np.ndarray:
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Compute all numbers of the paper that are reproduced.
+    """Compute all reproduced numbers of the paper.
 
     Args:
         progress: Called with the name of each of `STAGES` stages.
@@ -313,7 +313,7 @@ STAGES = 2 * len(RATES) + len(GAINS) + 4
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Draw figure 1 with the affine-invariant error beside the published one; with suffix `_observer` the observer."""
+    """Draw figure 1 with the affine-invariant error beside the published one; with suffix `_observer`, the observer."""
     return draw_figure1(path), draw_observer(path.with_stem(f"{path.stem}_observer"))
 
 
@@ -337,7 +337,7 @@ def draw_figure1(path: Path) -> Path:
 
 
 def draw_observer(path: Path) -> Path:
-    """Draw the decay of the distance for each k_E, and the gap in the log, in which the P of the filter degenerates."""
+    """Draw the decay of the distance for each k_E, and the gap in the log, during which the filter's P degenerates."""
     from covariant.report import PALETTE, new_figure, save_figure
 
     titles = ("Distance of observer and plant, λ = 2", "Error on a log with a gap", "Least eigenvalue of P")
@@ -430,7 +430,7 @@ def error_rows(results: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def route_rows(results: dict[str, Any]) -> list[dict[str, str]]:
-    """Table rows of the four ways to compute P."""
+    """Table rows of the four methods to compute P."""
     names = next(iter(results["routes"].values()))
     return [
         {"way": name} | {f"λ = {rate}": f"{distances[name]:.1e}" for rate, distances in results["routes"].items()}

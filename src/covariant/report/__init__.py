@@ -1,4 +1,4 @@
-"""Figures and pages from arrays: estimates and certificates drawn for people. No mathematics of observers here.
+"""Draws estimates and certificates for people, as figures and pages, from arrays; it computes no estimates itself.
 
 matplotlib and plotly are optional packages, loaded by the functions that draw and installed by
 `pip install 'covariant[report]'`.

@@ -1,4 +1,4 @@
-"""Text, tables and figures as one self-contained HTML page."""
+"""Writes text, tables and figures as one self-contained HTML page."""
 
 import base64
 import os
@@ -13,7 +13,7 @@ from scalargraph.files import utf8, write_atomically
 from scalargraph.template import fill, template
 
 Block = str | Path | Sequence[Mapping[str, object]]
-"""A paragraph ("# …" makes it a heading), lines that stay as they are, a PNG file, or the rows of a table."""
+"""A paragraph ("# …" makes it a heading), preformatted lines, a PNG file, or the rows of a table."""
 
 
 def write_article(
@@ -31,8 +31,8 @@ def write_article(
         blocks: Paragraphs, headings, figures and tables.
         path: The page (.html).
         headline: The result in one line, under the title.
-        warnings: Sentences on what was unusual; None where nothing is said of it.
-        facts: What was computed, from what, and how, by name.
+        warnings: Sentences on anything unusual; None to show no such section.
+        facts: Facts about the computation, by name: inputs, settings, versions.
 
     Returns:
         The path.
@@ -56,12 +56,12 @@ def write_article(
 
 
 def block_html(block: Block, heading: str) -> str:
-    """A block in HTML; a figure is described by the heading above it."""
+    """A block in HTML; the heading above a figure serves as its description."""
     if isinstance(block, Path):
         data = base64.b64encode(block.read_bytes()).decode()
         label = escape(f"Figure: {heading}")
         picture = f'<img alt="{label}" src="data:image/png;base64,{data}">'
-        # A container that scrolls can be reached by the keyboard.
+        # A scrolling container gets `tabindex`, so that the keyboard can reach it.
         return f'<div class="picture" tabindex="0" role="region" aria-label="{label}">{picture}</div>'
     if isinstance(block, str):
         if "\n" in block:

@@ -1,4 +1,4 @@
-"""The initial range of a panel's y axis: that of the steady part of the estimates, without the tip of an overshoot."""
+"""Chooses the initial range of a panel's y axis: the steady part of the estimates, without the tip of an overshoot."""
 
 from collections.abc import Collection
 from typing import NamedTuple
@@ -10,15 +10,15 @@ from covariant.report._panels import Quantity, shorten
 from covariant.report._polylines import drawable
 
 _TRANSIENT = 0.25
-"""Fraction of the record in which an estimate may still be converging; it does not affect the axis."""
+"""Fraction of the record, from its start, in which an estimate may still converge; this part does not set the axis."""
 
 _LOST = 10.0
-"""An estimate whose range exceeds that of the motion and of the first estimate by this factor does not affect the
+"""An estimate whose range exceeds the range of the motion and of the first estimate by this factor does not set the
 axis."""
 
 _GAIN = (1.6, 1e4)
-"""Samples are left off scale only if the axis then shows the rest larger by a factor in this range: a smaller one is
-not worth it, and a larger one occurs in exact simulations, where the transient is all there is to see."""
+"""Samples are left off the scale only if this enlarges the rest by a factor in this range. A smaller factor gains too
+little; a larger one occurs in exact simulations, in which the transient is the only thing to see."""
 
 _FEW = 20
 """With fewer samples than this after the transient, all samples determine the axis."""
@@ -32,7 +32,7 @@ class AxisRange(NamedTuple):
     Attributes:
         low: Lower end, in the unit of the data.
         high: Upper end.
-        outside: A sentence on what lies outside them, or "".
+        outside: A sentence on the samples outside the limits, or "".
     """
 
     low: float
@@ -41,7 +41,7 @@ class AxisRange(NamedTuple):
 
 
 class _Range(NamedTuple):
-    """Along the axis (in logarithms on a log axis): ends of all samples of a curve, and of those that must be shown."""
+    """Ends along the axis (logarithms on a log axis) of all samples of a curve, and of those that must be shown."""
 
     label: str
     backdrop: bool
@@ -55,7 +55,8 @@ def axis_range(quantity: Quantity, column: int, hidden: Collection[str] = ()) ->
     """Choose the limits of the y axis of one panel, by the curves that are not hidden.
 
     Backdrops are shown in full. An estimate is shown from the end of its transient (on a log axis, from the start),
-    except single spikes farther from its central 99.5 % than the width of these, and unless it has diverged.
+    without single spikes that are farther from its central 99.5 % than the width of these, and only if it has not
+    diverged.
     """
     shown = tuple(curve for curve in quantity.curves if curve.label not in hidden)
     ranges = _ranges(quantity._replace(curves=shown), column)
@@ -85,7 +86,7 @@ def _ranges(quantity: Quantity, column: int) -> list[_Range]:
             ends = float(y.min()), float(y.max())
             late = y if quantity.log else y[_late(t)[visible]]
             wanted = ends if curve.backdrop else _core(late if len(late) >= _FEW else y)
-            # How far a band reaches at the start is no news.
+            # The initial width of a band is not informative, so it does not set the axis.
             ends = wanted if curve.role == "bounds" else ends
             ranges.append(_Range(curve.label, curve.backdrop, *ends, *wanted))
     return ranges
@@ -96,30 +97,30 @@ def _late(t: Samples) -> Bool[np.ndarray, "T"]:
 
 
 def _core(y: Samples) -> tuple[float, float]:
-    """Ends of the samples, except spikes farther off than the width of the central 99.5 % of them."""
+    """Ends of the samples, without spikes that are farther off than the width of their central 99.5 %."""
     low, high = np.quantile(y, [0.0025, 0.9975])
     # 2 low − high is the width of the central range below it, and 2 high − low that above it.
     return float(max(y.min(), 2 * low - high)), float(min(y.max(), 2 * high - low))
 
 
 def _drop_diverged(ranges: list[_Range], scale: float) -> list[_Range]:
-    """The backdrops, the first estimate, and those whose range is not far larger than that of these and the motion."""
+    """The backdrops, the first estimate, and those estimates whose range is not far larger than theirs."""
     first = next((r for r in ranges if not r.backdrop), ranges[0])
     most = _LOST * max(first.wanted_high - first.wanted_low, scale)
     return [r for r in ranges if r.backdrop or r is first or r.wanted_high - r.wanted_low <= most]
 
 
 def _pad_range(low: float, high: float, log: bool) -> tuple[float, float]:
-    """Ends with a margin; equal ends, or ends that differ by rounding only, with a margin that shows their level."""
+    """Ends with a margin; if they are equal up to rounding, the margin shows their level."""
     size = max(abs(low), abs(high))
     level = 0.5 if log else 0.1 * size or 1.0
-    # Ends closer than nine digits differ by rounding: their difference would fill the panel with noise.
+    # Ends that agree to nine digits differ by rounding only, which would otherwise fill the panel with noise.
     air = 0.06 * (high - low) if high - low > 1e-9 * size else level
     return low - air, high + air
 
 
 def _outside(ranges: list[_Range], low: float, high: float, log: bool) -> str:
-    """A note on how far the worst of the curves that leave the panel goes, and how many others do."""
+    """A note on how far the worst curve leaves the panel, and how many others do."""
     beyond = [r for r in ranges if r.low < low or r.high > high]
     if not beyond:
         return ""

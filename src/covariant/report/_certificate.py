@@ -1,4 +1,4 @@
-"""A certificate as a figure: its region, the proved tube, the convergence of estimates, and the choice of metrics."""
+"""Draws a certificate: its region, the proved tube, the convergence of estimates, and the choice of metrics."""
 
 import os
 import textwrap
@@ -39,8 +39,8 @@ def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLik
     """Draw the figure of a certificate into a file.
 
     It shows the region, a simulated motion with the proved tube, distances of estimates below the certified line, and
-    the rates that the gains allow. Use it to explain a certificate; it proves nothing. Without a proof the two panels
-    with motions give the reason instead. It simulates motions, so it takes some seconds.
+    the rates that the gains allow. Use it to explain a certificate; it proves nothing. Without a proof, the two panels
+    with motions show the reason instead. It simulates motions and therefore takes some seconds.
 
     Args:
         certificate: The certificate, such as that of a `covariant.verbs.CertifyResult`.
@@ -50,8 +50,8 @@ def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLik
         The path.
 
     Raises:
-        ValueError: For a suffix that is no format.
-        ImportError: Without matplotlib.
+        ValueError: The suffix is not a known format.
+        ImportError: matplotlib is not installed.
     """
     figure_format(path)
     return save_figure(certificate_figure(certificate), path)
@@ -60,9 +60,9 @@ def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLik
 def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figure.Figure":
     """Draw a certificate: its region, the proved tube, the convergence of estimates, and the choice of metrics.
 
-    There are four panels: the region by boxes; a motion with the proved tube and estimates that begin on its border;
-    their distances below the certified line; and the rates that the gains permit, against the condition number of the
-    metric. Without a proof the second and third panel say so.
+    There are four panels: the region with its boxes; a motion with the proved tube and estimates that begin on its
+    border; their distances below the certified line; and the rates that the gains allow, against the condition number
+    of the metric. Without a proof, the second and third panels say so.
 
     Args:
         certificate: The certificate, such as that of a `covariant.verbs.CertifyResult`.
@@ -71,7 +71,7 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
         The figure; `save_figure` writes it.
 
     Raises:
-        ImportError: Without matplotlib.
+        ImportError: matplotlib is not installed.
 
     Example:
         >>> import covariant
@@ -145,7 +145,7 @@ def _draw_region(ax: "matplotlib.axes.Axes", projected: Projection, certificate:
             shown = boxes[:_MOST_RECTANGLES]
             (left, bottom), (right, top) = shown[:, 0].T, shown[:, 1].T
             corners = np.stack([left, bottom, right, bottom, right, top, left, top], axis=1).reshape(-1, 4, 2)
-            # Boxes that differ only in other variables overlap in the figure: all fills are drawn before the edges.
+            # Boxes that differ only in other variables overlap in the figure, so fills are drawn before all edges.
             thinned = _mix_with_white(colour, fill)
             ax.add_collection(collection(list(corners), facecolor=thinned, edgecolor="none", zorder=order))
             ax.add_collection(collection(list(corners), facecolor="none", edgecolor=colour, linewidth=0.6, zorder=3))
@@ -187,7 +187,7 @@ def _draw_tube(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: Co
     names, units = _names(certificate)
     x, y = motion.positions[:, i], motion.velocities[:, i]
     half = motion.half_widths[[i, i + n]]
-    # The tube is drawn as rectangles: 16 between two samples overlap to a band without steps.
+    # The tube is drawn as rectangles; 16 between two samples overlap to a band without visible steps.
     dense = np.linspace(0, len(x) - 1, 16 * len(x))
     steps = np.arange(len(x))
     middles = np.stack([np.interp(dense, steps, x), np.interp(dense, steps, y)], axis=1)
@@ -264,7 +264,7 @@ def _draw_distances(ax: "matplotlib.axes.Axes", motion: Trajectories, certificat
         zorder=4,
         label=f"proved: {certificate.radius:.2g} exp(−λt/2), λ/2 = {certificate.decay:.3g} 1/s",
     )
-    ax.set_yscale("log")  # on which an exponential decay is a straight line
+    ax.set_yscale("log")  # an exponential decay is a straight line
     ax.set_ylim(smallest, 2 * certificate.radius)
     ax.set_xlabel("t [s]")
     ax.set_ylabel("distance in the metric of Q")
@@ -283,7 +283,7 @@ def _draw_trade_off(ax: "matplotlib.axes.Axes", rates: TradeOff) -> None:
     ax.set_xlim(left=0)
     ax.set_xlabel("rate λ of squared lengths [1/s]")
     ax.set_ylabel("condition number of Q")
-    # Within a few decades powers of ten alone would leave one number on the axis.
+    # Over a few decades, powers of ten alone could leave a single number on the axis.
     ax.yaxis.set_major_locator(optional("matplotlib.ticker").LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter("")

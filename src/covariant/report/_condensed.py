@@ -1,4 +1,4 @@
-"""Long logs as they fit a page: fewer samples of each curve, and the running RMS of the errors of several estimates."""
+"""Reduces long logs for a page: fewer samples of each curve, and a running RMS for errors of several estimates."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -7,25 +7,25 @@ from covariant.report._panels import Curve, Quantity
 from covariant.report._polylines import drawable
 
 MOST_SAMPLES = 2000
-"""Samples up to which the errors of several estimates are drawn one by one; of more they are a solid bar."""
+"""Largest number of samples for which errors of several estimates are drawn one by one; more would be a solid bar."""
 
 MOST_INTERVALS = 600
-"""Intervals that a running RMS has: panels have no more pixels that one can tell apart."""
+"""Number of intervals of a running RMS: no panel has more distinguishable pixels."""
 
 NUMBERS = 200_000
-"""Numbers that all curves of a report may have together, so that its page stays below 3 MB."""
+"""Largest number of values in all curves of a report together, so that its page stays below 3 MB."""
 
 RUNNING = 1 / 60
-"""Part of the log over which a running RMS is taken."""
+"""Fraction of the log over which a running RMS is taken."""
 
 Columns = Float[np.ndarray, "T c"]
 
 
 def condensed(found: dict[str, Quantity], numbers: int = NUMBERS) -> dict[str, Quantity]:
-    """Replace the curves of a long log by ones with fewer points.
+    """Replace the curves of a long log by curves with fewer points.
 
-    All samples are kept where they are at most `numbers`, so that one can zoom; else the smallest and the largest of
-    each short interval, of every curve. Errors of several estimates become their running RMS, on a logarithmic axis.
+    Up to `numbers` samples are all kept, so that one can zoom; of more, each curve keeps the smallest and the largest
+    in each short interval. Errors of several estimates become their running RMS, on a logarithmic axis.
     """
     samples = len(next(iter(found.values())).curves[0].t)
     if samples > MOST_SAMPLES:
@@ -34,7 +34,7 @@ def condensed(found: dict[str, Quantity], numbers: int = NUMBERS) -> dict[str, Q
     whole = sum(curve.values.size * (1 if curve.below is None else 2) for curve in curves)
     if whole <= numbers:
         return found
-    # Two samples stay of each interval; −(−a // b) rounds a/b up.
+    # Each interval keeps two samples; −(−a // b) rounds a/b up.
     size = -(-2 * whole // numbers)
     return {name: _thin_quantity(quantity, size) for name, quantity in found.items()}
 
@@ -47,7 +47,7 @@ def _thin_quantity(quantity: Quantity, size: int) -> Quantity:
 
 
 def _thin(curve: Curve, size: int, log: bool) -> Curve:
-    """The smallest and the largest sample of each interval, in the order in which they occur."""
+    """The smallest and the largest sample of each interval, in the order of time."""
     if curve.role == "mark":
         return curve
     t = _middles(curve.t, size)
@@ -66,7 +66,7 @@ def _thin(curve: Curve, size: int, log: bool) -> Curve:
 def _extremes(
     values: Columns, size: int, log: bool, sign: int
 ) -> tuple[Float[np.ndarray, "k c"], Int[np.ndarray, "k c"]]:
-    """The smallest (sign 1) or largest (−1) sample of each interval and its place; NaN where no sample is there."""
+    """The smallest (sign 1) or largest (−1) sample of each interval and its index; NaN if the interval has none."""
     filled, seen = _intervals(values, size, log)
     place = np.where(seen, sign * filled, np.inf).argmin(axis=1)
     chosen = np.take_along_axis(filled, place[:, None], axis=1)[:, 0]
@@ -74,7 +74,7 @@ def _extremes(
 
 
 def _running_rms_of(quantity: Quantity) -> Quantity:
-    """A quantity of errors of several estimates by their running RMS; any other as it is."""
+    """Replace the errors of several estimates by their running RMS; other quantities are returned unchanged."""
     lines = tuple(curve for curve in quantity.curves if curve.role == "estimate")
     if not quantity.deviation or len(lines) < 2:
         return quantity
@@ -87,7 +87,7 @@ def _running_rms_of(quantity: Quantity) -> Quantity:
 
 
 def _running_rms(curve: Curve, size: int, run: int, log: bool) -> Curve:
-    """The RMS of the samples in `run` intervals around each."""
+    """The RMS of the samples in `run` intervals around each interval."""
     values, seen = _intervals(curve.values, size, log)
     squares, count = np.where(seen, values, 0.0) ** 2, seen.astype(float)
     squares, count = (_moving_sum(each.sum(axis=1), run) for each in (squares, count))
@@ -97,8 +97,8 @@ def _running_rms(curve: Curve, size: int, run: int, log: bool) -> Curve:
 
 
 def _intervals(values: Columns, size: int, log: bool) -> tuple[np.ndarray, Bool[np.ndarray, "k size c"]]:
-    """The samples by intervals (k, size, c), and which of them are there and can be drawn."""
-    # The last interval is filled up with NaN, which counts as not drawable.
+    """The samples by intervals (k, size, c), and a mask of those that exist and can be drawn."""
+    # The last interval is padded with NaN, which cannot be drawn.
     filled = np.pad(values, ((0, -len(values) % size), (0, 0)), constant_values=np.nan)
     filled = filled.reshape(-1, size, values.shape[1])
     return filled, drawable(filled, log)
@@ -109,5 +109,5 @@ def _middles(t: Float[np.ndarray, "T"], size: int) -> Float[np.ndarray, "k"]:
 
 
 def _moving_sum(values: Columns, run: int) -> Columns:
-    ones = np.ones(run)  # at both ends fewer samples are summed; their count is summed alike
+    ones = np.ones(run)  # at both ends fewer samples are summed, and they are counted in the same way
     return np.stack([np.convolve(column, ones, mode="same") for column in values.T], axis=1)

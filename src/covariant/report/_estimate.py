@@ -1,4 +1,4 @@
-"""The content of a report: the arrays of several observers on one log."""
+"""Defines the content of a report: the arrays of several observers on one log."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
@@ -13,20 +13,20 @@ MEASURED = "measured"
 """Legend entry of the measured positions."""
 
 DIFFERENCE = "difference of the readings"
-"""Legend entry of the raw velocity, the slope from one reading to the next."""
+"""Legend entry of the raw velocity, the slope between consecutive readings."""
 
 MARKS = {"no measurement": "circle-open", "refused": "x", "restarted": "diamond-open"}
-"""Legend entries of the rows that a report may mark, with the name of a symbol each."""
+"""Legend entries of rows that a report may mark, with the name of each symbol."""
 
 Samples = Float[np.ndarray | Array, "T n"]
 
 
 class Along(NamedTuple):
-    """What is estimated along with the motion, such as external forces.
+    """Quantities that are estimated along with the motion, such as external forces.
 
     Attributes:
-        names: Names of the k numbers.
-        units: Unit of each.
+        names: Names of the k quantities.
+        units: Unit of each quantity.
         values: Estimates (T, k) in these units.
         std: Their standard deviations (T, k).
 
@@ -44,42 +44,43 @@ class Along(NamedTuple):
 
 
 class EstimateReport(NamedTuple):
-    """Estimates of one log, time first: what `figure` and `write_report` draw.
+    """Estimates of one log, with time first; `figure` and `write_report` draw them.
 
-    NaN marks a missing value and is drawn as a gap. `check` tests the shapes. Arrays may be NumPy's or JAX's.
+    NaN marks a missing value and is drawn as a gap. `check` tests the shapes. Arrays may be from NumPy or JAX.
 
     Attributes:
         title: Title, plain text.
-        coordinates: Names of the n coordinates, such as "θ". Without `q_measured`, names of what is estimated.
+        coordinates: Names of the n coordinates, such as "θ". Without `q_measured`, names of the estimated quantities.
         units: Unit of each, such as "rad", or "" for none; velocities are in these units per second. Without
-            `q_measured`, units of what is estimated.
+            `q_measured`, units of the estimated quantities.
         t: (T,), stamps [s].
         q_measured: (T, n), measured positions [units]. None for states, and for systems on a group, whose
-            configuration is no curve.
-        estimates: By label. What is estimated, as `estimated` says: velocities (T, n) or states (T, n). Beside measured
-            positions also (T, 2n), estimated positions and then velocities. The first is the observer reported on.
+            configuration cannot be drawn as curves.
+        estimates: By label: velocities (T, n) or states (T, n), as `estimated` says. With measured positions also
+            (T, 2n), estimated positions followed by velocities. The first label is the observer reported on.
         innovation: By label, (T, n): measurement minus estimate before the correction [units]; on a group the error in
             the body frame along each velocity.
-        distance: By label, (T,): length of the innovation in the metric, of the observers that compute it.
-        v_reference: (T, n), what the estimates are compared with, in the same units; None where there is nothing.
-        v_reference_label: Its label in the legend.
+        distance: By label, (T,): length of the innovation in the metric, for observers that compute it.
+        v_reference: (T, n), reference for the estimates, in the same units; None if there is none.
+        v_reference_label: Label of the reference in the legend.
         rows: Rows of a table; columns are the keys. May be empty.
         notes: Plain sentences under the title, such as gains and predicted errors.
         estimated: "velocity" or "state".
-        headline: The result in one line: what was estimated, and how good it is.
-        warnings: Sentences on what was unusual, such as samples without measurement.
-        best: How many of the first rows are marked as the best: several where they are equally good.
-        std: By label, (T, n): standard deviations of what is estimated, in the same units; drawn as bands of ±2σ.
-        innovation_std: By label, (T, n): those that the filter expects of the innovation.
-        along: What the first observer estimates along with the motion; None where that is nothing.
+        headline: The result in one line: what was estimated, and how accurately.
+        warnings: Sentences on anything unusual, such as samples without measurement.
+        best: Number of first rows that are marked as the best: several if they are equally good.
+        std: By label, (T, n): standard deviations of the estimates, in the same units; drawn as bands of ±2σ.
+        innovation_std: By label, (T, n): standard deviations that the filter expects of the innovation.
+        along: Quantities that the first observer estimates along with the motion; None if there are none.
         marks: Rows (T,) of the first observer that are marked, by a name of `MARKS`.
-        shaded: (k, 2), begin and end [s] of stretches that are shaded, in which something pushes.
-        contrast: Label of the estimate that the others are drawn as differences to, such as a smoother's; "" for none.
-        facts: What was computed, from what, and how, by name: log, rate, gains, version, command.
+        shaded: (k, 2), begin and end [s] of shaded intervals, in which an external force acts.
+        contrast: Label of an estimate, such as a smoother's, to which the others are compared by differences; "" for
+            none.
+        facts: Facts about the computation, by name: log, rate, gains, version, command.
         code: Lines to copy, such as those of a model file.
-        table: Columns (T,) by name, which the page offers as a CSV file; none where it is empty.
-        hidden: Labels of curves that are shown on a click only.
-        pale: Headings of columns of the table that say less than the others, such as errors against a noisy reference.
+        table: Columns (T,) by name, which the page offers as a CSV file; empty for none.
+        hidden: Labels of curves that are shown only after a click.
+        pale: Headings of less informative columns of the table, such as errors against a noisy reference.
 
     Example:
         >>> import numpy as np
@@ -135,7 +136,7 @@ class EstimateReport(NamedTuple):
             The report itself.
 
         Raises:
-            ValueError: One line that names the first field that is wrong, and what it must be.
+            ValueError: A field is wrong; one line names the first such field and what it must be.
         """
         samples, n = len(self.t), len(self.coordinates)
         if not samples or not n or not self.estimates:
@@ -169,12 +170,12 @@ class EstimateReport(NamedTuple):
 
     @property
     def backdrops(self) -> list[str]:
-        """Labels of the curves that the estimates are compared with."""
+        """Labels of the curves to which the estimates are compared."""
         measured = [] if self.q_measured is None else [MEASURED, DIFFERENCE]
         return measured if self.v_reference is None else [*measured, self.v_reference_label]
 
     def _accepted(self, samples: int, n: int) -> dict[tuple[int, int], str]:
-        """The shapes that an estimate may have, and what its columns then are."""
+        """The shapes that an estimate may have, with a description of the columns for each."""
         accepted = {(samples, n): _PLURAL[self.estimated]}
         if self.q_measured is not None:
             accepted[samples, 2 * n] = "positions and then velocities"
@@ -194,4 +195,4 @@ class EstimateReport(NamedTuple):
 
 
 _PLURAL = {"velocity": "velocities", "state": "states"}
-"""What may be estimated, and how many of it are called."""
+"""The quantities that may be estimated, with their plurals."""

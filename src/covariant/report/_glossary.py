@@ -1,4 +1,4 @@
-"""The terms of a report that not everybody knows, each in a sentence."""
+"""Explains the technical terms of a report, each in one sentence."""
 
 import re
 from collections.abc import Container

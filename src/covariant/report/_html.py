@@ -1,6 +1,6 @@
-"""A report as one interactive, self-contained HTML page.
+"""Writes a report as one interactive, self-contained HTML page.
 
-Its figures and the code that draws them are compressed, and the browser unpacks them: without that a page has 5 MB.
+Its figures and the code that draws them are compressed, and the browser unpacks them; otherwise a page would have 5 MB.
 """
 
 import base64
@@ -32,10 +32,10 @@ from scalargraph.template import fill, template
 
 
 def write_report(report: EstimateReport, path: str | os.PathLike[str]) -> list[Path]:
-    """Write a page with its data and its plotting code, and figures beside it: all of them or none.
+    """Write a page with its data and plotting code, and figures beside it; either all files are written or none.
 
     Args:
-        report: What is drawn.
+        report: The report to draw.
         path: The page, such as `velocities.html`; the figures are `velocities_velocity.png` and so on.
 
     Returns:
@@ -65,7 +65,7 @@ def page(report: EstimateReport) -> str:
     report.check()
     library = _library(optional("plotly.offline").get_plotlyjs)
     panels, styled = quantities(report), styles(report)
-    # Where innovations show how far measurement and estimate are apart, the two curves that coincide do not.
+    # Innovations show the difference of measurement and estimate better than two curves that nearly coincide.
     panels = {name: each for name, each in panels.items() if "innovation" not in panels or name not in _SAID_BETTER}
     panels = condensed(panels)
     sections, figures = _sections(report, panels, styled)
@@ -87,13 +87,13 @@ def page(report: EstimateReport) -> str:
 
 
 _SAID_BETTER = ("position", "distance")
-"""Panels that are left out where there are innovations."""
+"""Panels that are left out if there are innovations, which show the same better."""
 
 
 def _sections(
     report: EstimateReport, panels: dict[str, Quantity], styled: dict[str, Style]
 ) -> tuple[list[str], list[Any]]:
-    """The sections of a page and the figure of each: the coordinates, what else is estimated, and correlations."""
+    """The sections of a page with the figure of each: coordinates, other estimated quantities, and correlations."""
     stacked = [quantity for quantity in panels.values() if quantity.name not in ("distance", "along")]
     names = ", ".join(quantity.title.lower() for quantity in stacked)
     figures = [stack(stacked, i, styled, report.shaded, report.hidden) for i in range(len(report.coordinates))]
@@ -121,7 +121,7 @@ def _sections(
 
 
 def _with_common_stamps(figures: Sequence[Any]) -> str:
-    """The figures as JSON, with each array of stamps once: traces refer to it by number."""
+    """The figures as JSON in which each array of stamps occurs once; traces refer to it by number."""
     stamps: dict[str, int] = {}
     drawn = [json.loads(figure.to_json()) for figure in figures]
     for figure in drawn:
@@ -131,7 +131,7 @@ def _with_common_stamps(figures: Sequence[Any]) -> str:
 
 
 def _csv(report: EstimateReport) -> str:
-    """The columns of the table as a CSV file for the download button; nothing where they are too long for a page."""
+    """The table as a CSV file for the download button; empty if it is too long for a page."""
     if not 0 < sum(map(len, report.table.values())) <= MOST_CELLS:
         return ""
     text = io.StringIO()
@@ -141,15 +141,15 @@ def _csv(report: EstimateReport) -> str:
 
 
 MOST_CELLS = 60_000
-"""Numbers of a table up to which a page holds it."""
+"""Largest number of cells of a table that is embedded in a page."""
 
 
 LONG = 60
-"""Characters from which a fact has a line of its own."""
+"""Number of characters above which a fact gets a line of its own."""
 
 
 def facts_html(facts: Mapping[str, str]) -> str:
-    """What was computed, from what, and how."""
+    """The facts about a computation: inputs, settings, versions."""
     lines = "".join(
         f"<div{' class=long' * (len(text) > LONG)}><dt>{escape(name)}</dt><dd>{escape(printable(text))}</dd></div>"
         for name, text in sorted(facts.items(), key=lambda fact: len(fact[1]) > LONG)
@@ -158,7 +158,7 @@ def facts_html(facts: Mapping[str, str]) -> str:
 
 
 def _code(report: EstimateReport) -> str:
-    """Lines to copy, with a button that does."""
+    """Lines to copy, with a button that copies them."""
     if not report.code:
         return ""
     button = '<button type="button" id="copy">Copy</button>'
@@ -184,9 +184,9 @@ def _library(source: Callable[[], str]) -> str:
 
 
 def _pack_text(name: str, text: str) -> str:
-    """An element with a text for `unpack` in page.js: compressed, in base 85 without the character that opens a tag."""
+    """An element with text for `unpack` in page.js: compressed, in base 85 without the character that opens a tag."""
     squeezed = gzip.compress(utf8(text), mtime=0)  # no time stamp: equal texts give equal bytes
-    # The alphabet of base 85 has "<" and no comma, so that the page can put it back.
+    # The alphabet of base 85 contains "<" but no comma, so the page can restore it.
     letters = base64.b85encode(squeezed, pad=True).decode().replace("<", ",")
     return f'<script type="text/plain" id="{name}" data-bytes="{len(squeezed)}">{letters}</script>'
 
@@ -196,7 +196,7 @@ def verdict_html(headline: str, warnings: Sequence[str]) -> str:
     if not headline:
         return _odd(warnings)
     line = headline.rstrip(".")
-    if line.split()[0].isalpha() and " = " not in line:  # else it begins with a name, such as com[0]
+    if line.split()[0].isalpha() and " = " not in line:  # otherwise it begins with a name, such as com[0]
         line = line[:1].upper() + line[1:]
     calm = "" if warnings else ' <span class="calm">No warnings.</span>'
     return f'<p class="verdict">{escape(line)}.{calm}</p>\n{_odd(warnings)}'
@@ -208,7 +208,7 @@ def _odd(warnings: Sequence[str]) -> str:
 
 
 def _details(report: EstimateReport, panels: dict[str, Quantity]) -> str:
-    """Notes, and terms that are folded; page.js folds the notes too on a narrow screen, which they would fill."""
+    """Notes, and folded terms; on a narrow screen, which notes would fill, page.js folds them too."""
     notes, terms = _notes(report, panels), _glossary(report, panels)
     text = f"<details open><summary>Notes</summary>\n{notes}</details>\n" if notes else ""
     return text + (f"<details><summary>Terms</summary>\n{terms}</details>\n" if terms else "")
@@ -231,7 +231,7 @@ def _notes(report: EstimateReport, panels: dict[str, Quantity]) -> str:
 
 
 def table_html(rows: Sequence[Mapping[str, object]], best: int = 0, pale: Sequence[str] = ()) -> str:
-    """Format a table in HTML, with the first rows marked as the best, and columns that say less in grey."""
+    """Format a table in HTML; the first `best` rows are marked as the best, and `pale` columns are grey."""
     if not rows:
         return ""
     header, body, numeric = cells(rows)
@@ -247,7 +247,7 @@ def table_html(rows: Sequence[Mapping[str, object]], best: int = 0, pale: Sequen
     lines = [f"<tr{mark}>{line('td', texts)}</tr>" for mark, texts in zip(marks, body, strict=True)]
     heading = line('th scope="col"', header)
     head, rest = f"<thead><tr>{heading}</tr></thead>", f"<tbody>{''.join(lines)}</tbody>"
-    # A container that scrolls can be reached by the keyboard.
+    # A scrolling container gets `tabindex`, so that the keyboard can reach it.
     return f'<div class="table" tabindex="0" role="region" aria-label="Table"><table>{head}{rest}</table></div>\n'
 
 
@@ -271,4 +271,4 @@ def _swatch(style: Style) -> str:
 
 
 _SYMBOLS = {"circle-open": "○", "x": "✕", "diamond-open": "◇"}
-"""Characters that look like the symbols of plotly that styles name."""
+"""Characters that resemble the plotly symbols named in styles."""

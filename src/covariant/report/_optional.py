@@ -1,4 +1,4 @@
-"""Import of the optional packages for figures and pages."""
+"""Imports the optional packages for figures and pages."""
 
 import functools
 

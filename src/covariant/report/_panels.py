@@ -1,4 +1,4 @@
-"""The panels of a report, the same for every medium: their curves, labels, and drawing order."""
+"""Collects the panels of a report for every medium: their curves, labels and drawing order."""
 
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
@@ -19,8 +19,8 @@ class Curve(NamedTuple):
         t: Stamps (T,) [s].
         values: Samples (T, c), a column for each panel; the upper edge of a band.
         label: Entry of the legend.
-        role: What was measured is drawn behind the estimates, and a reference in front of them. Raw slopes are behind
-            all and do not set the axis; bounds are a band; marks are single samples.
+        role: Measurements are drawn behind the estimates, and a reference in front of them. Raw slopes are behind all
+            others and do not set the axis; bounds are a band; marks are single samples.
         below: Lower edge (T, c) of a band; None for a line.
     """
 
@@ -32,7 +32,7 @@ class Curve(NamedTuple):
 
     @property
     def backdrop(self) -> bool:
-        """Whether estimates are compared with it, so that it is shown in full."""
+        """Whether estimates are compared to this curve, so that it is shown in full."""
         return self.role in ("measured", "reference")
 
 
@@ -44,8 +44,8 @@ class Quantity(NamedTuple):
         title: Title above the panel.
         labels: Labels (c) of the y axes, with units.
         curves: Backdrops first, then the estimates in their order, bands of ±2σ and marks.
-        scale: Size (c) of the motion itself; an error many times as large shows only that the estimate has diverged.
-        deviation: Whether the values are errors, so that zero is marked and the smallest curve is drawn in front.
+        scale: Size (c) of the motion itself; an error many times as large only shows that the estimate has diverged.
+        deviation: Whether the values are errors; then zero is marked, and the smallest curve is drawn in front.
         log: Whether the y axis is logarithmic.
     """
 
@@ -72,7 +72,7 @@ def quantities(report: EstimateReport) -> dict[str, Quantity]:
     if report.q_measured is not None:
         measured = np.asarray(report.q_measured, float)
         travel = span(measured)
-        # Estimates of n columns are velocities alone: then there is no estimated position to draw.
+        # Estimates of n columns are velocities only, without estimated positions to draw.
         configurations = {label: x[:, :n] for label, x in states.items() if x.shape[1] == 2 * n}
         positions = (Curve(t, measured, MEASURED, "measured"), *estimated(configurations))
         raw = (Curve(t, _slopes(t, measured), DIFFERENCE, "raw"),)
@@ -133,7 +133,7 @@ def _arrays(samples: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _slopes(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "T c"]:
-    """Slopes from one reading to the next, at the later; NaN where one is missing or no time has passed."""
+    """Slopes between consecutive readings, at the later one; NaN if one is missing or no time has passed."""
     steps = np.diff(t, prepend=np.nan)[:, None]
     return np.diff(y, axis=0, prepend=np.nan) / np.where(steps > 0, steps, np.nan)
 
@@ -141,7 +141,7 @@ def _slopes(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T c"]) -> Float[np.
 def _marks(
     report: EstimateReport, t: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], *names: str
 ) -> tuple[Curve, ...]:
-    """The rows that are marked, or those of some names only, on the curve of the first estimate."""
+    """The marked rows, all or those with some names, placed on the curve of the first estimate."""
     chosen = {name: rows for name, rows in report.marks.items() if not names or name in names}
     return tuple(Curve(t[rows], values[rows], name, "mark") for name, rows in chosen.items() if rows.any())
 
@@ -149,9 +149,10 @@ def _marks(
 def _differences(
     report: EstimateReport, t: Float[np.ndarray, "T"], velocities: dict[str, np.ndarray], labels: tuple[str, ...]
 ) -> tuple[Quantity, ...]:
-    """How the other estimates differ from the one of `contrast`.
+    """Differences between the other estimates and the estimate named by `contrast`.
 
-    A filter's error minus the smoother's has the difference of their covariances (Rauch, Tung & Striebel 1965).
+    The difference between a filter's and a smoother's error has the difference of their covariances (Rauch, Tung &
+    Striebel 1965).
     """
     if not report.contrast:
         return ()
@@ -169,7 +170,7 @@ def _differences(
 
 
 def _along(report: EstimateReport, t: Float[np.ndarray, "T"], label: str) -> tuple[Quantity, ...]:
-    """What is estimated along with the motion, with its band."""
+    """The quantities that are estimated along with the motion, with their bands."""
     if report.along is None:
         return ()
     names, units, values, std = report.along
@@ -192,14 +193,14 @@ _ON_A_GROUP = {
     "error": ("error of {}", ""),
     "innovation": ("along {}", " s"),
 }
-"""For each kind of panel: a format of its label, filled with the name of a coordinate or, on a group, of a velocity;
-and the suffix of its unit."""
+"""For each kind of panel, a format of its label and the suffix of its unit. The format is filled with the name of a
+coordinate or, on a group, of a velocity."""
 
 
 def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
     """Range of each column."""
     finite = np.isfinite(values)
-    # With infinities, since nanmax warns of a column without a finite sample.
+    # NaN is replaced by infinities, since nanmax would warn of a column without a finite sample.
     high = np.where(finite, values, -np.inf).max(axis=0)
     low = np.where(finite, values, np.inf).min(axis=0)
     return np.where(finite.any(axis=0), high, 0.0) - np.where(finite.any(axis=0), low, 0.0)
@@ -208,12 +209,12 @@ def span(values: Float[np.ndarray, "T c"]) -> Float[np.ndarray, "c"]:
 def depths(quantity: Quantity, column: int) -> list[int]:
     """Drawing order of the curves.
 
-    What was measured and bands are behind; then come the estimates, the first or the smallest in front; then a
-    reference, a dashed line whose gaps show the estimate under it, the bounds of errors, and marks.
+    Measurements and bands are behind. Then come the estimates, with the first or the smallest in front. Then come a
+    reference, whose dashes let the estimate show through, the bounds of errors, and marks.
     """
     size = [_size(c.values[:, column]) if quantity.deviation else rank for rank, c in enumerate(quantity.curves)]
     layers = [_layer(curve, quantity.deviation) for curve in quantity.curves]
-    # In a layer the smallest error, and of equal ones the first curve, is drawn last, in front.
+    # Within a layer the smallest error is drawn last, in front; of equal errors, the first curve.
     order = sorted(range(len(size)), key=lambda i: (layers[i], -size[i], -i))
     return [order.index(i) for i in range(len(size))]
 
@@ -225,7 +226,7 @@ def _layer(curve: Curve, deviation: bool) -> int:
 
 
 def shorten(text: str, most: int) -> str:
-    """Shorten a text; an ellipsis marks the cut."""
+    """Shorten a text; an ellipsis marks what was cut off."""
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
@@ -235,9 +236,9 @@ def _size(values: Float[np.ndarray, "T"]) -> float:
 
 
 def _labels(report: EstimateReport, form: str, per: str) -> tuple[str, ...]:
-    """Axis labels such as "dθ/dt [rad/s]"; a long name, such as that of a joint, appears as it is, above its unit.
+    """Axis labels such as "dθ/dt [rad/s]"; a long name, such as that of a joint, is used alone, above its unit.
 
-    On a group all names appear as they are where one of them is long.
+    On a group, if one name is long, all names are used alone.
     """
     longest = max(map(len, report.coordinates)) if report.q_measured is None else 0
     short = [max(len(name), longest) <= 4 for name in report.coordinates]

@@ -1,4 +1,4 @@
-"""Panels stacked above one time axis, as a plotly figure."""
+"""Draws panels stacked above one time axis, as a plotly figure."""
 
 import math
 from collections.abc import Collection
@@ -42,7 +42,7 @@ def stack(
         layout["xaxis"]["range"] = [first, last]
     traces = []
     for k, quantity in enumerate(shown, start=1):
-        # Domains are fractions of the height from the bottom, and panels are listed from the top.
+        # Domains are fractions of the height, counted from the bottom, while panels are listed from the top.
         top = 1 - (k - 1) * (_ROW + _GAP) / inner
         limits = axis_range(quantity, column, hidden)
         layout[f"yaxis{k}"] = _y_axis(quantity, column, limits) | {"domain": [max(0.0, top - _ROW / inner), top]}
@@ -54,7 +54,7 @@ def stack(
 
 
 def correlogram(values: Autocorrelation, column: int, style: Style) -> "plotly.graph_objects.Figure":
-    """Draw the autocorrelation of an innovation by lag, between the bounds of white noise."""
+    """Draw the autocorrelation of an innovation over the lag, with the bounds for white noise."""
     go = optional("plotly.graph_objects")
     layout = _layout(_ROW) | {
         "xaxis": {"title": {"text": "lag [ms]"}, **_FRAME},
@@ -87,15 +87,15 @@ def _layout(inner: int) -> dict[str, Any]:
 
 
 def _caption(quantity: Quantity) -> str:
-    """The title of a panel, which says that it has bands."""
+    """The title of a panel, which also mentions its bands."""
     banded = any(curve.role == "bounds" for curve in quantity.curves) and "expected" not in quantity.title
     if quantity.name == "distance":
-        return ""  # the heading of its section
+        return ""  # the heading of the section says it already
     return f"{quantity.title}, ±2σ" if banded else quantity.title
 
 
 def _shade(begin: float, end: float) -> dict[str, Any]:
-    """A stretch of time in which something pushes."""
+    """A shaded interval, in which an external force acts."""
     return {
         "type": "rect",
         "xref": "x",
@@ -129,7 +129,7 @@ def _axis(letter: str, k: int) -> str:
 def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[str, Any]:
     label = escape(quantity.labels[column], quote=False).replace("\n", "<br>")
     axis = {"title": {"text": label, "standoff": 8}, "nticks": 6, "automargin": True, **_FRAME}
-    axis |= {"exponentformat": "power"}  # not 400µ beside a unit
+    axis |= {"exponentformat": "power"}  # avoids 400µ beside a unit
     if quantity.deviation and not quantity.log:
         axis |= {"zeroline": True, "zerolinecolor": MUTED, "zerolinewidth": 1}
     if quantity.log:
@@ -137,13 +137,13 @@ def _y_axis(quantity: Quantity, column: int, limits: AxisRange | None) -> dict[s
     if limits is None:
         axis |= {"showticklabels": False, "ticks": ""}
     else:
-        # plotly takes the ends of a logarithmic axis as exponents of 10.
+        # plotly expects the ends of a logarithmic axis as exponents of 10.
         axis["range"] = [math.log10(y) if quantity.log else y for y in (limits.low, limits.high)]
     return axis
 
 
 def _log_ticks(limits: AxisRange | None) -> dict[str, Any]:
-    """Ticks of a logarithmic axis as numbers of one size: equally far apart, at 1, 2 and 5, or at powers of 10."""
+    """Ticks of a logarithmic axis, as numbers of the same format: equally spaced, at 1, 2 and 5, or at powers of 10."""
     if limits is None:
         return {}
     decades = math.log10(limits.high / limits.low)
@@ -160,7 +160,7 @@ def _log_ticks(limits: AxisRange | None) -> dict[str, Any]:
 
 
 def _captions(heading: str, top: float, limits: AxisRange | None) -> list[dict[str, Any]]:
-    """Captions above a panel: its title, and under it a note on what lies outside."""
+    """Captions above a panel: its title and, below it, a note on the samples outside."""
     place = {"xref": "paper", "yref": "paper", "x": 0, "xanchor": "left", "y": top, "yanchor": "bottom"}
     place |= {"showarrow": False}
     title = {**place, "text": f"<b>{heading}</b>"}
@@ -180,7 +180,7 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
         "zorder": depth,
         "name": escape(curve.label, quote=False),
         "legendgroup": curve.label,
-        # The page takes this colour where it is dark, and fits the y axis to what sets it.
+        # The page uses this colour if it is dark, and fits the y axis to the curves marked with `fits`.
         "meta": {"dark": style.dark, "fits": curve.role not in ("raw", "mark")},
         "hovertemplate": "%{y:.4~g}",
     }
@@ -208,8 +208,8 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
 
 
 def _round_values(values: np.ndarray) -> np.ndarray:
-    """Values to more than 4 digits, so that one can zoom: single precision, whose mantissa is cut to compress well."""
+    """Values rounded to more than 4 digits, enough to zoom: single precision with a short mantissa that compresses."""
     bits = values.astype(np.float32).view(np.uint32)
-    # Half of the last digit that stays is added before the 9 low bits are cut: this rounds to nearest.
+    # Half of the last remaining digit is added before the 9 low bits are cut off, which rounds to nearest.
     short = ((bits + np.uint32(1 << 8)) & np.uint32(0xFFFFFE00)).view(np.float32)
     return np.where(np.isfinite(values), short, np.float32(np.nan))

@@ -1,4 +1,4 @@
-"""A report as PNG figures."""
+"""Draws a report as PNG figures."""
 
 import io
 import os
@@ -29,7 +29,7 @@ _FIGURES = {
 def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path, bytes]:
     """Draw a row of panels for each coordinate, with a column for each quantity.
 
-    The figures are `<path>_velocity.png`, `<path>_position.png` and `<path>_distance.png`, those that have curves.
+    The figures are `<path>_velocity.png`, `<path>_position.png` and `<path>_distance.png`, if they have curves.
     """
     panels, styled = condensed(quantities(report.check())), styles(report)
     path = Path(path)
@@ -45,12 +45,12 @@ def draw_png(report: EstimateReport, path: str | os.PathLike[str]) -> dict[Path,
 
 
 def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
-    """Draw velocities or states, and their errors where there is a reference: a row for each coordinate.
+    """Draw velocities or states and, if there is a reference, their errors, with a row for each coordinate.
 
-    Below them is what is estimated along with the motion, such as forces.
+    Below them are the quantities estimated along with the motion, such as forces.
 
     Args:
-        report: The curves; those of the motion are in `<path>_velocity.png` of `write_report` too.
+        report: The curves; `write_report` also draws those of the motion, to `<path>_velocity.png`.
 
     Returns:
         A `matplotlib.figure.Figure` that belongs to no window; a notebook shows it, and `save_figure` writes it.
@@ -76,7 +76,7 @@ def figure(report: EstimateReport) -> "matplotlib.figure.Figure":
 def _figure(
     title: str, shown: list[Quantity], styled: dict[str, Style], shaded: Any = None, below: Quantity | None = None
 ) -> "matplotlib.figure.Figure":
-    """Draw a column for each quantity, and the panels of one more below them, with stretches of time shaded."""
+    """Draw a column for each quantity, and below them the panels of `below`, with the intervals `shaded` shaded."""
     count, cols = len(shown[0].labels), len(shown)
     more = 0 if below is None else len(below.labels)
     rows = count + -(-more // cols)  # rounded up
@@ -104,7 +104,7 @@ def _figure(
     legend_lines = _legend(figure, {label: style for label, style in styled.items() if label in used})
     lines = textwrap.wrap(title, int(10 * figure.get_figwidth()))
     figure.suptitle(_plain("\n".join(lines)), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
-    # The figure grows by the height of title and legend, so that the panels keep theirs.
+    # The figure grows by the height of title and legend, so that the panels keep their size.
     figure.set_figheight(figure.get_figheight() + 0.19 * (len(lines) + legend_lines))
     return figure
 
@@ -149,11 +149,11 @@ _MARKERS = {
     "x": {"marker": "x", "markersize": 4},
     "diamond-open": {"marker": "D", "markersize": 4, "markerfacecolor": "none", "markeredgewidth": 0.8},
 }
-"""How matplotlib draws the symbols of plotly that styles name."""
+"""Markers of matplotlib for the plotly symbols named in styles."""
 
 
 def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int:
-    """One legend below all panels, in as many columns as fit its labels; returns its number of lines."""
+    """Draw one legend below all panels, in as many columns as fit its labels; return its number of lines."""
     line = optional("matplotlib.lines").Line2D
     handles = [
         line([], [], color=each.color, linestyle="none", **_MARKERS[each.symbol])
@@ -165,7 +165,7 @@ def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int
     ]
     labels = [_plain(shorten(label, 60)) for label in styled]
     fitting = max(1, int(11.5 * figure.get_figwidth() / (max(map(len, labels)) + 7)))
-    lines = -(-len(labels) // fitting)  # rounded up; then columns are spread evenly over the lines
+    lines = -(-len(labels) // fitting)  # rounded up; the labels are then spread evenly over the lines
     cols = -(-len(labels) // lines)
     look = {"frameon": False, "fontsize": 8.5, "handlelength": 2.8, "labelcolor": INK}
     figure.legend(handles, labels, loc="outside lower center", ncols=cols, **look)
@@ -173,5 +173,5 @@ def _legend(figure: "matplotlib.figure.Figure", styled: dict[str, Style]) -> int
 
 
 def _plain(text: str) -> str:
-    """Text in which matplotlib shows a dollar sign instead of starting a formula."""
+    """Text in which a dollar sign is shown as such, and does not start a formula in matplotlib."""
     return text.replace("$", r"\$")

@@ -1,4 +1,4 @@
-"""A curve as a line and dots, with gaps where samples are missing; a band as its outline or as polygons."""
+"""Converts a curve to a line and dots, with gaps at missing samples, and a band to its outline or to polygons."""
 
 from typing import NamedTuple
 
@@ -6,18 +6,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _DRAWABLE = 1e30
-"""Larger values, or on a log axis values below its inverse, count as missing: drawing would overflow in float32."""
+"""Larger values, and on a log axis values below the inverse, count as missing: drawing would overflow in float32."""
 
 Samples = Float[np.ndarray, "T"]
 Points = tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]
 
 
 class Polyline(NamedTuple):
-    """Curve ready to be drawn.
+    """A curve ready to be drawn.
 
     Attributes:
-        line: Its points, with NaN at gaps.
-        dots: Samples without a neighbour, which a line would not show.
+        line: Points of the line, with NaN at gaps.
+        dots: Samples without a neighbour, which would be invisible as a line.
     """
 
     line: Points
@@ -29,18 +29,18 @@ def polyline(t: Samples, values: Samples, log: bool) -> Polyline:
     shown = np.where(drawable(values, log), values, np.nan)
     alone = _alone(~np.isnan(shown))
     joined = np.where(alone, np.nan, shown)
-    some = len(t) if np.isfinite(joined).any() else 1  # an empty line needs a single gap only
+    some = len(t) if np.isfinite(joined).any() else 1  # an empty line needs only a single gap
     return Polyline((t[:some], joined[:some]), (t[alone], shown[alone]))
 
 
 def polygons(t: Samples, low: Samples, high: Samples) -> Points:
-    """Convert a band to closed polygons with gaps between them, one for each run of samples that are there."""
+    """Convert a band to closed polygons, one for each run of existing samples, with gaps between them."""
     there = np.pad(np.isfinite(low) & np.isfinite(high), 1).astype(int)
     ends = zip(np.flatnonzero(np.diff(there) > 0), np.flatnonzero(np.diff(there) < 0), strict=True)
     x, y = [], []
     for first, last in ends:
         run = slice(first, last)
-        # Out along the lower edge and back along the upper one; a NaN separates the polygon from the next.
+        # The polygon goes along the lower edge and back along the upper one; NaN separates it from the next.
         x += [t[run], t[run][::-1], t[last - 1 : last]]
         y += [low[run], high[run][::-1], [np.nan]]
     return (np.concatenate(x), np.concatenate(y)) if x else (t[:0], low[:0])
@@ -49,7 +49,7 @@ def polygons(t: Samples, low: Samples, high: Samples) -> Points:
 def drawable(values: Float[np.ndarray, "*T"], log: bool) -> Bool[np.ndarray, "*T"]:
     """Mask of the samples that can be drawn."""
     least = 1 / _DRAWABLE if log else -_DRAWABLE
-    # NaN is neither larger nor smaller than anything, so it is not drawable.
+    # Every comparison with NaN is false, so NaN is not drawable.
     return (values > least) & (values < _DRAWABLE)
 
 

@@ -1,4 +1,4 @@
-"""Estimates as a Rerun recording: curves, results of the samples, and the bodies of a robot in motion."""
+"""Writes estimates as a Rerun recording: curves, results of the samples, and the moving bodies of a robot."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,15 +9,15 @@ import numpy as np
 from covariant._optional import load_optional
 
 MOST_ROWS_OF_VIEWS = 3
-"""Most coordinates whose views stand one below the other; more of them are on tabs."""
+"""Largest number of coordinates whose views are placed one below the other; views of more are on tabs."""
 RADIUS = 0.015
 """Radius [m] with which links are drawn."""
 AXES = 0.1
-"""Length [m] of the axes of a body's frame, which show how a last link turns."""
+"""Length [m] of the axes of a body's frame, which show how a last link rotates."""
 
 
 class PlottedCurve(NamedTuple):
-    """One curve: its view, as ("velocity", "q1"), its label with the unit, values (T,), colour, width, if as points.
+    """A curve: its view, as ("velocity", "q1"), label with unit, values (T,), colour, width, and if it is points.
 
     Example:
         >>> import numpy as np
@@ -35,7 +35,7 @@ class PlottedCurve(NamedTuple):
 
 
 class MovingBody(NamedTuple):
-    """A body of a robot: its joint's label and place (3,), line segments (k, 2, 3) [m], and its poses (R, 4, 4).
+    """A body of a robot: its joint's label and position (3,), line segments (k, 2, 3) [m], and its poses (R, 4, 4).
 
     Example:
         A rod of half a metre that does not move:
@@ -63,7 +63,7 @@ def write_rerun(
     bodies: Sequence[MovingBody] = (),
     body_times: np.ndarray | None = None,
 ) -> None:
-    """Write a recording (.rrd) with its arrangement of views; `results` are states by the stamp [s] of their start."""
+    """Write a recording (.rrd) with an arrangement of views; `results` are states, by the stamp [s] of their start."""
     rr = load_optional("rerun", use=f"{path}: recordings are written with", extra="live")
     partial = path.with_name(f"{path.name}.partial")
     with rr.RecordingStream("covariant", send_properties=False) as recording:
@@ -88,7 +88,7 @@ def write_rerun(
 
 
 def _is_recent(rr: Any) -> bool:
-    """Whether Rerun has lanes of states. Older releases get messages instead, and choose the place of the eye."""
+    """Whether Rerun has lanes of states. Older releases get messages instead, and choose the camera themselves."""
     return hasattr(rr, "StateChange")
 
 
@@ -110,7 +110,7 @@ def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> N
 
 
 def _arrangement(rr: Any, curves: Sequence[PlottedCurve], bodies: Sequence[MovingBody]) -> Any:
-    """The robot on the left, curves by quantity and coordinate on the right, and the results of the samples below."""
+    """The robot on the left, curves by quantity and coordinate on the right, and results of the samples below."""
     rrb = load_optional("rerun.blueprint", use="recordings are written with", extra="live")
     views: dict[str, list[Any]] = {}
     for quantity, name in dict.fromkeys(curve.view for curve in curves):
@@ -133,6 +133,6 @@ def _arrangement(rr: Any, curves: Sequence[PlottedCurve], bodies: Sequence[Movin
 
 
 def _places(body: MovingBody) -> np.ndarray:
-    """Places (R(2k + 1), 3) of the origin and the ends of the segments of a body."""
+    """Positions (R(2k + 1), 3) of the origin and of the segment ends of a body."""
     points = np.concatenate([np.zeros((1, 3)), body.segments.reshape(-1, 3)])
     return (points @ body.poses[:, :3, :3].mT + body.poses[:, None, :3, 3]).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""The common look of all figures: colours, panels, files."""
+"""Defines the common look of all figures: colours, panels, files."""
 
 import functools
 import io
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 BACKDROP = "#A8AEB5"
-"""Grey, for what was measured or is true."""
+"""Grey, for measurements and true values."""
 
 INK, MUTED, GRID = "#24292F", "#6B737C", "#E4E7EA"
 
 
 class Palette(NamedTuple):
-    """Colours by what they stand for in every figure; further curves take the rest in order."""
+    """Colours by their meaning, the same in every figure; further curves take the remaining colours in order."""
 
     covariant: str
     ekf: str
@@ -42,17 +42,17 @@ class Palette(NamedTuple):
 
     @property
     def truth(self) -> str:
-        """What is true or measured: a wide grey line behind all others."""
+        """Colour of true or measured values: a wide grey line behind all others."""
         return BACKDROP
 
     @property
     def text(self) -> str:
-        """Remarks and marks beside the curves."""
+        """Colour of remarks and marks beside the curves."""
         return MUTED
 
     @property
     def shade(self) -> str:
-        """Shaded spans, such as a gap in a log."""
+        """Colour of shaded intervals, such as a gap in a log."""
         return GRID
 
 
@@ -71,7 +71,7 @@ DARK = {
     "#4A0E4E": "#94FFB3",
     "#0A1464": "#C2FF29",
 }
-"""Replacements of the darkest colours of the palette on a dark page, as far from all others as these are on white."""
+"""Replacements for the darkest colours on a dark page, as distinct from all others as the originals are on white."""
 
 DPI = 150
 
@@ -79,10 +79,10 @@ BAND = 0.2
 """Opacity of bands."""
 
 SHADE = "#E69F00"
-"""Colour of stretches in which something pushes, of the opacity `BAND`."""
+"""Colour of intervals in which an external force acts; its opacity is `BAND`."""
 
 BOUNDS, BOUNDS_DARK = "#24292F", "#F2F4F6"
-"""Colour of the bounds of errors, which lie in front of these."""
+"""Colour of the bounds of errors, which are drawn in front of the errors."""
 
 _DASHES = ((), (7, 3), (2, 2), (7, 2, 2, 2))
 
@@ -95,7 +95,7 @@ class Style(NamedTuple):
         dark: Colour on a dark page.
         width: Width of the line [points].
         dash: Lengths of dashes and gaps [points], empty if solid.
-        symbol: Name of a symbol of plotly, of marks.
+        symbol: Name of the plotly symbol of marks.
     """
 
     color: str
@@ -108,16 +108,16 @@ class Style(NamedTuple):
 def styles(report: EstimateReport) -> dict[str, Style]:
     """Choose the style of every label of a report.
 
-    What was measured is wide and grey, a reference a thin dashed line in the colour of the text, and the first estimate
-    slightly wide.
+    Measurements are wide and grey, a reference is a thin dashed line in the colour of the text, and the first estimate
+    is slightly wider than the others.
     """
     styled = {}
     if report.q_measured is not None:
         styled[MEASURED] = Style(BACKDROP, BACKDROP, 3.2)
-        styled[DIFFERENCE] = Style(BACKDROP, BACKDROP, 0.8)  # in other panels than these
+        styled[DIFFERENCE] = Style(BACKDROP, BACKDROP, 0.8)  # it never shares a panel with measurements
     if report.v_reference is not None:
         styled[report.v_reference_label] = Style(INK, "#F2F4F6", 1.2, (4, 5))
-    # Curves that are shown at first get the colours that differ most; the first estimate is among them.
+    # Curves that are visible at first, among them the first estimate, get the colours that differ most.
     for i, label in enumerate(sorted(report.estimates, key=lambda label: label in report.hidden)):
         dash = _DASHES[i // len(PALETTE) % len(_DASHES)]
         color = PALETTE[i % len(PALETTE)]
@@ -152,18 +152,18 @@ def new_figure(
 ) -> "tuple[matplotlib.figure.Figure, np.ndarray]":
     """Create a figure in the common style, whose lines take the colours of `PALETTE`.
 
-    Use it for plots that shall look like those of the library, in scripts and in notebooks. It opens no window: write
-    it by `save_figure`.
+    Use it for plots that should look like those of the library, in scripts and in notebooks. It opens no window; write
+    the figure by `save_figure`.
 
     Args:
         rows: Number of rows of panels.
         cols: Number of columns of panels.
-        panel: Width and height of one panel [inch]. A figure of 9 inch keeps its 8 to 9 pt in a column of 870 pixels.
+        panel: Width and height of one panel [inch]. A figure of 9 inch has 8 to 9 pt text in a column of 870 pixels.
         titles: Titles of the panels, row by row.
-        sharex: Which panels share their x axis, as for `matplotlib`; by default those of a column.
+        sharex: Panels that share their x axis, as in `matplotlib`; by default those of a column.
 
     Returns:
-        The figure, which belongs to no window and no global state, and its axes (rows, cols). `save_figure` writes it.
+        The figure, which has no window and no global state, and its axes (rows, cols). `save_figure` writes it.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -179,7 +179,7 @@ def new_figure(
     figure = optional("matplotlib.figure").Figure(
         figsize=(width, height), dpi=DPI, layout="constrained", facecolor="white"
     )
-    # A notebook asks an object for this; matplotlib answers it for windows only.
+    # A notebook asks an object for this method; matplotlib defines it only for figures with windows.
     figure._repr_png_ = functools.partial(_png, figure)
     axes = figure.subplots(rows, cols, sharex=sharex, squeeze=False)
     for ax in axes.flat:
@@ -192,7 +192,7 @@ def new_figure(
         ax.set_axisbelow(True)
         ax.xaxis.label.set(fontsize=9, color=INK)
         ax.yaxis.label.set(fontsize=9, color=INK)
-        # Defaults of this figure alone: matplotlib's own are global.
+        # Defaults for this figure only, since matplotlib's own are global.
         ax.legend = functools.partial(ax.legend, fontsize=8, labelcolor=INK, framealpha=0.85, edgecolor="none")
     for ax, title in zip(axes.flat, titles, strict=False):
         ax.set_title(title, loc="left", fontsize=10, color=INK)
@@ -200,10 +200,10 @@ def new_figure(
 
 
 def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]) -> Path:
-    """Write a figure to a file, whole or not at all.
+    """Write a figure to a file, completely or not at all.
 
-    A failure leaves an existing file as it was. Choose .svg or .pdf for print and .png for the screen; the resolution
-    of bitmaps is fixed. Figures that were made elsewhere with matplotlib are accepted too.
+    A failure leaves an existing file unchanged. Choose .svg or .pdf for print and .png for the screen; the resolution
+    of bitmaps is fixed. Figures made directly with matplotlib are accepted too.
 
     Args:
         figure: The figure.
@@ -213,7 +213,7 @@ def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]
         The path.
 
     Raises:
-        ValueError: Where there is no suffix or matplotlib does not know it.
+        ValueError: There is no suffix, or matplotlib does not know it.
 
     Example:
         >>> from covariant.report import new_figure, save_figure
@@ -226,7 +226,7 @@ def save_figure(figure: "matplotlib.figure.Figure", path: str | os.PathLike[str]
 
 
 def figure_format(path: str | os.PathLike[str]) -> str:
-    """Format of a figure by the suffix of its file, for a check before the figure is computed."""
+    """Format of a figure, from the suffix of its file; this checks it before the figure is computed."""
     suffix = Path(path).suffix.removeprefix(".")
     if not suffix:
         raise InputError(f"{path}: name the format by a suffix, such as .png, .pdf or .svg")

@@ -1,4 +1,4 @@
-"""Tables of a comparison: each row is a dictionary, and columns are in the order in which they first appear."""
+"""Formats tables of a comparison: rows are dictionaries, and columns appear in the order of their first use."""
 
 import math
 import numbers
@@ -16,7 +16,7 @@ class Cells(NamedTuple):
     Attributes:
         header: Headings of the c columns.
         body: Rows, each with c cells.
-        numeric: Which of the c columns are numbers, and right-aligned.
+        numeric: Which of the c columns are numbers; these are right-aligned.
     """
 
     header: list[str]
@@ -25,7 +25,7 @@ class Cells(NamedTuple):
 
 
 def cells(rows: Sequence[Mapping[str, object]]) -> Cells:
-    """Convert rows to text, with numbers to four digits."""
+    """Convert rows to text, with four digits of each number."""
     header = list(dict.fromkeys(key for row in rows for key in row))
     columns = [[row.get(key) for row in rows] for key in header]
     numeric = [any(map(_is_number, column)) and all(v is None or _is_number(v) for v in column) for column in columns]
@@ -36,14 +36,14 @@ def table(rows: Sequence[Mapping[str, object]]) -> str:
     """Format a table in GitHub's Markdown, with right-aligned numbers to four digits.
 
     Use it for results in Markdown pages, issues and notebooks. Columns are in the order in which their headings first
-    occur, and a column of numbers is aligned to the right. It rounds, so use the numbers themselves for further
+    occur, and columns of numbers are aligned to the right. Numbers are rounded, so use the original ones for further
     computations.
 
     Args:
         rows: Rows, each with its cells by heading; a missing key, None and NaN become a dash.
 
     Returns:
-        The table, ending in a newline; "" where there are no rows.
+        The table, ending in a newline; "" if there are no rows.
 
     Example:
         >>> from covariant.report import table
@@ -71,19 +71,19 @@ def _is_number(value: object) -> TypeGuard[float]:
 
 
 def _column(values: list[object]) -> list[str]:
-    """A column as text; numbers of similar size get the same number of decimals, so that they can be compared."""
+    """A column as text; numbers of similar size get the same number of decimals, so that they are easy to compare."""
     sizes = [abs(float(v)) for v in values if _is_number(v) and math.isfinite(v) and v]
-    # Outside this range, or over four decades, decimals are long or lose digits: then each number is in %.4g.
+    # Outside this range, or over four decades, decimals would be long or lose digits; %.4g is used then.
     alike = bool(sizes) and min(sizes) >= 1e-4 and max(sizes) < min(1e7, 1e4 * min(sizes))
     decimals = _decimals(sizes) if alike else None
     return [_text(value, decimals) for value in values]
 
 
 def _decimals(sizes: list[float]) -> int:
-    """The largest number of decimals that a number needs for four digits, but no more than the smallest needs."""
+    """The largest number of decimals that any number needs for four digits, limited by what the smallest needs."""
     shown = (np.format_float_positional(x, precision=4, fractional=False, trim="-") for x in sizes)
     most = max(len(text.partition(".")[2]) for text in shown)
-    # Four significant digits of x reach 3 − ⌊log10 x⌋ decimals.
+    # Four significant digits of x end at decimal 3 − ⌊log10 x⌋.
     return min(most, max(0, 3 - math.floor(math.log10(min(sizes)))))
 
 

@@ -1,4 +1,4 @@
-"""Autocorrelation of innovations: what is left of it in the innovations of a filter shows an error of its model."""
+"""Computes the autocorrelation of innovations; if those of a filter are correlated, its model is wrong."""
 
 import math
 from typing import NamedTuple
@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 LAGS = 40
-"""Lags at which the autocorrelation is computed, in samples."""
+"""Number of lags, in samples, at which the autocorrelation is computed."""
 
 NORMAL_95 = 1.96
-"""Of white noise 95 % of the correlations are within this over the root of the number of samples (Bartlett 1946)."""
+"""For white noise, 95 % of correlations are within this over the root of the number of samples (Bartlett 1946)."""
 
 
 class Autocorrelation(NamedTuple):
@@ -22,7 +22,7 @@ class Autocorrelation(NamedTuple):
 
 
 def autocorrelation(t: Float[np.ndarray, "T"], signal: Float[np.ndarray, "T c"]) -> Autocorrelation | None:
-    """Correlate signals with themselves; NaN is left out, and None is returned where little or nothing moves."""
+    """Correlate signals with themselves; NaN is left out. Returns None if there are too few samples or no variation."""
     present = np.isfinite(signal)
     count = int(present.all(axis=1).sum())
     most = min(LAGS, count // 4)
@@ -33,7 +33,7 @@ def autocorrelation(t: Float[np.ndarray, "T"], signal: Float[np.ndarray, "T c"])
     power = np.sum(e**2, axis=0) / present.sum(axis=0)
     if not np.all(power > 0) or not np.all(np.isfinite(power)):
         return None
-    # A lag has fewer pairs than samples where some are missing: each sum is divided by its own count.
+    # Missing samples leave fewer pairs for some lags, so each sum is divided by its own count.
     pairs = [(e[:-lag] * e[lag:], present[:-lag] & present[lag:]) for lag in range(1, most + 1)]
     values = np.array([product.sum(0) / np.maximum(both.sum(0), 1) for product, both in pairs]) / power
     step = float(np.median(np.diff(t)))

@@ -1,4 +1,4 @@
-"""Simulation of models, alone or with an observer, and of sensors."""
+"""Simulates models, alone or together with an observer, and position sensors."""
 
 from scalargraph.rooms import attach
 

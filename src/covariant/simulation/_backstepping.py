@@ -1,6 +1,6 @@
-"""Vectorial backstepping of a marine craft: a nonlinear PD controller, from the state or from an estimate of it.
+"""Controls a marine craft by vectorial backstepping: a nonlinear PD controller, from the state or an estimate of it.
 
-Source: Jouffroy & Fossen 2004, equations (86)–(98). The paper takes J as constant; here `ν_r'` contains the derivative
+Source: Jouffroy & Fossen 2004, equations (86)–(98). The paper treats J as constant; here `ν_r'` includes the derivative
 of J, so that (88), (90), (97) and (98) hold as printed.
 """
 
@@ -21,8 +21,8 @@ from scalargraph.errors import InputError
 class Backstepping(eqx.Module):
     """A tracking controller of a marine craft, by vectorial backstepping.
 
-    With V = ½(sᵀMs + η̃ᵀK_pη̃), `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃` if the state is known, (92). K_p, K_d and Λ must
-    be symmetric positive definite, with `K_pΛ + ΛᵀK_p` positive definite.
+    With V = ½(sᵀMs + η̃ᵀK_pη̃) and a known state, `V' = −sᵀ(D̄ + K_d)s − η̃ᵀK_pΛη̃`, (92). K_p, K_d and Λ must be
+    symmetric positive definite, and so must be `K_pΛ + ΛᵀK_p`.
 
     Args:
         craft: The craft, a `marine.Craft` with n coordinates.
@@ -56,7 +56,7 @@ class Backstepping(eqx.Module):
         n = len(craft.coordinates)
         self.kp, self.kd, self.lam = (_gain(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
         product = np.asarray(self.kp @ self.lam)
-        # V' has −η̃ᵀK_pΛη̃, of which only the symmetric part counts. `not … > 0` is true for NaN as well.
+        # In V', only the symmetric part of K_pΛ matters. `not … > 0` is true for NaN as well.
         if not np.linalg.eigvalsh(product + product.T)[0] > 0:
             raise InputError("kp and lam: K_pΛ + ΛᵀK_p must be positive definite; choose both diagonal")
 
@@ -80,7 +80,7 @@ class Backstepping(eqx.Module):
             eta: Position η (n,).
 
         Returns:
-            Body velocity (n,) [m/s, rad/s] that the craft must have for the position error to decay.
+            Body velocity (n,) [m/s, rad/s] with which the position error decays.
         """
         desired = self.path(t).velocity - jnp.asarray(self.lam, eta.dtype) @ self.error(t, eta)
         return solve_square(self.craft.transform(eta), desired)
@@ -100,18 +100,18 @@ class Backstepping(eqx.Module):
         return force + (self.craft.coriolis(nu) + self.craft.damping(nu)) @ nu_r
 
     def __call__(self, t: Scalar, z: Vector, estimate: Float[Array, "two_n"]) -> Vector:
-        """τ (n,) from the measured position z = η and an estimate (η̂, ν̂) (2n,), (94), with `D(ν_r)ν_r`."""
+        """τ (n,) from the measured position z = η and an estimate (η̂, ν̂) (2n,), by (94), with `D(ν_r)ν_r`."""
         eta, nu = jnp.split(estimate, 2)
         nu_r, force = self._common(t, z, eta, nu)
         return force + (self.craft.coriolis(nu) + self.craft.damping(nu_r)) @ nu_r
 
     def _common(self, t: Scalar, z: Vector, eta: Vector, nu: Vector) -> tuple[Vector, Vector]:
-        """ν_r, and the terms of τ common to both forms; `ν_r'` is the derivative along the motion `z' = J(z)ν`."""
+        """ν_r, and the terms of τ that both forms share; `ν_r'` is the derivative along the motion `z' = J(z)ν`."""
         transform = self.craft.transform(z)
-        # One Jacobian-vector product along (1, Jν) gives ν_r and its total time derivative, that of J included.
+        # One Jacobian-vector product along (1, Jν) gives ν_r and its total time derivative, including that of J.
         nu_r, nu_r_dot = jax.jvp(self.virtual_velocity, (t, z), (jnp.ones_like(t), transform @ nu))
         mass, kp, kd = (jnp.asarray(a, z.dtype) for a in (self.craft.mass, self.kp, self.kd))
-        # Jᵀ turns a force in the frame of η into one of the body frame: the power η'ᵀF = νᵀJᵀF stays the same.
+        # Jᵀ converts a force in the frame of η to the body frame, as the power η'ᵀF = νᵀJᵀF is the same in both.
         spring = transform.T @ (kp @ self.error(t, eta))
         return nu_r, mass @ nu_r_dot + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
 

@@ -1,4 +1,4 @@
-"""Simulation of machines whose feet land on a level ground and leave it, with the contacts in the inputs."""
+"""Simulates machines whose feet land on level ground and leave it, with the contacts recorded as inputs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,30 +14,31 @@ from covariant.signals import Record
 from scalargraph.errors import InputError
 
 Torques = Callable[[Scalar, Motion, Bool[Array, "k"]], Vector]
-"""Inputs `(t, motion, down) -> (m − k,)` without the contacts; `down` are the feet on the ground."""
+"""Inputs without the contacts, `(t, motion, down) -> (m − k,)`; `down` tells which feet are on the ground."""
 
 
 @compiled
 def simulate_contacts(
     model: MechanicalSystem, start: Motion, t: Float[Array, "T"], torques: Torques, ground: Number = 0.0, steps: int = 4
 ) -> Record:
-    """Integrate a machine with feet over a level ground, and record its noise-free state and inputs.
+    """Integrate a machine with feet over level ground, and record its noise-free state and inputs.
 
-    A foot lands at the first stamp at which it sinks and is not above the ground, with a plastic impact, and stays
-    where it is. It leaves the ground at the first stamp at which the ground would have to pull. So contacts change at
-    stamps alone, and a foot lands up to one sample deep. No foot slips, however far from upright a leg stands.
+    A foot lands at the first stamp at which it moves down and is not above the ground; the impact is plastic, and the
+    foot then stays in place. It leaves the ground at the first stamp at which the ground would have to pull. So
+    contacts change only at stamps, and a foot may sink in for up to one sample. Feet never slip, however inclined a leg
+    is.
 
     Args:
         model: A model with `feet`, whose last coordinate is the height [m].
         start: Motion at the first stamp, with all feet in the air.
         t: Stamps (T,) [s].
-        torques: Inputs but for the contacts, a function of time, motion and feet on the ground.
+        torques: Inputs without the contacts, a function of time, motion and the feet on the ground.
         ground: Height of the ground [m].
         steps: Runge–Kutta steps of order 4 in each sample.
 
     Returns:
-        The record. Contacts are the last columns of u, and act from their stamp on: the state at a touch-down is that
-        before the impact.
+        The record. Contacts are the last columns of u, and act from their stamp on: the state at a touch-down is the
+        one before the impact.
 
     Example:
         A mass falls by 0.1 m, and stays on the ground:
@@ -67,7 +68,7 @@ def simulate_contacts(
         push = here.space.load(*motion, force).reshape(spots.shape)[:, -1]
         place, speed = jax.jvp(feet, (motion.q,), (model.manifold.tangent(*motion),))
         spots = jnp.where(down[:, None], spots, place)
-        # A foot that has just left the ground and still rises does not land at once again.
+        # A foot that has just left the ground and still rises must not land again at once.
         after = jnp.where(down, push > 0, (place[:, -1] <= ground) & (speed[:, -1] < 0))
         u = u.at[u.shape[0] - down.shape[0] :].set(after.astype(u.dtype))
         there: Any = standing(model, after, spots)

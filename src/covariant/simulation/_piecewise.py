@@ -1,7 +1,7 @@
-"""Simulation with the inputs of a log: known at stamps, and held or linear between them.
+"""Simulates a model under the inputs of a log, which are known at stamps and held or linear between them.
 
-Within each interval of the stamps the input is smooth, so that an adaptive method integrates it without losing its
-order at the jumps.
+Within each interval between stamps the input is smooth, so an adaptive method integrates it without losing order at the
+jumps.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from covariant.simulation._simulate import simulate
 from scalargraph.errors import InputError
 
 DIGITS = 12
-"""Decimals of the times [s] at which intervals begin."""
+"""Number of decimals to which the times [s] at which intervals begin are rounded."""
 
 NumpyArray = np.ndarray
 
@@ -33,8 +33,8 @@ class PiecewiseInputs(eqx.Module):
         begin: Times (J,) at which the intervals begin [s]; the last one has no end.
         value: Constant parts (J, m).
         rate: Slopes (J, m) [1/s].
-        transient: Parts (J, m) that die out behind a lag.
-        decay: Inverse of the time constant of that lag [1/s]; 0 where there is none.
+        transient: Parts (J, m) that decay, caused by a lag.
+        decay: Inverse of the time constant of that lag [1/s]; 0 if there is none.
 
     Example:
         >>> import numpy as np
@@ -53,11 +53,11 @@ class PiecewiseInputs(eqx.Module):
     def at(
         self, interval: int | Int[NumpyArray, "*k"], t: Number | Float[NumpyArray, "*k"]
     ) -> Float[NumpyArray, "*k m"]:
-        """Inputs at times in some of the intervals.
+        """Inputs at times within some of the intervals.
 
         Args:
             interval: Index of an interval, from 0, or several (*k).
-            t: Time [s], or as many (*k).
+            t: Time [s], or one for each interval (*k).
 
         Returns:
             The inputs (*k, m).
@@ -76,23 +76,23 @@ def logged_inputs(
     at: Float[NumpyArray, "_"] | None = None,
     lead: float | Sequence[float] = 0.0,
 ) -> PiecewiseInputs:
-    """Inputs that act on a machine when it is driven by those of a log.
+    """Inputs that act on a machine to which the inputs of a log are applied.
 
     Args:
         t: Stamps (T,) of the log [s].
         u: Logged inputs (T, m). Before the first stamp the first one acts.
-        between: How the input goes from a stamp to the next, as in `signals.acting_inputs`: "held" or "linear".
-        delay: Time [s] after its stamp at which an input acts; one number, or one for each input.
+        between: How the input changes from one stamp to the next, as in `signals.acting_inputs`: "held" or "linear".
+        delay: Time [s] from its stamp until an input acts; one number, or one for each input.
         lag: Time constant [s] of a first-order lag between logged and acting input, which begins at rest; 0 for none.
-        at: Times [s] at which intervals begin beside those at which inputs change, such as those of measurements.
-        lead: Time [s] which, times its rate, is added to an input; the change at a stamp of one that is held is spread
-            until the next stamp. One number, or one for each input.
+        at: Further times [s] at which intervals begin, such as those of measurements.
+        lead: Time [s]; an input is increased by this time multiplied by its rate. If inputs are held, the jump at a
+            stamp is spread until the next stamp. One number, or one for each input.
 
     Returns:
-        One interval from each of these times to the next.
+        One interval from each of all these times to the next.
 
     Raises:
-        ValueError: Where `between` is another word.
+        ValueError: `between` is neither "held" nor "linear".
 
     Example:
         >>> import numpy as np
@@ -104,16 +104,17 @@ def logged_inputs(
     if between not in ("held", "linear"):
         raise InputError(f"logged_inputs: between must be 'held' or 'linear'; got {between!r}")
     late, ahead = (np.broadcast_to(np.asarray(each, float), u.shape[1:]) for each in (delay, lead))
-    # Times that agree in so many digits are one, although they were computed in different ways.
+    # Times that agree in so many digits count as one, although they were computed in different ways.
     begin = np.unique(np.round(np.concatenate([(t[:, None] + late).ravel(), [] if at is None else at]), DIGITS))
     steps = np.diff(begin)
-    middle = begin + np.append(steps / 2, 1.0)  # where no rounding of the ends decides which input acts
-    # −1 before the first stamp, where the first input acts; `rise` has a zero row there, and the index becomes 0 below.
+    middle = begin + np.append(steps / 2, 1.0)  # in the middle, rounding of the ends cannot change which input acts
+    # −1 stands for before the first stamp: `rise` has a zero row there, and below the index becomes 0, the first input.
     k = np.searchsorted(t, middle[:, None] - late) - 1
     slope, none = np.diff(u, axis=0) / np.diff(t)[:, None], np.zeros_like(u[:1])
     rise = slope if between == "linear" else np.zeros_like(slope)
-    rise = np.concatenate([none, rise, none])  # none before the first, nor after
-    # A jump of an input that is held is spread over the interval that follows it; the last one is as long as before.
+    rise = np.concatenate([none, rise, none])  # no slope before the first stamp or after the last one
+    # The jump of a held input is spread over the interval that follows it; the last interval is as long as the one
+    # before.
     jump = slope if between == "linear" else np.diff(u, axis=0) / np.append(np.diff(t)[1:], t[-1] - t[-2])[:, None]
     jump = np.concatenate([none, jump, none] if between == "linear" else [none, none, jump])
     rate, added = (np.take_along_axis(each, k + 1, axis=0) for each in (rise, ahead * jump))
@@ -121,9 +122,9 @@ def logged_inputs(
     value = np.take_along_axis(u, k, axis=0) + rate * (begin[:, None] - late - t[k]) + added
     if lag == 0:
         return PiecewiseInputs(begin, value, rate, np.zeros_like(value))
-    value = value - rate * lag  # a ramp is followed later by the lag
+    value = value - rate * lag  # a lag makes a ramp follow later
     transient, now = np.empty_like(value), u[0]
-    # Solution of lag·x' + x = value + rate·s: a ramp, and a transient that makes x continuous where the input jumps.
+    # The solution of lag·x' + x = value + rate·s is a ramp and a transient, which keeps x continuous when inputs jump.
     for j, step in enumerate(np.append(steps, 0.0)):
         transient[j] = now - value[j]
         now = value[j] + rate[j] * step + transient[j] * np.exp(-step / lag)
@@ -139,17 +140,17 @@ def simulate_piecewise(
     rtol: Number = 1e-10,
     atol: Number = 1e-12,
 ) -> Record:
-    """Integrate a model from x0 under inputs that jump, and record its state where each of their intervals begins.
+    """Integrate a model from x0 under inputs that jump, and record its state at the beginning of each interval.
 
     Args:
         model: A mechanical system, or a `StateSpace`.
-        x0: Its state where the first interval begins, as for `simulate`.
-        inputs: The inputs, such as `logged_inputs` has them.
+        x0: Its state at the beginning of the first interval, as for `simulate`.
+        inputs: The inputs, for example from `logged_inputs`.
         rtol: Relative tolerance of the integrator.
         atol: Absolute tolerance of the integrator.
 
     Returns:
-        The record at the times `inputs.begin`, as of `simulate`; each u is the input just after the time.
+        The record at the times `inputs.begin`, as from `simulate`; each u is the input just after that time.
 
     Example:
         >>> import numpy as np
@@ -161,7 +162,7 @@ def simulate_piecewise(
         (3, 2)
     """
     begin = jnp.asarray(inputs.begin)
-    # The last interval has no end of its own; as long as the one before, it only has to record the last state.
+    # The last interval has no end; it gets the length of the one before, as only its first state is recorded.
     ends = jnp.append(begin[1:], 2 * begin[-1] - begin[-2])
 
     def interval(x, piece):

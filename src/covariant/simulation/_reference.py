@@ -61,7 +61,7 @@ def follow(position: Callable[[Array], Array]) -> Path:
         def moving(s):
             return jax.jvp(position, (s,), (one,))
 
-        # Forward over forward: the derivative of position and velocity in time is velocity and acceleration.
+        # Forward mode twice: the time derivatives of position and velocity are velocity and acceleration.
         (where, velocity), (_, acceleration) = jax.jvp(moving, (t,), (one,))
         return Reference(where, velocity, acceleration)
 

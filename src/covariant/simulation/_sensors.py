@@ -1,4 +1,4 @@
-"""Simulated position sensors: sampling, jitter, noise, quantisation, dropouts; repeatable by a seed."""
+"""Simulates position sensors: sampling, jitter, noise, quantisation and dropouts, repeatable by a seed."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,11 +14,11 @@ PerPosition = float | Sequence[float] | NumpyArray
 
 
 class PositionSensor(NamedTuple):
-    """A position sensor, as numbers: sampling rate, noise, quantisation, jitter and dropouts.
+    """Data of a position sensor: sampling rate, noise, quantisation, jitter and dropouts.
 
     It describes the instrument in a simulation: `stamps` gives its sampling instants, and `sense` its readings. Noise
-    and quantum are in the unit of the position. The sensors of filters, such as `observers.encoder`, are something
-    else: they tell an estimator how to use a reading.
+    and quantum are in the unit of the position. Do not confuse it with the sensors of filters, such as
+    `observers.encoder`, which describe to an estimator how to use a reading.
 
     Args:
         rate: Samples per second [Hz].
@@ -63,11 +63,11 @@ class PositionSensor(NamedTuple):
 def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[NumpyArray, "T"]:
     """Sampling instants of a sensor.
 
-    Use the same sensor and seed as for `sense`, and simulate the model at these instants. With jitter the stamps are
-    the true instants, and not those of an ideal clock.
+    Use the same sensor and seed as for `sense`, and simulate the model at these instants. With jitter, the stamps are
+    the true instants and not those of an ideal clock.
 
     Args:
-        sensor: The sensor, of which `rate` and `jitter` are used.
+        sensor: The sensor; only its `rate` and `jitter` are used.
         duration: Length of the log [s].
         seed: Seed of the random jitter.
 
@@ -83,14 +83,14 @@ def stamps(sensor: PositionSensor, duration: float, seed: int = 0) -> Float[Nump
         [0.0, 0.01, 0.02, 0.03, 0.04, 0.05]
     """
     sensor.check()
-    steps = duration * sensor.rate + 1e-9  # 0.29 s hold 29 steps at 100 Hz, although 0.29 * 100 rounds to less
+    steps = duration * sensor.rate + 1e-9  # 0.29 s contain 29 steps at 100 Hz, although 0.29 * 100 rounds to less
     if not 1 <= steps < np.inf:
         raise InputError(f"sensor: {duration} s at {sensor.rate} Hz do not hold two samples or more")
     count = int(steps) + 1
-    # Stamps (0) and values (1) have separate random streams, so that neither depends on the draws of the other.
+    # Stamps (0) and values (1) have separate random streams, so neither depends on the draws of the other.
     offsets = np.random.default_rng([seed, 0]).normal(0, sensor.jitter, count) if sensor.jitter else np.zeros(count)
     offsets[0] = 0.0
-    # A jitter below half a sample on either side leaves the stamps strictly increasing.
+    # Jitter is limited to less than half a sample on either side, so stamps stay strictly increasing.
     return np.arange(count) / sensor.rate + np.clip(offsets, -0.45 / sensor.rate, 0.45 / sensor.rate)
 
 
@@ -98,7 +98,7 @@ def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) ->
     """Measurements of positions by a sensor, with noise, quantisation and dropouts.
 
     Use it to make the measurements of a simulated log, with a seed for repeatable noise. Noise is added before
-    quantisation, as in a real encoder. Dropouts take away whole rows.
+    quantisation, as in a real encoder. Dropouts remove whole rows.
 
     Args:
         sensor: The sensor.
@@ -106,11 +106,11 @@ def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) ->
         seed: Seed of the noise and the dropouts.
 
     Returns:
-        Measurements (T, n), NaN where a sample is missing. The first row is never dropped, since an observer starts
-        from it.
+        Measurements (T, n), NaN if a sample is missing. The first row is never dropped, since an observer starts from
+        it.
 
     Raises:
-        ValueError: The sensor is invalid, or its number of noise levels or quanta is not that of the positions.
+        ValueError: The sensor is invalid, or the number of noise levels or quanta differs from that of positions.
 
     Example:
         >>> import numpy as np
@@ -122,9 +122,9 @@ def sense(sensor: PositionSensor, q: Float[NumpyArray, "T n"], seed: int = 0) ->
     sensor.check()
     random = np.random.default_rng([seed, 1])
     noise, quantum = (_each(name, getattr(sensor, name), np.shape(q)[1]) for name in ("noise_std", "quantum"))
-    # All noise is drawn at once, so that a position without noise does not change the noise of the others.
+    # All noise is drawn at once, so a position without noise does not change the noise of the others.
     y = np.asarray(q) + (noise * random.standard_normal(np.shape(q)) if noise.any() else 0.0)
-    # The 1 avoids a division by zero where there is no quantisation; the result is not used there.
+    # Without quantisation the step is replaced by 1 to avoid a division by zero; the result is not used then.
     step = np.where(quantum > 0, quantum, 1.0)
     y = np.where(quantum > 0, np.round(y / step) * step, y)
     lost = random.random(len(y)) < sensor.dropout

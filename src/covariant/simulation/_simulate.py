@@ -1,8 +1,8 @@
-"""Trajectories of a model, alone or with an observer attached in continuous time.
+"""Simulates trajectories of a model, alone or with an observer attached in continuous time.
 
 In coordinates the motion is one differential equation. In any other frame it is solved in a sequence of charts that
-follow the motion, so that every configuration is on its manifold. Source: Munthe-Kaas 1998, Runge–Kutta methods on Lie
-groups, with the eighth-order method of Dormand and Prince.
+follow the motion, so every configuration stays on its manifold. Source: Munthe-Kaas 1998, Runge–Kutta methods on Lie
+groups, here with the eighth-order method of Dormand and Prince.
 """
 
 import functools
@@ -24,20 +24,20 @@ from covariant.signals import Record
 Input = Callable[[Array, Any], Array]
 """Input `(t, x) -> u (m,)`; it may be a feedback of the true state x."""
 Measurement = Callable[[Array, Array], Array]
-"""Continuous measurement `(t, q) -> y`; by default q itself. For a `StateSpace` q is the output h."""
+"""Continuous measurement `(t, q) -> y`; by default q itself. For a `StateSpace`, q stands for the output h."""
 
 CHART_SIZE = 0.5
-"""Largest motion in one chart, as the fastest component of v times time [rad or m]."""
+"""Largest motion within one chart, as the fastest component of v times time [rad or m]."""
 
 
 class _Plant(NamedTuple):
-    """A model as the integrator sees it.
+    """A model in the form that the integrator uses.
 
     Attributes:
-        start: Initial velocity or state (n,), of the size of an input where the model states none.
+        start: Initial velocity or state (n,); the input has the same size if the model states none.
         in_charts: Whether the motion is solved in a sequence of charts.
-        output: `(t, x, u)` to the configuration or the output h, which is measured.
-        slope: `(t, x, u)` to x', where the motion is one differential equation.
+        output: `(t, x, u)` to the measured quantity: the configuration or the output h.
+        slope: `(t, x, u)` to x', if the motion is one differential equation.
     """
 
     start: Vector
@@ -75,9 +75,9 @@ def simulate(
 ) -> Record:
     """Integrate a model from an initial state, and record its noise-free state and inputs at the stamps.
 
-    Use it as the truth in tests and studies: its tolerance is tight, and its y has no noise. Add a sensor by
-    `stamps` and `sense`. The verb `covariant.simulate` does all of this for a model file. The input is a function of
-    time and state; use `observe` for a loop that is closed through an observer.
+    Use it as the truth in tests and studies: its tolerance is tight, and its y has no noise. Add a sensor by `stamps`
+    and `sense`. The verb `covariant.simulate` does all of this for a model file. The input is a function of time and
+    state; for a control loop that is closed through an observer, use `observe`.
 
     Args:
         model: A mechanical system, or a `StateSpace`.
@@ -89,8 +89,8 @@ def simulate(
         atol: Absolute tolerance of the integrator.
 
     Returns:
-        The record; its x has the form of x0, time first, with y = q; for a `StateSpace` y = h (T, p). Rows at stamps
-        that the motion does not reach, because it escapes earlier, are not finite.
+        The record; its x has the form of x0, time first, with y = q; for a `StateSpace` y = h (T, p). If the motion
+        escapes in finite time, rows at later stamps are not finite.
 
     Example:
         >>> import jax.numpy as jnp
@@ -113,7 +113,7 @@ def simulate(
 def _simulate_in_charts(model: Any, x0: Any, t: Float[Array, "T"], input_at: Input, rule) -> Motion:
     def interval(motion, bounds):
         begin, end = bounds
-        # A chart around a configuration is singular after a turn by 2π; so many charts keep displacements small.
+        # A chart around a configuration is singular after a turn by 2π; this many charts keep displacements small.
         charts = _charts(end - begin, motion.v)
         moved = advance(model, begin, motion, input_at, end - begin, charts, rule)
         return moved, moved
@@ -144,9 +144,9 @@ def observe(
 ) -> tuple[Any, Any]:
     """Integrate plant and observer as one system in continuous time.
 
-    It shows an observer without sampling, so that its error law can be compared with theory. Use it also for a loop
-    closed through the estimate. It needs an observer with a `flow`; a Kalman filter with sampled measurements has none.
-    Use `observers.run` on a simulated log for the effects of sampling and noise.
+    It shows an observer without sampling, so that its error law can be compared with theory. Use it also for a control
+    loop that is closed through the estimate. It needs an observer with a `flow`, which a Kalman filter with sampled
+    measurements does not have. For the effects of sampling and noise use `observers.run` on a simulated log.
 
     Args:
         model: The plant, a mechanical system or a `StateSpace`.
@@ -155,16 +155,16 @@ def observe(
         state0: Initial state of the observer, as from `observer.init`.
         t: Stamps (T,) [s].
         u: Input `(t, x) -> u (m,)`, zero by default.
-        measure: Measurement `(t, q) -> y` in continuous time. The observer of a `StateSpace` gets `measure(t, h)`.
+        measure: Measurement `(t, q) -> y` in continuous time. The observer of a `StateSpace` receives `measure(t, h)`.
         rtol: Relative tolerance of the integrator.
         atol: Absolute tolerance of the integrator.
         max_steps: Largest number of integration steps between two stamps.
-        controller: Closes the loop: the input is `controller(t, y, estimate)`, instead of u. For a `StateSpace` h must
-            then not depend on the input.
+        controller: Closes the loop: the input is then `controller(t, y, estimate)` instead of u. The output h of a
+            `StateSpace` must not depend on the input in this case.
 
     Returns:
-        The true states, as in the record of `simulate`, and the observer's states, both time first. After a breakdown,
-        such as an observer that escapes in finite time, both are not finite.
+        The true states, as in the record of `simulate`, and the observer's states, both with time first. After a
+        breakdown, such as an observer that escapes in finite time, neither is finite.
 
     Example:
         >>> import jax.numpy as jnp
@@ -183,7 +183,7 @@ def observe(
     def answer(s, x, state) -> tuple[Array, Any]:
         """The input, and the derivative of the observer's state."""
         now = input_at(s, x)
-        # The measurement comes before the input of a controller, so an output h must not depend on the input then.
+        # The controller needs the measurement first, so an output h must not depend on the input here.
         y = measure(s, plant.output(s, x, now))
         if controller is not None:
             now = controller(s, y, observer.estimate(state))
@@ -214,12 +214,12 @@ def _observe_in_charts(model: Any, observer: AbstractFlowObserver, answer, x0: M
             (sigma, mu), moved, rest = joint
             x = plant.motion(sigma, mu)
             inputs, slope = answer(s, x, rest._replace(q=manifold.retract(state.q, moved)))
-            # The velocity is in the frame at the estimate; integrated are coordinates in the chart.
+            # The velocity is in the frame at the estimate, but coordinates in the chart are integrated.
             turning = manifold.local_rate(state.q, moved, slope.q)
             return plant.flow(s, (sigma, mu), lambda *_: inputs)[0], turning, slope._replace(q=None)
 
         none = jnp.zeros_like(momentum)
-        # The configuration is None here: it moves with the chart, and only its displacement from there is integrated.
+        # The configuration is None, as it moves with the chart: only the displacement from its centre is integrated.
         first = (none, momentum), none, state._replace(q=None)
         (sigma, mu), moved, rest = rule(flow, begin + jnp.asarray(i, h.dtype) * h, first, h)
         return *plant.end(sigma, mu), rest._replace(q=manifold.retract(state.q, moved))
@@ -227,7 +227,7 @@ def _observe_in_charts(model: Any, observer: AbstractFlowObserver, answer, x0: M
     def interval(now, bounds):
         begin, end = bounds
         q, momentum, state = now
-        # The faster of plant and observer decides, since both move in charts of their own.
+        # The faster of plant and observer decides, since each moves in a chart of its own.
         v = jnp.concatenate([model.space.raise_(q, momentum), observer.estimate(state).v])
         charts = _charts(end - begin, v)
         h = (end - begin) / jnp.asarray(charts, v.dtype)
@@ -240,11 +240,11 @@ def _observe_in_charts(model: Any, observer: AbstractFlowObserver, answer, x0: M
 
 
 def no_input(model: MechanicalSystem | StateSpace, v: Float[Array, "n"]) -> Input:
-    """Zero input of the size that a model takes.
+    """Zero input of the size that a model needs.
 
     Args:
         model: A mechanical system, or a `StateSpace`.
-        v: A velocity or state (n,); where the model states no number of inputs, it has n of them.
+        v: A velocity or state (n,); if the model states no number of inputs, it has n of them.
 
     Returns:
         A function `(t, x) -> u (m,)`.
@@ -283,7 +283,7 @@ def hold(t: Float[Array, "T"], u: Float[Array, "T m"]) -> Input:
 
 
 def _zero_order_hold(t, u, s, x):
-    # side="right": at a stamp its own input acts, not the one before.
+    # side="right": at a stamp, the input of that stamp acts, not the one before.
     return u[jnp.clip(jnp.searchsorted(t, s, side="right") - 1, 0, t.shape[0] - 1)]
 
 
@@ -292,13 +292,13 @@ def _prepend(first: Any, after: Any) -> Any:
 
 
 def _charts(duration: Number, v: Array) -> Array:
-    # A motion that has escaped has a velocity that is not finite: it gets one chart, or the most, so that loops end.
+    # After an escape the velocity is not finite: such a motion gets one chart, or the most allowed, so that loops end.
     count = jnp.ceil(duration * jnp.max(jnp.abs(v)) / CHART_SIZE)
     return jnp.clip(jnp.nan_to_num(count, nan=1.0), 1, 100_000).astype(jnp.int32)
 
 
 def _adaptive(rtol: Number, atol: Number, max_steps: int = 200_000):
-    """A one-step method that makes as many steps of Dormand and Prince's as the tolerances need."""
+    """A one-step method that makes as many Dormand–Prince steps as the tolerances require."""
 
     def rule(flow, t, x, dt):
         ends = jnp.stack([t, t + dt])

@@ -1,4 +1,4 @@
-"""C from a graph: tables, loops, rows and names."""
+"""Writes the graph of a function as C code: statements, loops, tables, rows of a batch, and valid names."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""C99 code of a graph: a function of scalars, without memory management or global variables.
+"""Writes a graph as a C99 function of scalars, without memory management or global variables.
 
 The text depends on the graph alone, so that it is the same on every machine. Numbers are written with just enough
 digits to identify them.
@@ -15,9 +15,9 @@ from scalargraph.graph import Lowered
 
 Real = Literal["double", "float"]
 MOST_STATEMENTS = 500
-"""Longest function in statements: gcc takes minutes for ten thousand in one function, and seconds in parts."""
+"""Largest number of statements in one C function: for ten thousand gcc takes minutes, for several parts seconds."""
 MOST_IN_LANES = 2000
-"""The same for several lanes, where values passed between functions take a multiple of the memory."""
+"""The same limit with several lanes; a value passed between functions then takes a number of memory for each lane."""
 
 
 def c_function(
@@ -46,7 +46,7 @@ def c_function(
         static: Whether it is declared `static`.
         most_statements: Longest function in statements; longer ones are written in parts. By default `MOST_STATEMENTS`,
             or `MOST_IN_LANES` for several lanes.
-        lanes: For how many arguments it is evaluated at once, a power of 2. Above 1 a number is a vector of the
+        lanes: Number of argument vectors evaluated at once, a power of 2. Above 1 a number is a vector of the
             compilers gcc and clang, of the type `{prefix}lanes`, with one entry for each argument.
 
     Raises:

@@ -1,8 +1,8 @@
-"""C for lanes: numbers are vectors of the compiler, so that a function is evaluated for several arguments at once.
+"""Writes C that evaluates a function for several arguments at once, in lanes: each number is a vector of the compiler.
 
-The text of a function is the same as for plain numbers; what differs is written here. A comparison gives a mask, and a
-choice evaluates both sides, lane by lane: an invalid value in one lane, as NaN, stays there. gcc and clang support such
-vectors on every processor, and use the instructions that it has.
+The text of a function is the same as for plain numbers; this file writes the operations that differ. A comparison gives
+a mask, and a choice evaluates both sides and selects lane by lane, so NaN in one lane does not spread to the others.
+gcc and clang support such vectors on every processor, and use the vector instructions that it has.
 
 Sources: Cody & Waite 1980, Software Manual for the Elementary Functions, for the reduction of arguments; the
 polynomials are those of Sun's fdlibm (1993) in double precision and of Moshier's Cephes (1992) in single precision.
@@ -20,7 +20,7 @@ OPERATORS = {
     "choose_truth": "({0} & {1}) | (~{0} & {2})",
     "either": "{type}_choose({0} < {1}, {2}, {3})",
 }
-"""Operations that have another text for lanes than for plain numbers."""
+"""C operators whose text for lanes differs from the text for plain numbers."""
 
 HEAD = """typedef $scalar $type __attribute__((vector_size($bytes)));
 typedef $whole ${type}_truth __attribute__((vector_size($bytes)));
@@ -63,7 +63,7 @@ EACH_OF_TWO = """static inline __attribute__((unused)) $type ${type}_$op($type a
     return y;
 }
 """
-"""The same of two numbers."""
+"""The same for a function of two numbers."""
 
 CIRCULAR = """static __attribute__((noinline, unused)) $type ${type}_far_$op($type a, $type near)
 {
@@ -89,10 +89,10 @@ static inline __attribute__((always_inline, unused)) $type ${type}_$op($type a)
     return found;
 }
 """
-"""Sine and cosine: one number of the two series by the quarter turn, with the sign that it has there.
+"""Sine and cosine: one of two series, chosen by the quarter turn, with the sign of that quarter turn.
 
-Sine and cosine of one argument have all but the last lines in common, which a compiler finds. Arguments beyond `far`,
-for which the reduction is not exact, and those that are no numbers go to <math.h>.
+Sine and cosine of one argument share all but the last lines, so that a compiler computes these lines once. Arguments
+beyond `far`, for which the reduction is not exact, and NaN and infinity go to <math.h>.
 """
 
 OTHERS = {
@@ -110,11 +110,11 @@ OTHERS = {
     "    $type y;\n    int i;\n    for (i = 0; i < $lanes; ++i) {\n        const $scalar at = place[i];\n"
     "        y[i] = row[at > $zero ? at < ($scalar)last ? (int)at : last : 0];\n    }\n    return y;\n}\n",
 }
-"""Operations that are written out for lanes; those that are for plain numbers too do the same."""
+"""Operations that lanes write as functions of their own, with the same results as for plain numbers."""
 
 
 class _Precision(NamedTuple):
-    """Constants of sine and cosine: π/2 in three parts, of which products with a count of quarter turns are exact."""
+    """Constants of sine and cosine: π/2 in three parts, whose products with a count of quarter turns are exact."""
 
     first: str
     second: str
@@ -172,12 +172,12 @@ PRECISIONS = {
 }
 BYTES = {"double": 8, "float": 4}
 WHOLE = {"double": "long long", "float": "int"}
-"""Whole numbers of the same size, which masks are made of."""
+"""Integer types of the same size as the numbers, from which masks are made."""
 OF_TWO = ("pow", "atan2")
 
 
 def head(scalar: str, kind: str, lanes: int) -> str:
-    """Write the types and the functions that every text needs."""
+    """Write the types and functions that every file with lanes needs."""
     return _fill_template(HEAD, scalar, kind, lanes)
 
 

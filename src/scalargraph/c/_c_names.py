@@ -1,4 +1,4 @@
-"""Names that a function of C cannot have."""
+"""Lists the names that a C function must not have, such as keywords and names of the standard library."""
 
 import re
 
@@ -25,13 +25,13 @@ _MATH = (
     "cabs cacos cacosh carg casin casinh catan catanh ccos ccosh cexp cimag clog conj cpow cproj creal csin csinh "
     "csqrt ctan ctanh"
 )
-"""Functions of <math.h> and <complex.h>, each of which also exists with the suffixes f and l; those of the fifth line
-are from POSIX."""
+"""Functions of <math.h> and <complex.h>, which also exist with the suffixes f and l; the fifth line of the list is from
+POSIX."""
 _MACROS = (
     "INFINITY NAN HUGE_VAL HUGE_VALF HUGE_VALL MATH_ERRNO MATH_ERREXCEPT math_errhandling signgam NULL EOF BUFSIZ "
     "EDOM EILSEQ ERANGE errno stdin stdout stderr linux unix"
 )
-"""Macros that stand for a value; the last two are defined by some compilers, for the system that they compile for."""
+"""Macros that stand for a value; some compilers define the last two to name the target system."""
 _OTHERS = (
     "fpclassify isfinite isgreater isgreaterequal isinf isless islessequal islessgreater isnan isnormal isunordered "
     "signbit main FILE L_tmpnam CLOCKS_PER_SEC EXIT_FAILURE EXIT_SUCCESS WEOF CMPLX CMPLXF CMPLXL ONCE_FLAG_INIT I "
@@ -58,7 +58,7 @@ _OTHERS = (
     "wcstold wcstoll wcstombs wcstoul wcstoull wcstoumax wcsxfrm wctob wctomb wctrans wctype wmemchr wmemcmp wmemcpy "
     "wmemmove wmemset wprintf wscanf"
 )
-"""Other names of the library of C11, which a function or a C++ namespace of the same name would hide."""
+"""Other names of the C11 library; a function or a C++ namespace of the same name would hide them."""
 _PATTERNS = re.compile(
     r"[A-Za-z0-9_]+_t|(ATOMIC|DBL|FE|FLT|FP|LC|LDBL|SEEK|SIG|TIME|TSS)_[A-Z0-9_]+|[A-Z0-9_]+_(BIT|DIG|MAX|MIN)|"
     r"(PRI|SCN)[Xdioux][A-Z0-9]+|SIG(ABRT|FPE|ILL|INT|SEGV|TERM)|U?INT(8|16|32|64|MAX)_C|atomic_[a-z_]+"
@@ -72,7 +72,7 @@ LIBRARY = C_MACROS | frozenset(
 
 
 def check_name(name: str) -> None:
-    """Check that a function of C may have a name."""
+    """Raise an error if a C function must not have this name."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"{name!r} is no name in C; take letters, digits and underscores, beginning with a letter")
     if name in C_KEYWORDS:

@@ -1,4 +1,4 @@
-"""Operations of a graph in C: as an operator, as a function of <math.h>, or as a helper function."""
+"""Writes each operation of a graph in C: as an operator, as a call of <math.h>, or as a call of a helper function."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -76,10 +76,10 @@ LIBRARY = {
 }
 """Operations that are functions of <math.h>."""
 HELPERS = {
-    # NaN of either argument results, as in NumPy and unlike fmin and fmax.
+    # If either argument is NaN the result is NaN, as in NumPy; fmin and fmax would return the other argument.
     "min": "static {real} {prefix}min({real} a, {real} b)\n{{\n    return a < b || a != a ? a : b;\n}}\n",
     "max": "static {real} {prefix}max({real} a, {real} b)\n{{\n    return a > b || a != a ? a : b;\n}}\n",
-    # a − a is NaN for infinities and NaN, which equals nothing; it needs no macro of <math.h>.
+    # a − a is NaN if a is infinite or NaN, and NaN equals nothing. This test needs no macro of <math.h>.
     "is_finite": "static int {prefix}is_finite({real} a)\n{{\n    return a - a == {zero};\n}}\n",
     "table": "static int {prefix}table({real} place, int last)\n{{\n"
     "    return place > {zero} ? place < ({real})last ? (int)place : last : 0;\n}}\n",
@@ -118,12 +118,12 @@ def of_truth(value: str, words: Words) -> str:
 
 
 def _plain(text: str) -> str:
-    """The digits of a number that was written by `literal`."""
+    """The digits of a number that `literal` wrote."""
     return text.rpartition("(")[2].rstrip(")").removesuffix("f")
 
 
 def _strip_brackets(operand: str) -> str:
-    """An operand as an argument of a call, without the brackets around all of it."""
+    """An operand as an argument of a call, without enclosing brackets, which a call does not need."""
     depth = 0
     for k, letter in enumerate(operand):
         depth += (letter == "(") - (letter == ")")
@@ -133,7 +133,7 @@ def _strip_brackets(operand: str) -> str:
 
 
 def literal(value: float | bool, words: Words) -> str:
-    """Write a number in C, in the fewest digits that identify it, in every lane; a truth value as 0 or 1."""
+    """Write a number in C with the fewest digits that identify it, in every lane; a truth value becomes 0 or 1."""
     if words.lanes > 1 and isinstance(value, bool):
         return f"{'~' if value else ''}({words.truth}){{0}}"
     if words.lanes > 1:
@@ -151,7 +151,7 @@ def literal(value: float | bool, words: Words) -> str:
 
 
 def helpers(names: Iterable[str], words: Words) -> str:
-    """Write the types and helper functions in C, each once, those that others call first."""
+    """Write each needed type and helper function once in C; a helper that another one calls comes first."""
     needed = set(names)
     orders = {int(name.removeprefix("stumpff")) for name in needed if name.startswith("stumpff")}
     orders = sorted(orders.union(*(_below(k) for k in orders)))
@@ -170,14 +170,14 @@ def helpers(names: Iterable[str], words: Words) -> str:
 
 
 def _below(k: int) -> set[int]:
-    """The orders of the functions that the closed form of Stumpff's c_k calls."""
+    """The orders of all Stumpff functions that the closed form of c_k calls."""
     if k < 2:
         return set()
     return {1} if k == 2 else {k - 2} | _below(k - 2)
 
 
 def _stumpff(k: int, words: Words) -> str:
-    """Stumpff's function c_k: a series where the closed form loses digits, as in JAX."""
+    """Stumpff's function c_k: a series where the closed form loses digits, with the same threshold as in JAX."""
     # As in `_stumpff`: from c₃ on the closed form loses digits below k(k − 1).
     threshold = max(1.0, k * (k - 1.0))
     # Terms below eps/256 of the first one are lost in its rounding.
@@ -205,7 +205,7 @@ def _stumpff(k: int, words: Words) -> str:
 
 
 def _closed_form(k: int, words: Words) -> tuple[list[str], str]:
-    """Stumpff's function c_k away from zero: what is declared first, and the expression."""
+    """Stumpff's function c_k away from zero: the declarations that come first, and the expression."""
 
     def call(op: str, text: str) -> str:
         return expression(op, [text], words)

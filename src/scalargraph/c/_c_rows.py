@@ -1,4 +1,4 @@
-"""C of a function that is applied to the rows of an array, several rows at once in lanes."""
+"""Writes C that applies a function to every row of an array, several rows at once in lanes."""
 
 from scalargraph.c._c import Real, c_function, c_helpers
 from scalargraph.graph import Lowered
@@ -8,8 +8,8 @@ from scalargraph.template import fill
 def c_rows(lowered: Lowered, name: str, lanes: int, real: Real = "double", most_statements: int | None = None) -> str:
     """Generate the C of a function that is applied to the rows of an array, several rows at once in lanes.
 
-    It is `void name(const real *x, real *y, long long count)`, from x (count, inputs) to y (count, results). Where the
-    rows do not fill the lanes, the last row is evaluated again; nothing beyond it is read or written.
+    It is `void name(const real *x, real *y, long long count)`, from x (count, inputs) to y (count, results). If the
+    last rows do not fill all lanes, the last row fills the rest; nothing beyond it is read or written.
 
     Args:
         lowered: The function.

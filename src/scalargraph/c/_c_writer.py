@@ -1,7 +1,7 @@
-"""The statements of a graph in C, one after the other.
+"""Writes the operations of a graph as C statements, one after the other.
 
-A long function is written as several of limited length, since compilers take more than linear time. Values that one of
-them passes to another are in an array on the stack, whose places are used again.
+A long function is written as several functions of limited length, since compilers take more than linear time. Values
+that one of these functions passes to another are stored in an array on the stack, whose places are reused.
 """
 
 import itertools
@@ -23,7 +23,7 @@ from scalargraph.c._c_operations import (
 from scalargraph.graph import NO_OPERATIONS, TRUTHS, Graph, Lowered, Repetition
 
 LONGEST_EXPRESSION = 60
-"""Longest expression [characters] that is written into the one that uses it."""
+"""Longest expression [characters] that is inlined into the one statement that uses it."""
 
 
 class Signature(NamedTuple):
@@ -56,9 +56,9 @@ class CText(NamedTuple):
     Attributes:
         text: The function with those that it calls, all but the last of them `static`.
         helpers: Names of the `c_helpers` that it calls.
-        operations: Number of operations of each kind in a call, the same in every call; a turn of a loop of unknown
-            length counts once.
-        scratch: How many numbers are on its stack beside its variables.
+        operations: Number of operations of each kind in a call, the same in every call. A loop of unknown length counts
+            as one turn.
+        scratch: Number of values that it keeps in an array on its stack, besides its variables.
 
     Example:
         >>> import jax.numpy as jnp
@@ -75,7 +75,7 @@ class CText(NamedTuple):
 
 
 class Writer:
-    """Writes one function: orders its nodes, cuts the list into parts, and assigns places to what passes between them.
+    """Writes one function: orders its nodes, cuts the list into parts, and places the values that parts exchange.
 
     Args:
         lowered: The function, simplified.
@@ -103,7 +103,7 @@ class Writer:
         self.tables: dict[Any, str] = {table: f"{name}_table{k + 1}" for k, table in enumerate(looked_up)}
 
     def written(self) -> CText:
-        """The function, its parts, tables and loops."""
+        """Write the function with its parts, tables and loops."""
         counts = self._find_places()
         sizes = (("real", self.words.real, counts[False]), ("truth", self.words.truth, counts[True]))
         arrays = [(f"{kind}s", c, size) for kind, c, size in sizes if size]
@@ -120,7 +120,7 @@ class Writer:
         return CText("\n".join(texts), used, operations, scratch)
 
     def _functions(self, arrays: list[tuple[str, str, int]]) -> list[str]:
-        """The functions of the parts and the one that calls them; `arrays` between parts: name, type and length."""
+        """The functions of the parts and the one that calls them; `arrays` hold the values that parts exchange."""
         if len(self.parts) == 1:
             return [self._function(self.name, self.static, "", self._lines(0, self.parts[0]))]
         calls = [self._call(f"{self.name}_{k + 1}", arrays) for k in range(len(self.parts))]
@@ -157,7 +157,7 @@ class Writer:
         return f"{head}\n{{\n{ignored}{body}\n}}\n"
 
     def _inside(self, order: list[int]) -> set[int]:
-        """The nodes that are written into the expression of the one node that uses them."""
+        """The nodes whose expression is inlined, because only one other node uses them."""
         uses = Counter(a for i in order for a in set(self.graph.nodes[i].arguments))
         twice = Counter(a for i in order for a in self.graph.nodes[i].arguments)
         results = set(self.outputs)
@@ -176,7 +176,7 @@ class Writer:
         return inside
 
     def _needed(self, i: int) -> set[int]:
-        """The statements whose values the statement of a node uses."""
+        """The statements whose values are used by the statement of a node."""
         needed, stack = set(), list(self.graph.nodes[i].arguments)
         while stack:
             a = stack.pop()
@@ -187,7 +187,7 @@ class Writer:
         return needed
 
     def _until(self) -> dict[int, int]:
-        """The last part that uses a value, for values used outside the part that computes them."""
+        """The last part that uses a value, for each value that a later part than its own uses."""
         until: dict[int, int] = {}
         for k, part in enumerate(self.parts):
             for i in part:
@@ -207,7 +207,7 @@ class Writer:
         counts = {False: 0, True: 0}
         used: set[int] = set()
         for k, part in enumerate(self.parts):
-            # A place is released before the statements of this part get theirs: they read it first.
+            # A place is released before this part's statements get theirs, because the part reads it before writing.
             for i in sorted(j for j in used if until[j] == k):  # read here for the last time, before it is overwritten
                 used.remove(i)
                 free[self.truth[i]].append(self.places[i])
@@ -277,7 +277,7 @@ def number_array(name: str, numbers: Sequence[float], words: Words) -> str:
 
 
 def _declarations(declared: Sequence[tuple[str, str]]) -> list[str]:
-    """Constants of a type and their values as lines, those of one type together."""
+    """Declarations of constants with their values, those of the same type grouped."""
     lines = []
     for kind, group in itertools.groupby(declared, key=lambda each: each[0]):
         texts = [text for _, text in group]
@@ -287,12 +287,12 @@ def _declarations(declared: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def declared(arrays: list[tuple[str, str, int]]) -> list[str]:
-    """The lines that declare the arrays between parts."""
+    """The declarations of the arrays between parts."""
     return [f"{c} {array}[{size}];" for array, c, size in arrays]
 
 
 class _LoopText(NamedTuple):
-    """The function of a loop, `void name(real *numbers)`, with those that it calls; the rest as in `CText`."""
+    """The function of a loop, `void name(real *numbers)`, with the functions that it calls; other fields as `CText`."""
 
     name: str
     texts: tuple[str, ...]
@@ -302,7 +302,7 @@ class _LoopText(NamedTuple):
 
 
 def _loop(loop: Repetition, name: str, words: Words, most_statements: int) -> _LoopText:
-    """C of a loop on its fixed and carried numbers, which it changes in place; a turn of unknown count counts once."""
+    """C of a loop that updates its fixed and carried numbers in place; a loop of unknown length counts as one turn."""
     real, width, carried = words.real, loop.body.inputs, loop.carried
     inputs = tuple(f"x[{i}]" for i in range(width))
     texts = {}
@@ -316,7 +316,7 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int) -> _L
     if loop.turns is None:
         stop = f"        {name}_going(x, y);\n        if (!(y[0] > {literal(0.0, words)}))\n            return;\n"
         index, first = "", ";;"
-        if words.lanes > 1:  # a lane that has come to its end waits there for the others
+        if words.lanes > 1:  # a lane whose loop has ended keeps its numbers until all lanes have ended
             index = f"    {words.truth} on;\n"
             stop = (
                 f"        {name}_going(x, y);\n        on = y[0] > {literal(0.0, words)};\n"
@@ -338,12 +338,12 @@ def _loop(loop: Repetition, name: str, words: Words, most_statements: int) -> _L
 
 _TOGETHER = ("sin", "cos", "part")
 _SIMPLE = {"add", "sub", "mul", "neg", "abs", *TRUTHS}
-"""Operations that are written into the expression that uses them."""
+"""Operations that may be inlined into the expression that uses them."""
 
 
 def bracketed(text: str) -> str:
     """An operand in brackets, unless it is one name, one number or one call."""
-    # A leading sign is bracketed too: two of them would be a decrement.
+    # A leading sign is bracketed too: two minus signs in a row would be a decrement.
     return f"({text})" if " " in _outside(text) or text[0] in "-!~" else text
 
 
@@ -359,7 +359,7 @@ def _outside(text: str) -> str:
 
 
 def _mentions(body: str, name: str) -> bool:
-    """Whether a body uses a variable; a field of that name, as in `state->u`, is another thing."""
+    """Whether a body uses a variable; a field of the same name, as in `state->u`, does not count."""
     return re.search(rf"(?<!->)(?<!\.)\b{re.escape(name)}\b", body) is not None
 
 
@@ -377,10 +377,10 @@ def truths(graph: Graph) -> list[bool]:
 
 
 def _order(graph: Graph, outputs: Sequence[int]) -> list[int]:
-    """The nodes that the outputs need, each after its arguments, and soon before what uses it.
+    """The nodes that the outputs need, in an order of evaluation: after their arguments and shortly before their use.
 
-    Sine and cosine of one argument stand together, where compilers make one call of them, and so do the results of a
-    loop, behind it.
+    Sine and cosine of one argument are adjacent, so that compilers make one call of them. The results of a loop follow
+    the loop directly.
     """
     partner: dict[tuple, list[int]] = {}
     for i, node in enumerate(graph.nodes):
@@ -412,7 +412,7 @@ def in_parts(graph: Graph, statements: list[int], most: int) -> list[list[int]]:
     count = max(1, -(-len(statements) // most))
     cuts = [len(statements) * k // count for k in range(count + 1)]
     for k, cut in enumerate(cuts[1:-1], start=1):
-        # A cut that was moved behind the results of a loop may have passed this one.
+        # The previous cut may have been moved past this one, behind the results of a loop.
         cut = max(cut, cuts[k - 1])
         while cut < len(statements) and graph.nodes[statements[cut]].op == "part":
             cut += 1

@@ -1,7 +1,7 @@
-"""What a function computes from some of its inputs alone, so that it is computed once for many calls.
+"""Separates the computations that depend on some inputs alone, so that many calls share one evaluation of them.
 
-A model's numbers stay the same from step to step, and so does all that is computed from them: `split` takes it out of
-the step. The same holds within a loop for what does not change from turn to turn.
+A model's parameters stay the same from step to step, and so does everything that is computed from them alone: `split`
+moves it out of the step. Within a loop, values that do not change from turn to turn are moved in front of the loop.
 """
 
 import itertools
@@ -14,15 +14,15 @@ from scalargraph.graph import Graph, Lowered, Repetition, add_loop, part_of
 
 
 def split(lowered: Lowered, count: int) -> tuple[Lowered, Lowered]:
-    """Split a function into what its first inputs alone decide, and the rest.
+    """Split a function into a part that only its first inputs determine, and the rest.
 
     Args:
         lowered: The function; its conditions are dropped.
         count: Number k of inputs that stay the same over many calls.
 
     Returns:
-        The function of the first k inputs that computes the numbers d which the rest needs of them, and the function of
-        d and the other inputs that computes the results. Its argument is one array of both.
+        A function of the first k inputs, whose results d are the intermediate values that the rest needs, and a
+        function from d and the other inputs to the results. The argument of the latter is one array of both.
 
     Example:
         >>> import jax.numpy as jnp
@@ -47,7 +47,7 @@ def split(lowered: Lowered, count: int) -> tuple[Lowered, Lowered]:
 
 
 def _invariant_nodes(graph: Graph, count: int, outputs: Sequence[int]) -> list[int]:
-    """The nodes that the first inputs decide and that the rest, or a result, uses; without constants."""
+    """Nodes that the first inputs determine and that the rest or a result uses; constants are left out."""
     decided: list[bool] = []
     used = set(outputs)
     for node in graph.nodes:
@@ -55,12 +55,12 @@ def _invariant_nodes(graph: Graph, count: int, outputs: Sequence[int]) -> list[i
         decided.append(alone)
         if not alone:
             used.update(node.arguments)
-    # What leaves a loop are its parts.
+    # The results of a loop are its `part` nodes, not the loop itself.
     return [i for i in sorted(used) if decided[i] and graph.nodes[i].op not in ("constant", "loop")]
 
 
 def _hoist_invariants(lowered: Lowered) -> Lowered:
-    """The same function, with what no turn of a loop changes computed before the loop."""
+    """The same function, in which values that no turn of a loop changes are computed before the loop."""
     if not any(node.op == "loop" for node in lowered.graph.nodes):
         return lowered
     graph = Graph()
@@ -91,7 +91,7 @@ def _copy_nodes(
 
 
 def _required_nodes(graph: Graph, nodes: Sequence[int], known: Mapping[int, int]) -> list[int]:
-    """The nodes that others need, each after its arguments, but for the known ones and what only these need."""
+    """The nodes that others need, each after its arguments, without the known ones and those that only these need."""
     needed, stack = set(), list(nodes)
     while stack:
         i = stack.pop()
@@ -102,14 +102,14 @@ def _required_nodes(graph: Graph, nodes: Sequence[int], known: Mapping[int, int]
 
 
 def _add_hoisted_loop(graph: Graph, loop: Repetition, arguments: Sequence[int]) -> int:
-    """The node of a loop whose turns get, as further fixed numbers, what its fixed numbers decide."""
+    """Add a loop whose turns receive the values that its fixed numbers determine as further fixed numbers."""
     fixed = dict(enumerate(arguments[: loop.fixed]))
     taken = [
         [i for i in _invariant_nodes(g.graph, loop.fixed, g.outputs) if g.graph.nodes[i].op != "input"]
         for g in loop.graphs
     ]
     outside = [_copy_nodes(each.graph, some, graph, fixed, {}) for each, some in zip(loop.graphs, taken, strict=True)]
-    # A truth value is a number where it enters the loop, whose numbers are one array.
+    # A truth value enters the loop as the number 0 or 1, because all numbers of a loop are one array.
     one, zero = graph.constant(1.0), graph.constant(0.0)
     passed = [
         [graph.apply("select", o, one, zero) if kinds[i] else o for i, o in zip(some, nodes, strict=True)]
@@ -132,7 +132,7 @@ def _add_hoisted_loop(graph: Graph, loop: Repetition, arguments: Sequence[int]) 
 
 
 def _as_kinds(graph: Graph, nodes: Sequence[int], into: Graph, values: Sequence[int]) -> list[int]:
-    """Numbers of a graph in place of nodes of another one: as truth values where the nodes are such."""
+    """Numbers of a graph in place of nodes of another one, as truth values if those nodes are truth values."""
     kinds = truths(graph)
     return [into.apply("lt", into.constant(0.0), v) if kinds[i] else v for i, v in zip(nodes, values, strict=False)]
 

@@ -1,9 +1,9 @@
-"""Simplification of a graph before code is generated from it: fewer operations, with the same meaning.
+"""Simplifies a graph before code is generated from it: fewer operations, with the same meaning.
 
-`simplified` moves changes of sign outward, where two of them cancel, uses that sine and cosine are odd and even, and
-divides once where several numbers are divided by the same one. The rules hold in floating-point arithmetic exactly, by
-its symmetry, but for the last, which rounds a quotient twice, and for the sign of a zero. They are applied to graphs
-for generated code, not to those for proofs, which keep the operations as written.
+`simplified` moves changes of sign outward, where pairs of them cancel, uses the symmetry of sine and cosine, and
+replaces several quotients with the same divisor by products with its reciprocal. All rules but the last are exact in
+floating-point arithmetic, except for the sign of a zero; the last one rounds a quotient twice. They are applied to
+graphs for generated code, not to graphs for proofs, which keep the operations as written.
 """
 
 from collections import Counter
@@ -14,7 +14,7 @@ from scalargraph.graph import Graph, Lowered, Node, add_loop, part_of
 ODD = {"sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "cbrt", "sign"}
 EVEN = {"cos", "cosh", "abs"}
 FEWEST_QUOTIENTS = 2
-"""Number of quotients with one divisor from which its reciprocal is computed."""
+"""Smallest number of quotients with one divisor for which the reciprocal is computed."""
 
 
 def simplified(lowered: Lowered) -> Lowered:
@@ -34,7 +34,7 @@ def simplified(lowered: Lowered) -> Lowered:
     outward = _rewrite(lowered, lambda graph, node, x: _outward(graph, node.op, x))
     nodes = outward.graph.nodes
     divisors = Counter(node.arguments[1] for node in nodes if node.op == "div")
-    # A quotient by a constant keeps its one rounding; a/b as a · (1/b) has two.
+    # A division by a constant stays as it is: a/b has one rounding, a · (1/b) has two.
     shared = {a for a, count in divisors.items() if count >= FEWEST_QUOTIENTS and nodes[a].op != "constant"}
 
     def divide_once(graph: Graph, node: Node, x: tuple[int, ...]) -> int:
@@ -81,7 +81,7 @@ def _outward(graph: Graph, op: str, x: tuple[int, ...]) -> int:
         case _, _, (int(a),) if op in EVEN:
             return _outward(graph, op, (a,))
         case _, (a,), _ if op in ODD | EVEN and (swapped := _find_mirror(graph, a)) is not None:
-            # b - a where a - b is there already: one sine serves both.
+            # If the graph has a − b already, b − a is written as its negative, so that one sine serves both.
             return neg(graph.apply(op, swapped)) if op in ODD else graph.apply(op, swapped)
         case "mul" | "div", _, (int(a), int(b)):
             return graph.apply(op, a, b)
@@ -115,12 +115,12 @@ def _outward(graph: Graph, op: str, x: tuple[int, ...]) -> int:
 
 
 def _opposite(graph: Graph, node: int) -> int | None:
-    """The node of which this one is the negative, or None where it is no negative."""
+    """The node of which this node is the negative; None if this node is not a negative."""
     return graph.nodes[node].arguments[0] if graph.nodes[node].op == "neg" else None
 
 
 def _find_mirror(graph: Graph, node: int) -> int | None:
-    """The node b − a for a node a − b, where the graph has it and it came first."""
+    """The earlier node b − a for a node a − b; None if the graph has none."""
     op, arguments, _ = graph.nodes[node]
     mirror = graph.find("sub", *arguments[::-1]) if op == "sub" else None
     return mirror if mirror is not None and mirror < node else None

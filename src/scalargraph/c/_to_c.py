@@ -1,4 +1,4 @@
-"""A complete C99 source file of a JAX function, with a comment that says how its arrays are passed."""
+"""Writes a complete C99 source file of a JAX function, with a comment that says how its arrays are passed."""
 
 import inspect
 from collections.abc import Callable, Sequence
@@ -15,15 +15,15 @@ from scalargraph.errors import InputError
 from scalargraph.graph import lower
 
 RESTRICT_IN_CPP = "#ifdef __cplusplus\n#define restrict\n#endif\n"
-"""C++ has no keyword `restrict`, which only permits faster code."""
+"""C++ has no keyword `restrict`. Leaving it out changes no result, since it only permits faster code."""
 
 
 def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "double") -> str:
     """Generate a C99 source file that computes a JAX function.
 
     The C function is `void name(const real *in1, const real *in2, ..., real *out1, ...)`: a pointer for each array of
-    the arguments, then one for each array of the result, in the order of `jax.tree.leaves`. An array that is the only
-    one is `in` or `out`. Arrays are contiguous and in row-major order; a scalar is an array of one number. Truth values
+    the arguments, then one for each array of the result, in the order of `jax.tree.leaves`. A single one is called
+    `in` or `out`. Arrays are contiguous and in row-major order; a scalar is an array of one number. Truth values
     and integers in the result are written as numbers. The comment at the head of the file lists all arrays.
 
     The file allocates no memory, has no variables outside functions, and includes nothing but `<math.h>`.
@@ -40,10 +40,10 @@ def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "doub
         The text of the file, for `gcc -std=c99 -c`.
 
     Raises:
-        LoweringError: The function calls LAPACK, or Python, or has no graph of scalars for another reason; the message
-            names the operation.
-        TypeError: An example has entries that are no floating-point numbers.
-        ValueError: The name cannot be that of a C function, `real` is another type, or the function returns no array.
+        LoweringError: The function calls LAPACK or Python, or cannot be written as a graph of scalars for another
+            reason; the message names the operation.
+        TypeError: An example has entries that are not floating-point numbers.
+        ValueError: The name is not valid for a C function, `real` is another type, or the function returns no array.
 
     Example:
         >>> import jax.numpy as jnp
@@ -97,7 +97,7 @@ def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "doub
 
 
 class _Passed(NamedTuple):
-    """An array that is passed to a C function by a pointer: the name of the pointer, and what is there."""
+    """An array that is passed to a C function by a pointer: the pointer's name and the array's description."""
 
     name: str
     label: str
@@ -105,7 +105,7 @@ class _Passed(NamedTuple):
 
 
 def _parameters(function: Callable, count: int) -> list[str]:
-    """The names of the positional arguments of a function, or their numbers where Python does not know them."""
+    """The names of the positional arguments of a function, or numbers if Python cannot inspect the function."""
     try:
         parameters = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):  # functions that are not written in Python may have no signature
@@ -118,7 +118,7 @@ def _parameters(function: Callable, count: int) -> list[str]:
 def _shapes(example: Any, label: str, real: Real) -> Any:
     """The shapes of the arrays of an example, all with the type of the generated code."""
     dtype = {"double": jnp.float64, "float": jnp.float32}[real]
-    # For JAX, None is a pytree without arrays, and would be skipped.
+    # JAX treats None as a pytree without arrays and would skip it without an error.
     for where, leaf in [(label, None)] if example is None else _label_arrays(label, example):
         dtype_of_leaf = getattr(leaf, "dtype", None)
         if not jnp.issubdtype(np.asarray(leaf).dtype if dtype_of_leaf is None else dtype_of_leaf, jnp.floating):
@@ -130,7 +130,7 @@ def _shapes(example: Any, label: str, real: Real) -> Any:
 
 
 def _label_arrays(label: str, tree: Any) -> list[tuple[str, Any]]:
-    """The arrays of a pytree, each with the keys that lead to it behind a label."""
+    """The arrays of a pytree, each labelled with the keys that lead to it."""
     return [(label + jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(tree)]
 
 
@@ -158,7 +158,7 @@ def _comment(name: str, ins: Sequence[_Passed], outs: Sequence[_Passed]) -> str:
 
 
 def _plain(label: str) -> str:
-    """A label that neither ends the comment or its line, nor depends on an encoding: keys may be any text."""
+    """A label that cannot end the comment or its line and that is ASCII: keys of a dictionary may be any text."""
     line = " ".join(label.split()).replace("*/", "* /").replace("/*", "/ *")
     return line.encode("ascii", "backslashreplace").decode()
 

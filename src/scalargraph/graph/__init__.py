@@ -1,4 +1,4 @@
-"""From JAX to a graph: reading functions, simplifying, derivatives, fingerprints."""
+"""Builds graphs of scalar operations from JAX functions, simplifies and differentiates them, and hashes functions."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Arrays whose entries are nodes of a graph of scalars, and operations on such arrays."""
+"""Represents arrays whose entries are nodes of a graph of scalars, and applies operations to such arrays."""
 
 import math
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class Writer:
         """Apply an operation entry by entry."""
         arrays = [nodes_of(self.graph, value) for value in values]
         shape = arrays[0].shape
-        if any(array.shape != shape for array in arrays):  # most are equal, and broadcasting takes longer than to look
+        if any(array.shape != shape for array in arrays):  # checked first, since broadcasting is slow and rarely needed
             arrays = np.broadcast_arrays(*arrays)
             shape = arrays[0].shape
         apply = self.graph.apply
@@ -54,7 +54,7 @@ class Writer:
         return Scalars(np.array(flat, int).reshape(shape))
 
     def reduce(self, op: str, ids: np.ndarray, axes: Sequence[int]) -> Scalars:
-        """Reduce over some axes by recursive halving, which rounds less than a loop does."""
+        """Reduce over some axes by recursive halving, which accumulates less rounding error than a loop."""
         remaining = [axis for axis in range(ids.ndim) if axis not in axes]
         shape = [ids.shape[axis] for axis in remaining]
         rows = np.transpose(ids, [*remaining, *axes]).reshape(math.prod(shape), math.prod(ids.shape[a] for a in axes))
@@ -62,7 +62,7 @@ class Writer:
         def together(row: list[int]) -> int:
             if len(row) < 2:
                 return row[0] if row else self.graph.constant(_NEUTRAL[op])
-            # Pairwise summation: the error grows with log n, that of a loop with n (Higham 2002, section 4.2).
+            # Pairwise summation: its error grows with log n, the error of a loop with n (Higham 2002, section 4.2).
             middle = len(row) // 2
             return self.graph.apply(op, together(row[:middle]), together(row[middle:]))
 
@@ -75,7 +75,7 @@ class Writer:
         return Scalars(np.stack([nodes_of(self.graph, value) for value in values]))
 
     def truth(self, value: Value) -> np.ndarray | None:
-        """Return the values of statements, or None where one of them depends on the arguments."""
+        """Return the truth values of statements, or None if one of them depends on the arguments."""
         if not isinstance(value, Scalars):
             return np.asarray(value, bool)
         nodes = [self.graph.nodes[i] for i in value.ids.ravel().tolist()]
@@ -84,7 +84,7 @@ class Writer:
         return np.array([bool(node.value) for node in nodes]).reshape(value.ids.shape)
 
     def chosen(self, first: np.ndarray, a: Value, b: Value) -> Value:
-        """Choose rows of two arrays."""
+        """Choose each row from one of two arrays: from `a` where `first` is true, else from `b`."""
         # The mask covers the leading axes and is broadcast along the others.
         mask = first.reshape(first.shape + (1,) * (np.ndim(getattr(a, "ids", a)) - first.ndim))
         if isinstance(a, Scalars) or isinstance(b, Scalars):
@@ -92,10 +92,10 @@ class Writer:
         return np.where(mask, a, b)
 
     def within(self, value: Scalars, low: float, high: float) -> None:
-        """Add the condition that all entries are strictly between two numbers."""
+        """Add the condition that all entries lie strictly between two numbers."""
         for node in set(value.ids.ravel().tolist()):
             self.graph.need_between(low, node, high)
 
 
 _NEUTRAL = {"add": 0.0, "mul": 1.0, "and": True, "or": False, "max": -np.inf, "min": np.inf}
-"""Result of each operation over no entries."""
+"""Result of each reduction over no entries."""

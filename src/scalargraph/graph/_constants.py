@@ -1,7 +1,7 @@
-"""Equations of a jaxpr whose inputs are known, computed in NumPy: compiling a program for each would be slow.
+"""Computes equations of a jaxpr with known inputs in NumPy, since compiling a program for each would be slow.
 
-There is a rule only for what rounds as in JAX: operations that move entries, compare, or make one correctly rounded
-IEEE operation for each entry. Everything else is computed by JAX itself.
+A rule exists only for operations that round as in JAX: those that move entries, compare, or make one correctly rounded
+IEEE operation for each entry. JAX itself computes all others.
 """
 
 import math
@@ -20,7 +20,7 @@ def compute(eqn: JaxprEquation, values: Sequence[Any]) -> list[Any]:
     rule = None if eqn.unknown else _RULES.get(eqn.name)
     outputs = [atom.aval for atom in eqn.outvars]
     if rule is not None and all(_plain(aval) for aval in outputs):
-        # Inputs get the type of their variable in the jaxpr, which NumPy alone would not always choose.
+        # Inputs get the type of their variable in the jaxpr, which may differ from NumPy's own choice.
         arrays = [np.asarray(v, atom.aval.dtype) for v, atom in zip(values, eqn.invars, strict=True)]
         with np.errstate(all="ignore"):
             result = rule(eqn.params, *arrays)
@@ -52,7 +52,7 @@ def _broadcast(parameters: dict, value: np.ndarray, *_) -> np.ndarray:
 
 def _select(parameters: dict, which: np.ndarray, *cases: np.ndarray) -> np.ndarray:
     if which.dtype == bool:
-        # `select_n` takes the first case where the predicate is false.
+        # `select_n` takes the first case if the predicate is false.
         return np.where(which, cases[1], cases[0])
     return np.choose(np.clip(which, 0, len(cases) - 1), cases)
 
@@ -77,7 +77,7 @@ def _iota(parameters: dict) -> np.ndarray:
 def padded(parameters: dict, value: np.ndarray, fill: np.ndarray) -> np.ndarray:
     """Pad an array as the primitive `pad` does."""
     config = parameters["padding_config"]
-    # A negative low or high cuts entries off, which is done last, on the array that is already spread out.
+    # Negative low or high padding removes entries. This is done last, after the interior padding.
     slots = [slice(max(low, 0), None, inside + 1) for low, _, inside in config]
     sizes = [max(n + (n - 1) * inside, 0) for n, (_, _, inside) in zip(value.shape, config, strict=True)]
     result = np.full([n + max(low, 0) + max(high, 0) for n, (low, high, _) in zip(sizes, config, strict=True)], fill)
@@ -106,7 +106,7 @@ def updated_at(parameters: dict, value: np.ndarray, update: np.ndarray, *starts:
 
 
 def gather_places(parameters: dict, shape: Sequence[int], starts: np.ndarray) -> np.ndarray:
-    """Where the entries of a `gather` come from: places in the flat array, −1 for those out of bounds."""
+    """Places of the entries of a `gather` in the flat array; −1 if out of bounds."""
     numbers, sizes = parameters["dimension_numbers"], parameters["slice_sizes"]
     dropped = (*numbers.collapsed_slice_dims, *numbers.operand_batching_dims)
     batching = zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True)
@@ -116,7 +116,7 @@ def gather_places(parameters: dict, shape: Sequence[int], starts: np.ndarray) ->
 
 
 def scatter_places(parameters: dict, shape: Sequence[int], starts: np.ndarray, updates: Sequence[int]) -> np.ndarray:
-    """Where the entries of the updates of a `scatter` go: places in the flat array, −1 for those that are dropped."""
+    """Places in the flat array of the entries that a `scatter` updates; −1 for updates that are dropped."""
     numbers = parameters["dimension_numbers"]
     dropped = (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
     window = iter(updates[k] for k in numbers.update_window_dims)
@@ -135,7 +135,7 @@ def _flat_places(
     batching: dict[int, int],
     clips: bool,
 ) -> np.ndarray:
-    """Places (*batch, *sizes) in a flat array of the entries of windows, −1 for all of a window that does not fit."""
+    """Places (*batch, *sizes) of the entries of windows in a flat array; −1 throughout a window that does not fit."""
     batch = starts.shape[:-1]
     first = np.zeros((*batch, len(shape)), int)
     first[..., list(axes)] = starts
@@ -154,7 +154,7 @@ def _flat_places(
 
 
 def _windows_at(axes: Sequence[int], places: np.ndarray, dropped: Sequence[int], dimensions: int) -> np.ndarray:
-    """The axes of the windows moved to where the primitive has them, without those of size one that it drops."""
+    """The axes of the windows moved to their positions in the primitive, without the axes of size one that it drops."""
     batch = places.ndim - dimensions
     windows = np.squeeze(places, tuple(batch + d for d in dropped))
     return np.moveaxis(windows, range(batch, windows.ndim), axes)
@@ -169,8 +169,8 @@ def _gather(parameters: dict, value: np.ndarray, starts: np.ndarray) -> Any:
     if not outside.any():
         return value.ravel()[places]
     if fill is None and not np.issubdtype(value.dtype, np.floating):
-        return NotImplemented  # each type has another default
-    entries = np.append(value, np.zeros(1, value.dtype))  # the last one is for −1
+        return NotImplemented  # the default value differs between types
+    entries = np.append(value, np.zeros(1, value.dtype))  # the last entry stands for place −1
     return np.where(outside, np.nan if fill is None else fill, entries[places])
 
 
@@ -182,7 +182,7 @@ def _scatter(parameters: dict, value: np.ndarray, starts: np.ndarray, updates: n
 
 def _scatter_add(parameters: dict, value: np.ndarray, starts: np.ndarray, updates: np.ndarray) -> np.ndarray:
     changed, places = value.ravel().copy(), scatter_places(parameters, value.shape, starts, updates.shape).ravel()
-    # One after the other, also where two go to one place, as XLA does on a processor.
+    # Updates are added one by one, so that two updates of one place both count, as in XLA on a CPU.
     np.add.at(changed, places[places >= 0], updates.ravel()[places >= 0])
     return changed.reshape(value.shape)
 
@@ -193,14 +193,14 @@ def _over_axes(function: Callable[..., Any]) -> Rule:
 
 def _divide(parameters: dict, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if not np.issubdtype(a.dtype, np.floating):
-        # XLA truncates towards zero, where // of NumPy rounds down.
+        # XLA truncates towards zero; NumPy's // rounds down.
         quotient = np.abs(a) // np.where(b == 0, 1, np.abs(b)) * np.sign(a) * np.sign(b)
         return np.where(b == 0, -1, quotient)  # as in XLA
     return a / b
 
 
 def _convert(parameters: dict, value: np.ndarray) -> Any:
-    # NumPy and XLA differ on numbers beyond the range of an integer, so JAX converts these.
+    # NumPy and XLA convert numbers beyond the range of an integer differently, so JAX does these conversions.
     shortened = np.issubdtype(value.dtype, np.floating) and not np.issubdtype(parameters["new_dtype"], np.floating)
     return NotImplemented if shortened else value.astype(parameters["new_dtype"])
 

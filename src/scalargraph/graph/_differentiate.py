@@ -1,7 +1,7 @@
-"""Derivatives of a graph as a graph: forward mode, one input at a time, with the same folding and sharing of nodes.
+"""Differentiates a graph and returns a graph: forward mode, one input at a time, with shared and folded nodes.
 
-This is an independent alternative to JAX's derivatives. It is economical: a function is traced only once, and no
-derivative needs more nodes than its own.
+It does not use JAX's derivatives. A function is traced only once, and derivatives share the nodes of the function and
+of each other.
 """
 
 import itertools
@@ -21,9 +21,8 @@ Rule = Callable[[Graph, int, tuple[int, ...], tuple[int, ...]], int]
 def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
     """Return the function of the values and derivatives of a lowered function.
 
-    Where the function has a kink, its derivative is the set of all values between those of both sides (`either`); an
-    evaluation in numbers gives that of one side. Where it jumps the derivative is wrong: `Lowered.conditions` exclude
-    such places.
+    At a kink the derivative is the set of all values between the one-sided derivatives (`either`); an evaluation in
+    numbers gives one of the two. At a jump the derivative is wrong: `Lowered.conditions` exclude such places.
 
     Args:
         lowered: The function, with K scalar outputs.
@@ -32,7 +31,7 @@ def expand(lowered: Lowered, inputs: Sequence[int], order: int) -> Lowered:
 
     Returns:
         The function whose result is the tuple of the values (K,), the first derivatives (F, K) and, for order 2, the
-        second derivatives (P, K), of the P pairs of inputs `pairs(F)`.
+        second derivatives (P, K), one row for each of the P pairs of inputs in `pairs(F)`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -100,7 +99,7 @@ class Derivative:
         while stack:
             current = stack[-1]
             op, arguments, _ = self.graph.nodes[current]
-            # A stack instead of recursion, since chains are longer than Python's recursion limit.
+            # A stack replaces recursion, since chains of nodes are longer than Python's recursion limit.
             missing = [a for a in arguments if a not in known]
             if current in known:
                 stack.pop()
@@ -148,7 +147,7 @@ def _product(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple
 
 def _quotient(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
     (_, b), (da, db) = arguments, changes
-    # (a/b)′ = (a′ − (a/b) b′)/b: the quotient is a node already, and b² is not formed.
+    # (a/b)′ = (a′ − (a/b) b′)/b uses the existing node of the quotient and needs no b².
     return graph.apply("div", graph.apply("sub", da, graph.apply("mul", node, db)), b)
 
 
@@ -157,7 +156,7 @@ def _power(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[i
     lowered = graph.apply("pow", a, graph.apply("sub", b, graph.constant(1.0)))
     base = graph.apply("mul", graph.apply("mul", b, lowered), da)
     exponent = graph.apply("mul", graph.apply("mul", node, graph.apply("log", a)), db)
-    return base if graph.is_zero(db) else graph.apply("add", base, exponent)  # log a need not exist if b is constant
+    return base if graph.is_zero(db) else graph.apply("add", base, exponent)  # if b is constant, log a may not exist
 
 
 def _arctangent(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
@@ -167,13 +166,13 @@ def _arctangent(graph: Graph, node: int, arguments: tuple[int, ...], changes: tu
 
 
 def _minimum_or_maximum(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
-    # min has the derivative of a where a < b, max that of b.
+    # Where a < b, min has the derivative of a, and max the derivative of b.
     which = changes if graph.nodes[node].op == "min" else changes[::-1]
     return graph.apply("either", *arguments, *which)
 
 
 def _absolute(graph: Graph, node: int, arguments: tuple[int, ...], changes: tuple[int, ...]) -> int:
-    # |a| has the derivative −a′ for a < 0 and a′ for a > 0; at 0 bounds take the hull of both.
+    # |a| has the derivative −a′ for a < 0 and a′ for a > 0; at 0, interval bounds take the hull of both.
     return graph.apply("either", arguments[0], graph.constant(0.0), graph.apply("neg", changes[0]), changes[0])
 
 
@@ -212,7 +211,7 @@ RULES: dict[str, Rule] = {
     "log1p": _over(lambda g, f, x: _plus(g, 1.0, x)),
     "sin": _chain(lambda g, f, x: g.apply("cos", x)),
     "cos": _chain(lambda g, f, x: g.apply("neg", g.apply("sin", x))),
-    # tan′ = 1 + tan², and tanh, sqrt, cbrt and exp likewise: the value is a node already.
+    # tan′ = 1 + tan²; tanh, sqrt, cbrt and exp likewise express the derivative by their value, which is a node already.
     "tan": _chain(lambda g, f, x: _plus(g, 1.0, _square(g, f))),
     "asin": _over(lambda g, f, x: _root(g, _minus(g, 1.0, _square(g, x)))),
     "acos": _over(lambda g, f, x: g.apply("neg", _root(g, _minus(g, 1.0, _square(g, x))))),
@@ -223,9 +222,9 @@ RULES: dict[str, Rule] = {
     "asinh": _over(lambda g, f, x: _root(g, _plus(g, 1.0, _square(g, x)))),
     "acosh": _over(lambda g, f, x: _root(g, _plus(g, -1.0, _square(g, x)))),
     "atanh": _over(lambda g, f, x: _minus(g, 1.0, _square(g, x))),
-    # Constant between their jumps, which the conditions of a proof exclude.
+    # These are constant between their jumps, which the conditions of a proof exclude.
     **{op: lambda g, node, x, d: g.constant(0.0) for op in ("sign", "floor", "ceil", "round")},
-    # The derivative of a statement is zero.
+    # A truth value is constant except where it switches, so its derivative is zero.
     **{op: lambda g, node, x, d: g.constant(0.0) for op in TRUTHS},
 }
 """The derivative of each operation."""

@@ -1,9 +1,9 @@
-"""A content hash of what a traced function computes, the same in every process: equal keys, equal functions.
+"""Hashes what a traced function computes; the hash is the same in every process, and equal keys mean equal functions.
 
-A jaxpr says everything that a function does with its arguments: its operations in order, their parameters, and the
-constants in it. The key is a hash of these, without names of variables, and with the bytes of every constant. A jaxpr
-that says less than it does, such as one that calls Python, has no key. It is read in the forms that the interpreter
-reads (`_jax_forms`), so both see the same.
+A jaxpr determines what a function computes: its operations in order, their parameters, and its constants. The key is a
+hash of these, without names of variables, and with the bytes of every constant. A jaxpr whose operations are not all
+fixed in this way, such as one that calls Python, has no key. Jaxprs are read in the same forms as by the interpreter
+(`_jax_forms`).
 """
 
 import enum
@@ -22,15 +22,15 @@ from scalargraph.graph._stumpff import STUMPFF
 
 KNOWN = {p for each in (core.primitives, jax.lax) for p in vars(each).values() if isinstance(p, core.Primitive)}
 KNOWN |= {STUMPFF}
-"""Primitives whose meaning the versions of JAX and of this library fix; others may mean anything."""
+"""Primitives whose meaning the versions of JAX and of this library determine; any other primitive may mean anything."""
 BY_NAME = {"platform_index", "mirrored"}
-"""One that JAX does not export, and one of `_linalg`, which this room does not import."""
+"""Names of further known primitives: one that JAX does not export, and one of `_linalg`, which is not imported here."""
 WITHOUT = {"sharding", "out_sharding"}
-"""Parameters that say where arrays lie."""
+"""Parameters that say on which devices arrays are stored; they do not change values."""
 
 
 class _UnknownError(Exception):
-    """A part of a jaxpr whose meaning is not fixed by what can be read of it."""
+    """Raised for a part of a jaxpr whose meaning the jaxpr does not determine."""
 
 
 def fingerprint(*parts: Any) -> str | None:
@@ -40,7 +40,7 @@ def fingerprint(*parts: Any) -> str | None:
         parts: Closed jaxprs, numbers, strings, arrays, and tuples, lists or dictionaries of these.
 
     Returns:
-        The hash in hexadecimal digits, or None where a part has no fixed meaning, such as a function that calls Python.
+        The hash in hexadecimal digits, or None if the meaning of a part is not determined, such as a call of Python.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -51,12 +51,12 @@ def fingerprint(*parts: Any) -> str | None:
     """
     try:
         return _Keys().of(parts)
-    except (_UnknownError, LoweringError):  # a form that is not known
+    except (_UnknownError, LoweringError):  # an unknown form
         return None
 
 
 class _Keys:
-    """Keys of parts; that of a jaxpr which occurs many times is computed once."""
+    """Keys of parts; the key of a jaxpr that occurs many times is computed once."""
 
     def __init__(self):
         self._known: dict[tuple[int, ...], tuple[ClosedJaxpr, str]] = {}
@@ -64,7 +64,7 @@ class _Keys:
     def of(self, x: Any) -> str:
         """The key of a value that a jaxpr may have as a parameter or constant."""
         if x is None or isinstance(x, (bool, int, float, complex, str, bytes)):
-            # In hexadecimal, so that numbers that print alike have different keys.
+            # Hexadecimal digits are exact, so that numbers that print alike have different keys.
             return _hash(type(x).__name__, x.hex() if isinstance(x, float) else repr(x))
         if isinstance(x, enum.Enum):
             return _hash("enum", type(x).__qualname__, x.name)
@@ -115,7 +115,7 @@ def _hash(*parts: str) -> str:
     digest = hashlib.sha256()
     for part in parts:
         text = part.encode()
-        digest.update(b"%d:" % len(text) + text)  # with its length, so that no two lists are one text
+        digest.update(b"%d:" % len(text) + text)  # the length separates the parts of a list unambiguously
     return digest.hexdigest()
 
 

@@ -1,7 +1,7 @@
-"""Graphs of scalar operations: constants folded, products with zero pruned, equal sub-expressions shared.
+"""Defines graphs of scalar operations: constants are folded, zero products removed, equal sub-expressions shared.
 
-Folding loses information: `0 · √q` is 0, even where √q is undefined. Before it simplifies an operation, a graph
-of a function of real numbers therefore notes the conditions under which the operation is defined and does not jump.
+Folding loses information: `0 · √q` is 0, even where √q is undefined. Therefore a graph of a function of real numbers
+notes, before it simplifies an operation, the conditions under which the operation is defined and does not jump.
 """
 
 import contextlib
@@ -27,11 +27,12 @@ class Condition(NamedTuple):
     Attributes:
         kind: What the condition says about the node.
             "true": the node, a statement, holds.
-            "decided": the node, a statement, has one value in a neighbourhood of the point, so that a choice by it does
-            not jump.
+            "true": the node, a statement, holds.
+            "decided": the node, a statement, has the same value throughout a neighbourhood of the point, so that a
+            choice by it does not jump.
             "whole": the node, a number, neither equals nor crosses an integer.
-            "finite": the node, a number, stays below `LARGEST`. A simplification has dropped it, as in 0·a, which is
-            NaN in doubles where a overflows.
+            "finite": the node, a number, stays below `LARGEST`. It was an argument that a simplification dropped, as in
+            0·a, which is NaN in doubles if a overflows.
         node: Index of the node in the graph.
         because: Name of the operation that needs it, and the line of the user's code that asked for the operation.
 
@@ -69,7 +70,7 @@ class Table:
     def at(self, place: Any) -> Any:
         """Return the number at an index."""
         with np.errstate(all="ignore"):
-            # NaN becomes 0, and infinities the nearest end: an index is always inside, as in the C of a table.
+            # NaN becomes 0, and infinities the nearest end, so that the index is always valid, as in the C of a table.
             index = np.clip(np.nan_to_num(np.rint(place)), 0, len(self.numbers) - 1)
         return self.numbers[index.astype(int)]
 
@@ -141,8 +142,8 @@ FOLD: dict[str, Callable] = {
 }
 """Every operation of a graph, on numbers. `select(p, a, b)` is a where p holds, else b; comparisons give truth values.
 
-`either(a, b, x, y)` is x where a < b and y where b < a: the derivative of a function with a kink where a = b. At
-a = b, interval arithmetic takes the hull of x and y. `stumpff(k, x)` is Stumpff's function c_k.
+`either(a, b, x, y)` is x where a < b and y where b < a: the derivative of a function with a kink at a = b. Interval
+arithmetic takes the hull of x and y if a = b is possible. `stumpff(k, x)` is Stumpff's function c_k.
 """
 
 COMMUTATIVE = {"add", "mul", "min", "max", "eq", "and", "or"}
@@ -163,7 +164,7 @@ CHOICES = {"select", "min", "max", "either"}
 def no_collection() -> Iterator[None]:
     """Context manager and decorator that switches off Python's cyclic garbage collector.
 
-    Nodes form no reference cycles, and searching many thousands of new ones for cycles takes a third of the time.
+    Nodes form no reference cycles, and a search of many thousand new nodes for cycles takes a third of the time.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -185,8 +186,8 @@ class Graph:
     """Nodes in an order in which each follows its arguments; they are added by `constant`, `input` and `apply`.
 
     Args:
-        real: Whether all inputs are real numbers, none missing (NaN), so that a number equals itself and is finite.
-            Only then does the graph note `conditions`.
+        real: Whether all inputs are real numbers and none is missing (NaN), so that a number equals itself and is
+            finite. Only then does the graph note `conditions`.
 
     Attributes:
         nodes: The nodes; methods return and take their indices in this list.
@@ -208,8 +209,8 @@ class Graph:
         self.real = real
         self.conditions: dict[tuple[Kind, int], Condition] = {}
         self.line: Callable[[], str] = str
-        # All of these keep the order of insertion, so that `rollback` finds the latest entries last.
-        self._infinite: dict[int, None] = {}  # nodes that may be infinite or NaN, as a choice may return such a value
+        # All of these keep the order of insertion, so that `rollback` can remove the latest entries from the end.
+        self._infinite: dict[int, None] = {}  # nodes that may be infinite or NaN, such as a choice of such a value
         self._known: dict[tuple, int] = {}  # the node of each operation on arguments
         self._results: dict[tuple, int] = {}  # results of `apply`, by its arguments
 
@@ -237,7 +238,7 @@ class Graph:
         """
         kind = bool if isinstance(value, (bool, np.bool_)) else float
         value = kind(value)
-        # Zero has two signs and NaN equals nothing, so these are distinguished by their bits.
+        # Zero has two signs, and NaN does not equal itself, so these values are distinguished by their bits.
         by_bits = kind is float and (value == 0 or value != value)
         return self._add(("constant", kind, struct.pack("d", value) if by_bits else value), "constant", (), value)
 
@@ -274,7 +275,7 @@ class Graph:
         return self.block("table", table, (place,), table)
 
     def find(self, op: str, *arguments: int) -> int | None:
-        """Return the node of an operation if the graph has it, else None.
+        """Return the node of an operation if the graph already contains it, else None.
 
         Args:
             op: Name of the operation.
@@ -285,14 +286,14 @@ class Graph:
     def apply(self, op: str, *arguments: int) -> int:
         """Return the node of an operation on nodes, adding it to the graph where needed.
 
-        Operations on constants are folded; others are simplified as for real numbers, and shared. A graph with `real`
-        first notes the conditions of the operation.
+        Operations on constants are folded; others are simplified by rules for real numbers, and equal ones share a
+        node. A graph with `real` first notes the conditions of the operation.
 
         Args:
             op: Name of the operation, a key of `FOLD`.
             arguments: Nodes of its arguments.
         """
-        if self.real:  # the conditions depend on earlier nodes, so results are not reused
+        if self.real:  # conditions depend on nodes added before, so results of earlier calls are not reused
             return self._apply_noting(op, arguments)
         key = (op, *arguments)
         result = self._results.get(key)
@@ -323,20 +324,20 @@ class Graph:
                 for a in {*arguments} - {simpler, *self.nodes[simpler].arguments}:
                     self._condition("finite", a, op)
             return simpler
-        if self.real and op == "select":  # not simplified to an operation without a jump
+        if self.real and op == "select":  # if it is not simplified to an operation without a jump
             self._condition("decided", arguments[0], op)
         if op in COMMUTATIVE:
             arguments = tuple(sorted(arguments))
         return self._add((op, *arguments), op, arguments)
 
     def _either(self, a: int, b: int, x: int, y: int) -> int:
-        """The derivative at a kink. Where a = b both sides stay, even if a and b are known numbers."""
+        """The derivative at a kink. If a = b is possible, both sides are kept, even if a and b are known numbers."""
         first, second = self.nodes[a], self.nodes[b]
         if x == y:
             return x
         if first.op == second.op == "constant" and first.value != second.value:
             return x if first.value < second.value else y  # pyright: ignore[reportOptionalOperand, reportOperatorIssue]
-        # Neither sorted nor folded: the order of x and y says which one belongs to a < b.
+        # Arguments are neither sorted nor folded, since the order of x and y says which of them belongs to a < b.
         return self._add(("either", a, b, x, y), "either", (a, b, x, y))
 
     def _note(self, op: str, arguments: tuple[int, ...], nodes: list[Node]) -> None:
@@ -349,7 +350,7 @@ class Graph:
                     self._condition("true", self._add(("is_finite", a), "is_finite", (a,)), op)
 
     def may_be_infinite(self, node: int) -> bool:
-        """Whether a node may have an infinite value, of a constant or of a choice; in graphs with `real`."""
+        """Whether the value of a node, a constant or a choice, may be infinite; only for graphs with `real`."""
         value = self.nodes[node].value if self.nodes[node].op == "constant" else 0.0
         return node in self._infinite or (value is not None and not math.isfinite(value))
 
@@ -366,7 +367,7 @@ class Graph:
 
     def _condition(self, kind: Kind, node: int, op: str) -> None:
         target = self.nodes[node]
-        # A constant neither crosses an integer nor jumps, and a variable is within its box.
+        # A constant neither crosses an integer nor jumps, and an input is bounded by its box.
         settled = (target.op == "constant" and (kind != "true" or target.value)) or (
             kind == "finite" and target.op == "input"
         )
@@ -374,7 +375,7 @@ class Graph:
             self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 
     def _add(self, key: tuple, op: str, arguments: tuple[int, ...], value: Any = None) -> int:
-        """Return the node with a key, and add it if there is none; no other method makes a graph grow."""
+        """Return the node with a key, adding it if there is none; only this method adds nodes to a graph."""
         place = self._known.get(key)
         if place is None:
             place = self._known[key] = len(self.nodes)
@@ -385,7 +386,7 @@ class Graph:
         return self._known, self._results, self.conditions, self._infinite
 
     def mark(self) -> Mark:
-        """Return the present size, to which `rollback` cuts the graph."""
+        """Return the current size, to which `rollback` can shrink the graph."""
         return Mark(len(self.nodes), tuple(map(len, self._tables())))
 
     def rollback(self, mark: Mark) -> None:
@@ -439,7 +440,7 @@ class Graph:
 def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iterator[tuple[Kind, int]]:
     """Kinds and nodes of the conditions under which an operation and its first derivative are defined without a jump.
 
-    A root or inverse function counts as not defined at the end of its domain, where it has no derivative.
+    A root or an inverse function counts as undefined at the end of its domain, where it has no derivative.
     """
 
     def number(value: float) -> int:
@@ -459,7 +460,7 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
     match op:
         case "div":
             yield apart(x[1], number(0.0))
-        # Strictly: at the ends of their domains sqrt, asin, acos and acosh have no derivative.
+        # Strict inequalities: at the ends of their domains sqrt, asin, acos and acosh have no derivative.
         case "sqrt" | "log":
             yield less(number(0.0), x[0])
         case "log1p":
@@ -470,15 +471,15 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
             yield less(number(-1.0), x[0])
             yield less(x[0], number(1.0))
         case "cbrt" | "sign":
-            # At 0, cbrt has no derivative and sign jumps; on either side both are smooth.
+            # At 0, cbrt has no derivative and sign jumps; away from 0 both are smooth.
             yield "decided", graph.apply("lt", x[0], number(0.0))
         case "tan":
             yield apart(graph.apply("cos", x[0]), number(0.0))
-        case "atan2":  # away from its cut, the negative half-axis with the origin
+        case "atan2":  # smooth away from its cut, the negative half-axis with the origin
             yield "true", graph.apply("or", graph.apply("lt", number(0.0), x[1]), apart(x[0], number(0.0))[1])
         case "pow":
             exponent = nodes[1].value if nodes[1].op == "constant" else None
-            # A power with such an exponent is exp(y log x), which needs x > 0; whole powers are products.
+            # With such an exponent the power is exp(y log x), which needs x > 0; whole powers are products.
             if exponent is None or not float(exponent).is_integer():
                 yield less(number(0.0), x[0])
             elif exponent < 0:
@@ -491,5 +492,5 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
 
 
 def _is_invalid(value: float | bool | int | None, infinite: bool) -> bool:
-    """Whether a known value cannot be an argument of an operation: NaN, or infinity where that is not allowed."""
+    """Whether a known value must not be an argument of an operation: NaN, or infinity if that is not allowed."""
     return value is not None and not (math.isfinite(value) or (infinite and not math.isnan(value)))

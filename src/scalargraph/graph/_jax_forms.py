@@ -1,11 +1,11 @@
-"""The equations of jaxprs in one form, for every supported release of JAX: the only reader of their raw parameters.
+"""Reads the equations of jaxprs in one form for every supported release of JAX, whose raw parameters differ.
 
 JAX renames primitives and their parameters from one release to the next. In 0.9 a `scan` counts its constants and what
 it carries (`num_consts`, `num_carry`), from 0.11 on it has trees of them (`ft_in`, `ft_out`); a closed jaxpr is a class
 in 0.9 and any jaxpr from 0.11 on; stacking arrays is a concatenation in 0.9 and a primitive from 0.11 on.
-`equations` gives what a reader needs in one form: a `Call`, a `Scan`, a `While`, a `Branch`, or a primitive by itself.
-Newer primitives are replaced by older ones (`REPLACED`), with the rounding of JAX. What is left and has no rule is
-expanded by JAX, where JAX can do so (`expanded`); everything else is refused by its name.
+`equations` returns what a reader needs in one form: a `Call`, a `Scan`, a `While`, a `Branch`, or a primitive by
+itself. Newer primitives are replaced by older ones (`REPLACED`), with the same rounding as in JAX. Other primitives
+without a rule are expanded by JAX if it can do so (`expanded`); otherwise they are refused by name.
 
 Tested with JAX 0.7.2, 0.9.2, 0.11.1, 0.11.2, 0.12.0 and 0.12.0.1.
 """
@@ -23,7 +23,7 @@ from scalargraph.graph._lowered import LoweringError
 
 
 class ClosedJaxpr(NamedTuple):
-    """A jaxpr and the values of its constants, which JAX stores together since 0.11.
+    """A jaxpr and the values of its constants, which JAX stores in one object since 0.11.
 
     Attributes:
         jaxpr: The jaxpr, with `invars`, `constvars`, `outvars` and `eqns`.
@@ -56,11 +56,11 @@ class ClosedJaxpr(NamedTuple):
 
 
 class Call(NamedTuple):
-    """A function that is called once.
+    """A call of another function.
 
     Attributes:
         body: The function.
-        replaces: Whether it stands for a primitive, and not for a function of the user.
+        replaces: Whether the function implements a primitive, rather than being a function of the user.
 
     Example:
         >>> import jax
@@ -104,7 +104,7 @@ class Scan(NamedTuple):
 
 
 class While(NamedTuple):
-    """A loop as long as a condition holds.
+    """A loop that runs as long as a condition holds.
 
     Attributes:
         condition: `(*its constants, *carried) -> [going]`.
@@ -128,7 +128,7 @@ class While(NamedTuple):
 
 
 class Branch(NamedTuple):
-    """One of several functions, chosen by the first argument.
+    """A choice of one of several functions by the first argument.
 
     Attributes:
         bodies: The functions of the other arguments, by the value 0, 1, … of the first one, which is clipped.
@@ -177,7 +177,7 @@ class JaxprEquation(NamedTuple):
         invars: Inputs, variables or literals, with their shapes and types as `aval`.
         outvars: Variables of the outputs.
         source_info: The line of the user's code, as JAX records it.
-        form: What it calls, as a `Call`, `Scan`, `While` or `Branch`; None for a primitive by itself.
+        form: Functions that it holds, as a `Call`, `Scan`, `While` or `Branch`; None for a plain primitive.
 
     Example:
         >>> import jax
@@ -201,9 +201,9 @@ class JaxprEquation(NamedTuple):
 
     @property
     def unknown(self) -> str | None:
-        """Name of a parameter that is set and may change the values, and that no rule of this primitive reads.
+        """Name of a parameter that is set, may change the values, and is not read by the rule of this primitive.
 
-        None where there is no such parameter.
+        None if there is no such parameter.
         """
         known = READ.get(self.name, NONE)
         return next((k for k, v in self.params.items() if v is not None and k not in known and k not in WITHOUT), None)
@@ -264,21 +264,21 @@ def needed(closed: Any) -> ClosedJaxpr:
 
 
 def expanded(equation: JaxprEquation) -> Call:
-    """Expand a primitive without a rule into others, as JAX implements it."""
+    """Replace a primitive that has no rule by the primitives with which JAX implements it."""
     name, primitive = equation.name, equation.primitive
     by_jax = primitive.to_lojax if name == "call_hi_primitive" else primitive.impl
     refusal = LoweringError(f"the primitive '{name}' has no graph of scalars; write the function without it")
     try:
         call = _trace_replacement(equation, lambda *x: by_jax(*x, **equation.params))
-    except Exception as error:  # JAX documents no type of error for a primitive that it cannot expand
+    except Exception as error:  # JAX does not document which error an expansion that fails raises
         raise refusal from error
-    # An expansion into itself would never end.
+    # A primitive that expands into itself would be expanded without end.
     if name in set(_names(call.body.jaxpr)):
         raise refusal
     return call
 
 
-# What is the same in every release.
+# Parts that are the same in every release.
 
 CALLS = {
     "jit": "jaxpr",
@@ -302,8 +302,8 @@ WITHOUT = frozenset(
         *("indices_are_sorted", "unique_indices", "update_jaxpr", "update_consts", "index_dtype", "dtype"),
     }
 )
-"""Parameters that leave the values as they are: where an array lies, how a product is summed, or the type of the
-result, which is in the equation itself."""
+"""Parameters that do not change values: the device of an array, the precision of a product, or the type of the
+result, which the equation itself contains."""
 READ: dict[str, frozenset[str]] = {
     name: frozenset(parameters.split())
     for name, parameters in {
@@ -334,7 +334,7 @@ READ: dict[str, frozenset[str]] = {
         "transpose": "permutation",
     }.items()
 }
-"""The parameters that the rules of a primitive read. One that a rule does not know would change values unseen."""
+"""The parameters that the rules of a primitive read. Any other parameter is refused, as it might change values."""
 
 
 # Loops and branches.
@@ -406,7 +406,7 @@ def _odd(equation: JaxprEquation, parameter: str) -> LoweringError:
     )
 
 
-# Newer primitives, in terms of older ones.
+# Newer primitives, written with older ones.
 
 
 def _stack(*x: jax.Array, axis: int) -> jax.Array:
@@ -419,12 +419,12 @@ def _unstack(x: jax.Array, *, axis: int) -> list[jax.Array]:
 
 def _one_minus_square(x: jax.Array) -> jax.Array:
     one = jnp.ones((), x.dtype)
-    # 1 − x² with no cancellation near |x| = 1, since both factors are rounded relatively.
+    # Written as 1 − x² it would cancel near |x| = 1; both factors here have small relative errors.
     return (one + x) * (one - x)
 
 
 def _polynomial(x: jax.Array, *coefficients: jax.Array, unroll: int | None = None) -> jax.Array:
-    """By Horner's rule from the highest power on, as JAX evaluates it."""
+    """Evaluate a polynomial by Horner's rule from the highest power on, as JAX does."""
     total = coefficients[-1]
     for coefficient in coefficients[-2::-1]:
         total = total * x + coefficient
@@ -440,12 +440,12 @@ def _identity(*x: jax.Array, **_: Any) -> list[jax.Array]:
 
 
 def _empty(*, shape: Sequence[int] = (), dtype: Any, **_: Any) -> jax.Array:
-    """Entries that are written before they are read; JAX fills them with zeros on a CPU."""
+    """Zeros for an array whose entries are written before they are read; JAX does the same on a CPU."""
     return jnp.zeros(shape, dtype)
 
 
 REPLACED: dict[str, Callable[..., Any]] = {
-    # Where an array lies does not change its entries.
+    # The device on which an array is stored does not change its entries.
     **dict.fromkeys(("device_put", "sharding_constraint", "layout_constraint", "reshard", "pvary", "name"), _identity),
     "stack": _stack,  # from 0.11 on
     "unstack": _unstack,
@@ -455,16 +455,16 @@ REPLACED: dict[str, Callable[..., Any]] = {
     "log2": _log2,
     "polynomial": _polynomial,  # from 0.12 on
 }
-"""Primitives that some releases do not have, as functions of primitives that all releases have."""
+"""Primitives that only some releases have, as functions of primitives that all releases have."""
 
 
 def _replacement(equation: JaxprEquation) -> Call:
-    # Parameters are lists in JAX 0.6, and the key of the cache has to be hashable.
+    # Parameters are lists in JAX 0.6, but the key of the cache has to be hashable.
     key = tuple((name, tuple(v) if isinstance(v, list) else v) for name, v in sorted(equation.params.items()))
     avals = tuple((atom.aval.shape, atom.aval.dtype) for atom in equation.invars)
     try:
         return _make_replacement(equation.name, key, avals)
-    except TypeError as error:  # an argument that the replacement does not have
+    except TypeError as error:  # the replacement does not have this argument
         raise LoweringError(
             f"the primitive '{equation.name}' of JAX {jax.__version__} has parameters that are not known: "
             f"{', '.join(equation.params)}"

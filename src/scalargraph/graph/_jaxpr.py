@@ -1,8 +1,8 @@
-"""Lowering of a JAX function to a graph: its jaxpr interpreted over scalars, with loops unrolled.
+"""Lowers a JAX function to a graph: interprets its jaxpr over scalars, with loops unrolled.
 
-Integers are treated as integral real numbers: their sums and products are exact. Operations that are not, such as an
-integer division, are refused by name, as is every primitive without a rule. An entry taken at a place that depends on
-the arguments becomes a choice between all entries it may be, where these are few. Nothing is guessed.
+Integers are treated as integral real numbers, whose sums and products are exact. Operations that are not exact on them,
+such as an integer division, are refused by name, as is every primitive without a rule. An entry at a place that depends
+on the arguments becomes a choice among all possible entries, if these are few.
 """
 
 import functools
@@ -37,7 +37,7 @@ from scalargraph.graph._lowered import Conditions, Lowered, LoweringError
 from scalargraph.graph._primitives import NOT_ON_INTEGERS, RULES
 
 EXACT = 2.0**53
-"""All integers up to this one are doubles."""
+"""All integers up to this one are exact in doubles."""
 MOST_ITERATIONS = 100_000
 """Largest number of iterations of a loop that is unrolled; a longer one is refused."""
 Loops = Literal["unrolled", "long", "any"]
@@ -80,24 +80,25 @@ def trace(function: Callable, *arguments: Any) -> TracedFunction:
 
 
 def lower(function: Callable, *arguments: Any, real: bool = False, loops: Loops = "unrolled") -> Lowered:
-    """Lower a function of arrays of real numbers to a graph of scalar operations, those of `scalargraph.FOLD`.
+    """Lower a function of arrays of real numbers to a graph of scalar operations, which `scalargraph.FOLD` lists.
 
-    Run-time errors (`equinox.error_if`) are left out of the graph.
+    Run-time checks (`equinox.error_if`) are left out of the graph.
 
     Use it once for a function, and then generate C, bounds or a count of operations from the result. It works for small
-    systems of scalars: a large matrix product gives a node for each scalar operation. Keep `real=False` for code, since
-    missing measurements are NaN, and take `real=True` for proofs.
+    systems of scalars: a large matrix product gives a node for each scalar operation. Keep `real=False` for code, where
+    missing measurements are NaN, and use `real=True` for proofs.
 
     Args:
         function: A function of arrays, or pytrees of them, that JAX can trace.
         arguments: Arrays, or their shapes as `jax.ShapeDtypeStruct`; values do not matter.
-        real: Whether all arguments are real numbers, none of them missing (NaN). The result then has `conditions`:
-            where the function is defined and does not jump, for everything that it computes, whether a result needs it
-            or not. Operations that round by their nature, such as conversion to a shorter type, are refused.
-        loops: Which loops stay loops in the graph, for generated code. "unrolled": none, so that one whose length
-            depends on the arguments is refused. "long": those of known length whose turns are so much work that they
-            are written once. "any": these, and those whose length depends on the arguments. With "long" and "any",
-            slices of known numbers, such as a metric on a grid, are looked up in a table.
+        real: Whether all arguments are real numbers and none of them is missing (NaN). The result then has
+            `conditions`, under which every operation of the function is defined and does not jump, whether or not a
+            result needs the operation. Operations that round by definition, such as a conversion to a shorter type,
+            are refused.
+        loops: Which loops stay loops in the graph, for generated code. "unrolled": none; a loop whose length depends on
+            the arguments is refused. "long": loops of known length with so much work in each turn that they are written
+            once. "any": these, and loops whose length depends on the arguments. With "long" and "any", slices of known
+            numbers, such as a metric on a grid, are looked up in a table.
 
     Raises:
         LoweringError: A primitive has no graph, such as a factorisation by LAPACK, or the length of a loop depends on
@@ -150,7 +151,7 @@ def lower_traced(traced: TracedFunction, real: bool = False, loops: Loops = "unr
 
 
 def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarray:
-    """Add a function of nodes to their graph.
+    """Add the operations of a JAX function, applied to nodes of a graph, to that graph.
 
     Args:
         graph: The graph, which is changed.
@@ -178,7 +179,7 @@ def graft(graph: Graph, function: Callable, *arguments: np.ndarray) -> np.ndarra
 
 
 def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[int, int]) -> list[int]:
-    """Copy nodes of a graph into another graph, with nodes there in place of the inputs.
+    """Copy nodes of a graph into another graph, replacing the inputs by nodes of that graph.
 
     Args:
         graph: The graph to copy from.
@@ -211,14 +212,14 @@ def substitute(graph: Graph, nodes: Sequence[int], into: Graph, inputs: Mapping[
 
 
 class Interpreter:
-    """Runs a jaxpr on arrays of nodes: what is known is computed, everything else is added to the graph."""
+    """Runs a jaxpr on arrays of nodes: computes what is known, and adds all other operations to the graph."""
 
     def __init__(self, graph: Graph, loops: Loops = "unrolled"):
         self.graph, self.write = graph, Writer(graph, loops != "unrolled")
         self.loops: Loops = loops
 
     def run(self, body: ClosedJaxpr, inputs: Sequence[Value], replaces: bool = False) -> list[Value]:
-        """Values of the outputs of a jaxpr; `replaces`: it stands for a primitive, whose line in the code it takes."""
+        """Outputs of a jaxpr. With `replaces` it stands for a primitive, and its nodes get the primitive's line."""
         known: dict = {}
 
         def read(atom) -> Value:
@@ -262,7 +263,7 @@ class Interpreter:
         return RULES[eqn.name](self.write, eqn, values)
 
     def bounded(self, eqn, values: list[Value]) -> None:
-        """Note the condition that integers stay within the range of their type, beyond which they would wrap around."""
+        """Note the condition that integers stay within the range of their type; beyond it they would wrap around."""
         for atom, value in zip(eqn.outvars, values, strict=True):
             if isinstance(value, Scalars) and jnp.issubdtype(atom.aval.dtype, jnp.integer):
                 limits = jnp.iinfo(atom.aval.dtype)
@@ -278,7 +279,8 @@ class Interpreter:
             assert unrolled is not None
             return unrolled
         if any(not isinstance(value, Scalars) for value in over):
-            # Turns over known rows, as the links of a robot, may differ in zeros and ones, which a loop cannot use.
+            # Turns over known rows, such as the links of a robot, may differ in their zeros and ones. Unrolled turns
+            # use this to save operations; a loop cannot.
             mark = self.graph.mark()
             unrolled = self.unrolled(scan, fixed, carry, over, MOST_UNROLLED * self.operations_of_turn(scan, fixed))
             if unrolled is not None:
@@ -293,7 +295,7 @@ class Interpreter:
     def unrolled(
         self, scan: Scan, fixed: list[Value], carry: list[Value], over: list[Value], most: float = np.inf
     ) -> list[Value] | None:
-        """A scan turn by turn, or None where turns have more than `most` operations on average."""
+        """A scan, turn by turn; None if turns have more than `most` operations on average."""
         # A reversed scan visits the last row first and still stacks its results in the order of the rows.
         order = range(scan.length)[:: -1 if scan.reverse else 1]
         collected: dict[int, list[Value]] = {}
@@ -301,7 +303,7 @@ class Interpreter:
         for turn, i in enumerate(order, 1):
             outputs = self.run(scan.body, [*fixed, *carry, *(_take(value, i) for value in over)])
             carry, collected[i] = outputs[: scan.carried], outputs[scan.carried :]
-            # The first turn is often the shortest, as it starts from zeros.
+            # The first turn is often the shortest, as it starts from zeros, so it alone decides nothing.
             if turn > 1 and operations(self.graph.nodes[begin:]) > turn * most:
                 return None
         rows = [collected[i] for i in sorted(collected)]
@@ -310,7 +312,7 @@ class Interpreter:
         return [*carry, *stacked]
 
     def operations_of_turn(self, scan: Scan, fixed: list[Value]) -> float:
-        """Operations of a turn, of which a loop knows the fixed numbers alone; infinite if it cannot be a loop."""
+        """Operations of a turn written as a loop, which knows only the fixed numbers; infinite if it cannot be one."""
         graph, position = Graph(), itertools.count()
 
         def unknown(shape: tuple[int, ...]) -> Scalars:
@@ -321,16 +323,16 @@ class Interpreter:
         values = [value if not isinstance(value, Scalars) else unknown(value.ids.shape) for value in fixed]
         try:
             Interpreter(graph, self.loops).run(scan.body, [*values, *map(unknown, shapes[scan.fixed :])])
-        except LoweringError:  # a turn needs a number that only unrolled turns know
+        except LoweringError:  # a turn needs a number that is known only if the loop is unrolled
             return math.inf
         return operations(graph.nodes)
 
     def counted(
         self, scan: Scan, fixed: list[Value], carry: list[Value], over: list[Value] | None = None
     ) -> list[Value] | None:
-        """A scan as a loop of the graph, or None where a turn is too little work for that.
+        """A scan as a loop of the graph; None if a turn is too little work for that.
 
-        A turn takes the first of the rows and puts it behind the others, so that the next turn finds its own first.
+        A turn reads the first row and moves it behind the others, so that the next turn finds its row in first place.
         """
         rows, count = over or [], scan.fixed + scan.carried
         if scan.reverse:
@@ -346,7 +348,7 @@ class Interpreter:
         types = [atom.aval.dtype for atom in scan.body.jaxpr.invars]
         try:
             outputs = self.loop(turn, types, fixed, [*carry, *rows], scan.length, LONG)
-        except LoweringError:  # a turn may need its number, to take an entry at a place
+        except LoweringError:  # a turn may need the number of the turn, for example as an index
             return None
         return None if outputs is None else outputs[: scan.carried]
 
@@ -359,7 +361,7 @@ class Interpreter:
         count: int | None = None,
         least: int = 0,
     ) -> list[Value] | None:
-        """A loop of the graph, which passes numbers only: a statement is passed as 0 or 1; see `loop_of`."""
+        """Add a loop to the graph. A loop passes numbers only, so a statement is passed as 0 or 1; see `loop_of`."""
         of_truth = [np.dtype(dtype).kind == "b" for dtype in types]
 
         def turned(graph: Graph, values: list[Value]):
@@ -384,7 +386,7 @@ class Interpreter:
             return inner.run(loop.body, [*body, *carry]), going
 
         types = [atom.aval.dtype for body in (loop.condition, loop.body) for atom in body.jaxpr.invars]
-        # Those of what is carried stand in both; once is enough.
+        # Condition and body both list the types of the carried values; one of the two lists is dropped.
         types = [*types[: ends[0]], *types[len(loop.condition.jaxpr.invars) :]]
         outputs = self.loop(turn, types, values[: ends[1]], values[ends[1] :])
         assert outputs is not None
@@ -425,11 +427,11 @@ class Interpreter:
     def choice(self, chosen: Scalars, bodies: Sequence[ClosedJaxpr], values: list[Value]) -> list[Value]:
         """One of two branches: the longer one as a loop of at most one turn, or both and a choice of the results.
 
-        A loop saves its work where the other branch is taken, and takes as long as the numbers ask for.
+        As a loop it costs nothing when the other branch is taken, but the time of a step then varies.
         """
         long = int(len(bodies[1].jaxpr.eqns) >= len(bodies[0].jaxpr.eqns))
         short = self.run(bodies[1 - long], values)
-        # The index of a branch of two is a statement, or a whole number that JAX clips.
+        # The index is a truth value, or an integer that JAX clips to 0 or 1; 0.5 separates the two branches.
         asked = self.write.map("lt", *((np.asarray(0.5), chosen) if long else (chosen, np.asarray(0.5))))
         if self.loops == "any":
             types = [atom.aval.dtype for atom in bodies[long].jaxpr.invars]
@@ -454,12 +456,12 @@ class Interpreter:
 
 
 def _calls_back(body: ClosedJaxpr) -> bool:
-    """Whether a branch calls Python, as one does that raises an error."""
+    """Whether a branch calls Python, as a branch that raises an error does."""
     return any(eqn.name == "pure_callback" for eqn in equations(body.jaxpr))
 
 
 def _need_reals(eqn: JaxprEquation, real: bool) -> None:
-    """Refuse operations whose results are not numbers and, with `real`, those that shorten numbers."""
+    """Refuse operations whose results are not numbers and, with `real`, conversions to shorter types."""
     name, sources = eqn.name, [atom.aval.dtype for atom in eqn.invars if hasattr(atom.aval, "dtype")]
     targets = [atom.aval.dtype for atom in eqn.outvars if hasattr(atom.aval, "dtype")]
     for dtype in targets:
@@ -477,12 +479,12 @@ def _is_real(dtype) -> bool:
 
 @functools.cache
 def _digits(dtype) -> int | None:
-    """Binary digits behind the point of a floating-point type."""
+    """Number of binary digits after the point of a floating-point type."""
     return jnp.finfo(dtype).nmant if jnp.issubdtype(dtype, jnp.floating) else None
 
 
 def _line(eqn: JaxprEquation, outer: Callable[[], str]) -> str:
-    """The place in the user's code that asked for an operation; for a function inside JAX, that of its caller."""
+    """The line of the user's code that called for an operation; for a function inside JAX, the line of its caller."""
     place, _, function = source_info_util.summarize(eqn.source_info).partition(" ")
     file, *rest = place.split(":")
     return f"at {':'.join([Path(file).name, *rest[:1]])} {function}".strip() if rest else outer()
@@ -493,7 +495,7 @@ def _differ(a: Value, b: Value) -> bool:
 
 
 def _statement(write: Writer, value: Value, is_truth: bool) -> Value:
-    """A number that was 0 or 1 as a statement again."""
+    """A number 0 or 1 as a statement, if it was one before it entered the loop."""
     if not is_truth:
         return value
     return write.map("lt", np.asarray(0.5), value) if isinstance(value, Scalars) else np.asarray(value) > 0.5
@@ -513,7 +515,7 @@ def _reverse_rows(value: Value) -> Value:
 
 
 def _rotate_rows(value: Value) -> Value:
-    """The rows with the first one last."""
+    """The rows in rotated order: the first one becomes the last."""
     return Scalars(np.roll(value.ids, -1, 0)) if isinstance(value, Scalars) else np.roll(value, -1, 0)
 
 

@@ -1,7 +1,7 @@
-"""Loops of a graph: a turn is a graph too, which is evaluated again and again.
+"""Defines loops of a graph: the turn of a loop is a graph of its own, which is evaluated repeatedly.
 
-A node `loop` holds a `Repetition` and gets the numbers that stay fixed, then those that are carried; nodes `part` are
-the carried numbers after the last turn. Loops are for generated code, and not for proofs: neither derivatives nor
+A node `loop` holds a `Repetition`; its arguments are the numbers that stay fixed, then the carried ones. Nodes `part`
+are the carried numbers after the last turn. Loops are for generated code and not for proofs, as neither derivatives nor
 intervals have rules for them.
 """
 
@@ -16,15 +16,15 @@ from scalargraph.graph._graph import Graph, Node
 from scalargraph.graph._lowered import Lowered
 
 NO_OPERATIONS = ("input", "constant", "loop", "part")
-"""Nodes that compute nothing by themselves."""
+"""Kinds of nodes that compute nothing by themselves."""
 LONG = 400
-"""Operations of a turn from which a loop of known length is not unrolled."""
+"""Number of operations in a turn above which a loop of known length is not unrolled."""
 MOST_UNROLLED = 0.8
-"""Share of the operations of a loop that its turns may have for the loop to be unrolled. A loop is shorter to write and
-to compile, so that it stays where little is saved."""
+"""A loop is unrolled if this saves operations: if all turns together have at most this share of those of the loop.
+Otherwise it stays a loop, which is shorter to write and to compile."""
 SLOWLY = 4
-"""Attempts after which an array with some entries that change counts as one whose entries all do: where a turn shifts
-an array by a row, each attempt shows one row more."""
+"""Number of attempts after which all entries of an array count as changing if some do. Otherwise, if a turn shifts an
+array by a row, each attempt would find only one more changing row."""
 Turn = Callable[[Graph, list[Value]], tuple[list[Value], Value | None]]
 
 
@@ -33,9 +33,9 @@ class Repetition(NamedTuple):
 
     Attributes:
         body: A turn, `(fixed, carried) -> carried`.
-        going: `(fixed, carried) -> [truth]`, whether there is another turn; None where their number is known.
-        turns: Number of turns; None where `going` decides.
-        fixed: How many of the inputs of both are fixed; the others are carried.
+        going: `(fixed, carried) -> [truth]`, whether there is another turn; None if the number of turns is known.
+        turns: Number of turns; None if `going` decides.
+        fixed: Number of fixed inputs of both functions; the other inputs are carried.
     """
 
     body: Lowered
@@ -91,8 +91,9 @@ def loop_of(
 ) -> list[Value] | None:
     """Add a loop over arrays to a graph.
 
-    Entries that a turn does not change count as fixed, so that what is known of them is known in the loop too. At first
-    all count as such, unless `all_change`; those that a turn changes no longer do, until there are no more.
+    Entries that a turn does not change count as fixed, so that known values of them are also known in the loop. At
+    first all entries count as fixed, unless `all_change`; entries that a turn changes are then removed, and this is
+    repeated until no further entry changes.
     """
     starts = _flat(graph, carry)
     changes = np.full(len(starts), all_change)
@@ -107,13 +108,13 @@ def loop_of(
             if node.op == "constant":
                 return inner.constant(node.value)  # pyright: ignore[reportArgumentType]
             used[i] = None
-            return inner.input(2 * i)  # odd positions are those of what is carried; numbered anew below
+            return inner.input(2 * i)  # odd positions are for carried numbers; all inputs are renumbered below
 
         begins = [inner.input(2 * k + 1) if changes[k] else outer(i) for k, i in enumerate(starts)]
         fixed_values = _fill_values([outer(i) for i in _flat(graph, fixed)], fixed)
         carried, going = turn(inner, [*fixed_values, *_fill_values(begins, carry, changes)])
         ends = _flat(inner, carried)
-        # Entries only ever leave the fixed set, so that this ends.
+        # An entry that counts as changing never becomes fixed again, so this loop ends.
         now = changes | (np.array(ends, int) != np.array(begins, int))
         if (now == changes).all():
             break
@@ -141,10 +142,10 @@ def loop_of(
 
 
 def operations(nodes: Sequence[Node]) -> int:
-    """Count the operations of a list of nodes, with those of all turns of its loops.
+    """Count the operations of a list of nodes, over all turns of their loops.
 
     Args:
-        nodes: Nodes of a graph. A loop whose length the arguments decide counts as one turn.
+        nodes: Nodes of a graph. A loop whose length depends on the arguments counts as one turn.
     """
     total = 0
     for node in nodes:
@@ -157,13 +158,13 @@ def operations(nodes: Sequence[Node]) -> int:
 
 
 def turn_operations(nodes: Sequence[Node]) -> int:
-    """Count the operations of one turn of the loops whose length the arguments decide.
+    """Count the operations of one turn of each loop whose length depends on the arguments.
 
     Args:
         nodes: Nodes of a graph.
 
     Returns:
-        The count, zero where the graph has no such loop.
+        The count, zero if the graph has no such loop.
     """
     loops = [node.value for node in nodes if isinstance(node.value, Repetition) and node.value.turns is None]
     return sum(operations(each.graph.nodes) for loop in loops for each in loop.graphs)
@@ -178,7 +179,7 @@ def _flat(graph: Graph, values: Sequence[Value]) -> list[int]:
 
 
 def _fill_values(ids: Sequence[int], like: Sequence[Value], changes: np.ndarray | None = None) -> list[Value]:
-    """Values of the shapes of others with these nodes; known numbers that do not change stay known numbers."""
+    """Arrays of the shapes of others with these nodes as entries; known numbers that do not change stay known."""
     filled, start = [], 0
     for value in like:
         known = not isinstance(value, Scalars)

@@ -1,4 +1,4 @@
-"""A lowered function: its graph of scalars, the nodes of its results, and the conditions of its domain."""
+"""Defines a lowered function: its graph of scalars, the nodes of its results, and the conditions of its domain."""
 
 import itertools
 import math
@@ -35,8 +35,8 @@ class LoweringError(InputError, NotImplementedError):
 class Lowered(NamedTuple):
     """A function as a graph of scalar operations.
 
-    `lower` makes it, and `evaluate`, `enclose` and `c_function` use it. Shapes of the arguments are fixed. The number
-    of nodes shows what a call costs on a controller.
+    `lower` creates it; `evaluate`, `enclose` and `c_function` use it. Shapes of the arguments are fixed. The number of
+    nodes indicates the cost of a call on a controller.
 
     Attributes:
         graph: The nodes.
@@ -44,7 +44,8 @@ class Lowered(NamedTuple):
         outputs: Nodes of the entries of the results, in order.
         results: Shape and type of each leaf of the results.
         tree: Pytree structure of the results.
-        conditions: Where the function is defined and does not jump; None unless it was lowered with `real=True`.
+        conditions: Conditions under which the function is defined and does not jump; None unless lowered with
+            `real=True`.
 
     Example:
         >>> import jax.numpy as jnp
@@ -70,7 +71,8 @@ class Lowered(NamedTuple):
         """Return the function of the first leaves of the results alone, as a tuple.
 
         Args:
-            count: Number of leaves to keep. Nodes that only the others need are dropped, and so are the conditions.
+            count: Number of leaves to keep. Nodes that only the other leaves need are dropped, and so are the
+                conditions.
         """
         results = self.results[:count]
         small, outputs = self.graph.pruned(self.outputs[: sum(leaf.size for leaf in results)])
@@ -101,7 +103,7 @@ class Lowered(NamedTuple):
         remaining = iter(values)
         leaves = []
         for leaf in self.results:
-            # NumPy evaluates in double precision, so results of functions in single precision are doubles too.
+            # NumPy evaluates in double precision, so results of single-precision functions are doubles too.
             kind = float if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
             part = np.empty((leaf.size, *batch), kind)
             for k, value in enumerate(itertools.islice(remaining, leaf.size)):
@@ -114,9 +116,9 @@ class Conditions(NamedTuple):
     """Conditions under which a function is defined and does not jump, with a graph that computes what they refer to.
 
     Attributes:
-        graph: Graph of the nodes of the conditions, apart from that of the function.
+        graph: Graph of the nodes of the conditions, separate from the graph of the function.
         conditions: The conditions; each `node` is an index in this graph.
-        inputs: Number of scalar inputs, those of the function.
+        inputs: Number of scalar inputs, the same as of the function.
 
     Example:
         >>> import jax.numpy as jnp

@@ -1,8 +1,8 @@
-"""Slices, gathers and scatters of arrays of nodes: entries moved to or taken from places.
+"""Applies slices, gathers and scatters to arrays of nodes: operations that move entries or take them from places.
 
-Where the places are known numbers, the primitive itself is applied to the indices of the nodes. Where they depend on
-the arguments, the result is a choice between all possible places, if these are few, or is looked up, if the entries are
-known numbers.
+If the places are known numbers, the primitive itself is applied to the indices of the nodes. If they depend on the
+arguments, the result is a choice among the entries at all possible places, if these are few, or an entry of a table, if
+the entries are known numbers.
 """
 
 import itertools
@@ -19,15 +19,15 @@ from scalargraph.graph._jax_forms import JaxprEquation
 from scalargraph.graph._lowered import LoweringError
 
 MOST_PLACES = 64
-"""Largest number of possible places for an index that depends on the arguments, unless it is one of a table."""
+"""Largest number of possible places for an index that depends on the arguments, unless it is an index of a table."""
 FEW_PLACES = 8
-"""Up to so many places a choice costs no more than a table."""
+"""Largest number of places for which a choice costs no more than a table."""
 MOST_ENTRIES = 2_000_000
-"""Largest table of known numbers: some 40 MB of C, and 16 MB of memory where it runs."""
+"""Largest table of known numbers: about 40 MB of C, and 16 MB of memory at run time."""
 
 
 def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
-    """Apply a primitive that takes entries from places, or sets or adds them there."""
+    """Apply a primitive that reads entries at places, or sets them or adds to them there."""
     name = eqn.name
     move = _add_updates if name == "scatter-add" else _move_nodes
     where, ends = _places(name, eqn.params, [atom.aval.shape for atom in eqn.invars])
@@ -70,7 +70,7 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
             node if value is not None else write.graph.apply("min", write.graph.apply("max", node, low), high)
             for node, value, (low, high) in zip(flat, known, limits, strict=True)
         ]
-    # One beyond the last place: what the primitive itself does out of bounds is the default of the choice.
+    # The index after the last place is out of bounds: the primitive's result there is the default of the choice.
     outside = [float(end + 1) for end in largest]
     result = result_at([o if v is None else v for o, v in zip(outside, known, strict=True)]) if fills or drops else None
     for combination in itertools.product(*choices):
@@ -87,7 +87,7 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
 
 
 def _table(write: Writer, operand: np.ndarray) -> Table | None:
-    """The entries of an array as a table, where they are known numbers and not too many."""
+    """The entries of an array as a table; None if some are not known numbers or if there are too many."""
     nodes = [write.graph.nodes[i] for i in operand.ravel().tolist()]
     if len(nodes) > MOST_ENTRIES or any(node.op != "constant" for node in nodes):
         return None
@@ -97,7 +97,7 @@ def _table(write: Writer, operand: np.ndarray) -> Table | None:
 def _look_up_slice(
     write: Writer, table: Table, eqn: JaxprEquation, starts: Sequence[int], ends: Sequence[int]
 ) -> np.ndarray:
-    """A slice of a table that starts where the arguments say, clipped to where it fits."""
+    """A slice of a table whose start depends on the arguments; the start is clipped so that the slice fits."""
     graph, shape, sizes = write.graph, eqn.invars[0].aval.shape, eqn.params["slice_sizes"]
     strides = [math.prod(shape[k + 1 :]) for k in range(len(shape))]
     first = graph.constant(0.0)
@@ -112,7 +112,7 @@ def _look_up_slice(
 
 
 def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[range, list[int]]:
-    """The arguments that hold places, and the largest value of each of their numbers (along the last axis of one)."""
+    """The indices of the arguments that hold places, and the largest value of each number in a place (last axis)."""
     operand = shapes[0]
     if name == "dynamic_slice":
         return range(1, len(shapes)), [a - b for a, b in zip(operand, p["slice_sizes"], strict=True)]
@@ -127,7 +127,7 @@ def _places(name: str, p: dict, shapes: Sequence[tuple[int, ...]]) -> tuple[rang
 
 
 def _move_nodes(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray]) -> np.ndarray:
-    """Nodes moved by the primitive itself, applied to their indices."""
+    """Nodes moved by the primitive, which is applied to the indices of the nodes."""
     if eqn.name in SLICES:
         return SLICES[eqn.name](eqn.params, *arguments)
     if eqn.name == "gather":
@@ -153,7 +153,7 @@ def _add_updates(write: Writer, eqn: JaxprEquation, arguments: list[np.ndarray])
 def _targets(
     eqn: JaxprEquation, operand: np.ndarray, places: np.ndarray, updates: np.ndarray
 ) -> Iterator[tuple[int, int]]:
-    """The place in the flat operand for each node of the updates that has one."""
+    """Pairs of a place in the flat operand and a node of the updates; updates without a place are left out."""
     targets = scatter_places(eqn.params, operand.shape, places, updates.shape)
     pairs = zip(targets.ravel().tolist(), updates.ravel().tolist(), strict=True)
     return (pair for pair in pairs if pair[0] >= 0)

@@ -1,7 +1,7 @@
-"""The rules by which a jaxpr becomes a graph: each of JAX's primitives as operations on scalars.
+"""Translates each primitive of JAX into operations on scalars of a graph.
 
-Every rule is passed a `Writer`, an equation of the jaxpr and the values of its inputs, at least one of which depends on
-the arguments of the function, and returns the values of the outputs.
+Every rule receives a `Writer`, an equation of the jaxpr and the values of its inputs, at least one of which depends on
+the arguments of the function. It returns the values of the outputs.
 """
 
 import functools
@@ -21,7 +21,7 @@ from scalargraph.graph._lowered import LoweringError
 from scalargraph.graph._places import at_places
 
 FEW_ROWS = 2
-"""Most rows of a product that are never turns of a loop."""
+"""Products with at most this number of rows are never written as loops over the rows."""
 Rule = Callable[[Writer, JaxprEquation, list], list[Value]]
 
 
@@ -38,7 +38,7 @@ def _of_ids(write: Writer, eqn: JaxprEquation, values: list, move: Callable[...,
 
 
 def _rearrangement(move: Callable[..., np.ndarray]) -> Rule:
-    """A primitive that only moves entries; `move(parameters, *ids)` does it with the indices of the nodes."""
+    """Rule of a primitive that only moves entries: `move(parameters, *ids)` moves the indices of the nodes."""
     return lambda write, eqn, values: _of_ids(write, eqn, values, functools.partial(move, eqn.params))
 
 
@@ -55,7 +55,7 @@ def _slice(p: dict, ids: np.ndarray) -> np.ndarray:
 
 
 def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
-    """The index of the first largest or smallest entry."""
+    """Rule for the index of the largest or smallest entry, the first one of equal entries."""
 
     def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         (axis,) = eqn.params["axes"]
@@ -64,7 +64,7 @@ def _extreme(comparison: Callable[[Graph, int, int], int]) -> Rule:
         for row in rows.reshape(-1, rows.shape[-1]).tolist():
             best, place = row[0], write.graph.constant(0.0)
             for k, entry in enumerate(row[1:], start=1):
-                # Strictly better only, so that the first of equal entries counts, as in JAX.
+                # The comparison is strict, so that the first of several equal entries counts, as in JAX.
                 better = comparison(write.graph, best, entry)
                 best = write.graph.apply("select", better, entry, best)
                 place = write.graph.apply("select", better, write.graph.constant(float(k)), place)
@@ -98,12 +98,12 @@ def _dot(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
 def _products(write: Writer, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The nodes (..., m, n) of the product of a (..., m, k) and b (..., n, k)."""
     products = write.map("mul", Scalars(a[..., :, None, :]), Scalars(b[..., None, :, :]))
-    # By halving, whose rounding errors grow with the logarithm of the length.
+    # Sums by halving, whose rounding errors grow with the logarithm of the length.
     return write.reduce("add", products.ids, [a.ndim]).ids
 
 
 def _by_rows(write: Writer, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The nodes (m, n) of a product; rows of a with entries at the same places are turns of a loop where that pays."""
+    """The nodes (m, n) of a product; rows of a with entries at the same places become turns of a loop if that pays."""
     graph = write.graph
     nonzero_a, nonzero_b = (~np.vectorize(graph.is_zero, otypes=[bool])(ids) for ids in (a, b))
     groups: dict[bytes, list[int]] = {}
@@ -125,7 +125,7 @@ def _row_by_row(graph: Graph, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     def turn(inner: Graph, values: list[Value]) -> tuple[list[Value], None]:
         fixed, left, done = (nodes_of(inner, value) for value in values)
         row = _products(Writer(inner), left[:1], fixed)
-        # The next turn finds its row first; after the last one all results are in order.
+        # Rows are rotated so that the next turn finds its row first; after the last turn the results are in order.
         return [Scalars(np.roll(left, -1, 0)), Scalars(np.concatenate([done[1:], row]))], None
 
     start = np.full((len(a), len(b)), graph.constant(0.0))
@@ -157,7 +157,7 @@ def _integer_pow(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]
     exponent = eqn.params["y"]
     result: Value = np.ones(values[0].ids.shape)
     power, remaining = values[0], abs(exponent)
-    while remaining:  # by squaring
+    while remaining:  # exponentiation by squaring
         result = write.map("mul", result, power) if remaining % 2 else result
         remaining //= 2
         power = write.map("mul", power, power) if remaining else power
@@ -165,7 +165,7 @@ def _integer_pow(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]
 
 
 def _swap_sides(op: str, negate: bool = False) -> Rule:
-    """A comparison with its sides exchanged, or negated."""
+    """Rule of a comparison with its sides exchanged, or negated."""
 
     def rule(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
         truth = write.map(op, *(values if negate else values[::-1]))
@@ -198,7 +198,7 @@ def _convert(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
     if kinds == [jnp.floating, jnp.integer]:  # towards zero
         negative = write.map("lt", values[0], np.array(0.0))
         return [write.map("select", negative, write.map("ceil", values[0]), write.map("floor", values[0]))]
-    if kinds == [jnp.integer, jnp.floating] and write.graph.real:  # the type must represent each integer exactly
+    if kinds == [jnp.integer, jnp.floating] and write.graph.real:  # the type must represent every integer exactly
         write.within(values[0], *(sign * 2.0 ** (jnp.finfo(target).nmant + 1) for sign in (-1, 1)))
     if kinds[1] == jnp.bool_ and kinds[0] != jnp.bool_:
         return [write.map("not", write.map("eq", values[0], np.array(0.0)))]
@@ -223,7 +223,7 @@ def _logistic(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
 
 
 def _mirror_upper(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
-    """The first matrix, or its upper triangle twice, where the second has the same node on both sides everywhere."""
+    """The first matrix; if the second matrix has symmetric nodes, with the first one's upper triangle mirrored down."""
     matrix, source = (nodes_of(write.graph, value) for value in values)
     if not np.array_equal(source, source.swapaxes(-1, -2)):
         return [values[0]]
@@ -236,7 +236,7 @@ _ENTRYWISE = (
     "atan2 sinh cosh tanh asinh acosh atanh lt le eq and or not is_finite"
 )
 NOT_ON_INTEGERS = {"div", "pow", "and", "or", "not", "reduce_and", "reduce_or"}
-"""Primitives that round on integers, or act on their bits."""
+"""Primitives that would round if applied to integers, or act on their bits."""
 RULES: dict[str, Rule] = {
     **{name: _entrywise(name) for name in _ENTRYWISE.split()},
     "add_any": _entrywise("add"),

@@ -1,4 +1,4 @@
-"""Evaluation of a graph in any arithmetic that has its operations."""
+"""Evaluates a graph in any arithmetic that has its operations, such as numbers or intervals."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -16,15 +16,15 @@ Domain = Mapping[str, Callable[..., Any]]
 """An arithmetic: a function for each operation of `FOLD`, and `constant`, which converts a number or truth value."""
 
 NUMBERS: Domain = {"constant": lambda value: value, **FOLD}
-"""Numbers, and NumPy arrays of them, with which a whole batch is evaluated at once."""
+"""The arithmetic of numbers; it also works on NumPy arrays, so that a whole batch is evaluated at once."""
 
 
 def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[Any]:
     """Evaluate a lowered function in an arithmetic.
 
-    Use it to run a graph in an arithmetic of your own, such as intervals, strings or operation counts. An arithmetic is
+    Use it to evaluate a graph in another arithmetic, such as intervals, strings or operation counts. An arithmetic is
     a mapping from names of operations to functions. For numbers alone the JAX function is faster, and for rigorous
-    bounds `enclose` is.
+    bounds `enclose` is faster.
 
     Args:
         lowered: The function.
@@ -35,7 +35,7 @@ def evaluate(lowered: Lowered, domain: Domain, inputs: Sequence[Any]) -> list[An
         Value of each scalar output, in the order of `lowered.outputs`.
 
     Raises:
-        ValueError: The number of inputs is not that of the function.
+        ValueError: The number of inputs differs from the function's.
 
     Example:
         >>> import jax.numpy as jnp
@@ -60,7 +60,7 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
     for i, node in enumerate(nodes):
         for a in node.arguments:
             last[a] = i
-    # Outputs are read after the last node, so they are never released.
+    # Outputs are read at the very end, so they are never released.
     for i in outputs:
         last[i] = len(nodes)
     values: list[Any] = [None] * len(nodes)
@@ -84,7 +84,7 @@ def evaluate_nodes(graph: Graph, outputs: Sequence[int], domain: Domain, inputs:
 
 
 def _run_loop(loop: Repetition, domain: Domain, values: Sequence[Any]) -> list[Any]:
-    """Values that a loop carries after its last turn; lanes of a batch that have ended wait for the others."""
+    """Values carried by a loop after its last turn; lanes of a batch that have ended wait for the others."""
     fixed, carried = list(values[: loop.fixed]), list(values[loop.fixed :])
     if loop.going is None:
         for _ in range(loop.turns or 0):
@@ -125,19 +125,19 @@ def numbers(lowered: Lowered, *arguments: Any) -> Any:
 
 
 def on_batches(function: Callable, *arguments: Any) -> Callable:
-    """Make a JAX function work on batches: by its graph in NumPy, or by JAX where it has no graph.
+    """Make a JAX function work on batches: NumPy evaluates its graph, or JAX the function if it has no graph.
 
-    A program of JAX is compiled first, which takes seconds for a function of a robot; its graph is there in a tenth of
-    that. For some thousand values this is most of the time. What is evaluated over and over is better compiled.
+    JAX compiles a program first, which takes seconds for a function of a robot; the graph is ready in a tenth of that.
+    For some thousand values the compilation would be most of the time. For far more evaluations compile instead.
 
     Args:
         function: The function. It is unrolled, so it must have no long loops.
-        arguments: Its arguments as arrays or pytrees of them, of which shapes and types count.
+        arguments: Its arguments as arrays or pytrees of them; only shapes and types matter.
 
     Returns:
-        A function of arguments that have one leading batch axis (B, ...) each, or (1, ...) where they are the same for
-        all. It returns the results of the function with the batch axis first, as arrays of NumPy of the types that JAX
-        gives them.
+        A function of arguments with one leading batch axis (B, ...) each, or (1, ...) for an argument that is the same
+        for all. It returns the results of the function with the batch axis first, as arrays of NumPy of the types that
+        JAX gives them.
 
     Example:
         >>> import jax.numpy as jnp
@@ -177,7 +177,7 @@ def evaluate_batch(function: Callable, *batch: Any) -> Any:
 
 
 def _of_one_length(batch: Any) -> Any:
-    """The arguments with all batch axes as long as the longest."""
+    """The arguments with all batch axes extended to the length of the longest."""
     longest = max((np.shape(leaf)[0] for leaf in jax.tree.leaves(batch)), default=1)
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (longest, *np.shape(leaf)[1:])), batch)
 

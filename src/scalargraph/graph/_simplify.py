@@ -1,7 +1,7 @@
-"""Simpler forms of operations of a graph: sums with zero, products with one, choices between equal numbers.
+"""Simplifies operations of a graph: sums with zero, products with one, choices between equal numbers.
 
-All hold for real numbers. Where a rule drops an argument, a graph of a function of real numbers notes the condition
-that it is finite.
+All rules hold for real numbers. If a rule drops an argument, a graph of a function of real numbers notes the condition
+that the argument is finite.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ import numpy as np
 
 
 class GraphLike(Protocol):
-    """What the rules use of `scalargraph.Graph`, which uses the rules."""
+    """The methods of `scalargraph.Graph` that the rules use; the protocol avoids a circular import."""
 
     nodes: list[Any]
 
@@ -22,7 +22,7 @@ class GraphLike(Protocol):
 
 
 Rule = Callable[[GraphLike, tuple[int, ...], list], int | None]
-"""`(graph, arguments, values)`: nodes, and the value of each that is a constant, None for the others."""
+"""`(graph, arguments, values)`: the nodes, and for each of them its value if it is a constant, else None."""
 
 
 def _simpler_sum(graph: GraphLike, arguments: tuple[int, ...], values: list) -> int | None:
@@ -45,7 +45,7 @@ def _simpler_difference(graph: GraphLike, arguments: tuple[int, ...], values: li
         return a
     if x == 0.0:
         return graph.apply("neg", b)
-    # Exact for finite numbers only: `Graph` notes the condition "finite" for each node that cancels here.
+    # This is exact for finite numbers only: `Graph` notes the condition "finite" for each node that cancels here.
     if a == b:
         return graph.constant(0.0)
     if graph.is_operation("sub", b, a):  # a − (a − b)
@@ -93,7 +93,7 @@ def _simpler_extreme(graph: GraphLike, arguments: tuple[int, ...], values: list)
 
 
 def _simpler_statement(neutral: bool) -> Rule:
-    """Of "and", whose neutral element is true, and of "or", whose one is false."""
+    """Rule of "and", whose neutral element is true, or of "or", whose neutral element is false."""
 
     def rule(graph: GraphLike, arguments: tuple[int, ...], values: list) -> int | None:
         for other, value in zip(arguments, reversed(values), strict=True):
@@ -116,23 +116,23 @@ SIMPLER: dict[str, Rule] = {
     "and": _simpler_statement(True),
     "or": _simpler_statement(False),
 }
-"""For operations that may have a simpler form, the node of that form or None; not all arguments are constants."""
+"""Rules that return the node of a simpler form, or None if there is none; at least one argument is not a constant."""
 
 
 def simpler_real(graph: GraphLike, op: str, arguments: tuple[int, ...]) -> int | None:
-    """Simplifications for real numbers only. A choice that is |x|, min or max in disguise does not jump."""
+    """Simplify by rules for real numbers only. A choice that is |x|, min or max is replaced, as it does not jump."""
     match op, arguments:
         case "is_finite", (a,) if not graph.may_be_infinite(a):
             return graph.constant(True)
         case "eq", (a, b) if a == b and not graph.may_be_infinite(a):
             return graph.constant(True)
-        case "min" | "max", (a, b):  # an infinite bound
+        case "min" | "max", (a, b):  # one argument may be an infinite bound
             none = np.inf if op == "min" else -np.inf  # the neutral element
             for one, other in ((a, b), (b, a)):
                 if graph.nodes[other].op == "constant" and graph.nodes[other].value == none:
                     return one
         case "eq", (a, b):
-            for one, other in ((a, b), (b, a)):  # a = max(a, c), as in the derivative of max
+            for one, other in ((a, b), (b, a)):  # the comparison a = max(a, c), as in the derivative of max
                 node = graph.nodes[other]
                 if node.op in ("min", "max") and one in node.arguments:
                     rest = node.arguments[0] if node.arguments[1] == one else node.arguments[1]

@@ -1,8 +1,8 @@
-"""Derivatives of the values of JAX functions, without the derivative rules that a function declares.
+"""Differentiates JAX functions by their values, without the derivative rules that a function declares.
 
-JAX follows the rules `stop_gradient`, `custom_jvp` and `custom_vjp`, which may be wrong. A graph contains only values,
-so its derivatives are correct. A function without a graph is differentiated by JAX, and the result is compared with
-differences of its values.
+JAX follows the rules `stop_gradient`, `custom_jvp` and `custom_vjp`, which may be wrong. A graph contains only the
+computation of values, so its derivatives are correct. JAX differentiates a function that has no graph, and the result
+is compared with differences of its values.
 """
 
 import itertools
@@ -24,11 +24,11 @@ from scalargraph.graph._read import Domain, evaluate
 from scalargraph.graph._stumpff import stumpff
 
 LONGEST = 50_000
-"""Largest number of operations of a function that is written as a graph of scalars, which JAX has to compile."""
+"""Largest number of operations of a function that is written as a graph; JAX has to compile the derivative graph."""
 STEPS = (1e-3, 1e-5, 1e-7)
-"""Steps of the difference quotients that a derivative of JAX is compared with; it must agree with one of them."""
+"""Steps of the difference quotients; a derivative by JAX must agree with the quotient of at least one step."""
 AGREES, OF_LARGEST = 1e-4, 1e-8
-"""Largest deviation of a derivative from its difference quotient, relative to it and to the largest derivative."""
+"""Largest deviation from the difference quotient, relative to the derivative and to the largest derivative."""
 
 _RENAMED = {
     "neg": "negative", "sub": "subtract", "mul": "multiply", "div": "divide", "add": "add", "abs": "abs",
@@ -43,20 +43,20 @@ IN_JAX: Domain = {
     "either": lambda a, b, x, y: jnp.where(jnp.less(a, b), x, y),
     "stumpff": lambda k, x: stumpff(int(k), x),
 }
-"""The arithmetic of JAX's arrays."""
+"""The arithmetic of JAX arrays."""
 
 
 def to_jax(lowered: Lowered) -> Callable:
     """Write a lowered function as a JAX function, without the derivative rules and the state of the original.
 
-    Use it before you give the function to code that traces or differentiates it. Each trace then yields the same graph,
-    and the derivatives by JAX are those of its values.
+    Use it before you give the function to code that traces or differentiates it: each trace then yields the same graph,
+    and JAX computes the derivatives of the values.
 
     Args:
         lowered: The function, without loops.
 
     Returns:
-        A function of the same arguments, flat as arrays of the shapes `lowered.arguments`.
+        A function of the same arguments, flattened to arrays of the shapes `lowered.arguments`.
 
     Example:
         >>> import jax
@@ -104,7 +104,7 @@ def along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -
         return _differentiate_along(function, primals, tangents)
     graph, places = traced.graph, itertools.count(traced.count)
     size = sum(array.size for array in primals)
-    # The entries of the direction are further inputs of the graph.
+    # The entries of the direction become further inputs of the graph.
     derivative = Derivative(graph, {i: graph.input(next(places)) for i in range(size)})
     with no_collection():
         outputs = [*traced.outputs, *map(derivative, traced.outputs)]
@@ -113,7 +113,7 @@ def along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -
 
 
 def jacobian(function: Callable, x: Any) -> jax.Array:
-    """Compute the Jacobian of a function of one array, with the conventions of `jax.jacfwd`, from values as in `along`.
+    """Compute the Jacobian of a function of one array as `jax.jacfwd` does, but from values as in `along`.
 
     Args:
         function: A function `x (…) -> array`.
@@ -147,7 +147,7 @@ def jacobian(function: Callable, x: Any) -> jax.Array:
 
 
 def change(function: Callable, *, aux: bool = False) -> tuple[Any, Any]:
-    """Compute value and derivative at zero of a function of one number, which may be too large for a graph.
+    """Compute value and derivative at zero of a function of one number; the function may be too large for a graph.
 
     JAX computes the derivative. If it differs from the difference quotients at all of `STEPS`, a declared rule is
     wrong, and a difference quotient is returned instead. `along` is more accurate for small functions.
@@ -179,7 +179,7 @@ def change(function: Callable, *, aux: bool = False) -> tuple[Any, Any]:
 
 
 def _differentiate_along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
-    """Apply `change` along a line, in a unit for which its steps suit the size of the arguments."""
+    """Apply `change` along a line, scaled so that its steps suit the size of the arguments."""
     largest = [jnp.max(jnp.stack([jnp.max(jnp.abs(a), initial=0.0) for a in arrays])) for arrays in (primals, tangents)]
     unit = jnp.maximum(largest[0], 1.0) / jnp.where(largest[1] > 0, largest[1], 1.0)
     value, slope = change(lambda s: function(*(x + s * unit * d for x, d in zip(primals, tangents, strict=True))))
@@ -187,21 +187,21 @@ def _differentiate_along(function: Callable, primals: Sequence[Any], tangents: S
 
 
 def _confirm_slope(values: jax.Array, declared: jax.Array) -> jax.Array:
-    """Return the derivative by JAX, or the quotient of the middle step if no quotient confirms it."""
+    """Return the derivative by JAX if a quotient confirms it, else the quotient of the middle step."""
     steps = jnp.asarray(STEPS, values.dtype).reshape(-1, *[1] * (values.ndim - 1))
     quotients = (values[1::2] - values[2::2]) / (2 * steps)
     size = jnp.max(jnp.abs(values[0]), initial=0.0)
-    # The error of a quotient from a few roundings of the values.
+    # The error of a quotient that a few roundings of the values cause.
     rounding = 16 * jnp.finfo(values.dtype).eps * size / steps
     largest = jnp.max(jnp.abs(declared), initial=0.0)
     most = (AGREES * jnp.abs(declared) + OF_LARGEST * largest)[None] + rounding
-    # Each entry may agree at another step, since steep entries need shorter ones.
+    # Each entry may agree at a different step, since steep entries need shorter steps.
     agrees = jnp.any(jnp.abs(quotients - declared[None]) <= most, axis=0)
     return jnp.where(jnp.all(agrees) | ~jnp.all(jnp.isfinite(quotients)), declared, quotients[1])
 
 
 class _Traced:
-    """A function as a graph of its arguments and of the traced numbers in its closure."""
+    """A function as a graph of its arguments and of the traced numbers that its closure contains."""
 
     def __init__(self, graph: Graph, outputs: list[int], result: jax.ShapeDtypeStruct, constants: list, count: int):
         self.graph, self.outputs, self.result = graph, outputs, result

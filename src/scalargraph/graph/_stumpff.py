@@ -1,8 +1,8 @@
-"""Stumpff's functions, smooth coefficients that are 0/0 at angle zero in closed form, as one operation of a graph.
+"""Defines Stumpff's functions, such as sin θ/θ, as one operation of a graph that is smooth at angle zero.
 
-They are a JAX primitive, so that a graph has them as one operation and not their computation. The computation has
-two branches, a series near zero and a closed form beyond, which agree only to rounding; in intervals a branch that is
-undecided on a box would prove nothing. As functions of real numbers they are entire, decrease on [0, π²], and their
+Each is one JAX primitive, so that a graph contains one operation in place of its computation. That computation has two
+branches, a series near zero and a closed form beyond, which agree only to rounding; in intervals, a branch that is
+undecided on a box would prove nothing. As functions of real numbers they are entire and decrease on [0, π²], and their
 derivatives are again Stumpff's functions.
 
 Source: Stiefel & Scheifele 1971, Linear and Regular Celestial Mechanics, section 11.
@@ -27,7 +27,7 @@ STUMPFF_TERMS = 24
 FALLS_UNTIL = 9.869
 """A number slightly below π²."""
 LEAST = -1.0
-"""The least argument that is bounded."""
+"""The smallest argument for which bounds are given."""
 
 
 def stumpff(k: int, x: ArrayLike) -> jax.Array:
@@ -56,24 +56,24 @@ STUMPFF.def_abstract_eval(lambda x, *, k: ShapedArray(x.shape, x.dtype))
 @STUMPFF.def_impl
 @functools.partial(jax.jit, static_argnames="k")
 def _values(x, *, k: int):
-    # From c₃ on the closed forms lose digits below k(k − 1), where the terms of the series decrease. For k below 3 the
+    # From c₃ on, the closed form loses digits below k(k − 1), where the terms of the series decrease. For k below 3 the
     # closed form is accurate from 1 on.
     threshold = max(1.0, k * (k - 1.0))
     small = x < threshold
     series_x, closed_x = jnp.asarray(jnp.where(small, x, 0.0)), jnp.asarray(jnp.where(small, threshold, x))
-    # Where the other branch is chosen, each gets a harmless argument: the closed form is 0/0 at 0.
+    # Each branch gets a harmless argument where the other one is chosen: the closed form is 0/0 at 0.
     return jnp.where(small, _series(k, threshold, series_x), _closed_form(k, closed_x))
 
 
 mlir.register_lowering(STUMPFF, mlir.lower_fun(_values, multiple_results=False))
-# From 2 c_k′ = k c_{k+2} − c_{k+1}, which no division by x spoils at x = 0.
+# By 2 c_k′ = k c_{k+2} − c_{k+1}, which contains no division by x and so is valid at x = 0.
 ad.defjvp(STUMPFF, lambda g, x, *, k: (k * stumpff(k + 2, x) - stumpff(k + 1, x)) / 2 * g)
 batching.primitive_batchers[STUMPFF] = lambda values, axes, *, k: (STUMPFF.bind(*values, k=k), axes[0])
 
 
 def _series(k: int, threshold: float, x: jax.Array) -> jax.Array:
     coefficients = [1 / math.factorial(k)]
-    # Until a term is below the rounding error of the first at the largest x.
+    # Terms are added until one is below the rounding error of the first term at the largest x.
     while coefficients[-1] * threshold ** (len(coefficients) - 1) > 1e-18 * coefficients[0]:
         coefficients.append(1 / math.factorial(2 * len(coefficients) + k))
     total = jnp.zeros_like(x)
@@ -89,12 +89,12 @@ def _closed_form(k: int, x: jax.Array) -> jax.Array:
         theta = jnp.sqrt(x)
         return jnp.sin(theta) / theta
     if k == 2:
-        # 1 − cos θ = 2 sin²(θ/2): no cancellation, unlike (1 − cos θ)/θ².
+        # 1 − cos θ = 2 sin²(θ/2) has no cancellation, unlike (1 − cos θ)/θ².
         return _closed_form(1, x / 4) ** 2 / 2
     return (1 / math.factorial(k - 2) - _closed_form(k - 2, x)) / x
 
 
-# In NumPy: values, and bounds of them.
+# Values by NumPy, and bounds.
 
 
 def values(k: Any, x: Any) -> Any:
@@ -103,7 +103,7 @@ def values(k: Any, x: Any) -> Any:
     series = _horner(stumpff_coefficients(int(k)), np.clip(x, LEAST, FALLS_UNTIL), -1.0)
     safe = np.maximum(x, FALLS_UNTIL)
     theta = np.sqrt(safe)
-    # c_{k+2}(x) = (1/k! − c_k(x))/x, upwards from the cosine or from sin θ/θ.
+    # c_{k+2}(x) = (1/k! − c_k(x))/x, upwards from cos θ for even k or from sin θ/θ for odd k.
     closed = np.cos(theta) if int(k) % 2 == 0 else np.sin(theta) / theta
     for j in range(2 + int(k) % 2, int(k) + 1, 2):
         closed = (1 / math.factorial(j - 2) - closed) / safe
@@ -111,26 +111,26 @@ def values(k: Any, x: Any) -> Any:
 
 
 def stumpff_coefficients(k: int) -> list[float]:
-    """Coefficients of the power series of c_k, without their signs: 1/k!, 1/(k + 2)!, …, `STUMPFF_TERMS` of them."""
+    """Magnitudes of the power series coefficients of c_k: 1/k!, 1/(k + 2)!, …, `STUMPFF_TERMS` of them."""
     return [1 / math.factorial(2 * j + k) for j in range(STUMPFF_TERMS)]
 
 
 def stumpff_bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
     """Bounds of Stumpff's function c_k on intervals.
 
-    c_k decreases until π², also below 0, where all terms of its series are positive; from 0 on it is nowhere beyond
-    ±1/k!. Squares are not negative, but their enclosures may reach below 0: the series is used from `LEAST` on. The
+    c_k decreases until π², also below 0, where all terms of its series are positive; for x ≥ 0 it lies within ±1/k!.
+    Squares are not negative, but their enclosures may reach below 0, so the series is used from `LEAST` on. The
     relative error of the sum is at most 3·STUMPFF_TERMS·u of the sum of the absolute terms (N. J. Higham, Accuracy and
-    Stability of Numerical Algorithms, 2002, section 5.1); the last term is added for those left out.
+    Stability of Numerical Algorithms, 2002, section 5.1); the last term is added to account for the omitted ones.
     """
     most = series[0] * (1 + 4 * U)
     inside = (low >= LEAST) & (high <= FALLS_UNTIL)
-    # c_k decreases: its lower bound is at the upper end of x.
+    # c_k decreases, so its lower bound is its value at the upper end of x.
     x = np.where(inside, np.stack([high, low]), 0.0)
     value, size = _horner(series, x, -1.0), _horner(series, np.maximum(x, -x), 1.0)
-    # Horner's rule rounds twice a term and the stumpff_coefficients once; `size` sums the absolute values of all terms.
+    # Horner's rule rounds twice per term, the coefficients once; `size` sums the absolute values of all terms.
     off = (4 * STUMPFF_TERMS * U + 1e-30) * size
-    # |c_k(x)| ≤ c_k(0) = 1/k! for all x ≥ 0: c_k averages cosines.
+    # |c_k(x)| ≤ c_k(0) = 1/k! for all x ≥ 0, because c_k is an average of cosines.
     known = low >= 0
     lowest, highest = np.maximum(value[0] - off[0], -most), value[1] + off[1]
     highest = np.where(known, np.minimum(highest, most), highest)

@@ -1,4 +1,4 @@
-"""Intervals: enclosures of a graph's values over boxes, rounded outward."""
+"""Encloses the values of a graph over boxes in intervals, rounded outward."""
 
 import lazy_loader
 

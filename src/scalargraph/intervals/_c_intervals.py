@@ -1,11 +1,11 @@
-"""Bounds of graphs by compiled C: the steps of a tape, each a loop over a few boxes.
+"""Bounds graphs by compiled C: each step of a tape is a loop over a few boxes.
 
-The C is generated from the formulas of the operations in NumPy, so that it does the same in the same order. It has all
-operations and no graph, so that it is compiled once, for all proofs; a graph is a list of steps for it.
+The C is generated from the NumPy formulas of the operations, so that both do the same in the same order. It contains
+all operations but no graph, so one compilation serves all proofs; a graph is passed to it as a list of steps.
 
-It is trusted that the compiler obeys IEEE 754. No flag permits it to do otherwise: products and sums are not
-contracted, and the flags for errno, traps and wrapping whole numbers change no value. Where a library is loaded, each
-operation is compared with NumPy's, bit by bit, on numbers of all sizes; where one differs, the library is refused.
+The compiler is trusted to obey IEEE 754. No flag permits it to do otherwise: products and sums are not fused, and the
+flags for errno, traps and wrapping integers change no value. When a library is loaded, each operation is compared with
+NumPy's, bit by bit, on numbers of all sizes; if one differs, the library is refused.
 """
 
 import ctypes
@@ -25,7 +25,7 @@ from scalargraph.intervals._tape import KERNELS, Interval, Kernel, Place, Tape, 
 from scalargraph.template import fill
 
 LANES = 128
-"""Number of boxes that a step works on at once: enough that the choice of the next step costs little."""
+"""Number of boxes that each step processes at once: enough that the choice of the next step costs little."""
 
 
 def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
@@ -54,7 +54,7 @@ def kernel_text(text: Text, kernel: Kernel, name: str) -> str:
 
 @functools.cache
 def source() -> str:
-    """Generate the C of all kernels, and of the loop over the steps of a tape.
+    """Generate the C of all kernels, and of the loop that carries out the steps of a tape.
 
     The text is the same in every process; the compiled library is cached under a hash of it.
     """
@@ -91,21 +91,21 @@ class Library:
         differing = self._differs()
         if differing:
             raise OSError(f"{compiler()} rounds {differing} in another way than NumPy, so NumPy does the work")
-        # Half of it is subnormal: it survives in the sum only where such numbers are not flushed to zero.
+        # Half of it is subnormal. The sum equals SMALLEST only if subnormal numbers are not flushed to zero.
         if not np.float64(SMALLEST) * 0.5 + np.float64(SMALLEST) * 0.5 == SMALLEST:
             raise OSError(f"numbers below {SMALLEST:.0e} count as zero in this process, so NumPy does the work")
 
     def run(self, made: "Steps", ends: np.ndarray) -> np.ndarray:
         """Carry out the steps of a tape."""
         ends, results = np.ascontiguousarray(ends), np.empty((len(made.outputs), ends.shape[1]))
-        work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be at the same steps
+        work = made.idle.pop() if made.idle else made.work.copy()  # another thread may be using the array
         arrays = (made.steps, made.length, work, made.inputs, len(made.inputs), made.outputs, len(made.outputs))
         self._enclose(*map(_c_argument, (*arrays, ends.shape[1], ends, results)))
         made.idle.append(work)
         return results
 
     def _differs(self) -> str:
-        """The name of a kernel that gives other bits than its formula, or nothing."""
+        """The name of a kernel whose results differ in bits from its formula; empty if there is none."""
         rng = np.random.default_rng(0)
         for name, kernel in KERNELS.items():
             ends = _trials(kernel, rng)
@@ -118,14 +118,14 @@ class Library:
             arguments = [_of(kind, rows) for kind, rows in zip(kernel.arguments, np.split(ends, cut), strict=True)]
             with np.errstate(all="ignore"):
                 expected = np.stack([np.asarray(end, float) for end in kernel.formula(*arguments)])
-            # Zeros of both signs are equal here, and so is any NaN: neither changes a bound.
+            # Zeros of both signs count as equal, and so do all NaN: neither changes a bound.
             if not np.array_equal(self.run(steps, ends), expected, equal_nan=True):
                 return name
         return ""
 
 
 SMALLEST = 2.0**-1022
-"""The smallest normal double. Libraries for fast arithmetic make a process flush those below to zero."""
+"""The smallest normal double. Some libraries for fast arithmetic make a process flush smaller numbers to zero."""
 
 
 def _c_argument(value: Any) -> Any:
@@ -133,7 +133,7 @@ def _c_argument(value: Any) -> Any:
 
 
 def _of(kind: Any, rows: Any) -> Any:
-    """An argument of a kernel from its parts."""
+    """An argument of a kernel, assembled from its rows."""
     if kind is Truth:
         return Truth(*(row if isinstance(row, Place) else row != 0 for row in rows))
     return kind(*rows) if isinstance(kind, type) else list(rows)
@@ -145,16 +145,16 @@ TRIALS = 640
 
 
 def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
-    """Arguments of a kernel (places, TRIALS): intervals of all sizes, narrow and wide ones, and unknown ones."""
+    """Test arguments of a kernel (places, TRIALS): intervals of all sizes, narrow, wide and unknown ones."""
     rows = []
     for kind, width in zip(kernel.arguments, kernel.widths, strict=True):
         if kind is Truth:
             rows.append(np.sort(rng.integers(0, 2, (2, TRIALS)), axis=0).astype(float))
         elif kind is Interval:
-            # Half of the intervals are narrow, as in proofs; the others have ends of unrelated sizes.
+            # Half of the intervals are narrow, as in proofs; the ends of the others have unrelated sizes.
             size = rng.choice(SIZES, (2, TRIALS)) * rng.uniform(0.5, 1.0, (2, TRIALS)) * rng.choice([-1, 1], TRIALS)
             size[1] = np.where(rng.random(TRIALS) < 0.5, size[0] * (1 + 1e-6), size[1] * rng.choice([-1, 1], TRIALS))
-            # Some intervals of which nothing is known.
+            # A few intervals are unknown.
             size[:, rng.random(TRIALS) < 0.02] = np.nan
             rows.append(np.sort(size, axis=0))
         else:
@@ -165,7 +165,7 @@ def _trials(kernel: Kernel, rng: np.random.Generator) -> np.ndarray:
 def at_hand() -> bool:
     """Whether the kernels have been compiled before, so that using them takes no compilation.
 
-    False where there is no compiler.
+    It is False if there is no compiler.
     """
     return compiler() is not None and is_kept(source(), EXACT)
 
@@ -191,17 +191,17 @@ class Steps(NamedTuple):
 
     @classmethod
     def of(cls, tape: Tape, inputs: Sequence[int], outputs: Sequence[int]) -> "Steps":
-        """Translate a tape, using places again after their values were read for the last time."""
+        """Translate a tape; a place is reused after its value was read for the last time."""
         done = fused(tape, outputs)
         last = {place: k for k, step in enumerate(done) for place in (*step.results, *step.arguments)}
-        # Outputs are read at the end and constants in the next block of boxes too: their places are never used again.
+        # Outputs are read at the end, and constants also for the next block of boxes: their places are never reused.
         last.update(dict.fromkeys([*outputs, *tape.constants.values()], len(done)))
         place = {number: k for k, number in enumerate([*tape.constants.values(), *inputs])}
         free, count, rows = [], len(place), []
         kernels = {name: k for k, name in enumerate(KERNELS)}
         for k, step in enumerate(done):
-            # Results get their places before those of the arguments are free: kernels read and write by `restrict`
-            # pointers.
+            # Results get their places before the places of the arguments are released, because kernels read and write
+            # through `restrict` pointers.
             for result in step.results:
                 if free:
                     place[result] = free.pop()
@@ -216,7 +216,7 @@ class Steps(NamedTuple):
 
 
 class CompiledBounds:
-    """Bounds of a function by compiled C; it is called with corners of boxes (B, inputs), as `enclose`.
+    """Bounds of a function by compiled C; call it with the corners of boxes (B, inputs), as `enclose`.
 
     Args:
         lowered: The function.
@@ -233,7 +233,7 @@ class CompiledBounds:
         self._library, self._steps = library, Steps.of(tape, places, outputs)
 
     def __call__(self, low: np.ndarray, high: np.ndarray) -> Enclosure:
-        """As `enclose`."""
+        """Bounds of the function over boxes, as `enclose` returns them."""
         ends = np.stack([low.T, high.T], axis=1).reshape(-1, len(low))
         results = self._library.run(self._steps, ends)
         count = len(results) // 2

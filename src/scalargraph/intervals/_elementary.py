@@ -1,7 +1,7 @@
-"""Elementary functions of intervals: bounds from the values at the ends, moved outward by their proved errors.
+"""Bounds elementary functions over intervals: values at the ends, moved outward by their proved errors.
 
-Each function takes the bounds of its argument, arrays (B,), and returns those of its values. NaN in a bound means that
-nothing is known, and is propagated.
+Each function takes the bounds of its argument, arrays (B,), and returns the bounds of its values. NaN as a bound means
+that nothing is known, and is propagated.
 """
 
 import functools
@@ -14,43 +14,43 @@ from scalargraph.intervals import _points as points
 from scalargraph.intervals._points import HALF_PI_HIGH, UNITS, U
 
 TINY = 2.0**-1022
-"""Larger than the error of a result that underflows. It is the smallest normal double, as smaller ones are slow."""
+"""Larger than the error of a result that underflows: the smallest normal double, as subnormal numbers are slow."""
 LARGEST = np.finfo(float).max
 HUGE = LARGEST * (1 - 2.0**-40)
 """A lower bound of every result that overflows, since the relative errors here are below 2⁻⁴⁰."""
 
 THIRD = 0x2AA0000000000000
-"""Two thirds of the bits of 1; added to a third of the bits of a number, they are those of roughly its cube root."""
+"""Two thirds of the bits of 1. Added to a third of the bits of a number, it gives the bits of roughly its cube root."""
 
 Bounds = tuple[Any, Any]
 Rule = Callable[..., Bounds]
 
 
 def _relative(op: str) -> float:
-    """Relative step outward that exceeds the error of the value and of the step itself."""
-    # Beyond the error of the value: one unit for the rounding of value ± step, and a quarter for that of the step.
+    """Relative step outward that exceeds both the error of the value and the rounding of the step itself."""
+    # On top of the error of the value: one unit for the rounding of value ± step, a quarter for that of the step.
     return (UNITS[op] + 1.25) * U
 
 
 def _mask_undefined(defined: Any, bounds: Bounds) -> Bounds:
-    """The bounds where the function is defined, NaN elsewhere."""
+    """The bounds where the function is defined, and NaN elsewhere."""
     if defined.all():
         return bounds
     return np.where(defined, bounds[0], np.nan), np.where(defined, bounds[1], np.nan)
 
 
 def _rising(op: str, floor: float = -np.inf, ceiling: float = np.inf) -> Rule:
-    """Bounds of an increasing function whose computed value is zero exactly where the function is."""
+    """Bounds of an increasing function. Its computed value must be zero exactly if the function is zero."""
     point, relative = getattr(points, op), _relative(op)
 
     def bounds(low: Any, high: Any) -> Bounds:
         value = point(np.stack([low, high]))
         size = np.abs(value)
-        # The absolute part covers underflow; where the value is zero, so is the function, and the step is 0.
+        # The absolute part covers underflow. If the value is zero, the function is zero too, and the step is 0.
         step = np.minimum(size, TINY)
         size *= relative
         step += size
-        # A value that overflows is still known to be large.
+        # If a value overflows, a large lower bound is still known.
         lowest = np.where(value[0] > LARGEST, HUGE, value[0] - step[0])
         highest = np.where(value[1] < -LARGEST, -HUGE, value[1] + step[1])
         if floor > -np.inf or ceiling < np.inf:
@@ -68,14 +68,15 @@ def _within(first: Any, last: Any, rest: int, period: int) -> Any:
 def _turns(low: Any, high: Any) -> tuple[Any, ...]:
     """Data of both ends reduced modulo π/2: quarter turns, sine and cosine, errors; and the range of quarter turns.
 
-    The range is the first and the last whole quarter turn between the ends. A quarter turn too close to an end to know
-    its side counts as between. The last entry is the largest number of quarter turns, which may be too large to reduce.
+    The range is the first and the last whole quarter turn between the ends. A quarter turn counts as between them if
+    rounding leaves open on which side of an end it lies. The last entry is the largest number of quarter turns; an
+    argument with too many cannot be reduced.
     """
     x = np.stack([low, high])
     k, bits, r, rest = points.quarters(x)
     size = np.abs(k)
     error = size * points.QUARTER_ERROR
-    # A reduced argument within its error of 0 counts as on the quarter turn, so that no extremum is missed.
+    # A reduced argument that is 0 within its error counts as lying on the quarter turn, so that no extremum is missed.
     first, last = k[0] + (r[0] > error[0]), k[1] - (r[1] < -error[1])
     largest = np.maximum(size[0], size[1])
     return bits, *points.sin_cos_reduced(r, rest), error, first, last, largest
@@ -89,7 +90,7 @@ def _wave(op: str) -> Rule:
         bits, sine, cosine, error, first, last, largest = _turns(low, high)
         bits = bits + ahead
         value = np.where((bits & 1).astype(bool), cosine, sine)
-        # The second bit of the count of quarter turns is the sign: 2 << 62 is the sign bit of a double.
+        # Bit 1 of the count of quarter turns decides the sign: shifted by 62 it is the sign bit of a double.
         value = (value.view(np.int64) ^ ((bits & 2) << 62)).view(float)
         size = np.abs(value)
         error += np.minimum(size, TINY)
@@ -97,7 +98,7 @@ def _wave(op: str) -> Rule:
         error += size
         lowest, highest = value - error, value + error
         lowest, highest = np.minimum(lowest[0], lowest[1]), np.maximum(highest[0], highest[1])
-        # The sine is −1 at quarter turns 3 modulo 4 and 1 at 1; for the cosine, a quarter turn ahead, at 2 and 0.
+        # The sine is −1 at quarter turns 3 modulo 4 and 1 at 1; the cosine, a quarter turn ahead, at 2 and 0.
         lowest = np.where(_within(first, last, 3 - ahead, 4), -1.0, np.maximum(lowest, -1.0))
         highest = np.where(_within(first, last, 1 - ahead, 4), 1.0, np.minimum(highest, 1.0))
         irreducible = largest > points.MOST_QUARTERS
@@ -114,9 +115,9 @@ def _tan(low: Any, high: Any) -> Bounds:
     # tan(kπ/2 + r) is tan r for even k, and −cot r for odd k.
     value = np.where(odd, -cosine, sine) / np.where(odd, sine, cosine)
     size = np.abs(value)
-    # The remaining error of the reduction is magnified by the derivative, 1 + tan².
+    # The derivative of the tangent, 1 + tan², magnifies the remaining error of the reduction.
     step = size * _relative("tan") + 2.0 * error * (1.0 + size * size) + np.minimum(size, TINY)
-    # Odd quarter turns are poles; an end whose error the derivative magnifies too much counts as one.
+    # Odd quarter turns are poles. An end at which the derivative magnifies the error too much counts as a pole.
     pole = _within(first, last, 1, 2) | ~(size * error < 2.0**-20).all(axis=0)
     return _mask_undefined((largest <= points.MOST_QUARTERS) & ~pole, (value[0] - step[0], value[1] + step[1]))
 
@@ -125,14 +126,14 @@ def _exp(low: Any, high: Any) -> Bounds:
     value = points.exp(np.stack([low, high]))
     step = value * _relative("exp")
     step += TINY
-    # exp has no zero, so that the step below an underflow is cut at 0.
+    # exp is positive, so a lower bound that an underflow would make negative is raised to 0.
     return np.maximum(np.where(value[0] > LARGEST, HUGE, value[0] - step[0]), 0.0), value[1] + step[1]
 
 
 def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
-    """Bounds of xʸ for x ≥ 0, with y > 0 where x may be 0. It is monotonic along every side of a box."""
+    """Bounds of xʸ for x ≥ 0, with y > 0 if x may be 0. The function is monotonic along every side of a box."""
     x = np.stack([x_low, x_high])
-    # The logarithm of 0 is replaced, and so is its result: 0ʸ = 0 for y > 0.
+    # For x = 0 the logarithm is computed at 1 instead, and the result replaced by 0: 0ʸ = 0 for y > 0.
     parts, ends = points.log_parts(np.where(x == 0, 1.0, x)), []
     for y in (y_low,) if np.array_equal(y_low, y_high) else (y_low, y_high):
         value, error = points.power(parts, y)
@@ -142,29 +143,29 @@ def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
     lows, highs, errors = (list(row) for row in zip(*ends, strict=True))
     low, high = functools.reduce(np.minimum, lows), functools.reduce(np.maximum, highs)
     defined = (x_low > 0) | (x_low == 0) & (y_low > 0)
-    # Beyond 1e-3 the bound of the error, which is linear in it, no longer holds.
+    # The error bound is linear in the error; above 1e-3 it no longer holds.
     defined = defined & (x_high < np.inf) & (functools.reduce(np.maximum, errors) < 1e-3)
     return _mask_undefined(defined, (low.min(axis=0), high.max(axis=0)))
 
 
 def _cosh(low: Any, high: Any) -> Bounds:
-    # The smallest and the largest |x| of the interval: cosh is even, and rises with |x|.
+    # cosh is even and increases with |x|, so the smallest and the largest |x| of the interval give its bounds.
     value = points.cosh(np.stack([np.maximum(np.maximum(low, -high), 0.0), np.maximum(-low, high)]))
     step = value * _relative("cosh")
     return np.maximum(np.where(value[0] > LARGEST, HUGE, value[0] - step[0]), 1.0), value[1] + step[1]
 
 
 def _acos(low: Any, high: Any) -> Bounds:
-    # acos decreases: its lower bound is at the upper end.
+    # acos decreases, so its lower bound is its value at the upper end.
     value = points.acos(np.stack([high, low]))
     step = value * _relative("acos")
     return _mask_undefined((low >= -1) & (high <= 1), (value[0] - step[0], value[1] + step[1]))
 
 
 def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
-    """Bounds of the angle. It has no extremum inside a box or inside a side: its bounds are those of the corners.
+    """Bounds of the angle. It has no extremum inside a box or a side, so its extreme values are at the corners.
 
-    The exception is a box across the negative half-axis, where the angle jumps: there the bounds are ±π.
+    The exception is a box across the negative half-axis, where the angle jumps; its bounds are ±π.
     """
     x, ends = np.stack([x_low, x_high]), []
     for y in (y_low, y_high):
@@ -186,22 +187,22 @@ def _cbrt(low: Any, high: Any) -> Bounds:
     """
     x = np.stack([low, high])
     size = np.abs(x)
-    # Cubes of the guess must neither underflow nor overflow: ∛(s³x) = s∛x with a power of 2, exactly.
+    # Cubes must neither underflow nor overflow: x is scaled by a power of 2, by ∛(s³x) = s∛x, which is exact.
     scale = np.where(size < 2.0**-700, 2.0**-100, np.where(size > 2.0**700, 2.0**100, 1.0))
     back = 1 / scale
     size = size * back * back * back
     usual = (size > 0) & (size < np.inf)
     inside = np.where(usual, size, 1.0)
     guess = (inside.view(np.int64) // 3 + THIRD).view(float)
-    # Newton doubles the digits: from a guess right to 6 %, four steps reach rounding, and the fifth is to spare.
+    # Newton's method doubles the digits: from an error of 6 %, four steps reach rounding, and the fifth is a reserve.
     for _ in range(5):
         guess = (2.0 * guess + inside / (guess * guess)) / 3.0
     guess = np.where(usual, guess, size)
     below, above = guess * (1 - 6 * U), guess * (1 + 6 * U)
-    # Three products round by 3u at most, so that the factors 1 ± 4u make both comparisons rigorous.
+    # Three products err by at most 3u, so that the factors 1 ± 4u make both comparisons rigorous.
     verified = (below * below * below * (1 + 4 * U) <= size) & (above * above * above * (1 - 4 * U) >= size)
     below, above = np.where(verified, below * scale, np.nan), np.where(verified, above * scale, np.nan)
-    # Of a negative number the larger root in size is the lower bound.
+    # For a negative number, the negative of the larger root is the lower bound.
     return np.where(x[0] > 0, below[0], -above[0]), np.where(x[1] > 0, above[1], -below[1])
 
 
@@ -230,4 +231,4 @@ ELEMENTARY: dict[str, Rule] = {
     "cbrt": _cbrt,
     "pow": _power,
 }
-"""Bounds of each function from the bounds of its arguments: NaN where it is not defined on all of the box."""
+"""Bounds of each function from the bounds of its arguments; NaN if it is undefined somewhere in the box."""

@@ -1,4 +1,4 @@
-"""A graph evaluated in intervals: bounds on a function over boxes, and boxes on which it is defined without jumps."""
+"""Evaluates a graph in intervals: bounds a function over boxes, and finds boxes without undefined values or jumps."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ class Enclosure(NamedTuple):
     Attributes:
         low: Lower bounds (B, outputs); NaN where nothing is known.
         high: Upper bounds (B, outputs); NaN where nothing is known.
-        smooth: Which boxes (B,) have every choice decided, so that the function does not jump there.
+        smooth: Boxes (B,) on which every choice is decided, so that the function does not jump there.
 
     Example:
         >>> import jax.numpy as jnp
@@ -40,21 +40,21 @@ JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
 
 @kernel
 def decided(p: Truth) -> Truth:
-    """Boxes on which a choice by a statement does not jump: it holds on all of the box, or nowhere on it."""
+    """Boxes on which a choice by a statement does not jump: the statement holds everywhere or nowhere on the box."""
     known = p.must | ~p.may
     return Truth(known, known)
 
 
 @kernel
 def unequal(a: Interval, b: Interval) -> Truth:
-    """Boxes on which two numbers are nowhere equal."""
+    """Boxes on which two numbers are equal at no point."""
     known = (a.high < b.low) | (a.low > b.high)
     return Truth(known, known)
 
 
 @kernel
 def not_zero(a: Interval) -> Truth:
-    """Boxes on which a sign does not jump: zero has the sign 0, which is neither of the others."""
+    """Boxes on which a sign does not jump: 0 is excluded, since its sign differs from those of all other numbers."""
     known = (a.low > 0) | (a.high < 0)
     return Truth(known, known)
 
@@ -65,7 +65,7 @@ def off_the_cut(y: Interval, x: Interval) -> Truth:
 
     The cut is the negative half-axis with the origin; values on it belong to the upper side.
     """
-    # The cut is y = 0, x ≤ 0. From y ≥ 0 the angle is continuous onto it for x < 0, hence the second part.
+    # The cut is y = 0, x ≤ 0. For x < 0 the angle is continuous up to the cut from y ≥ 0, hence the second term.
     known = ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
     return Truth(known, known)
 
@@ -104,7 +104,7 @@ def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
 
 def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval], Truth]:
     """Bound the values of a function, in NumPy or as steps of a tape."""
-    # A loop in intervals may never end, since its condition stays undecided; a table would be read at one place only.
+    # A loop may never end in intervals, as its condition stays undecided; a table would be read at one index only.
     if odd := {node.op for node in lowered.graph.nodes} & {"loop", "table"}:
         raise InputError(f"a function with a {min(odd)} has no bounds; lower it with loops='unrolled'")
     smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
@@ -131,7 +131,7 @@ def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray,
     low, high = np.asarray(low, float), np.asarray(high, float)
     if low.ndim != 2 or low.shape != high.shape or low.shape[1] != inputs:
         raise InputError(f"boxes of this graph have corners (B, {inputs}); got {low.shape} and {high.shape}")
-    # Negated, so that NaN, which fails every comparison, is invalid too.
+    # Written with a negation, so that NaN, which fails every comparison, is invalid too.
     invalid = np.argwhere(~(low <= high))
     if invalid.size:
         box, entry = invalid[0]
@@ -141,8 +141,8 @@ def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray,
     return low, high
 
 
-# Where a function is defined and does not jump. Here a comparison is decided only strictly: where both sides may be
-# equal, on a face of a box or at a variable that is held fixed, what depends on the comparison may jump there.
+# Conditions under which a function is defined and does not jump. A comparison is decided only if it is strict: if both
+# sides may be equal, on a face of a box or for a fixed variable, a result that depends on the comparison may jump.
 
 
 class Step(Interval):
@@ -155,13 +155,13 @@ class Step(Interval):
 
 
 def _strictly(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    """a < b; also for a ≤ b, since equality counts as undecided."""
+    """a < b; also used for a ≤ b, since equality counts as undecided."""
     a, b = as_number(a), as_number(b)
     return Truth(a.high < b.low, ~(a.low > b.high))
 
 
 def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
-    """A rule for arguments that are locally constant, and another for arguments that change."""
+    """A rule that depends on the arguments: `rule` if all are locally constant, else `otherwise`."""
 
     return lambda *arguments: (_stepping(rule) if all(isinstance(a, Step | Truth) for a in arguments) else otherwise)(
         *arguments
@@ -177,7 +177,7 @@ def _stepping(rule: Callable) -> Callable:
 
 
 def _same(a: Any, b: Any) -> Truth:
-    """Equality of numbers that change: decided only where they are the same node, or have disjoint intervals."""
+    """Equality of numbers that vary: decided only if they are the same node, or have disjoint intervals."""
     return eq(a, b) if a is b else Truth(np.zeros_like(eq(a, b).must), eq(a, b).may)
 
 
@@ -194,7 +194,7 @@ STRICT: Domain = {
 def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Prove conditions on boxes.
 
-    A comparison is decided only strictly here: where both sides may be equal, a choice by it may jump.
+    A comparison is decided only if it is strict: if both sides may be equal, a choice by it may jump.
 
     Args:
         conditions: The conditions of a function, `Lowered.conditions`.
@@ -202,7 +202,7 @@ def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.n
         high: Upper corners (B, inputs), low ≤ high.
 
     Returns:
-        Which conditions hold on all of which boxes, (B, conditions): True only where it is proved.
+        Whether each condition is proved on all of each box, (B, conditions).
 
     Raises:
         ValueError: The corners have another shape, are NaN, or low exceeds high.
@@ -226,7 +226,7 @@ def fulfilled(conditions: Conditions, low: np.ndarray, high: np.ndarray) -> np.n
         if condition.kind == "finite":
             proved[:, k] = (value.low > -LARGEST) & (value.high < LARGEST)
         elif condition.kind == "whole":
-            # Strictly between two neighbouring integers, so that the number neither equals nor crosses one.
+            # It must lie strictly between two neighbouring integers, so that it neither equals nor crosses one.
             below = np.floor(value.low)
             proved[:, k] = isinstance(value, Step) or (below < value.low) & (np.floor(value.high) == below)
         else:

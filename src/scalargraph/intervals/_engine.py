@@ -1,4 +1,4 @@
-"""Bounds of a graph over boxes, by NumPy or by compiled C, whichever takes less time; both give the same bounds."""
+"""Bounds a graph over boxes by NumPy or by compiled C, whichever takes less time; both give the same bounds."""
 
 import functools
 import weakref
@@ -11,15 +11,15 @@ from scalargraph.intervals._c_intervals import CompiledBounds, Library, at_hand
 from scalargraph.intervals._enclose import Enclosure, by_numpy, corners
 
 Arithmetic = Literal["auto", "numpy", "c"]
-"""Implementation of interval arithmetic: compiled C where it pays, or always NumPy, or always C."""
+"""Implementation of interval arithmetic: NumPy, compiled C, or "auto" for C as soon as compiling it saves time."""
 
 A_CALL = 1500
-"""Fixed cost of a call of NumPy, in boxes. Translating the graph into steps for C costs less."""
+"""Fixed cost of a call of NumPy, expressed in boxes. Translating the graph into steps for C costs less."""
 COMPILATION = 2e8
-"""Cost of the compilation, in boxes times nodes evaluated by NumPy."""
+"""Cost of the compilation, expressed as boxes times nodes evaluated by NumPy."""
 
 
-# Weak keys: the steps of a graph are dropped with it.
+# The keys are weak references, so that the steps of a graph are released with it.
 _WRITTEN: weakref.WeakKeyDictionary[Graph, dict[tuple[int, ...], CompiledBounds]] = weakref.WeakKeyDictionary()
 _effort = 0.0
 
@@ -27,8 +27,8 @@ _effort = 0.0
 def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray, engine: Arithmetic = "auto") -> Enclosure:
     """Bound the values of a function over boxes, rigorously.
 
-    Use it to bound a function over a region with certainty, which samples cannot give. The bounds are safe but may be
-    wide, since each variable counts as independent at each place where it occurs: halve the boxes for tighter ones.
+    Use it to bound a function over a region with certainty, which samples cannot do. The bounds are safe but may be
+    wide, since each occurrence of a variable counts as an independent variable: halve the boxes for tighter bounds.
     `proofs.prove` does this for matrices until a verdict is reached.
 
     Args:
@@ -76,8 +76,8 @@ def in_c(engine: Arithmetic) -> bool:
     """Whether compiled C is to do the interval arithmetic from now on, if there is a compiler.
 
     Args:
-        engine: "c" always says yes and "numpy" no. "auto" says yes where the kernels have been compiled before, or
-            where this process has done enough work by NumPy.
+        engine: "c" always gives True and "numpy" False. "auto" gives True if the kernels have been compiled before, or
+            if this process has done enough work by NumPy.
 
     Example:
         >>> from scalargraph.intervals import in_c

@@ -1,7 +1,7 @@
-"""Fusion of two or three steps of a tape into one, where only the outer one reads the results of the inner ones.
+"""Fuses two or three steps of a tape into one, if only the outer step reads the results of the inner ones.
 
-The operations are the same, so the results are. This saves the transfer of intermediate bounds through memory, and the
-choice of a step, which together cost as much as a sum of intervals.
+The fused step does the same operations and gives the same results. It saves storing intermediate bounds in memory and
+selecting a further step, which together cost as much as a sum of intervals.
 """
 
 import itertools
@@ -29,9 +29,9 @@ PAIRS = (
     ("over_number", ("sub", "")),
     ("quotients", ("sub", "")),
 )
-"""Outer steps, and for each of their arguments the step that computes it and becomes part of the outer one, or "".
+"""Fusions: an outer step, and for each of its arguments the inner step that computes it, or "" for none.
 
-They are the most frequent in derivatives of products and quotients. An earlier one of an outer step is preferred.
+The listed pairs are the most frequent in derivatives of products and quotients. If several fit, the first one is used.
 """
 SYMMETRIC = ("add", "products")
 
@@ -59,7 +59,7 @@ KERNELS.update({_name(outer, inner): _compose_kernel(outer, inner) for outer, in
 
 
 class _Fusion(NamedTuple):
-    """Steps to join: the kernel, the inner kernels by the place of their argument, and if the outer one is turned."""
+    """Steps to join: the kernel, the inner kernels by argument, and whether the outer arguments are exchanged."""
 
     kernel: str
     inner: tuple[tuple[int, str], ...]
@@ -82,11 +82,11 @@ WAYS = {outer: _fusions(outer) for outer, _ in PAIRS}
 def fused(tape: Tape, outputs: Sequence[int]) -> list[Step]:
     """Return the steps of a tape with some of them joined."""
     uses = Counter(itertools.chain(outputs, *(step.arguments for step in tape.steps)))
-    # A result that is read once vanishes into the step that reads it; one that others read too must be stored.
+    # A result with one reader is absorbed into the step that reads it; a result with several readers must be stored.
     unshared = {step.results: step for step in tape.steps if uses[step.results[0]] <= 1 >= uses[step.results[1]]}
     done: set[tuple[int, ...]] = set()
     steps = []
-    # From the end, so that an outer step is seen before the inner ones that it absorbs.
+    # Steps are visited from the end, so that an outer step comes before the inner steps that it absorbs.
     for step in reversed(tape.steps):
         if step.results in done:
             continue

@@ -1,13 +1,13 @@
-"""Interval arithmetic for graphs: rigorous bounds on their values over whole boxes, including all rounding errors.
+"""Interval arithmetic for graphs: rigorous bounds of values over whole boxes, including all rounding errors.
 
-The bounds hold for the function of real numbers that the graph represents, with its constants exactly the doubles they
-are. They rely on IEEE 754 alone: + - × ÷ and the square root of doubles, rounded to nearest. Every bound is moved
-outward by at least its rounding error: by a part in 2⁵³ of itself and, where products may underflow, by the smallest
-normal double (S. M. Rump, P. Zimmermann, S. Boldo, G. Melquiond, Computing predecessor and successor in rounding to
-nearest, BIT 49, 2009).
+The bounds hold for the function of real numbers that the graph represents; its constants are exactly the given doubles.
+They rely on IEEE 754 alone: + - × ÷ and the square root of doubles, rounded to nearest. Every bound is moved outward by
+at least its rounding error: by a part in 2⁵³ of itself and, if a product may underflow, by the smallest normal double
+(S. M. Rump, P. Zimmermann, S. Boldo, G. Melquiond, Computing predecessor and successor in rounding to nearest, BIT 49,
+2009).
 
-A bound that is NaN gives no information. Where a function is not defined on all of a box, such as the root of a
-negative number, both bounds are NaN and remain so through every operation; comparisons with them are undecided.
+A bound that is NaN gives no information. If a function is undefined somewhere in a box, such as the root of a negative
+number, both bounds are NaN and remain so through every operation; comparisons with them are undecided.
 """
 
 import functools
@@ -22,27 +22,27 @@ from scalargraph.intervals._elementary import ELEMENTARY, TINY
 from scalargraph.intervals._tape import Interval, Kernel, Truth, as_kernel, kernel
 
 STEP = 3 * 2.0**-54
-"""A relative step outward: c ± STEP·|c|, in doubles, is a neighbour of c or beyond it.
+"""A relative step outward: c ± STEP·|c|, computed in doubles, is a neighbour of c or lies beyond it.
 
 Half a unit in the last place of c is at most 2⁻⁵³|c|; the margin makes the sum round away from c. This also holds for
 subnormal c, down to those whose unit is the smallest double, where sums are exact.
 """
 SMALL = 2.0**-1000
-"""Results of at least this size have not underflowed."""
+"""Results of at least this size cannot have underflowed."""
 BLOCK = 4096
-"""Number of boxes for which an elementary function is computed at once: its working arrays then stay in the cache."""
+"""Number of boxes for which an elementary function is computed at once; its working arrays then fit in the cache."""
 MOST_PRODUCTS = 32
-"""Largest exponent of a power that is computed as a product."""
+"""Largest exponent for which a power is computed as a product."""
 
 
 def constant(value: float | bool | int) -> Interval | Truth:
-    """Interval, or statement, of a known value, shared by all boxes."""
+    """Interval, or statement, of a known value; all boxes share it."""
     if isinstance(value, bool | np.bool_):
         return Truth(np.bool_(value), np.bool_(value))
     return Interval(np.float64(value), np.float64(value))
 
 
-# Outward rounding. The argument is a new array, which is changed in place.
+# Outward rounding. The argument must be a new array, as it is changed in place.
 
 
 def _down(c: Any) -> Any:
@@ -62,7 +62,7 @@ def _up(c: Any) -> Any:
 def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
     """Outward step of a bound c that is a product or a quotient.
 
-    Where a result may have underflowed, `inexact()` is whether it differs from the exact one because of that.
+    If a result may have underflowed, `inexact()` says whether it differs from the exact result because of that.
     """
     step = np.abs(c)
     underflows = step < SMALL
@@ -75,7 +75,7 @@ def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
 def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
     """Bounds moved outward from the extreme products, or quotients, of the bounds of a and b.
 
-    A zero may be an underflowed product only where the signs of a and b permit a nonzero one.
+    A zero counts as a possible underflow only if the signs of a and b permit a product that is not zero.
     """
     below = _product_step(low, lambda: (low != 0) | (a.low < 0) & (b.high > 0) | (a.high > 0) & (b.low < 0))
     above = _product_step(high, lambda: (high != 0) | (a.low < 0) & (b.low < 0) | (a.high > 0) & (b.high > 0))
@@ -85,11 +85,11 @@ def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
 
 
 def _is_number(a: Interval) -> bool:
-    # NaN is unequal to itself, and so is no number here.
+    # NaN is unequal to itself, so it does not count as a number here.
     return bool(np.ndim(a.low) == 0 and a.low == a.high)
 
 
-# The operations, and the kernels of which they are made.
+# The operations, and the kernels from which they are composed.
 
 
 @kernel
@@ -101,7 +101,7 @@ def neg(a: Interval) -> Interval:
 @kernel
 def add(a: Interval, b: Interval) -> Interval:
     """Interval of a + b; each bound is moved outward by the rounding error of its sum."""
-    # A sum that underflows is exact in IEEE arithmetic, so that a relative step is enough.
+    # A sum in the range of subnormal numbers is exact in IEEE arithmetic, so a relative step is enough.
     return Interval(_down(a.low + b.low), _up(a.high + b.high))
 
 
@@ -114,7 +114,7 @@ def sub(a: Interval, b: Interval) -> Interval:
 def mul(a: Interval, b: Interval) -> Interval:
     """Interval of a·b, with the tightest rule that applies.
 
-    The same node on both sides gives a square; where one factor is a number, each end needs one product.
+    If both factors are the same node, it is a square; if one factor is a number, each end needs one product.
     """
     if a is b:
         return square(a)
@@ -127,7 +127,7 @@ def mul(a: Interval, b: Interval) -> Interval:
 
 def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     """Bounds of products or quotients: their extremes are at the ends of a and b."""
-    # A product is linear in each factor, so that its extremes over a rectangle are at corners.
+    # A product is linear in each factor, so its extremes over a rectangle are at corners.
     low, other = operation(a.low, b.low), operation(a.low, b.high)
     is_array = isinstance(low, np.ndarray)  # new, so that it may be changed in place
     high = np.maximum(low, other)
@@ -140,7 +140,7 @@ def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
 
 
 def _extremes_apart(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
-    """The same with a separate test for NaN, for processors whose minimum does not propagate it."""
+    """The same as `_extremes`, with a separate test for NaN, for processors whose minimum does not propagate NaN."""
     (p, q), (r, s) = ((operation(end, b.low), operation(end, b.high)) for end in a)
     known = (p == p) & (q == q) & (r == r) & (s == s)
     low, other = np.where(q < p, q, p), np.where(s < r, s, r)
@@ -150,7 +150,7 @@ def _extremes_apart(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
 
 
 def _turned(a: Interval, k: Any) -> Interval:
-    """The ends of which a·k and a/k have their least and their largest value."""
+    """The ends of a, ordered such that the first one gives the smallest a·k and a/k."""
     return a if k >= 0 else Interval(a.high, a.low)
 
 
@@ -167,7 +167,7 @@ def over_number(ends: Interval, k: Interval) -> Interval:
 
 
 def _scale_ends(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
-    """a·k or a/k for a number k and the ends of a turned to its sign."""
+    """a·k or a/k for a number k, from the ends of a in the order of `_turned`."""
     first, last = ends
     low, high = operation(first, k), operation(last, k)
     below, above = _product_step(low, lambda: first != 0), _product_step(high, lambda: last != 0)
@@ -176,17 +176,17 @@ def _scale_ends(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
 
 @kernel
 def square(a: Interval) -> Interval:
-    """Interval of a², which is not negative even where a·a of two independent factors would be."""
+    """Interval of a². It is never negative, unlike the product of two independent numbers in the same interval."""
     size = absolute(a)
-    # By |a|, whose ends are in order, so that both bounds are squares of one end each.
+    # The ends of |a| are in order, so that each bound is the square of one end.
     low, high = size.low * size.low, size.high * size.high
     below, above = _product_step(low, lambda: size.low != 0), _product_step(high, lambda: size.high != 0)
-    # The step outward must not go below 0, which no square does.
+    # The lower bound is not moved below 0, since no square is negative.
     return Interval(np.maximum(low - below, 0.0), high + above)
 
 
 def div(a: Interval, b: Interval) -> Interval:
-    """Interval of a/b, NaN where b may be zero; one quotient for each end where one of them is a number."""
+    """Interval of a/b, NaN if b may be zero; if one of them is a number, each end needs one quotient."""
     if _is_number(b) and b.low != 0:
         return over_number(_turned(a, b.low), b)
     if _is_number(a):
@@ -195,7 +195,7 @@ def div(a: Interval, b: Interval) -> Interval:
 
 
 def _pair(name: str, rule: Callable[..., Interval]) -> Callable[[Interval, Interval], Interval]:
-    """A kernel of two intervals from a rule that is passed the function for their extremes."""
+    """A kernel of two intervals, from a rule that receives the function for their extremes as an argument."""
     kernel = Kernel(functools.partial(rule, _extremes_apart), (Interval, Interval), Interval)
     return as_kernel(name, kernel, functools.partial(rule, _extremes))
 
@@ -206,13 +206,13 @@ quotients = _pair("quotients", lambda extremes, a, b: where((b.low > 0) | (b.hig
 
 @kernel
 def number_over(k: Interval, b: Interval, ends: Interval) -> Interval:
-    """Interval of k/b, NaN where b may be zero."""
+    """Interval of k/b, NaN if b may be zero."""
     quotient = _product(k.low / ends.low, k.low / ends.high, k, b)
     return where((b.low > 0) | (b.high < 0), quotient)
 
 
 def where(defined: Any, a: Interval) -> Interval:
-    """An interval where the function is defined, and NaN bounds elsewhere."""
+    """The interval where the function is defined, and NaN bounds elsewhere."""
     if defined.all():
         return a
     return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
@@ -220,7 +220,7 @@ def where(defined: Any, a: Interval) -> Interval:
 
 @kernel
 def absolute(a: Interval) -> Interval:
-    """Interval of |a|, exact; its lower bound is 0 where a contains 0."""
+    """Interval of |a|, exact; its lower bound is 0 if a contains 0."""
     nearest = np.maximum(a.low, -a.high)
     return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
 
@@ -249,12 +249,12 @@ def larger(a: Interval, b: Interval) -> Interval:
 
 @kernel
 def sqrt(a: Interval) -> Interval:
-    """Interval of √a, NaN where a may be negative; a correctly rounded root is off by half a unit in the last place."""
+    """Interval of √a, NaN if a may be negative; a correctly rounded root errs by half a unit in the last place."""
     return where(a.low >= 0, Interval(_down(np.sqrt(a.low)), _up(np.sqrt(a.high))))
 
 
 def _elementary_of(op: str, bounds: Callable) -> Callable:
-    """An operation on intervals from one on bounds, applied block by block, so that its arrays stay in the cache."""
+    """An operation on intervals from one on bounds; it works block by block, so that its arrays fit in the cache."""
 
     def formula(*arguments: Interval) -> Interval:
         return Interval(*bounds(*(end for a in arguments for end in a)))
@@ -277,12 +277,12 @@ _ELEMENTARY = {op: _elementary_of(op, bounds) for op, bounds in ELEMENTARY.items
 def power(a: Interval, b: Interval) -> Interval:
     """Interval of aᵇ.
 
-    Constant exponents that are multiples of ½ give products and roots, up to `MOST_PRODUCTS`; others go by the
-    logarithm, for a ≥ 0.
+    Constant exponents that are multiples of ½ give products and roots, up to `MOST_PRODUCTS`; for other exponents, and
+    a ≥ 0, the logarithm is used.
     """
     if _is_number(b) and (2 * b.low).is_integer() and abs(b.low) <= MOST_PRODUCTS:
         whole = b.low.is_integer()
-        # a^{m/2} = (√a)ᵐ: products have tighter bounds than the logarithm, and allow a zero base.
+        # a^{m/2} = (√a)ᵐ: products have tighter bounds than the logarithm, and allow the base 0.
         result = _product_of_many(a if whole else sqrt(a), int(abs(b.low if whole else 2 * b.low)))
         return div(Interval(np.float64(1.0), np.float64(1.0)), result) if b.low < 0 else result
     return _ELEMENTARY["pow"](a, b)
@@ -300,8 +300,8 @@ def _product_of_many(a: Interval, count: int) -> Interval:
 
 @kernel
 def one(a: Interval) -> Interval:
-    """The number 1 where a is known, and NaN elsewhere."""
-    # 0·NaN and 0·∞ are NaN: an unknown base stays unknown.
+    """The number 1 if a is known, else NaN."""
+    # 0·NaN and 0·∞ are NaN, so an unknown base stays unknown.
     return Interval(1.0 + 0.0 * a.low, 1.0 + 0.0 * a.high)
 
 
@@ -328,21 +328,21 @@ def ceil(a: Interval) -> Interval:
 
 @kernel
 def nearest(a: Interval) -> Interval:
-    """Interval of the nearest integer, the even one of two, as `numpy.rint`."""
+    """Interval of the nearest integer; ties go to the even one, as in `numpy.rint`."""
     return Interval(np.rint(a.low), np.rint(a.high))
 
 
-# Statements, and choices by them.
+# Statements, and choices between numbers by a statement.
 
 
 def as_number(a: Interval | Truth) -> Interval:
-    """A truth value as the number 0 or 1; an interval stays as it is."""
+    """A truth value as the number 0 or 1; an interval is returned unchanged."""
     return number_of(a) if isinstance(a, Truth) else a
 
 
 @kernel
 def number_of(a: Truth) -> Interval:
-    """A statement as a number: 1 where it holds, 0 where it cannot, and 0 … 1 where it is undecided."""
+    """A statement as a number: 1 if it holds, 0 if it does not, and 0 … 1 if it is undecided."""
     return Interval(np.where(a.must, 1.0, 0.0), np.where(a.may, 1.0, 0.0))
 
 
@@ -369,21 +369,21 @@ def at_most(a: Interval, b: Interval) -> Truth:
 
 
 def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
-    """Statement a = b, where the same node on both sides equals itself wherever it is defined."""
+    """Statement a = b; a node equals itself wherever it is defined."""
     a, b = as_number(a), as_number(b)
     return equal_to_itself(a) if a is b else equal(a, b)
 
 
 @kernel
 def equal_to_itself(a: Interval) -> Truth:
-    """Statement a = a, the usual test for a missing (NaN) measurement: a number equals itself where it is defined."""
+    """Statement a = a, the usual test for a missing (NaN) measurement: true wherever a is defined."""
     defined = ~(np.isnan(a.low) & np.isnan(a.high))
     return Truth(defined, np.ones_like(defined))
 
 
 @kernel
 def equal(a: Interval, b: Interval) -> Truth:
-    """Statement a = b: proved where both are one same number, refuted where their intervals are disjoint."""
+    """Statement a = b: proved if both are the same single number, refuted if their intervals are disjoint."""
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
 
 
@@ -401,29 +401,29 @@ def either(a: Truth, b: Truth) -> Truth:
 
 @kernel
 def opposite(a: Truth) -> Truth:
-    # "Not a" must hold where a cannot, and may hold where a need not.
+    # "Not a" is proved where a is refuted, and possible where a is not proved.
     """The statement "not a"."""
     return Truth(~a.may, ~a.must)
 
 
 @kernel
 def is_finite(a: Interval) -> Truth:
-    """Statement that a number is finite: proved where its bounds are finite, never refuted."""
+    """Statement that a number is finite: proved if its bounds are finite, never refuted."""
     known = np.isfinite(a.low) & np.isfinite(a.high)
     return Truth(known, np.ones_like(known))
 
 
 def select(p: Truth, a: Any, b: Any) -> Any:
-    """Values of a where p must hold, of b where it cannot, and the hull of both where it is undecided."""
+    """Values of a if p holds, of b if it does not, and the hull of both if p is undecided."""
     if isinstance(a, Truth):
-        # With p undecided, "a and b" still follows, which the other two terms miss.
+        # If p is undecided, "a and b" still implies the result; the other two terms do not cover this.
         return either(both(a, b), either(both(p, a), both(opposite(p), b)))
     return chosen(p, a, b)
 
 
 @kernel
 def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
-    """Interval of `p ? a : b`, the hull of a and b where p is undecided."""
+    """Interval of `p ? a : b`, the hull of a and b if p is undecided."""
     result = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
     undecided = p.may & ~p.must
     if not undecided.any():
@@ -434,14 +434,14 @@ def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
 
 @kernel
 def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
-    """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both where they
-    may be equal.
+    """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both if a = b is
+    possible.
     """
     return chosen(Truth(a.high < b.low, ~(a.low > b.high)), x, y)
 
 
 def stumpff(k: Interval, x: Interval) -> Interval:
-    """Interval of Stumpff's function c_k(x), NaN where x may be below −1.
+    """Interval of Stumpff's function c_k(x), NaN if x may be below −1.
 
     Args:
         k: Order, a number as an interval.

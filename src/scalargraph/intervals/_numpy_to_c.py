@@ -1,8 +1,8 @@
-"""C of a formula in NumPy that works entry by entry: the formula is called on symbols, which record what it does.
+"""Translates a NumPy formula that works entry by entry into C: the formula is called on symbols that record operations.
 
-So a formula has one text, for NumPy and for C, and both do the same operations in the same order. Only what IEEE 754
-determines has a counterpart in C: sums, products, quotients, roots, comparisons, whole numbers and operations on bits.
-Questions about a whole array, by `any()` and `all()`, only save work; they are answered so that nothing is left out.
+So a formula has one text, for NumPy and for C, and both do the same operations in the same order. Only operations that
+IEEE 754 determines have a counterpart in C: sums, products, quotients, roots, comparisons, integers and operations on
+bits. Formulas ask `any()` and `all()` about a whole array only to save work; the answers given here skip no work.
 """
 
 import math
@@ -34,14 +34,14 @@ static inline double double_of(int64_t bits)
 }
 
 """
-"""What the C of formulas needs before it."""
+"""Declarations that the C of formulas needs before it."""
 
 OPERATORS: dict[Any, tuple[str, str | None]] = {
     np.add: ("{} + {}", None),
     np.subtract: ("{} - {}", None),
     np.multiply: ("{} * {}", None),
     np.divide: ("{} / {}", REAL),
-    np.floor_divide: ("{} / {}", BITS),  # of numbers that are not negative
+    np.floor_divide: ("{} / {}", BITS),  # only for numbers that are not negative
     np.negative: ("-{}", None),
     np.absolute: ("fabs({})", REAL),
     np.sqrt: ("sqrt({})", REAL),
@@ -49,8 +49,8 @@ OPERATORS: dict[Any, tuple[str, str | None]] = {
     np.ceil: ("ceil({})", REAL),
     np.rint: ("rint({})", REAL),
     np.copysign: ("copysign({}, {})", REAL),
-    np.sign: ("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", REAL),  # zeros and NaN result as they are
-    # NaN of either argument results, as in NumPy and unlike fmin and fmax.
+    np.sign: ("{0} > 0 ? 1.0 : {0} < 0 ? -1.0 : {0}", REAL),  # zeros and NaN are returned unchanged
+    # If either argument is NaN the result is NaN, as in NumPy; fmin and fmax would return the other argument.
     np.minimum: ("{1} != {1} ? {1} : {1} < {0} ? {1} : {0}", REAL),
     np.maximum: ("{1} != {1} ? {1} : {1} > {0} ? {1} : {0}", REAL),
     np.less: ("{} < {}", TRUTH),
@@ -68,14 +68,14 @@ OPERATORS: dict[Any, tuple[str, str | None]] = {
     np.left_shift: ("(int64_t)((uint64_t){} << {})", BITS),
     np.right_shift: ("{} >> {}", BITS),
 }
-"""C of each function of NumPy on entries, and the type of its result, by default that of its arguments."""
+"""C of each function of NumPy on entries, and the type of its result; None for the type of its arguments."""
 
 
 class Text:
-    """C in single assignments; equal expressions are written once.
+    """A list of C assignments, each to a new variable; equal expressions share one variable.
 
     Args:
-        tables: Names of tables by their entries, shared with other texts; new tables are added to it.
+        tables: Names of constant tables by their entries, shared with other texts; new tables are added to it.
     """
 
     def __init__(self, tables: dict[str, str]) -> None:
@@ -104,7 +104,7 @@ NAMES = re.compile(r"\b\w+\b")
 
 
 class Traced:
-    """An entry of an array, or several stacked, as variables in C; it behaves as an array of NumPy.
+    """A symbol for an entry of an array, or for several stacked entries; operations on it are recorded as C variables.
 
     Args:
         text: The C that operations are added to.
@@ -118,10 +118,10 @@ class Traced:
     def __array_ufunc__(self, function: np.ufunc, method: str, *arguments: Any, **options: Any) -> "Traced":
         if method != "__call__" or options:
             raise TypeError(f"{function.__name__}.{method} has no C for each entry")
-        # C's && would branch; & of truth values that are 0 or 1 is the same, and a vector.
+        # C's && would branch. For truth values 0 and 1, & gives the same result and can be vectorised.
         if function is np.logical_and:
             function = np.bitwise_and
-        # A finite number times a truth value, as in `TINY * mask`, is a choice.
+        # A finite number times a truth value, as in `TINY * mask`, is written as a choice.
         if function is np.multiply and isinstance(arguments[0], float) and arguments[1].kind == TRUTH:
             return _where(arguments[1], arguments[0], 0.0)
         expression, result = OPERATORS[function]
@@ -133,7 +133,7 @@ class Traced:
         return FUNCTIONS[function](*arguments, **options)
 
     def of(self, value: Any, kind: str) -> "Traced":
-        """Convert a known number to a symbol; a symbol stays as it is."""
+        """Convert a known number to a symbol; a symbol is returned unchanged."""
         if isinstance(value, Traced):
             return value
         return Traced(self.text, kind, (literal(float(value) if kind == REAL else value),))
@@ -167,7 +167,7 @@ class Traced:
         return False if axis is None else self._ends(np.bitwise_and)
 
     def any(self) -> bool:
-        """Always True: a question about the whole array, of which no entry is known."""
+        """Always True: the question concerns a whole array, and no entry is known, so no work may be skipped."""
         return True
 
     def view(self, kind: type) -> "Traced":
@@ -217,16 +217,16 @@ def kind_of(value: Any) -> str:
 
 
 def literal(value: Any) -> str:
-    """Write a known number in C, exactly: real numbers in hexadecimal."""
+    """Write a known number in C, exactly: real numbers as hexadecimal constants."""
     if kind_of(value) != REAL:
         return f"{int(value)}" if kind_of(value) == TRUTH else f"INT64_C({int(value)})"
     number = float(value)
-    # NAN and INFINITY are of the type float in C.
+    # In C, NAN and INFINITY have the type float, hence the conversion.
     if math.isnan(number):
         return "(double)NAN"
     if math.isinf(number):
         return f"({'-' if number < 0 else ''}(double)INFINITY)"
-    # In brackets, so that a minus before it does not make `--`.
+    # Brackets avoid `--` if a minus sign precedes the number.
     return f"({number.hex()})" if math.copysign(1.0, number) < 0 else number.hex()
 
 
@@ -254,4 +254,4 @@ FUNCTIONS: dict[Any, Callable] = {
     np.zeros_like: lambda x: x.of(0.0, x.kind),
     np.ones_like: lambda x: x.of(True, x.kind) if x.kind == TRUTH else x.of(1.0, x.kind),
 }
-"""Functions of arrays that are not entry by entry for NumPy, and here are."""
+"""NumPy functions that do not work entry by entry, and the methods that replace them here."""

@@ -1,12 +1,12 @@
-"""Elementary functions at points, from sums, products, quotients and roots alone, with proved error bounds.
+"""Computes elementary functions at points from sums, products, quotients and roots alone, with proved error bounds.
 
-No values of a library are trusted. The argument is reduced without error, or with an error that is carried along; the
-Taylor polynomial of the reduced function has a remainder known in closed form; and every operation rounds by at most a
-part u = 2⁻⁵³ of its result (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 5). `UNITS`
-states the total error in u; its first-order analysis is carried out automatically in the tests of this package. The
-reductions are those of J.-M. Muller, Elementary Functions, 2016.
+No library function is trusted. The argument is reduced without error, or with an error that is carried along; the
+Taylor polynomial of the reduced function has a remainder that is known in closed form; and every operation rounds by at
+most a part u = 2⁻⁵³ of its result (N. J. Higham, Accuracy and Stability of Numerical Algorithms, 2002, chapter 5).
+`UNITS` states the total error in u; tests of this package derive it automatically by a first-order analysis. The
+argument reductions follow J.-M. Muller, Elementary Functions, 2016.
 
-Besides IEEE arithmetic only exact operations are trusted: comparisons and operations on bits. Arguments are arrays
+Besides IEEE arithmetic, only exact operations are trusted: comparisons and operations on bits. Arguments are arrays
 (...).
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 U = 2.0**-53
 """The largest relative error of one rounding."""
 MAGIC = 1.5 * 2.0**52
-"""Added to a number well below 2⁵¹, it puts the nearest integer into the last bits of the sum."""
+"""Adding it to a number well below 2⁵¹ puts the nearest integer into the last bits of the sum."""
 
 UNITS = {
     "exp": 2.5,
@@ -41,14 +41,15 @@ UNITS = {
     "cos": 2.75,
     "tan": 6.0,
 }
-"""Relative errors in u, except for results that underflow, and without the error of the reduction modulo π/2."""
+"""Relative errors in u; underflow and the error of the reduction modulo π/2 are not included."""
 
 
 def _hex_doubles(*digits: str) -> list[float]:
     return [float.fromhex(f"0x{each}") for each in digits]
 
 
-# Constants split into words of a few bits, whose products with integers of 11 or 20 bits are exact; the last has 53.
+# Constants split into words of a few bits, whose products with integers of 11 or 20 bits are exact; the last word has
+# 53 bits.
 LN2_HIGH, LN2_LOW = _hex_doubles("1.62e42fefa38p-1", "1.ef35793c7673p-45")
 QUARTER_HIGH, QUARTER_MIDDLE, QUARTER_LOW = _hex_doubles("1.921fb544p+0", "1.0b4611a6p-34", "1.3198a2e037073p-69")
 HALF_PI_HIGH, HALF_PI_LOW = _hex_doubles("1.921fb54442d18p+0", "1.1a62633145c07p-54")
@@ -59,7 +60,7 @@ ATAN_HIGH = np.array(
         *_UNUSED,
     ]
 )
-"""Arc tangents of 0, ¼, ½, ¾ and 1, to the nearest double; the remaining entries are for the index of NaN."""
+"""Arc tangents of 0, ¼, ½, ¾ and 1, to the nearest double; the remaining entries are read if the argument is NaN."""
 ATAN_LOW = np.array(
     [
         *_hex_doubles(
@@ -96,7 +97,7 @@ def horner(coefficients: Sequence[float], x: Any) -> Any:
 def whole(x: Any) -> tuple[Any, Any]:
     """Round to the nearest integer."""
     shifted = x + MAGIC
-    # The sum rounds to nearest in its last bit, whose unit is 1; the difference is exact.
+    # The unit of the last bit of the sum is 1, so the sum is rounded to an integer; the difference is exact.
     return shifted - MAGIC, shifted.view(np.int64)
 
 
@@ -107,7 +108,7 @@ def _power_of_two(bits: Any) -> Any:
 
 def _scale_by_power(x: Any, k: Any) -> Any:
     """x·2ᵏ for integers |k| ≤ 2000, as two products, of which one may underflow or overflow."""
-    # One factor 2ᵏ would overflow itself before the product does.
+    # A single factor 2ᵏ might overflow although the product does not.
     half, bits = whole(0.5 * k)
     return x * _power_of_two(bits) * _power_of_two(whole(k - half)[1])
 
@@ -120,7 +121,7 @@ def exp_reduced(r: Any) -> Any:
 
     The remainder is below r¹⁴/14!·1.03, that is 0.12 u |r|.
     """
-    # r is added last: the quadratic rest is at most a fifth of it, so that its rounding counts little.
+    # r is added last: the quadratic remainder is at most a fifth of r, so its rounding contributes little.
     return r + r * r * horner(EXP, r)
 
 
@@ -135,7 +136,7 @@ def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
 
     Args:
         x: The argument.
-        shift: Integer exponent of a power of two; −1 halves the value without an overflow before.
+        shift: Integer exponent of a power of two; −1 halves the value without an intermediate overflow.
         rest: Correction of x, below a unit in its last place.
     """
     # exp(−746) is below half of the smallest subnormal number, exp(712) above the largest double.
@@ -145,7 +146,7 @@ def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
 
 def expm1(x: Any) -> Any:
     """exp x − 1, infinite where it overflows."""
-    # exp(−40) = 4e-18 is below half a unit of 1, so that the result is −1 from there on.
+    # exp(−40) = 4e-18 is below half a unit of 1, so the result is −1 for all smaller x.
     k, q = _exp_parts(np.minimum(np.maximum(x, -40.0), 712.0))
     return _scale_by_power((1.0 - _scale_by_power(1.0, -k)) + q, k)
 
@@ -153,7 +154,7 @@ def expm1(x: Any) -> Any:
 def sinh(x: Any) -> Any:
     """sinh x as (q + q/(q + 1))/2 for q = exp |x| − 1, or half the exponential for |x| > 20, with the sign of x.
 
-    It does not magnify a relative error of q, since q d/dq of its logarithm is at most 1.
+    A relative error of q is not magnified: the logarithmic derivative with respect to log q is at most 1.
     """
     size = np.abs(x)
     q = expm1(np.minimum(size, 20.0))
@@ -162,7 +163,7 @@ def sinh(x: Any) -> Any:
 
 
 def cosh(x: Any) -> Any:
-    """cosh x as h + 1/(4h) for h = exp |x|/2, which overflows no sooner than the result."""
+    """cosh x as h + 1/(4h) for h = exp |x|/2, which does not overflow before the result does."""
     half = exp(np.abs(x), -1.0)
     return half + 0.25 / half
 
@@ -182,7 +183,7 @@ def log_tail(f: Any) -> Any:
     It is s (f − R) for log(1 + f) = 2s + s R, since s (2 + f) = f. The remainder is below s²³/23·2.1, below 0.01 u of
     the logarithm.
     """
-    # The caller adds f, which is exact, so that only the small tail carries the errors of this function.
+    # The caller adds f, which is exact, so that only the small rest carries errors of this function.
     s = f / (2.0 + f)
     z = s * s
     return s * (f - z * horner(LOG, z))
@@ -192,9 +193,9 @@ def _mantissa(x: Any) -> tuple[Any, Any]:
     """k and m - 1 of a positive number x = 2ᵏ m, both exact."""
     low = x < 2.0**-1022
     if low.any():
-        # Subnormal numbers have no bits of an exponent; 54 is taken off again below.
+        # A subnormal number has no exponent bits, so it is scaled by 2⁵⁴; the 54 is subtracted below.
         x = np.where(low, x * 2.0**54, x)
-    # 0x3FE6A09E is the head of √½: after this shift the exponent changes at √½ and not at a power of 2.
+    # 0x3FE6A09E is the leading word of √½: after this shift the exponent changes at √½ instead of at a power of 2.
     bits = x.view(np.int64) + (0x3FF0000000000000 - 0x3FE6A09E00000000)
     m = ((bits & 0x000FFFFFFFFFFFFF) + 0x3FE6A09E00000000).view(float)
     return ((bits >> 52) - 0x3FF - 54 * low).astype(float), m - 1.0
@@ -205,19 +206,19 @@ def log(x: Any, shift: float = 0.0) -> Any:
 
     Args:
         x: The argument.
-        shift: Integer; 1 gives log 2x where 2x would overflow.
+        shift: Integer; 1 gives log 2x, even if 2x would overflow.
     """
     k, f = _mantissa(x)
     k += shift
-    # k·LN2_HIGH is exact and the largest, so that it is added last, to the sum of the smaller ones.
+    # k·LN2_HIGH is exact and the largest term, so it is added last, to the sum of the smaller ones.
     return _at_ends(x, f - (log_tail(f) - k * LN2_LOW) + k * LN2_HIGH)
 
 
 def log1p(x: Any) -> Any:
-    """log(1 + x). The rounding error of the sum 1 + x is computed exactly; divided by 1 + x, it is added."""
+    """log(1 + x). The rounding error of the sum 1 + x is computed exactly, divided by 1 + x and added."""
     total = 1.0 + x
     k, f = _mantissa(total)
-    # 1 + x is then between √½ and √2, where k = 0 and f is x itself: nothing of x is lost in the sum.
+    # Here 1 + x is between √½ and √2, so k = 0 and f is x itself: the rounding of the sum loses nothing.
     small = (x > -0.2928) & (x < 0.4142)
     k, f = np.where(small, 0.0, k), np.where(small, x, f)
     rest = np.where(small, 0.0, _rounding_error(1.0, x, total) / total + k * LN2_LOW)
@@ -226,7 +227,7 @@ def log1p(x: Any) -> Any:
 
 def _rounding_error(a: Any, b: Any, total: Any) -> Any:
     """a + b - total for the rounded sum, exactly (D. E. Knuth, The Art of Computer Programming 2, section 4.2.2)."""
-    # Six operations, so that it holds whichever of a and b is larger.
+    # This takes six operations, but holds whichever of a and b is larger.
     part = total - a
     return (a - (total - part)) + (b - part)
 
@@ -278,7 +279,7 @@ def asinh(x: Any) -> Any:
     """
     a = np.abs(x)
     b = np.minimum(a, 2.0**28)
-    # Beyond 2²⁸, √(1 + a²) is a to within rounding, and a² is not formed: asinh a = log 2a + 1/(4a²).
+    # Beyond 2²⁸, asinh a = log 2a + 1/(4a²) is log 2a to within rounding, and a², which may overflow, is not needed.
     return np.copysign(np.where(a > b, log(a, 1.0), log1p(b + b * b / (1.0 + np.sqrt(1.0 + b * b)))), x)
 
 
@@ -298,7 +299,7 @@ def atanh(x: Any) -> Any:
 
 
 def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
-    """atan t from that of a nearby c; the difference t − c is exact.
+    """atan t from the arc tangent of a nearby c; the difference t − c is exact.
 
     The remainder is below z²³/23 for a quotient |z| ≤ 0.1875, that is 0.05 u of z.
     """
@@ -316,10 +317,10 @@ def angle(y: Any, x: Any) -> Any:
     """The angle of the point (x, y) [rad]: 0 at the origin, π on the negative half-axis."""
     size = np.abs(x)
     largest = np.maximum(y, size)
-    # The quotient of the smaller by the larger is at most 1; the octant is put back by the two reflections below.
+    # The quotient of the smaller by the larger number is at most 1; two reflections below restore the octant.
     t = np.minimum(y, size) / np.where(largest == 0, 1.0, largest)
     j, bits = whole(4.0 * t - 0.25)
-    # Three bits, so that the index of NaN is within the tables too; its result is NaN in any case.
+    # The index is limited to three bits, so that it is valid for NaN too; the result is NaN in any case.
     index = bits & 7
     theta = atan_reduced(t, 0.25 * j, np.choose(index, ATAN_HIGH), np.choose(index, ATAN_LOW))
     theta = np.where(y > size, from_axis(theta, 1), theta)
@@ -332,14 +333,14 @@ def atan(x: Any) -> Any:
 
 
 def atan2(y: Any, x: Any) -> Any:
-    """The angle of the point (x, y) in −π … π [rad]; on the negative half-axis it is π, for y = −0 too."""
-    # −0 + 0 is +0: the cut belongs to the upper side.
+    """The angle of the point (x, y) in −π … π [rad]; on the negative half-axis it is π, also for y = −0."""
+    # −0 + 0 is +0, so the cut belongs to the upper side.
     return np.copysign(angle(np.abs(y), x), y + 0.0)
 
 
 def asin(x: Any) -> Any:
     """asin x as the angle of the point (√((1 − x)(1 + x)), x)."""
-    # (1 − x)(1 + x) and not 1 − x², which would lose the digits of 1 − x near 1.
+    # (1 − x)(1 + x) keeps the digits of 1 − x near 1, which 1 − x² would lose.
     return np.copysign(angle(np.abs(x), np.sqrt((1.0 - x) * (1.0 + x))), x)
 
 
@@ -352,7 +353,7 @@ def acos(x: Any) -> Any:
 # Trigonometric functions. x = k π/2 + r with |r| ≤ 0.7854.
 
 MOST_QUARTERS = 2.0**20
-"""Largest number of quarter turns in an argument: for more, the words of π/2 have too few bits."""
+"""Largest number of quarter turns in an argument; for more, the words of π/2 have too few bits."""
 QUARTER_ERROR = 2.0**-119
 """Error of the reduced argument for each quarter turn."""
 
@@ -364,7 +365,7 @@ def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
     most |k|·QUARTER_ERROR plus u² times r.
     """
     k, bits = whole(x * (2 / math.pi))
-    # Cody and Waite: products of k with the leading words are exact, so that the cancellation in x − kπ/2 is too.
+    # Reduction of Cody and Waite: products of k with the leading words are exact, and so the cancellation in x − kπ/2.
     first, second = x - k * QUARTER_HIGH, k * -QUARTER_MIDDLE
     r = first + second
     rest = _rounding_error(first, second, r) - k * QUARTER_LOW
@@ -375,7 +376,7 @@ def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
 def sin_cos_reduced(r: Any, rest: Any) -> tuple[Any, Any]:
     """sin and cos of r + rest.
 
-    The remainders are below r¹⁹/19! and r¹⁸/18!; rest·r⁴/24 and rest·r³/6 are left out too: 0.03 u and 0.12 u in all.
+    The remainders are below r¹⁹/19! and r¹⁸/18!; rest·r⁴/24 and rest·r³/6 are omitted too: 0.03 u and 0.12 u in all.
     """
     z = r * r
     half = 0.5 * z

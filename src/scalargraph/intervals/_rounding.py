@@ -1,7 +1,7 @@
-"""An arithmetic in which every operation is off by one rounding at random, to see what rounding does to results.
+"""Perturbs every operation of a graph by one random rounding, to show how rounding affects its results.
 
-The lanes of a batch get other roundings, so that their results differ by the conditioning of the function: two
-implementations of it may differ by as much.
+Each lane of a batch has its own random roundings, so that the results of the lanes differ as much as the conditioning
+of the function causes. Two implementations of the function may differ by as much.
 
 Source: Vignes 1993, A stochastic arithmetic for reliable scientific computation, Mathematics and Computers in
 Simulation 35(3).
@@ -14,16 +14,16 @@ import numpy as np
 from scalargraph.graph import FOLD, TRUTHS, Domain
 
 EXACT = {"neg", "abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either"}
-"""Operations on numbers that do not round; those that give truth values do not either."""
+"""Operations on numbers that do not round; operations with truth values as results do not round either."""
 WHOLE = {"add", "sub", "mul"}
-"""Operations that do not round where their result is a whole number, such as a count."""
+"""Operations that do not round if their result is an integer, such as a count."""
 
 POOL = 4093
-"""Number of roundings that are drawn; they are used in turn."""
+"""Number of random roundings that are drawn; they are used cyclically."""
 
 
 def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
-    """Return an arithmetic on batches, for `evaluate`: lane 0 has the numbers, the others are perturbed at random.
+    """Return an arithmetic on batches, for `evaluate`: lane 0 is exact to rounding, the others are perturbed randomly.
 
     Args:
         unit: Largest relative error of an operation: 2⁻⁵³ in double precision, 2⁻²⁴ in single precision.
@@ -48,7 +48,7 @@ def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
 
         def whole_or_rounded(*arguments):
             value = plain(*arguments)
-            # Sums and products of counts are exact, and stay whole numbers that can index.
+            # Sums and products of counts are exact, so they stay integers, which can serve as indices.
             return np.where(value == np.rint(value), value, value * next(turn))
 
         def rounded(*arguments):
@@ -56,11 +56,11 @@ def perturbed(unit: float, lanes: int, seed: int = 0) -> Domain:
 
         return plain if op in EXACT | TRUTHS else whole_or_rounded if op in WHOLE else rounded
 
-    # Coarser than double precision: constants of the code are rounded too.
+    # With a precision below double, constants of the code are rounded too.
     short = unit > 2.0**-50
 
     def constant(value):
-        """A number as it is or, where single precision cannot hold it, off as a result is."""
+        """The number; if single precision cannot hold it, it is perturbed like a result."""
         exact = isinstance(value, bool) or not short or not np.isfinite(value) or np.float32(value) == value
         return np.asarray(value) if exact else value * next(turn)
 

@@ -1,8 +1,8 @@
-"""Interval operations as steps of a tape: each step reads and writes bounds at numbered places of the tape.
+"""Records interval operations as steps of a tape: each step reads and writes bounds at numbered places of the tape.
 
 A `kernel` is an operation written as a NumPy formula that works box by box. Called on arrays, it computes. Called on
-places of a tape, it appends a step to the tape. The bounds of a graph thus become a list of steps, with the same
-operations in the same order as in NumPy, and a faster engine can carry it out.
+places of a tape, it appends a step to the tape. In this way the bounds of a graph become a list of steps, with the same
+operations in the same order as in NumPy, which a faster engine can carry out.
 """
 
 import inspect
@@ -19,7 +19,7 @@ class Interval(NamedTuple):
     lies between them. Work on a batch of boxes at once: the time of a single box is mostly overhead.
 
     Attributes:
-        low: Lower bound (B,), or a scalar where all boxes share it; NaN where nothing is known.
+        low: Lower bound (B,), or a scalar that all boxes share; NaN if nothing is known.
         high: Upper bound, of the same shape.
 
     Example:
@@ -40,8 +40,8 @@ class Truth(NamedTuple):
     """Truth of a statement on each box of a batch, as far as bounds decide it.
 
     Attributes:
-        must: Whether it holds everywhere on the box (B,).
-        may: Whether it may hold somewhere on the box (B,). The statement is undecided where it may but need not hold.
+        must: Whether it is proved to hold everywhere on the box (B,).
+        may: Whether it may hold somewhere on the box (B,). If it may but need not hold, the statement is undecided.
 
     Example:
         >>> import numpy as np
@@ -130,10 +130,10 @@ class Tape:
         return Place(self, self.count - 1)
 
     def number_of(self, value: Any) -> int:
-        """Return the place of a value, adding a constant where needed."""
+        """Return the place of a value; a number is added as a constant if it is new."""
         if type(value) is Place:
             return value.number
-        # By bits, so that 0.0 and −0.0 stay apart and NaN equals itself.
+        # Compared by bits, so that 0.0 and −0.0 stay distinct and NaN equals itself.
         bits = np.float64(value).tobytes()
         if bits not in self.constants:
             self.constants[bits] = self.place().number
@@ -148,7 +148,7 @@ class Tape:
 
 
 def as_kernel(name: str, kernel: Kernel, compute: Callable[..., Any]) -> Callable[..., Any]:
-    """Register a kernel, and return a function that computes on arrays and appends a step on places."""
+    """Register a kernel, and return a function that computes on arrays and records a step on places."""
     KERNELS[name] = kernel
 
     def apply(*arguments: Any) -> Any:

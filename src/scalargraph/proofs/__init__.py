@@ -1,8 +1,8 @@
-"""Proofs that a matrix is positive definite everywhere in a box: branch and bound, its checker, and files of trees.
+"""Proves that a matrix is positive definite everywhere in a box, checks such proofs, and saves their trees of boxes.
 
 The matrix is a JAX function of variables in a box. It becomes a graph of scalars, which is bounded over boxes in
-outward-rounded arithmetic, and boxes are halved until each is decided. `proofs.checker` proves the same in another
-arithmetic.
+outward-rounded arithmetic, and boxes are halved until each is decided. `proofs.checker` proves the same statement in
+another arithmetic.
 """
 
 from scalargraph.rooms import attach

@@ -1,7 +1,7 @@
-"""A matrix function on boxes in ball arithmetic of many digits: a third arithmetic, to check some boxes again.
+"""Checks boxes of a proof again in ball arithmetic of many digits, a third arithmetic after the prover's and checker's.
 
-The graphs of the matrix and of its derivatives are those of the prover. They and the test of positive definiteness are
-evaluated in the arithmetic of Arb, which needs python-flint.
+The graphs of the matrix and of its derivatives are the same as the prover's. The graphs and the test of positive
+definiteness are evaluated in the arithmetic of Arb, which needs python-flint.
 
 Source: F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interval arithmetic, IEEE Trans. Computers
 66(8), 2017.
@@ -23,7 +23,7 @@ from scalargraph.proofs.checker import halves
 BITS = 106
 """Precision in bits, twice that of a double."""
 DEPTH = 8
-"""Largest number of halvings of a leaf: balls are wider than intervals."""
+"""Largest number of times a leaf may be halved, as balls give wider bounds than intervals."""
 
 
 class BallMatrix:
@@ -76,7 +76,7 @@ class BallMatrix:
             Number of boxes evaluated.
 
         Raises:
-            ValueError: It is not shown after `depth` halvings; the message names a box.
+            ValueError: This is not shown after `depth` halvings; the message names a box.
         """
         try:
             good, axis = self._definite(low, high)
@@ -91,16 +91,16 @@ class BallMatrix:
         return 1 + sum(self.show(a, b, what, depth - 1) for a, b in zip(lows, highs, strict=True))
 
     def _definite(self, low: np.ndarray, high: np.ndarray) -> tuple[bool, int]:
-        """Whether the matrix is positive definite, by `|I − CᵀSC| x < x`; and the variable that widens it most."""
+        """Whether `|I − CᵀSC| x < x` shows positive definiteness, and the variable that widens the bounds most."""
         centre, count = low / 2 + high / 2, self.n * (self.n + 1) // 2
         around = [self.arb(a).union(self.arb(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
-        # The centre is rounded, so the distance to the farther end counts; `upper` rounds it up.
+        # The rounded centre is not exactly in the middle, so the farther end counts; `upper` rounds the distance up.
         away = [abs(around[i] - self.arb(float(centre[i]))).upper() for i in self.free]
         at = self._matrices(self.first, list(map(self.arb, centre.tolist())), count)
         bend = self._matrices(self.second, around, count)[1 + len(self.free) :]
         middle = np.array([[float(at[0][i, j].mid()) for j in range(self.n)] for i in range(self.n)])
         values, vectors = np.linalg.eigh(middle)
-        # C needs positive eigenvalues; without them nothing is shown on this box.
+        # C exists only if the eigenvalues are positive; otherwise nothing is shown on this box.
         if not values[0] > 0:
             return False, int((high - low).argmax())
         c = self.matrix((vectors / np.sqrt(values)).tolist())
@@ -115,19 +115,19 @@ class BallMatrix:
             bound = self.matrix([[abs(term[i, j]) * size for j in range(self.n)] for i in range(self.n)])
             error += bound
             share[list(variables)] += sum(float(entry.upper()) for entry in bound.entries())
-        # The vector x is computed in doubles, since any positive x serves; only the comparison below is rigorous.
+        # The vector x is computed in doubles, since any positive x is valid; only the comparison below is rigorous.
         rough, x = np.array([[float(error[i, j].mid()) for j in range(self.n)] for i in range(self.n)]), np.ones(self.n)
         for _ in range(8):
             x = rough @ x
             # Power iteration towards the Perron vector; the small number keeps every entry positive.
             x = x / x.max() + 1e-9
         product = error * self.matrix([[v] for v in x.tolist()])
-        # A comparison of balls is true only where it holds for all numbers in them.
+        # A comparison of balls is true only if it holds for all numbers in them.
         good = all(product[i, 0] < self.arb(float(x[i])) for i in range(self.n))
         return good, int(self.free[share.argmax()] if len(share) else 0)
 
     def _matrices(self, graph: Lowered, z: list, count: int) -> list:
-        """Consecutive symmetric matrices, each from its entries on and below the diagonal."""
+        """Consecutive symmetric matrices, each read from its entries on and below the diagonal."""
         values = evaluate(graph, self.domain, z)
         place = np.zeros((self.n, self.n), int)
         place[np.tril_indices(self.n)] = np.arange(count)
@@ -139,11 +139,11 @@ class BallMatrix:
 
 
 class _UndecidedError(ArithmeticError):
-    """A branch that is undecided on a box."""
+    """Raised if a box does not decide a branch."""
 
 
 def _balls(arb: Any) -> Domain:
-    """The arithmetic of Arb, in which a branch that a box does not decide raises `_UndecidedError`."""
+    """The arithmetic of Arb; if a box does not decide a branch, it raises `_UndecidedError`."""
     zero, one = arb(0), arb(1)
     unary = "sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh"
     return {
@@ -155,11 +155,11 @@ def _balls(arb: Any) -> Domain:
         "div": operator.truediv,
         "neg": operator.neg,
         "abs": abs,
-        # 0 may get either sign: a jump there is excluded by the conditions of a proof.
+        # 0 may get either sign: the conditions of a proof exclude the jump there.
         "sign": lambda a: -one if _less(a, zero) else one,
         "floor": _floor,
         "ceil": lambda a: -_floor(-a),
-        # Half-way between integers it differs from rounding to even: the conditions of a proof exclude this jump.
+        # It differs from rounding to even only half-way between integers: the conditions exclude a jump there.
         "round": lambda a: _floor(a + 0.5),
         "min": lambda a, b: a if _less(a, b) else b,
         "max": lambda a, b: b if _less(a, b) else a,
@@ -209,13 +209,13 @@ def _floor(a: Any) -> Any:
 
 
 def _stumpff(arb: Any, k: int, x: Any) -> Any:
-    """The series, with its remainder bounded by a geometric series, which holds for either sign of x."""
+    """The series of Stumpff's function c_k, with a geometric bound of its remainder, valid for either sign of x."""
     total, term, terms = arb(0), 1 / arb(math.factorial(k)), 40
     for j in range(1, terms):
         total, term = total + term, -term * x / ((2 * j + k) * (2 * j + k - 1))
-    # From the first omitted term on, each is at most this multiple of the one before.
+    # The ratio of each term to the one before, from the first omitted term on, is at most this.
     ratio = abs(x).upper() / ((2 * terms + k) * (2 * terms + k - 1))
     if not ratio < 0.5:
         raise _UndecidedError
-    # The factor is 1/(1 − 1/2). arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
+    # 2 is 1/(1 − 1/2), the sum of the geometric series. arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
     return total + 2 * abs(term).upper() * arb(0, 1)

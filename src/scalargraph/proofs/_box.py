@@ -1,4 +1,4 @@
-"""Boxes: bounds of named variables, the domains of proofs."""
+"""Defines boxes, the domains of proofs: a lower and an upper bound for each named variable."""
 
 from typing import NamedTuple
 
@@ -11,8 +11,8 @@ from scalargraph.errors import InputError
 class Box(NamedTuple):
     """Bounds of named variables: the domain of a proof. A variable with equal bounds is fixed.
 
-    Fixed variables are constants, such as a mass, that stay in the statement and cost no effort. `box` builds one with
-    checked bounds; the class itself checks nothing. The unit is text for people and has no effect.
+    A fixed variable is a constant, such as a mass; it appears in the statement and costs no effort. `box` builds a box
+    and checks its bounds; the class itself checks nothing. Units are text for readers and have no effect.
 
     Attributes:
         names: Names of the d variables.
@@ -36,13 +36,13 @@ class Box(NamedTuple):
 
     @property
     def free(self) -> "Box":
-        """The box of the free variables, those with distinct bounds."""
+        """The box of the free variables, whose bounds are distinct."""
         indices = np.flatnonzero(self.high > self.low)
         names, units = (tuple(texts[i] for i in indices) for texts in (self.names, self.units))
         return Box(names, units, self.low[indices], self.high[indices])
 
     def with_fixed(self, values: np.ndarray, names: tuple[str, ...] = ()) -> "Box":
-        """The box with k further variables, fixed at given values.
+        """The box with k further variables that are fixed at the values given.
 
         Args:
             values: Values (k,) at which they are fixed.
@@ -57,7 +57,7 @@ class Box(NamedTuple):
 
     def __str__(self) -> str:
         parts = zip(self.names, self.units, self.low, self.high, strict=True)
-        # + 0.0 takes the sign from a zero.
+        # + 0.0 turns −0.0 into 0.0.
         return ", ".join(
             f"{low + 0.0:.4g} ≤ {name} ≤ {high + 0.0:.4g} {unit}".rstrip() for name, unit, low, high in parts
         )
@@ -67,7 +67,7 @@ def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:
     """A box from one keyword for each variable.
 
     Use it to write a domain by hand. The order of the keywords is the order of the variables z of the matrix. Each free
-    variable can double the effort of a proof several times, so fix what need not vary.
+    variable can multiply the effort of a proof, so fix every variable that need not vary.
 
     Args:
         **bounds: `name=(low, high)` or `name=(low, high, unit)`, in the order of the variables.
@@ -76,7 +76,8 @@ def box(**bounds: tuple[float, float] | tuple[float, float, str]) -> Box:
         The box, with checked bounds.
 
     Raises:
-        ValueError: The bounds of a variable are not finite numbers, the lower one first; the message names it.
+        ValueError: The bounds of a variable are not finite, or the lower one exceeds the upper one; the message names
+            it.
 
     Example:
         >>> from scalargraph.proofs import box

@@ -1,4 +1,4 @@
-"""Proof that a function is defined and does not jump on a box: its conditions are shown by halving the box."""
+"""Proves that a function is defined and does not jump on a box, by showing its conditions and halving the box."""
 
 import itertools
 
@@ -10,11 +10,11 @@ from scalargraph.proofs._box import Box
 from scalargraph.proofs._tree import halves, middle_of
 
 MOST_CONDITIONS, DEEPEST = 4096, 40
-"""Largest number of boxes, and of halvings of one, for a proof of conditions; most are proved after three halvings."""
+"""Largest number of boxes, and of halvings of a box, in a proof of conditions; three halvings suffice for most."""
 MEANING = {"true": "is not shown to be defined", "finite": f"of numbers that are not shown to stay below {LARGEST:g}"}
-"""What it means that a condition is open, by its kind."""
+"""Meaning of a condition that is not shown, by its kind."""
 CENTRES, FINEST = 16, 8
-"""Number of points around which it is tried how often an input alone must be halved, and the most halvings tried."""
+"""Number of points at which the needed halvings of each single input are tested, and the most halvings tested."""
 
 
 def show_conditions(conditions: Conditions, domain: Box) -> str:
@@ -27,7 +27,7 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
         domain: Bounds of these variables; those with an empty name are left out of the message.
 
     Returns:
-        "" where all hold, or a text that names one that is open and where.
+        "" if all hold, or a text that names a condition that is not shown, and where.
 
     Example:
         >>> import jax.numpy as jnp
@@ -49,16 +49,16 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
         unfinished = undecided.any(axis=1)
         if not unfinished.any():
             return ""
-        if not needs.size:  # most are shown on the whole box
+        if not needs.size:  # most conditions are shown on the whole box
             needs = _needed_halvings(conditions, domain, reads)
         # Only boxes with open conditions go on to the next depth.
         low, high, undecided = low[unfinished], high[unfinished], undecided[unfinished]
         relative = (high - low) / np.where(width > 0, width, 1.0) * (undecided[:, :, None] * needs).max(axis=1)
         middle = middle_of(low, high)
-        # A side of adjacent floats has no number strictly between its ends, and cannot be halved.
+        # If the ends of a side are adjacent floats, no number lies between them, and the side cannot be halved.
         relative = np.where((middle > low) & (middle < high), relative, 0.0)
         stuck = np.flatnonzero(relative.max(axis=1) <= 0)
-        # Each box has two halves, so that the next depth would exceed the number of boxes allowed.
+        # Halving doubles the number of boxes, so the next depth would exceed the number allowed.
         if len(stuck) or depth >= DEEPEST or 2 * len(low) > MOST_CONDITIONS:
             k = int(stuck[0]) if len(stuck) else 0
             condition = conditions.conditions[int(undecided[k].argmax())]
@@ -73,11 +73,11 @@ def show_conditions(conditions: Conditions, domain: Box) -> str:
 
 
 def _needed_halvings(conditions: Conditions, domain: Box, reads: np.ndarray) -> np.ndarray:
-    """How wide each input is for each condition (conditions, inputs): 2ᵏ where it alone must be halved k times.
+    """2ᵏ, if an input alone must be halved k times to show a condition (conditions, inputs); 0 if it is not read.
 
-    All others being points; 0 where it is not read. It only guides the search: inputs that matter are halved first.
+    The other inputs are points meanwhile. This only guides the search: inputs that matter most are halved first.
     """
-    # The seed is fixed, so that equal proofs halve equal boxes; the points only order the halvings.
+    # The seed is fixed, so that equal proofs halve equal boxes; the points only affect the order of the halvings.
     shares = np.random.default_rng(0).uniform(size=(CENTRES, len(domain.low)))
     points = domain.low * (1 - shares) + domain.high * shares  # a difference of the ends may overflow
     needed = reads.copy()

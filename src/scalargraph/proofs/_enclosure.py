@@ -1,4 +1,4 @@
-"""Enclosures of a symmetric matrix over boxes, from a graph of its entries and of their derivatives.
+"""Encloses a symmetric matrix over boxes, from graphs of its entries and of their derivatives.
 
 On each box the entries are enclosed in three ways: by natural interval evaluation; by the mean-value form around the
 centre, `S(z) ∈ S(c) + S'(box) (z − c)`; and by Taylor's form, `S(z) ∈ S(c) + S'(c) (z − c) + ½ S''(box) (z − c)²`,
@@ -32,10 +32,10 @@ class Expansions(NamedTuple):
 
     Attributes:
         value: Graph of the entries.
-        first: Graph of the entries and first derivatives; None where Taylor models of the entries take its place.
+        first: Graph of the entries and first derivatives; None if Taylor models of the entries are used instead.
         second: Graph of the entries, first and second derivatives; None in the same case.
         size: Number of rows, n.
-        free: Indices (f,) of the variables that are read and have distinct bounds.
+        free: Indices (f,) of the variables that the matrix reads and that have distinct bounds.
         width: Widths (d,) of the whole domain.
         engine: Arithmetic that bounds the graphs, as for `scalargraph.enclose`.
 
@@ -72,7 +72,7 @@ class Expansions(NamedTuple):
             raise InputError(f"the matrix must be square; it has shape {shape}")
         rows, columns = np.tril_indices(shape[0])
         graph = Graph.of(entries.graph.nodes)
-        # xᵀMx depends on the symmetric part only; two formulas of an entry and its mirror image become one entry.
+        # xᵀMx depends on the symmetric part only, so an entry and its mirror image are averaged to one entry.
         lower = graft(graph, lambda full: ((full + full.T) / 2)[rows, columns], entries.nodes())
         value = entries._replace(outputs=tuple(lower.tolist()))._replace(graph=graph)
         small, outputs = graph.pruned(value.outputs)
@@ -91,15 +91,16 @@ class Expansions(NamedTuple):
 class EnclosedMatrices(NamedTuple):
     """Enclosures of symmetric matrices on B boxes, by their K entries on and below the diagonal, in two forms.
 
-    The first is Taylor's form, `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1; the second `middle` within `radius`.
+    The first is Taylor's form: the entries are within `rest` of `centre + Σ wₘ terms[m]`, |wₘ| ≤ 1. In the second they
+    are within `radius` of `middle`.
 
     Attributes:
         centre: Shifted values (K, B) at the centres.
         terms: One term for each free variable and one for each pair of them (f + p, K, B).
-        rest: Remainders (K, B); infinite where the matrix is not `smooth`.
+        rest: Remainders (K, B); infinite if the matrix is not `smooth`.
         middle: Middles (K, B) of bounds of the entries.
         radius: Half widths (K, B) of these bounds.
-        shares: Contribution (f + p, K, B) of each variable or pair to `rest`.
+        shares: Contribution (f + p, K, B) of each variable or pair of variables to `rest`.
         smooth: Boxes (B,) on which all derivatives exist everywhere.
 
     Example:
@@ -128,7 +129,7 @@ class EnclosedMatrices(NamedTuple):
 def half_widths(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "f B"]:
     """Half widths of boxes in the free variables, rounded up."""
     centre = middle_of(low, high)
-    # The middle is rounded, so the two sides differ by roundings: the larger one, rounded up, covers the box.
+    # The middle is rounded, so the two half widths differ by a rounding: the larger one, rounded up, covers the box.
     return np.ascontiguousarray((np.maximum(high - centre, centre - low)[:, matrix.free] * (1 + ROUND)).T)
 
 
@@ -137,15 +138,15 @@ def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> Enclo
     f, boxes = half.shape
     with np.errstate(invalid="ignore", over="ignore"):  # the middle of bounds −∞ and ∞ is NaN
         value, terms, shares = taylor_form(at, on, half, k)
-        # A form with derivatives holds where these exist everywhere in the box.
-        # The radii of all terms add up to one remainder; the middles stay separate, so that they can cancel.
+        # A form with derivatives is valid only if these exist everywhere in the box.
+        # The radii of all terms are added to one remainder; the middles stay separate, so that they can cancel.
         rest = np.where(on.smooth, (value.radius + sum_over(shares)) * (1 + ROUND) + TINY, np.inf)
         radius = rest + sum_over(np.abs(terms)) * (1 + ROUND)
         low, high = on.low.T[: k + f * k], on.high.T[: k + f * k]
-        # `fmax` and `fmin` ignore NaN, the mark of an unknown bound, so that the other form alone gives the bound.
+        # NaN marks an unknown bound. `fmax` and `fmin` ignore it and return the bound of the other form.
         lower_bound = np.fmax(_outward(value.middle - radius, -1), low[:k])
         upper_bound = np.fmin(_outward(value.middle + radius, 1), high[:k])
-        # The mean-value form is around the value at the centre, which Taylor's form has shifted.
+        # The mean-value form needs the value at the centre itself; Taylor's form has shifted it.
         centre_value, size = Ball.of(at.low.T[:k], at.high.T[:k]), np.maximum(np.abs(low[k:]), np.abs(high[k:]))
         mean_value_term = sum_over(size.reshape(f, k, boxes) * half[:, None])
         deviation = np.where(on.smooth, centre_value.radius + mean_value_term * (1 + ROUND), np.inf)
@@ -157,7 +158,7 @@ def enclosed_by(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> Enclo
 
 
 class Ball(NamedTuple):
-    """Numbers within a radius of a middle.
+    """Numbers that are known up to a radius around a middle.
 
     Attributes:
         middle: Middles, an array of any shape.
@@ -185,7 +186,7 @@ class Ball(NamedTuple):
 def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple[Ball, np.ndarray, np.ndarray]:
     """Taylor's form `S(c) + Σ Sᵢ(c) δᵢ + ½ Σ Sᵢⱼ δᵢδⱼ` over all δ within ± half.
 
-    Since δᵢ² ≥ 0, half of its largest contribution shifts the value, and half bounds the deviation from there.
+    Since δᵢ² ≥ 0, its range is not symmetric: the middle of the range shifts the value, and the half width is a term.
     """
     f, boxes = half.shape
     first = k + f * k
@@ -198,14 +199,14 @@ def taylor_form(at: Enclosure, on: Enclosure, half: np.ndarray, k: int) -> tuple
     terms, shares = np.empty((2, f + len(chosen), k, boxes))
     np.multiply(slopes.middle.reshape(f, k, boxes), half[:, None], out=terms[:f])
     np.multiply(slopes.radius.reshape(f, k, boxes), half[:, None], out=shares[:f])
-    # ½ Σ over all i, j: a pair i ≠ j occurs twice, a square once.
+    # ½ Σ runs over all i, j: a pair i ≠ j occurs twice, a square once.
     size = np.stack([half[i] * half[j] / (2 if i == j else 1) for i, j in chosen])[:, None]
     square = np.array([i == j for i, j in chosen])
     np.multiply(
         second_derivatives.middle.reshape(-1, k, boxes), size * np.where(square, 0.5, 1.0)[:, None, None], out=terms[f:]
     )
     np.multiply(second_derivatives.radius.reshape(-1, k, boxes), size * (1 + ROUND), out=shares[f:])
-    # With δ = ε · half, ε² is in [0, 1] = ½ ± ½: half of each square shifts the centre, and half stays a term.
+    # With δ = ε · half, ε² lies in [0, 1] = ½ ± ½: half of each square shifts the centre, and half stays a term.
     shifted = value.middle + sum_over(terms[f:][square])
     rounding = ROUND * (np.abs(value.middle) + sum_over(np.abs(terms[f:])))
     return Ball(shifted, value.radius + rounding), terms, shares

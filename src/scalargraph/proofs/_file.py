@@ -1,4 +1,4 @@
-"""Reading of files of proofs: JSON data, read once, with every value checked where it is used.
+"""Reads saved proofs: a JSON file is read once, and every value is checked where it is used.
 
 A file may come from an untrusted source. Each fault raises a `ValueError` of one line, which names the file, the key,
 the value and the expected one. Nothing in a file is executed or imported. The digest detects damage, not forgery: an
@@ -19,11 +19,11 @@ from scalargraph.files import FileKind, read_bytes
 
 CERTIFICATE = FileKind("a saved certificate", 2**26, "ask for the certificate as it was saved, or certify again")
 MOST_VALUES, DEEPEST = 2_000_000, 8
-"""Largest number of values in a file, and depth of nesting, checked before it is parsed."""
+"""Largest number of values in a file, and largest depth of nesting; both are checked before the file is parsed."""
 CHUNK = 2**20
-"""Number of bytes that are examined at once."""
+"""Number of bytes that are scanned at once."""
 LARGEST = 1e150
-"""Largest number in a file, so that products of two numbers, and sums of these, are finite."""
+"""Largest number accepted in a file: products of two such numbers, and sums of these, are finite."""
 REMEDY = "ask for the file as it was saved, or certify again"
 
 
@@ -37,7 +37,7 @@ def read_file(path: str | Path) -> bytes:
         Its bytes, at most `MOST_BYTES` of them; they are not yet parsed.
 
     Raises:
-        ValueError: There is no such file, it cannot be read, or it is larger; the message is one line.
+        ValueError: There is no such file, it cannot be read, or it is too large; the message is one line.
 
     Example:
         >>> from pathlib import Path
@@ -53,15 +53,15 @@ def parse_file(path: str | Path, content: bytes) -> "Field":
     """The parsed content of a file, as one field.
 
     Args:
-        path: Path of the file, for messages only.
+        path: Path of the file; it is used in messages only.
         content: Its bytes, as from `read_file`.
 
     Returns:
         The field of the whole content, with the key "".
 
     Raises:
-        ValueError: The content is not JSON in UTF-8, has a backslash or a key that occurs twice, or is too large or too
-            deep; the message is one line.
+        ValueError: The content is not JSON in UTF-8, contains a backslash or a repeated key, or is too large or too
+            deeply nested; the message is one line.
 
     Example:
         >>> from scalargraph.proofs import parse_file
@@ -76,7 +76,7 @@ def digest(document: dict[str, Any]) -> str:
     """SHA-256 of a certificate without its digest, in a canonical form.
 
     Args:
-        document: The certificate as data of JSON; the key "digest" is left out.
+        document: The certificate as JSON data; the key "digest" is left out.
 
     Returns:
         64 hexadecimal digits. They detect damage, not forgery.
@@ -87,7 +87,7 @@ def digest(document: dict[str, Any]) -> str:
         True
     """
     rest = {key: value for key, value in document.items() if key != "digest"}
-    # Sorted keys without spaces: equal data have equal text, however the file is laid out.
+    # Sorted keys and no spaces give equal data equal text, whatever the layout of the file.
     text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
@@ -97,7 +97,7 @@ def _values(file: str, content: bytes) -> Any:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{file} is no text in UTF-8, at byte {error.start}; {REMEDY}") from error
-    # Without escapes a quotation mark always opens or closes a string, on which the count of brackets below relies.
+    # Without escapes every quotation mark opens or closes a string; the count of brackets below relies on this.
     if "\\" in text:
         line = 1 + text.count("\n", 0, text.index("\\"))
         raise InputError(f"{file} has a backslash on line {line}, and the strings of a certificate have none; {REMEDY}")
@@ -107,7 +107,7 @@ def _values(file: str, content: bytes) -> Any:
         raise InputError(f"{file} is nested more than {DEEPEST} deep; {REMEDY}")
 
     try:
-        # Numbers beyond the range of doubles become infinite here, and are refused where they are used.
+        # Numbers beyond the range of doubles become infinite here, and are refused when they are used.
         return json.loads(
             text, object_pairs_hook=functools.partial(_once, file), parse_constant=float, parse_int=_whole
         )
@@ -117,7 +117,7 @@ def _values(file: str, content: bytes) -> Any:
 
 
 def _once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object in which no key occurs twice."""
+    """An object (dictionary) in which no key occurs twice."""
     record = dict(pairs)
     if len(record) < len(pairs):
         keys = [key for key, _ in pairs]
@@ -141,8 +141,8 @@ def _depth(content: bytes) -> int:
 
 
 def _whole(digits: str) -> int | float:
-    # Shorter integers are exact as floats; `int` is slow for many digits and refuses thousands, so these become
-    # floats.
+    # Integers of fewer than 16 digits are exact as floats. Longer ones become floats, because `int` is slow for many
+    # digits and refuses thousands.
     return int(digits) if len(digits) < 16 else float(digits)
 
 
@@ -154,13 +154,13 @@ def brief(value: Any) -> str:
 
 
 class Field(NamedTuple):
-    """A value of a file and its place. Its methods return the checked value.
+    """A value of a file with its key. Its methods check the value and return it.
 
-    Each of them raises a `ValueError` of one line that names file and key, the value and what was expected.
+    If the value is wrong, they raise a `ValueError` of one line with file, key, value and the expected value.
 
     Attributes:
         file: Name of the file.
-        key: Key from the top, such as `claims[2].levels`; "" for the whole content.
+        key: Full key, such as `claims[2].levels`; "" for the whole content.
         value: The value, of any type of JSON.
 
     Example:
@@ -203,13 +203,13 @@ class Field(NamedTuple):
             self.refuse(wanted)
 
     def at(self, key: str) -> "Field":
-        """The entry of an object; its key must be there.
+        """The entry of an object by key; the key must exist.
 
         Args:
             key: Key of the entry.
 
         Raises:
-            KeyError: There is no such key; `record` checks that.
+            KeyError: There is no such key; call `record` first, which checks this.
         """
         return Field(self.file, f"{self.key}.{key}" if self.key else key, self.value[key])
 
@@ -244,7 +244,7 @@ class Field(NamedTuple):
         return [Field(self.file, f"{self.key}[{k}]", value) for k, value in enumerate(self.value)]
 
     def number(self) -> float:
-        """A finite number of magnitude `LARGEST` at most, as a float; a truth value is not one."""
+        """A finite number, as a float, of magnitude at most `LARGEST`; true and false are refused."""
         self.need(is_number(self.value), f"a finite number, below {LARGEST:g}")
         return float(self.value)
 
@@ -255,7 +255,7 @@ class Field(NamedTuple):
         return amount
 
     def whole(self, least: int, most: int) -> int:
-        """An integer; a truth value is not one.
+        """An integer; true and false are refused.
 
         Args:
             least: Smallest value.
@@ -275,7 +275,7 @@ class Field(NamedTuple):
         return self.value
 
     def one_of(self, choices: Any) -> Any:
-        """One of several values, of the same type as that value, so that true is not 1.
+        """One of several values; the type must be equal too, so that true is not accepted for 1.
 
         Args:
             choices: Allowed values.
@@ -316,6 +316,6 @@ class Field(NamedTuple):
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite number; a truth value is not one."""
-    # The exact type excludes bool, a subclass of int; NaN fails the comparison.
+    """Whether a value is a finite number; true and false do not count as numbers."""
+    # Comparing the exact type excludes bool, a subclass of int; NaN fails the comparison of sizes.
     return type(value) in (int, float) and abs(value) <= LARGEST

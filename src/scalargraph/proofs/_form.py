@@ -1,8 +1,8 @@
-"""A matrix of variables in a box that is to be proved positive definite, as a graph.
+"""Represents the matrix of a proof as a graph of scalars, with derivatives taken from the graph.
 
-Contraction of a flow involves derivatives. Those of JAX do not see jumps: a `where`, a `sign` or a table look-up has
-none, and custom derivative rules are trusted. A proof therefore starts from values alone. They become a graph once,
-with the conditions under which they are defined and do not jump, and this graph is differentiated.
+Conditions for contraction contain derivatives of a flow. JAX's derivatives ignore jumps of a `where`, a `sign` or a
+table look-up, and trust custom derivative rules. Therefore a proof starts from values: they become a graph, with the
+conditions under which they are defined and do not jump, and this graph is differentiated.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +23,7 @@ class Formed(NamedTuple):
 
     Attributes:
         entries: Graph of the entries (n, n).
-        conditions: Conditions on z, followed by further inputs: variables that are fixed at the numbers `pins`.
+        conditions: Conditions on z and on further inputs that follow it: variables that are fixed at `pins`.
         pins: Values of these further inputs.
 
     Example:
@@ -40,10 +40,10 @@ class Formed(NamedTuple):
 
 
 class Form(NamedTuple):
-    """A symmetric matrix of variables z (d,), as a graph of scalars, from which its numbers are computed.
+    """A symmetric matrix of variables z (d,), as a graph of scalars; it can also be evaluated in numbers.
 
     Attributes:
-        graph: Function that writes its graph, with conditions, for the shape of z.
+        graph: Function that returns the graph, with conditions, for the shape of z.
 
     Example:
         >>> import jax.numpy as jnp
@@ -69,7 +69,7 @@ class Form(NamedTuple):
         return np.asarray(numbers(self.graph(jnp.asarray(points[0])).entries, points))
 
     def then(self, formula: Callable[[Array], Array]) -> "Form":
-        """The form of a formula of the matrix, such as one of its blocks.
+        """The form of a function of this matrix, such as one of its blocks.
 
         Args:
             formula: JAX function `(n, n) -> (k, k)` of the matrix.
@@ -77,7 +77,7 @@ class Form(NamedTuple):
         return self.beside(lambda matrix, z: formula(matrix))
 
     def beside(self, formula: Callable[[Array, Array], Array]) -> "Form":
-        """The form of a formula of the matrix and of its variables.
+        """The form of a function of this matrix and of its variables.
 
         Args:
             formula: JAX function `((n, n), z (d,)) -> (k, k)`.
@@ -97,16 +97,16 @@ class Form(NamedTuple):
 
 
 def as_form(matrix: Callable[[Array], Array]) -> Form:
-    """A JAX function as a form, with the conditions that it is defined and does not jump.
+    """Convert a JAX function to a form, with the conditions under which it is defined and does not jump.
 
     `prove` calls it itself. Use it to see the graph that a proof is about, or the conditions under which it is defined.
-    The graph is built only when it is asked for, so that an error in the function appears late.
+    The graph is built when it is first used, so an error in the function appears only then.
 
     Args:
         matrix: Function `z (d,) -> (n, n)`; a `Form` is returned unchanged.
 
     Returns:
-        The form. Its `graph` raises `LoweringError` where the function has no graph of scalars.
+        The form. Its `graph` raises `LoweringError` if the function has no graph of scalars.
 
     Example:
         >>> import jax.numpy as jnp
@@ -119,7 +119,7 @@ def as_form(matrix: Callable[[Array], Array]) -> Form:
         return matrix
 
     def graph(z):
-        # real=True refuses rounding by conversion and collects the conditions: a proof is about real numbers.
+        # real=True refuses conversions that round, and collects conditions: the proof is about real numbers.
         lowered = lower(matrix, z, real=True)
         assert lowered.conditions is not None
         return Formed(lowered._replace(conditions=None), lowered.conditions, np.zeros(0))
@@ -128,7 +128,7 @@ def as_form(matrix: Callable[[Array], Array]) -> Form:
 
 
 class NodeDerivatives:
-    """Derivatives of arrays of nodes of one graph, for the formulas of forms. They are added to the graph.
+    """Derivatives of arrays of nodes of one graph, for the formulas of forms; they are added to the graph.
 
     Args:
         graph: The graph, which grows.
@@ -148,11 +148,11 @@ class NodeDerivatives:
         self.graph = graph
 
     def along(self, nodes: np.ndarray, direction: Mapping[int, int]) -> np.ndarray:
-        """Derivatives along a direction."""
+        """Derivatives along one direction."""
         return np.vectorize(Derivative(self.graph, direction), otypes=[int])(nodes)
 
     def each(self, nodes: np.ndarray, inputs: Sequence[int], sides: np.ndarray | None = None) -> np.ndarray:
-        """Derivatives in several inputs, or along several directions."""
+        """Derivatives with respect to several inputs, or along several directions."""
         one, zero = self.graph.constant(1.0), self.graph.constant(0.0)
         columns = np.where(np.eye(len(inputs), dtype=bool), one, zero) if sides is None else sides
         derivatives = [self.along(nodes, dict(zip(inputs, side, strict=True))) for side in columns.T.tolist()]
@@ -168,21 +168,22 @@ Parts = Callable[[NodeDerivatives, tuple[np.ndarray, ...], int], tuple[np.ndarra
 def derivative_form(
     values: Values, state: Callable[[Array], Array], parts: Parts, formula: Callable[..., Array]
 ) -> Form:
-    """The form of a formula of values and of their derivatives at x = state(z), t = 0.
+    """The form of a matrix that depends on values and their derivatives at x = state(z), t = 0.
 
-    The derivatives are those of the graph of the values, not those of JAX.
+    The derivatives are taken from the graph of the values, not from JAX.
 
-    At kinks, such as those of |x|, min and max, the derivatives in intervals contain all values between those of both
-    sides, and so Clarke's generalised Jacobian. Where all matrices enclosed in this way are positive definite, an
-    inequality of contraction holds for Lipschitz flows as for smooth ones. The argument: for neighbouring solutions x
-    and x + δ, the mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) gives δ' = Aδ with a
+    At kinks, such as those of |x|, min and max, the derivatives in intervals contain all values between the one-sided
+    derivatives, and therefore Clarke's generalised Jacobian. If all matrices enclosed in this way are positive
+    definite,
+    an inequality of contraction holds for Lipschitz flows as for smooth ones. The argument: for neighbouring solutions
+    x and x + δ, the mean-value theorem (Clarke 1983, Optimization and Nonsmooth Analysis, 2.6.5) gives δ' = Aδ with a
     mean A of Jacobians on the segment between them. The inequality is affine in A, and its margin, which is positive on
-    a compact set, outweighs terms of higher order in δ. So sufficiently short chords shrink, and with them every curve,
-    as the limit of polygons.
+    a compact set, outweighs terms of higher order in δ. So sufficiently short chords shrink, and so do all curves, as
+    limits of polygons.
 
     Args:
         values: Functions `(t, x (k,), z (d,)) -> arrays` of time, state and variables.
-        state: Function `z (d,) -> x (k,)`, the state at which the formula is taken.
+        state: Function `z (d,) -> x (k,)`, the state at which the matrix is evaluated.
         parts: Function `(derivatives, nodes of the values, k) -> nodes of the arguments of the formula`; inputs are t,
             then x, then z.
         formula: JAX function of these arguments, to a matrix (n, n).
@@ -226,7 +227,7 @@ def _at_state(value: Lowered, grown: Graph, outputs: np.ndarray, at: Lowered) ->
 
     small = Graph()
     entries = np.array(substitute(grown, outputs.ravel().tolist(), small, inputs(small, small.constant)), int)
-    # A fixed variable is still an input of the conditions, so that a jump in it is detected.
+    # A fixed variable remains an input of the conditions, so that a jump in it is detected.
     free, pins = Graph(), []
 
     def pinned(number: float) -> int:
@@ -241,11 +242,11 @@ def _at_state(value: Lowered, grown: Graph, outputs: np.ndarray, at: Lowered) ->
 
 
 def _is_met(graph: Graph, condition: Condition, node: int) -> bool:
-    """Whether a condition that has become one on a number is met."""
+    """Whether a condition holds whose node has become a constant."""
     if graph.nodes[node].op != "constant":
         return False
     value = graph.nodes[node].value
-    # Conditions of kind "finite" are on numbers, all others on statements.
+    # The node of a condition of kind "finite" is a number; the nodes of all others are statements.
     return abs(float(value or 0)) < LARGEST if condition.kind == "finite" else bool(value)
 
 

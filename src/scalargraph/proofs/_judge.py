@@ -1,4 +1,4 @@
-"""Decision on a box: the matrix is proved positive definite on it, or shown not to be, or the box is halved.
+"""Decides about boxes: the matrix is proved positive definite on a box, refuted there, or the box is halved.
 
 A box that is not decided is halved across the variable that widens the enclosure most.
 """
@@ -20,13 +20,13 @@ MODELLED = 128
 
 
 def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
-    """Evaluate boxes: prove each, choose the variable across which to halve it, or find a counter-example."""
+    """For each box return that it is proved, or the variable across which to halve it; or find a counter-example."""
     proved, weight, smooth = _test_boxes(matrix, low, high)
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
         return codes, None
-    # Middles of boxes that resist are the likeliest places of a counter-example, and one ends the whole search.
+    # A counter-example ends the whole search, and it is likeliest in the middle of a box that is not proved.
     counterexample = counterexample_at(matrix, middle_of(low[rest], high[rest]))
     if counterexample is not None:
         return codes, counterexample
@@ -37,12 +37,12 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     relative = ((high - low)[rest] / np.where(matrix.width > 0, matrix.width, 1.0))[:, matrix.free]
     lost = ~np.isfinite(weight).all(axis=1)
     weight[lost] = relative[lost]
-    # Where every variable has no effect, or cannot be halved any more, the widest one is halved.
+    # If no variable has an effect, or none of them can be halved any more, the widest side is halved.
     middle = middle_of(low[rest], high[rest])[:, matrix.free]
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
-    # The relative widths only break ties between variables of equal weight; −1 marks those that cannot be halved.
+    # Relative widths only decide between variables of equal weight; −1 marks variables that cannot be halved.
     weight = np.where(possible, weight + 1e-9 * relative * weight.max(axis=1, keepdims=True, initial=0.0), -1.0)
-    # A box of adjacent floats, or one without free variables, stays open.
+    # A box whose sides are adjacent floats, or that has no free variables, stays open.
     codes[rest] = np.where(possible.any(axis=1), matrix.free[weight.argmax(axis=1)] if len(matrix.free) else OPEN, OPEN)
     return codes, None
 
@@ -60,10 +60,10 @@ def _test_boxes(
     tests = tests_in_c(matrix.engine, matrix.size)
     enclosures = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
     test = tests.definite if tests else definite
-    # First the form with terms: under one congruence its terms cancel between entries, which bounds of entries cannot.
+    # The form with terms comes first: under a congruence its terms cancel between entries, which bounds cannot.
     proved, c = test(enclosures.centre, enclosures.rest, enclosures.terms)
     rest = np.flatnonzero(~proved)
-    # Bounds of the entries also hold where the matrix is not smooth, where Taylor's form says nothing.
+    # Bounds of the entries also hold if the matrix is not smooth; Taylor's form is not valid then.
     proved[rest] = test(enclosures.middle[:, rest], enclosures.radius[:, rest])[0]
     rest = np.flatnonzero(~proved)
     parts = np.zeros((len(enclosures.terms), len(low)))
@@ -76,7 +76,7 @@ def _test_boxes(
 def _test_by_models(
     matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
-    """The same by Taylor models, some boxes after the other. They hold at kinks too, where they are the hulls."""
+    """`_test_boxes` by Taylor models, a few boxes at a time. At kinks these are hulls, so all boxes count as smooth."""
     tests, f = tests_in_c(matrix.engine, matrix.size), len(matrix.free)
     proved, weight = np.empty(len(low), bool), np.empty((len(low), f))
     for start in range(0, len(low), MODELLED):
@@ -94,26 +94,26 @@ def _test_by_models(
 
 
 def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
-    """Search random points of a box for one at which the matrix is not positive definite."""
+    """Search random points of a box for a point at which the matrix is not positive definite."""
     rng = np.random.default_rng(0)
     inside = rng.uniform(size=(count, len(domain.low)))
-    inside[::2] = np.round(inside[::2])  # corners, where the smallest eigenvalue often is
+    inside[::2] = np.round(inside[::2])  # corners, where the smallest eigenvalue often lies
     points = np.clip(domain.low + inside * (domain.high - domain.low), domain.low, domain.high)
     return counterexample_at(matrix, points)
 
 
 def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
-    """The first of some points at which the matrix is shown not to be positive definite."""
+    """The first of some points at which the matrix is proved not to be positive definite."""
     at = enclose(matrix.value, points, points, matrix.engine)
     wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
-    # A box of one point: its two corners are equal.
+    # The box of a single point has two equal corners.
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
 
 def _weight(parts: np.ndarray, owners: np.ndarray, f: int) -> Float[np.ndarray, "B f"]:
-    """How much each variable widens the enclosures, from each of their terms (m, B): a pair counts for both of its.
+    """How much each variable widens the enclosures, from their terms (m, B); the term of a pair counts for both.
 
-    `owners`: the variable to which each symbol of the terms belongs.
+    `owners`: the variable to which each symbol in the terms belongs.
     """
     weight = np.zeros((f, parts.shape[1]))
     for number, owner in enumerate(owners):
@@ -126,7 +126,7 @@ def _weight(parts: np.ndarray, owners: np.ndarray, f: int) -> Float[np.ndarray, 
 
 
 def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The weights from derivatives at the centre alone, for boxes on which nothing is bounded; NaN without them."""
+    """Weights from derivatives at the centre alone, for boxes without bounds; NaN if there are no derivatives."""
     if matrix.second is None:
         return np.full((len(low), len(matrix.free)), np.nan)
     centre = middle_of(low, high)

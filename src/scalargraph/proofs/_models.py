@@ -1,11 +1,10 @@
-"""Taylor models on boxes: each number of a graph as a polynomial of second order in the variables, with a remainder.
+"""Evaluates a graph in Taylor models: on a box, each number is a quadratic polynomial with a bounded remainder.
 
-An entry of a matrix is computed from numbers that cancel in part. Bounds of its derivatives, one operation after the
-other, do not see that; polynomials do, since their terms cancel as those of the entry do. What is left is of third
-order. For ten variables it takes about as long as bounds of all second derivatives, and the boxes that it
-decides are many times as wide.
+The terms of a matrix entry partly cancel. Bounds of its derivatives, computed operation by operation, miss this;
+polynomials do not, as their terms cancel in the same way, and only a remainder of third order is left. For ten
+variables this takes about as long as bounds of all second derivatives, and decides boxes that are many times as wide.
 
-Variables of a box are `c + h ε`, |ε| ≤ 1. All roundings of a step go into its remainder.
+The variables of a box are written `c + h ε`, |ε| ≤ 1. All roundings of a step go into its remainder.
 Source: Makino & Berz 2003, Taylor models and other validated functional inclusion methods, International Journal of
 Pure and Applied Mathematics 4(4).
 """
@@ -33,11 +32,11 @@ class TaylorModel:
 
     Attributes:
         on: The s variables that it depends on, in ascending order.
-        at: Constant terms (B,). Where the last axis of an array is 1, all boxes share it.
+        at: Constant terms (B,). An array whose last axis is 1 holds for all boxes.
         line: Linear terms (s, B).
         bend: Quadratic terms (p, B), for the pairs `pairs(s)`.
         rest: Remainders (B,), which bound all roundings too.
-        shares: How much of `rest` is due to each variable (s, B). Nothing is shown by them; they guide the search.
+        shares: How much of `rest` each variable causes (s, B). Proofs do not use them; they guide the search.
         sloped: Sum (B,) of absolute values of `line`.
         bent: Sum (B,) of absolute values of `bend`.
         away: The largest distance (B,) from `at`.
@@ -57,14 +56,14 @@ class TaylorModel:
     def __init__(
         self, on: Support, at: np.ndarray, line: np.ndarray, bend: np.ndarray, rest: np.ndarray, shares: np.ndarray
     ):
-        # TINY covers what underflows in the operation that made this number, where relative bounds do not hold.
+        # TINY covers underflow in the operation that made this number, for which relative bounds do not hold.
         self.on, self.at, self.line, self.bend, self.rest, self.shares = on, at, line, bend, rest + TINY, shares
         self.sloped, self.bent = np.abs(line).sum(0), np.abs(bend).sum(0)
         self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
 
     @classmethod
     def number(cls, at: Any, rest: Any = 0.0) -> "TaylorModel":
-        """A number of which nothing is known but that it is within `rest` of `at`."""
+        """A number about which only one thing is known: it is within `rest` of `at`."""
         at = np.atleast_1d(np.asarray(at, float))
         none = np.empty((0, 1))
         return cls((), at, none, none, np.broadcast_to(rest, at.shape), none)
@@ -79,7 +78,7 @@ class TaylorModel:
     @property
     def bounds(self) -> Interval:
         """An interval (B,) around `at` that contains the number, rounded outward."""
-        # More than the rounding errors of the two sums below, so that the interval is rounded outward.
+        # This step exceeds the rounding errors of the two sums below, so the interval is rounded outward.
         step = ROUND * (np.abs(self.at) + self.away) + TINY
         return Interval(self.at - self.away - step, self.at + self.away + step)
 
@@ -90,11 +89,11 @@ class TaylorModel:
 
     @property
     def dues(self) -> np.ndarray:
-        """How much of the distance from `at` is due to each variable (s, B), a guide for the search."""
+        """How much of the distance from `at` each variable causes (s, B); it guides the search."""
         return np.abs(self.line) + _each(self.bend, len(self.on)) + self.shares
 
     def over(self, on: Support) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`line`, `bend` and `shares` as terms of more variables, with zeros for the new ones."""
+        """`line`, `bend` and `shares` extended to more variables, with zeros for the new ones."""
         if on == self.on:
             return self.line, self.bend, self.shares
         places, paired = _places(self.on, on)
@@ -107,7 +106,7 @@ class TaylorModel:
         return tuple(found)
 
     def times(self, k: np.ndarray) -> "TaylorModel":
-        """The number times a known one, with its roundings in the remainder."""
+        """The product with a known number; its roundings go into the remainder."""
         size = np.abs(k)
         rest = (size * (self.rest + ROUND * self.size)) * (1 + ROUND)
         return TaylorModel(self.on, self.at * k, self.line * k, self.bend * k, rest, self.shares * size)
@@ -125,7 +124,7 @@ class TaylorModel:
     def __mul__(self, other: "TaylorModel") -> "TaylorModel":
         on = _union(self.on, other.on)
         (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
-        # Coefficients of second order; an entry of `bend` for i ≠ j counts both orders of a pair.
+        # Quadratic coefficients; an entry of `bend` for i ≠ j stands for both orders of the pair.
         product = self.at * turn + other.at * bend
         if len(on):
             i, j = _pairs(len(on))
@@ -143,7 +142,7 @@ class TaylorModel:
         )
 
     def where(self, chosen: np.ndarray, other: "TaylorModel") -> "TaylorModel":
-        """The number on the chosen boxes, another one on the others."""
+        """This number on the chosen boxes, the other one elsewhere."""
         on = _union(self.on, other.on)
         (line, bend, due), (slope, turn, owed) = self.over(on), other.over(on)
         parts = (self.at, other.at), (line, slope), (bend, turn), (self.rest, other.rest), (due, owed)
@@ -166,31 +165,31 @@ def _pairs(count: int) -> tuple[Int[np.ndarray, "p"], Int[np.ndarray, "p"]]:
 
 
 def _each(bend: np.ndarray, count: int) -> np.ndarray:
-    """How much each of some variables adds to the sum of absolute values of `bend`."""
+    """How much each variable contributes to the sum of absolute values of `bend`."""
     return _incidence(count) @ np.abs(bend)
 
 
 @functools.cache
 def _incidence(count: int) -> Float[np.ndarray, "s p"]:
     i, j = _pairs(count)
-    # A pair counts half for each of its variables, a square wholly for its one.
+    # Half of the term of a pair counts for each of its variables; the term of a square counts for its variable alone.
     return (np.arange(count)[:, None] == i) / 2 + (np.arange(count)[:, None] == j) / 2
 
 
 @functools.cache
 def _places(few: Support, many: Support) -> tuple[Int[np.ndarray, "s"], Int[np.ndarray, "p"]]:
-    """Where variables, and pairs of them, are among more variables, and pairs of those."""
+    """Positions of variables, and of pairs of them, among more variables and their pairs."""
     at = [many.index(variable) for variable in few]
     number = {pair: k for k, pair in enumerate(pairs(len(many)))}
     return np.array(at, int), np.array([number[at[i], at[j]] for i, j in pairs(len(few))], int)
 
 
-# Functions of one number: Taylor's formula of second order around the middle, with the third derivative on its range.
+# Functions of one number, by Taylor's formula of second order around the middle; the third derivative is bounded.
 
 
 @functools.cache
 def _with_derivatives(op: str, constants: tuple[float, ...]) -> tuple[Graph, tuple[int, ...]]:
-    """A function of one input, after or before constants, and its first three derivatives."""
+    """A function of one input and its first three derivatives; constants are its further arguments."""
     graph = Graph()
     x = graph.input(0)
     numbers = [graph.constant(number) for number in constants]
@@ -217,7 +216,7 @@ def _enclose_outputs(graph: Graph, outputs: Sequence[int], x: Interval) -> list[
 def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     """A function of one number: `f(c) + f'(c) d + ½ f''(c) d² + ⅙ f'''(ξ) d³`, with d the distance from c.
 
-    Where that is wider than the bounds of f over the range, or derivatives do not exist, the result is these bounds.
+    If the bounds of f over the range are narrower, or derivatives do not exist, the result is those bounds.
     """
     graph, outputs = _with_derivatives(op, given)
     whole = TaylorModel.within(_enclose_outputs(graph, outputs[:1], x.bounds)[0])
@@ -228,20 +227,20 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     )
     third = TaylorModel.within(_enclose_outputs(graph, outputs[3:], x.bounds)[0])
     deviation = TaylorModel(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
-    # `bend.rest` is not halved: the remainder may only be too large.
+    # Only the middle of the second derivative is halved. Its remainder `bend.rest` may be too large, not too small.
     result = value + deviation * slope + deviation * deviation * TaylorModel.number(bend.at / 2, bend.rest)
     # The remainder of third order, rounded up: ξ is anywhere in the range of x.
     most = (np.abs(third.at) + third.rest) * deviation.away**3 / 6 * (1 + ROUND)
-    # The remainder is due to the variables in proportion to what each adds to |d|.
+    # The remainder is attributed to the variables in proportion to their contributions to |d|.
     part = x.dues / np.where(x.away > 0, x.away, 1.0)
     result = TaylorModel(x.on, result.at, result.line, result.bend, result.rest + most, result.shares + most * part)
     hull = TaylorModel(x.on, whole.at, 0 * x.line, 0 * x.bend, whole.rest, whole.rest * part)
-    # The range of the function alone where it is narrower; a NaN in the remainder chooses it too.
+    # The bounds over the range are used if they are narrower, or if the remainder is NaN.
     return result.where(result.rest <= whole.rest, hull)
 
 
 def _divide_models(a: TaylorModel, b: TaylorModel) -> TaylorModel:
-    # A quotient as a product with 1/b, which is a function of one number; it has no bound where b may be zero.
+    # A quotient is a product with 1/b, a function of one number; it has no bound if b may be zero.
     return a * curve("div", b, 1.0)
 
 
@@ -254,18 +253,18 @@ def _size(a: TaylorModel) -> TaylorModel:
 def _smaller(a: TaylorModel, b: TaylorModel) -> TaylorModel:
     gap = (a + -b).bounds
     hull = TaylorModel.within(INTERVALS["min"](a.bounds, b.bounds))
-    # Where the difference has one sign the smaller one keeps its polynomial; elsewhere the hull of both counts.
+    # If the difference has one sign, the smaller number keeps its polynomial; otherwise the hull of both is used.
     return a.where(gap.high <= 0, b.where(gap.low >= 0, hull))
 
 
 def _choose_model(which: Truth, a: TaylorModel, b: TaylorModel) -> TaylorModel:
-    """a where a statement must hold, b where it cannot, and the hull of both where it is undecided."""
+    """a if a statement holds, b if it does not, and the hull of both if it is undecided."""
     hull = TaylorModel.within(INTERVALS["select"](which, a.bounds, b.bounds))
     return a.where(np.atleast_1d(which.must), b.where(np.atleast_1d(~which.may), hull))
 
 
 def _kink_derivative(a: TaylorModel, b: TaylorModel, x: TaylorModel, y: TaylorModel) -> TaylorModel:
-    """The derivative at a kink: x where a < b, y where b < a, and the hull of both where they may be equal."""
+    """The derivative at a kink: x where a < b, y where b < a, and the hull of both if a = b is possible."""
     gap = (a + -b).bounds
     return _choose_model(Truth(gap.high < 0, ~(gap.low > 0)), x, y)
 
@@ -289,7 +288,7 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
         )
     },
 }
-"""Operations that keep the polynomials; of all others the bounds of the arguments give bounds of the result."""
+"""Operations with a rule for polynomials; for all others, the bounds of the arguments give bounds of the result."""
 
 
 def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
@@ -306,16 +305,16 @@ def _apply(node: Node, nodes: Sequence[Node], x: Sequence[Any]) -> Any:
 
 
 class Polynomials(NamedTuple):
-    """Numbers on B boxes as polynomials: `centre + Σ wₘ terms[m]` within `rest`, |wₘ| ≤ 1.
+    """Numbers on B boxes as polynomials: each is within `rest` of `centre + Σ wₘ terms[m]`, |wₘ| ≤ 1.
 
     Attributes:
         centre: Constant terms (K, B) of the K numbers.
         terms: A term for each of s symbols and, after these, one for each pair of them, `pairs(s)`: (s + p, K, B). The
             first symbols are the f free variables.
-        rest: Remainders (K, B); NaN or infinite where nothing is known.
+        rest: Remainders (K, B); NaN or infinite if nothing is known.
         owners: The variable (s,) to which each symbol belongs.
-        shares: How much of `rest` is due to each variable (f, K, B), a guide for the search.
-        blame: How much each variable widens the first numbers that are not defined (f, B), another one.
+        shares: How much of `rest` each variable causes (f, K, B); it guides the search.
+        blame: How much each variable widens the first numbers without a bound (f, B); it guides the search too.
 
     Example:
         >>> import jax.numpy as jnp, numpy as np
@@ -367,7 +366,7 @@ def polynomials(
 
 
 def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Sequence[Any]) -> None:
-    """Add up what widens the last argument of an operation on boxes where its result is the first without a bound."""
+    """Add how much each variable widens the last argument, on boxes where the result is the first without a bound."""
     if isinstance(result, TaylorModel) and not np.isfinite(result.rest).all():
         lost, last = ~np.isfinite(result.rest), arguments[-1]
         for x in arguments:
@@ -378,17 +377,17 @@ def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Seq
 
 
 def _steep(model: Any) -> bool:
-    """Whether a number depends on one variable alone, by more than its polynomial knows on some box."""
+    """Whether a number depends on one variable only, and its remainder exceeds its other terms on some box."""
     if not (isinstance(model, TaylorModel) and len(model.on) == 1):
         return False
     return bool((np.isfinite(model.rest) & (model.rest > model.sloped + model.bent)).any())
 
 
 def _with_symbol(model: TaylorModel, owners: list[int]) -> TaylorModel:
-    """A number of one variable whose remainder is a further symbol, |η| ≤ 1, so that what it adds cancels too.
+    """A number of one variable with its remainder written as a further symbol, |η| ≤ 1, so that it can cancel too.
 
-    A steep function, as that of dry friction, is then known to be the same number wherever it enters the matrix: the
-    test of definiteness sees a slope between two values, in place of many independent errors.
+    All occurrences of a steep function, such as dry friction, in the matrix then share one symbol. The test of
+    definiteness sees one slope between two values instead of many independent errors.
     """
     finite = np.isfinite(model.rest)
     owners.append(owners[model.on[0]])
@@ -399,7 +398,7 @@ def _with_symbol(model: TaylorModel, owners: list[int]) -> TaylorModel:
 
 
 def _variable(low: np.ndarray, high: np.ndarray, number: int | None) -> TaylorModel:
-    """A variable on boxes; without a number it is fixed."""
+    """A variable on boxes; `number` is None for a fixed variable."""
     centre = middle_of(low, high)
     # Rounded up, so that |ε| ≤ 1 covers the whole box although its middle is rounded.
     half = np.maximum(high - centre, centre - low) * (1 + ROUND)
@@ -416,7 +415,7 @@ def _gather_polynomials(models: Sequence[TaylorModel], owners: Sequence[int], bl
     for k, value in enumerate(models):
         terms[:s, k], terms[s:, k], _ = value.over(tuple(range(s)))
         terms[s:, k][square] /= 2
-        # The square of a variable is ½ ± ½.
+        # The square of a symbol lies in [0, 1] = ½ ± ½.
         centre[k] = value.at + sum_over(terms[s:, k][square])
         rest[k] = (value.rest + ROUND * (np.abs(value.at) + value.bent)) * (1 + ROUND)
         for symbol, due in zip(value.on, value.shares, strict=True):

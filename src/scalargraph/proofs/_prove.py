@@ -1,9 +1,8 @@
 """Proof by branch and bound that a matrix is positive definite everywhere in a box, with outward rounding.
 
-The matrix is enclosed on a box, and the enclosure tested for positive definiteness; boxes on which the test fails are
-halved. The proof also needs a computation of the matrix that is defined everywhere in the box and does not jump; the
-conditions for this are shown first, also by halving.
-
+The matrix is enclosed on a box, and the enclosure is tested for positive definiteness; boxes on which the test fails
+are halved. The matrix must also be defined everywhere in the box, without jumps; the conditions for this are shown
+first, also by halving.
 Effort is counted in boxes, so that a verdict depends neither on the machine nor on its load.
 """
 
@@ -32,9 +31,9 @@ from scalargraph.proofs._judge import judge, look_around
 from scalargraph.proofs._tree import CHUNK, OPEN, Tree, open_boxes
 
 PATIENCE = 4 * CHUNK
-"""Number of boxes that are evaluated by one process before the work is shared out."""
+"""Number of boxes that one process evaluates before the work is distributed to several."""
 ROUND_OF_LOTS = 4
-"""Number of lots of boxes that are evaluated before any of them is halved further, for any number of processes."""
+"""Number of lots of boxes that are evaluated before their halves are; it does not depend on the number of processes."""
 MOST_BOXES = 200_000
 """Default limit of the number of boxes of a proof."""
 
@@ -47,17 +46,17 @@ class Proof(NamedTuple):
     function that may be undefined.
 
     Attributes:
-        verdict: "holds"; "fails", where the matrix is not positive definite at `counterexample`; or "undecided", where
-            the boxes `open` remain.
+        verdict: "holds"; "fails", if the matrix is not positive definite at `counterexample`; or "undecided", if the
+            boxes `open` remain.
         box: The domain.
-        levels: The boxes as a binary tree, from the whole box down: one array of integers for each level, with the
-            index of the variable across whose middle a box is halved (lower half first), −1 (`PROVED`) where the matrix
-            is proved positive definite, −2 (`OPEN`) where it is open.
-        counterexample: Corners (2, d) of a box in which the matrix is nowhere positive definite; None without one.
+        levels: The boxes as a binary tree, from the whole box down: one array of integers for each level. Each integer
+            is the index of the variable across whose middle a box is halved (lower half first), −1 (`PROVED`) if the
+            matrix is proved positive definite, or −2 (`OPEN`) if that is open.
+        counterexample: Corners (2, d) of a box in which the matrix is nowhere positive definite, or None.
         open: Corners (k, 2, d) of the k undecided boxes.
         boxes: Number of boxes evaluated.
         seconds: Time taken [s]; NaN for a proof read from a file.
-        reason: Why the matrix may be undefined or jump, which leaves the whole domain undecided; "" if it cannot.
+        reason: Why the matrix may be undefined or jump, which leaves the whole domain undecided; "" if it does not.
 
     Example:
         >>> import jax.numpy as jnp
@@ -85,8 +84,7 @@ class Proof(NamedTuple):
             levels: Its tree, as in the field of this name.
 
         Returns:
-            A proof that "holds" where every leaf is proved, "undecided" otherwise. Nothing is proved again; its time is
-            NaN.
+            A proof that "holds" if every leaf is proved, else "undecided". Nothing is proved again; its time is NaN.
 
         Raises:
             ValueError: The levels are not a tree over the domain.
@@ -99,7 +97,7 @@ class Proof(NamedTuple):
 
     @property
     def open_share(self) -> float:
-        """Fraction of the volume of the domain in open boxes, from 0 to 1."""
+        """Fraction of the volume of the domain that open boxes have, from 0 to 1."""
         return float(sum((codes == OPEN).sum() * 0.5**depth for depth, codes in enumerate(self.levels)))
 
 
@@ -119,8 +117,8 @@ def prove(
     depends neither on the machine nor on its load, unless `seconds` ends the proof.
 
     Args:
-        matrix: JAX function `z (d,) -> (n, n)`, or a `Form`. Everything that it computes must also be defined and
-            without jumps on the domain; kinks are allowed.
+        matrix: JAX function `z (d,) -> (n, n)`, or a `Form`. All its operations must be defined and without jumps on
+            the domain; kinks are allowed.
         domain: Bounds of z.
         boxes: Approximate number of boxes after which the proof stops, with the verdict "undecided".
         seconds: Optional time limit [s], counted from when the matrix has been written as a graph.
@@ -153,10 +151,10 @@ def prove(
 def prove_at_corners(
     matrix: Callable[[Array], Array], domain: Box, affine: Sequence[str], *, boxes: int = MOST_BOXES
 ) -> list[Proof]:
-    """Prove that a matrix is positive definite where it is affine in some variables jointly: one proof for each corner.
+    """Prove that a matrix is positive definite if it is jointly affine in some variables: one proof for each corner.
 
     The smallest eigenvalue is a concave function of these variables, so it is least at a corner of their box. They need
-    not be halved: 2^k proofs over the other variables replace one over all. It stops at the first that does not hold.
+    not be halved: 2^k proofs over the other variables replace one over all. The first proof that fails ends the work.
 
     Args:
         matrix: JAX function `z (d,) -> (n, n)`, or a `Form`, as for `prove`.
@@ -169,8 +167,8 @@ def prove_at_corners(
         matrix has one corner only.
 
     Raises:
-        ValueError: The matrix is not affine in these variables together, as its second derivatives and its kinks show,
-            a name is not known, or the matrix is not square.
+        ValueError: The matrix is not jointly affine in these variables, as its second derivatives or kinks show; a
+            name is not known; or the matrix is not square.
         LoweringError: The matrix has no graph of scalars.
 
     Example:
@@ -189,7 +187,7 @@ def prove_at_corners(
     indices = np.array([domain.names.index(name) for name in affine], int)
     kink = _kink(formed.entries, indices.tolist())
     if kink is not None:
-        # Its second derivatives vanish on either side of the kink, so they do not show that it is not affine.
+        # Second derivatives vanish on either side of a kink, so they do not reveal that the matrix is not affine.
         raise InputError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
     # A jointly affine matrix is a convex combination of its values at the corners, and the cone S > 0 is convex.
     derivatives = expand(formed.entries, indices.tolist(), 2)
@@ -219,7 +217,7 @@ def prove_at_corners(
 
 
 KINKS = {"abs", "sign", "floor", "ceil", "round", "min", "max", "select", "either", "cbrt", *TRUTHS}
-"""Operations with a kink, on both sides of which the graphs of their second derivatives vanish."""
+"""Operations with a kink; on both sides of it, the graphs of their second derivatives vanish."""
 
 
 def _kink(entries: Lowered, variables: Sequence[int]) -> str | None:
@@ -235,10 +233,10 @@ def _kink(entries: Lowered, variables: Sequence[int]) -> str | None:
 
 
 def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray, "k"]]:
-    """Indices of the diagonal blocks of a symmetric matrix after a permutation, the same for every z.
+    """Indices of the diagonal blocks of a symmetric matrix after a permutation that is the same for every z.
 
-    A matrix is positive definite where each block is, and each block depends on fewer variables. An entry counts as
-    zero where its graph is the constant 0.
+    A matrix is positive definite if each block is, and each block depends on fewer variables. An entry counts as zero
+    if its graph is the constant 0.
 
     Args:
         matrix: JAX function `z (d,) -> (n, n)`, or a `Form`.
@@ -256,16 +254,16 @@ def blocks(matrix: Callable[[Array], Array], domain: Box) -> list[Int[np.ndarray
     """
     formed = as_form(matrix).then(lambda m: m + m.T).graph(jnp.asarray(domain.low))
     nodes = formed.entries.nodes()
-    # An entry that is zero as a formula is zero for all z; the diagonal makes every index reach itself.
+    # An entry with the constant graph 0 is zero for all z; the diagonal is added so that every index reaches itself.
     reached = ~np.vectorize(formed.entries.graph.is_zero, otypes=[bool])(nodes) | np.eye(len(nodes), dtype=bool)
-    # Squaring doubles the length of the paths that are followed, so ⌊log₂ n⌋ + 1 squarings reach whole components.
+    # Squaring doubles the length of the paths followed, so ⌊log₂ n⌋ + 1 squarings reach whole connected components.
     for _ in range(len(nodes).bit_length()):
         reached = reached @ reached
     return [np.flatnonzero(row) for row in np.unique(reached, axis=0)]
 
 
 class _Effort(NamedTuple):
-    """Number of boxes that may be evaluated, and the times [s] at which the work began and must end."""
+    """The number of boxes that may be evaluated, and the times [s] of the start and of the limit."""
 
     boxes: int
     start: float
@@ -284,7 +282,7 @@ class _Effort(NamedTuple):
 
 def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, progress, reason: str) -> Proof:
     """Branch and bound on one matrix, after a search for a counter-example at random points."""
-    # A point where the matrix is not positive definite refutes the claim, even if conditions are open elsewhere.
+    # A point where the matrix is not positive definite refutes the claim, even if conditions are not shown elsewhere.
     counterexample = look_around(matrix, domain)
     if counterexample is not None:
         return _failure_proof(domain, counterexample, effort, reason)
@@ -292,11 +290,11 @@ def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, 
         whole = np.stack([domain.low, domain.high])[None]
         return Proof("undecided", domain, [np.array([OPEN])], None, whole, 1, effort.spent, reason)
     tree = Tree(domain)
-    # Most proofs are finished before worker processes have started.
+    # One process starts alone, since most proofs end before worker processes have started.
     first_effort = effort if processes == 1 else effort._replace(boxes=min(effort.boxes, PATIENCE))
     counterexample = _search(functools.partial(map, functools.partial(judge, matrix)), tree, first_effort, progress)
     if processes > 1 and counterexample is None and tree.waiting and tree.evaluated < effort.boxes:
-        # JAX has threads, and a forked copy of a process with threads may hang.
+        # JAX runs threads, and a forked copy of a process with threads may hang, hence "spawn".
         context = multiprocessing.get_context("spawn")
         with concurrent.futures.ProcessPoolExecutor(
             processes, context, initializer=_set_matrix, initargs=(matrix,)
@@ -311,14 +309,14 @@ def _failure_proof(domain: Box, counterexample: np.ndarray, effort: _Effort, rea
 
 
 def _conclude(tree: Tree, effort: _Effort, reason: str, counterexample: np.ndarray | None = None) -> Proof:
-    """The proof stated by a tree of boxes and, where there is one, a counter-example."""
+    """The proof that a tree of boxes and an optional counter-example establish."""
     levels, remaining = tree.levels()
     verdict = "fails" if counterexample is not None else "undecided" if len(remaining) else "holds"
     return Proof(verdict, tree.domain, levels, counterexample, remaining, tree.evaluated, effort.spent, reason)
 
 
 def _reason(formed: Formed, domain: Box) -> str:
-    """Why the conditions are not shown to hold over the domain; "" if they are."""
+    """Why the conditions are not shown to hold over the domain; "" if they are shown."""
     return show_conditions(formed.conditions, domain.with_fixed(formed.pins))
 
 
@@ -327,7 +325,7 @@ _matrix: Expansions | None = None
 
 
 def _set_matrix(matrix: Expansions) -> None:
-    """Store the matrix in a worker process, so that later messages to it hold boxes only."""
+    """Store the matrix in a worker process, so that later messages to the process contain boxes only."""
     global _matrix
     _matrix = matrix
 
@@ -338,7 +336,7 @@ def _judge_here(low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"]
 
 
 def _search(map_judge: Callable, tree: Tree, effort: _Effort, progress) -> np.ndarray | None:
-    """Evaluate boxes by `map_judge` until none is left, the effort is used up, or there is a counter-example."""
+    """Evaluate boxes by `map_judge` until none is left, the effort is spent, or a counter-example is found."""
     while tree.evaluated < effort.boxes and time.monotonic() < effort.until:
         lots = [lot for _ in range(ROUND_OF_LOTS) if (lot := tree.next()) is not None]
         if not lots:

@@ -1,4 +1,4 @@
-"""Conversion of trees of boxes and graphs of scalars to data for a file, and back."""
+"""Converts trees of boxes and graphs of scalars to data for a file, and back."""
 
 import string
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from scalargraph.errors import InputError
 from scalargraph.proofs._file import MOST_VALUES, Field, is_number
 
 LETTERS = string.ascii_letters
-"""One letter for each variable across whose middle a box is halved; a leaf is a dot, an open leaf a question mark."""
+"""One letter for each variable across whose middle a box may be halved; leaves are dots, open leaves question marks."""
 MOST_LEVELS, MOST_LETTERS = 400, 10**7
 """Largest number of levels of a tree, and of letters of all trees of a file together."""
 ARGUMENTS = {op: range(n := getattr(fold, "nin", 3), n + 1) for op, fold in FOLD.items()}
 ARGUMENTS |= {"either": range(4, 5), "stumpff": range(2, 3)}
-"""Operations of a graph of scalars, and the numbers of arguments they take."""
+"""Operations of a graph of scalars, with the allowed numbers of their arguments."""
 
 
 def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
@@ -41,12 +41,12 @@ def to_letters(levels: Sequence[np.ndarray]) -> list[str]:
     most = max((int(codes.max()) for codes in levels if codes.size), default=-1) + 1
     if most > len(LETTERS):
         raise InputError(f"files hold trees over at most {len(LETTERS)} variables; this one halves {most}")
-    table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 are the last two
+    table = np.array([ord(c) for c in LETTERS + "?."], np.uint8)  # indices −1 and −2 select the last two characters
     return [table[codes].tobytes().decode("ascii") for codes in levels]
 
 
 def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
-    """The tree of boxes written by `to_letters`.
+    """Convert the strings of `to_letters` back to a tree of boxes.
 
     Args:
         levels: One string for each level.
@@ -55,7 +55,7 @@ def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
         One array of integers for each level: the index of the variable that is halved, −1 for proved, −2 for open.
 
     Raises:
-        KeyError: A character is none of these; `saved_levels` checks that.
+        KeyError: A character is not one of these; `saved_levels` checks that.
 
     Example:
         >>> from scalargraph.proofs import from_letters
@@ -67,7 +67,7 @@ def from_letters(levels: Sequence[str]) -> list[np.ndarray]:
 
 
 def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
-    """The levels of a tree in a file, checked to cover its box: both halves of each halved box are present.
+    """Read the levels of a tree from a file, and check that it covers its box: both halves of each halved box exist.
 
     Args:
         field: The list of strings, as written by `to_letters`.
@@ -77,7 +77,7 @@ def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
         The strings, one for each level.
 
     Raises:
-        ValueError: The strings are no tree over a box of so many variables.
+        ValueError: The strings do not form a tree over a box of so many variables.
 
     Example:
         >>> from scalargraph.proofs import Field, saved_levels
@@ -89,7 +89,7 @@ def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
     for row in rows:
         fits = type(row.value) is str and len(row.value) == size and known >= set(row.value)
         row.need(fits, f"{size} of the letters a to {LETTERS[variables - 1]}, dots and question marks")
-        # Each box that is not a leaf has two halves on the next level, so a tree is complete where the count ends at
+        # Each box that is not a leaf has two halves on the next level, so a tree is complete if the count ends at
         # zero.
         size = 2 * (size - row.value.count(".") - row.value.count("?"))
     field.need(size == 0, f"levels down to the last boxes, of which {size} are missing")
@@ -97,7 +97,7 @@ def saved_levels(field: Field, variables: int) -> tuple[str, ...]:
 
 
 def saved_graph(field: Field) -> dict[str, list]:
-    """The rows of a graph of scalars in a file, checked to refer to earlier rows only.
+    """Read the rows of a graph of scalars from a file, and check that they refer to earlier rows only.
 
     Args:
         field: The object with "nodes" and "outputs", as written by `graph_rows`.
@@ -106,7 +106,7 @@ def saved_graph(field: Field) -> dict[str, list]:
         The same object as a dictionary of lists.
 
     Raises:
-        ValueError: A row is no known operation, or refers to itself, to a later row or to none.
+        ValueError: A row is not a known operation, or it refers to itself, to a later row, or to a row that is missing.
 
     Example:
         >>> from scalargraph.proofs import Field, saved_graph
@@ -126,7 +126,7 @@ def saved_graph(field: Field) -> dict[str, list]:
 
 
 def _is_node(row: Any, k: int) -> bool:
-    """Whether this is a valid row k of a graph: a constant, an input, or an operation on earlier rows."""
+    """Whether a row k of a graph is valid: a constant, an input, or an operation on earlier rows."""
     if not (type(row) is list and row and type(row[0]) is str):
         return False
     op, *arguments = row

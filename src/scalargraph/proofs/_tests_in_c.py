@@ -1,7 +1,7 @@
-"""The prover's tests on boxes as compiled C: `enclosed_by`, `definite` and `weights` do the same operations in NumPy.
+"""Runs the prover's tests on boxes in compiled C; `enclosed_by`, `definite` and `weights` are the same in NumPy.
 
-Each sum is taken in the same order, so that all numbers are the same to the last bit; where the library is loaded this
-is tried, and a compiler that rounds in another way is refused. The factors C are computed by LAPACK for both.
+Each sum is taken in the same order, so that all numbers agree to the last bit. This is tested when the library is
+loaded, and a library that rounds differently is refused. LAPACK computes the factors C for both.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from scalargraph.proofs._enclosure import EnclosedMatrices, enclosed_by
 from scalargraph.template import fill
 
 LANES = 64
-"""Number of boxes for which each operation is done at once."""
+"""Number of boxes that each operation processes at once."""
 
 
 class CompiledTests:
@@ -42,7 +42,7 @@ class CompiledTests:
     def __init__(self, text: str = ""):
         if compiler() is None:
             raise OSError("there is no C compiler `cc`, so NumPy does the work")
-        # EXACT forbids fused products and sums, and other orders of a sum, which change the last bits.
+        # EXACT forbids fused products and sums, and reordered sums, which would change the last bits.
         self._library = compiled(text or source(), EXACT, ctypes.CDLL)
         if not self._agrees():
             raise OSError(f"{compiler()} rounds in another way than NumPy, so NumPy does the work")
@@ -59,7 +59,7 @@ class CompiledTests:
     def definite(
         self, middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
     ) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-        """The verdict and the factors of the function of this name in NumPy."""
+        """The verdict and the factors, as from the NumPy function of this name."""
         c, positive = factors(middle)
         n, boxes, below = len(c), c.shape[2], np.empty(c.shape[2])
         terms = np.empty((0, *middle.shape)) if terms is None else terms
@@ -67,7 +67,7 @@ class CompiledTests:
         return (below != 0) & positive, c
 
     def weights(self, c: np.ndarray, terms: np.ndarray, shares: np.ndarray) -> np.ndarray:
-        """The weights (m, B) of the function of this name in NumPy."""
+        """The weights (m, B), as from the NumPy function of this name."""
         n, boxes, m = len(c), c.shape[2], len(terms)
         result = np.empty((m, boxes))
         _call(self._library.weights, n, m, boxes, c, terms, shares, result)
@@ -85,7 +85,7 @@ class CompiledTests:
                 self.definite(result.centre, result.rest, result.terms)[0],
                 self.weights(c, result.terms, result.shares),
             )
-            # Equality of bits, not a tolerance: verdicts and trees must not depend on the engine.
+            # Bits are compared, without a tolerance: verdicts and trees must not depend on the engine.
             if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(expected, result, strict=True)):
                 return False
         return True
@@ -116,11 +116,11 @@ def _call(function: Any, *arguments: Any) -> None:
 
 
 LARGEST = 16
-"""Largest matrices that are tested by C: their numbers stand on the stack."""
+"""Largest number of rows of matrices that C tests, as their numbers are stored on the stack."""
 
 
 def tests_in_c(engine: Arithmetic, n: int) -> CompiledTests | None:
-    """The compiled tests of matrices (n, n), where compiled C bounds the graphs too."""
+    """The compiled tests of matrices (n, n), if compiled C bounds the graphs too; otherwise None."""
     return _load_tests() if n <= LARGEST and in_c(engine) else None
 
 
@@ -134,7 +134,7 @@ def _load_tests() -> CompiledTests | None:
 
 @functools.cache
 def source() -> str:
-    """The C of the tests, with the tolerances of `_definite` as hexadecimal constants, which are exact."""
-    # Hexadecimal, so that the constants are the same doubles as in NumPy.
+    """The C of the tests, with the tolerances of `_definite`."""
+    # Hexadecimal constants are exact, so that both implementations use the same doubles.
     numbers = {"LANES": LANES, "ROUND": ROUND.hex(), "TINY": TINY.hex(), "MOST": (1 - SLACK).hex()}
     return fill("scalargraph", "tests.c", numbers)

@@ -1,4 +1,4 @@
-"""The binary tree of boxes of branch and bound, in which a box is halved, its halves are halved, and so on."""
+"""Stores the boxes of branch and bound as a binary tree, in which a box is halved, its halves are halved, and so on."""
 
 import itertools
 from collections.abc import Iterator
@@ -10,9 +10,9 @@ from scalargraph.errors import InputError
 from scalargraph.proofs._box import Box
 
 CHUNK = 2048
-"""Number of boxes evaluated at once: their intermediate values stay in the cache."""
+"""Number of boxes evaluated at once; their intermediate values fit in the cache."""
 PROVED, OPEN = -1, -2
-"""Codes of leaves: the statement is proved on all of the box, or undecided."""
+"""Codes of leaves: the statement is proved on the whole box, or undecided."""
 
 
 def leaves(domain: Box, levels: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -50,7 +50,7 @@ def open_boxes(domain: Box, levels: list[np.ndarray]) -> Float[np.ndarray, "k 2 
 
 
 def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes, lower before upper. Both include the middle, so that no point is lost."""
+    """Both halves of boxes, the lower one first. Both include the middle, so that no point is lost."""
     rows = np.arange(len(low))
     middle = middle_of(low[rows, axes], high[rows, axes])
     low, high = np.repeat(low, 2, axis=0), np.repeat(high, 2, axis=0)
@@ -61,7 +61,7 @@ def halves(low, high, axes) -> tuple[np.ndarray, np.ndarray]:
 
 def middle_of(low, high):
     """The midpoint, without overflow."""
-    # low + high may overflow where their halves do not.
+    # low + high may overflow although low/2 + high/2 does not.
     return low / 2 + high / 2
 
 
@@ -70,7 +70,8 @@ class Tree:
 
     Attributes:
         domain: The whole box, of d variables.
-        code: Code of each box: the variable that is halved, `PROVED`, or `OPEN`, also before it is evaluated.
+        code: Code of each box: the variable that is halved, `PROVED`, or `OPEN`, which also marks a box not yet
+            evaluated.
         child: Number of the lower half of each box that is halved; the upper half follows it.
         count: Number of boxes in use; the arrays are longer.
         evaluated: Number of boxes evaluated.
@@ -98,12 +99,12 @@ class Tree:
         ]
 
     def next(self) -> tuple | None:
-        """Boxes to evaluate, `CHUNK` at most; small lots are combined."""
+        """The next boxes to evaluate, at most `CHUNK`; small lots are combined."""
         if not self.waiting:
             return None
         lots, count = [], 0
         while self.waiting and count < CHUNK:
-            # The latest boxes first: depth first keeps the number of waiting boxes small.
+            # The latest boxes come first: this depth-first order keeps the number of waiting boxes small.
             lots.append(self.waiting.pop())
             count += len(lots[-1][0])
         whole = tuple(np.concatenate(part) for part in zip(*lots, strict=True))
@@ -121,7 +122,7 @@ class Tree:
         new = 2 * int(split.sum())
         first = self.count
         self.count += new
-        # Doubled, so that n boxes cost O(n) copies in all.
+        # The arrays are doubled, so that n boxes cost O(n) copies in all.
         while self.count > len(self.code):
             self.code = np.concatenate([self.code, np.full(len(self.code), OPEN)])
             self.child = np.concatenate([self.child, np.zeros(len(self.child), int)])

@@ -1,8 +1,8 @@
-"""The interface of a Lie group in this library: matrices that are multiplied, and an algebra of real vectors.
+"""Defines the interface of a Lie group: matrices that are multiplied, and an algebra of real vectors.
 
 Elements are matrices (N, N), so that `g @ h` composes them. Elements of the algebra are represented by coordinates x
-(n,), real also for complex groups. Every operation is directional, and the closed forms form no array of n² entries.
-Batches come from `jax.vmap`.
+(n,), which are real also for complex groups. Every operation is directional, and closed forms need no array of n²
+entries. Use `jax.vmap` for batches.
 
 Source: Maithripala, Berg & Dayawansa 2004, section II; Chirikjian 2012, Stochastic Models, Information Theory, and Lie
 Groups, chapter 10, for the Jacobians.
@@ -56,7 +56,7 @@ class AbstractGroup(AbstractManifold):
 
     @abc.abstractmethod
     def vee(self, matrix: Element) -> Vector:
-        """Coordinates (n,) of a matrix (N, N) of the algebra; of any other matrix, those of its projection."""
+        """Coordinates (n,) of a matrix (N, N) of the algebra; any other matrix is projected to the algebra first."""
 
     @abc.abstractmethod
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
@@ -85,8 +85,8 @@ class AbstractGroup(AbstractManifold):
     def log(self, g: Element) -> Vector:
         """Principal logarithm: the shortest x with `exp(x) = g`.
 
-        Where two are equally short, as after half a turn, one of them is returned, and the choice is discontinuous
-        there. Only a `MatrixGroup` has elements without a logarithm.
+        If two are equally short, as after half a turn, one of them is returned, and the choice is discontinuous there.
+        Only in a `MatrixGroup` can an element have no logarithm.
 
         Args:
             g: element (N, N).
@@ -111,7 +111,7 @@ class AbstractGroup(AbstractManifold):
         Returns:
             Body velocity (n,).
         """
-        # Inverting the matrix exp(x) instead would lose twice as many digits.
+        # Using the inverse of the matrix exp(x) instead would lose twice as many digits.
         return self.vee(self.exp(-x) @ jax.jvp(self.exp, (x,), (y,))[1])
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
@@ -124,7 +124,7 @@ class AbstractGroup(AbstractManifold):
         Returns:
             Derivative x' (n,).
         """
-        # From the matrix (n, n) of J_r: no series for the inverse converges wherever it exists.
+        # By the matrix (n, n) of J_r: no series for the inverse converges everywhere that the inverse exists.
         one = jnp.eye(x.shape[0], dtype=x.dtype)
         return jnp.linalg.solve(jax.vmap(lambda e: self.right_jacobian(x, e), out_axes=1)(one), y)
 
@@ -235,7 +235,7 @@ class AbstractGroup(AbstractManifold):
             g: matrix (N, N).
 
         Returns:
-            The largest entry by which it violates the equations of the group, a scalar.
+            The largest residual of the group's equations, a scalar.
         """
 
     @abc.abstractmethod
@@ -243,7 +243,7 @@ class AbstractGroup(AbstractManifold):
         """Whether `log(g)` is the only shortest logarithm of g (N, N).
 
         Returns:
-            False, to within rounding, on the cut locus, where a second logarithm is as short; else True.
+            False, to within rounding, on the cut locus, where a second logarithm is equally short; else True.
         """
 
     def contains(self, g: Element, tolerance: float) -> Flag:
@@ -254,9 +254,9 @@ class AbstractGroup(AbstractManifold):
             tolerance: largest `defect` of an element.
 
         Returns:
-            Whether it is; False where it is not finite.
+            Whether it is; False if it is not finite.
         """
-        # A comparison with NaN is False, so that a matrix with a NaN in it is no element.
+        # A comparison with NaN is False, so a matrix that contains NaN is not an element.
         return self.defect(g) <= tolerance
 
     # As a manifold: the frame is the body frame, and the retraction follows one-parameter groups.
@@ -269,11 +269,11 @@ class AbstractGroup(AbstractManifold):
         return self.identity(dtype)
 
     def zero(self, x: Element) -> Vector:
-        # Velocities are real also where the matrix is complex.
+        # Velocities are real, even if the matrices are complex.
         return jnp.zeros(self.dimension, jnp.finfo(x.dtype).dtype)
 
     def tangent(self, x: Element, a: Vector) -> Element:
-        # Left translation: the velocity a in the body frame stands on the right of x.
+        # Left translation: the velocity a is in the body frame, so its matrix multiplies x from the right.
         return x @ self.hat(a)
 
     def components(self, x: Element, rate: Element) -> Vector:
@@ -300,11 +300,11 @@ class AbstractGroup(AbstractManifold):
         return jnp.zeros_like(a)
 
     def carried_momentum(self, x: Element, s: Vector, mu: Vector) -> Vector:
-        # The body frame at x exp(s) is that at x turned by exp(s), and a momentum transforms by the transpose of Ad.
+        # The body frame at x exp(s) is the one at x moved by exp(s); momenta transform by the transpose of Ad.
         return self.coadjoint_action(self.exp(s), mu)
 
     def missing(self, y: Element) -> Bool[Array, "n"]:
-        """Mask (n,) of all or none: an element with a NaN in it is missing as a whole."""
+        """Mask (n,), all True or all False: an element that contains NaN is missing as a whole."""
         return jnp.broadcast_to(jnp.any(jnp.isnan(y)), (self.dimension,))
 
     def towards(self, x: Element, y: Element) -> Vector:
@@ -318,13 +318,13 @@ class AbstractGroup(AbstractManifold):
 
     @traced_once
     def admitted(self, y: Array) -> Array:
-        # Half of the digits, times 100: rotations rounded to single precision pass in double precision too.
+        # The tolerance is a hundred times the square root of rounding: rotations in single precision pass, too.
         tolerance = 100 * float(jnp.finfo(y.dtype).eps) ** 0.5
         return jnp.where(self.contains(y, tolerance) | jnp.any(jnp.isnan(y)), y, jnp.nan)
 
     def checked(self, y: Array) -> Array:
         valid = self.admitted(super().checked(y))
-        # Numbers of a traced array are unknown: there NaN reports the error, as `AbstractManifold.checked` says.
+        # The numbers of a traced array are unknown; there NaN reports the error, see `AbstractManifold.checked`.
         if not isinstance(valid, Tracer) and np.isnan(valid).any():
             raise InputError("the configuration is not an element of the group; pass rotations as matrices")
         return valid

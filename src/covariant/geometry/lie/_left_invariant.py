@@ -1,4 +1,4 @@
-"""Riemannian geometry of a group with a left-invariant metric, defined by an inertia on its algebra.
+"""Riemannian geometry of a Lie group whose left-invariant metric is defined by an inertia on its algebra.
 
 All vectors are body velocities (n,): coordinates of `g⁻¹ g'`. No operation depends on its base point.
 
@@ -22,7 +22,7 @@ from scalargraph.errors import InputError
 
 
 class AbstractInertia(eqx.Module):
-    """A symmetric positive definite map from velocities to momenta; a large one need not be stored as a matrix.
+    """A symmetric positive definite map from velocities to momenta; it need not be stored as a matrix.
 
     Example:
         A subclass for equal principal moments of inertia [kg m²]:
@@ -57,11 +57,11 @@ class Inertia(AbstractInertia):
         matrix: symmetric positive definite matrix (n, n), for SE(3) in [kg] and [kg m²].
 
     Attributes:
-        matrix: the matrix, in floating-point numbers.
-        inverse: its inverse (n, n), exactly symmetric.
+        matrix: the matrix, as floating-point numbers.
+        inverse: its inverse matrix (n, n), exactly symmetric.
 
     Raises:
-        ValueError: unless the matrix is square, symmetric and positive definite.
+        ValueError: the matrix is not square, symmetric and positive definite.
 
     Example:
         >>> import jax.numpy as jnp
@@ -81,15 +81,15 @@ class Inertia(AbstractInertia):
             raise InputError(f"inertia: the matrix must have shape (n, n); got {self.matrix.shape}")
         if not isinstance(self.matrix, Tracer):
             values = np.asarray(self.matrix)
-            # `not … <=`, so that a NaN is refused too.
+            # Written as `not … <=`, so that NaN is refused too.
             if not np.abs(values - values.T).max() <= 1e-6 * np.abs(values).max():
                 raise InputError("inertia: the matrix is not symmetric")
             least = float(np.linalg.eigvalsh(values)[0])
             if not least > 0:
                 raise InputError(f"inertia: the matrix must be positive definite; its least eigenvalue is {least:.3g}")
-        # In NumPy where the numbers are known: compiling a JAX program for each of the many small steps takes a second.
+        # NumPy inverts known numbers, since JAX would take a second to compile a program for each small step.
         inverse = _inverse(self.matrix) if isinstance(self.matrix, Tracer) else np.linalg.inv(np.asarray(self.matrix))
-        # The inverse is symmetric and its rounding is not; then `raise_` is self-adjoint as `lower` is.
+        # The inverse is symmetric but its rounding is not; symmetrised, `raise_` is self-adjoint as `lower` is.
         self.inverse = jnp.asarray((inverse + inverse.T) / 2)
 
     def __call__(self, x: Vector) -> Vector:
@@ -109,15 +109,15 @@ class LeftInvariant(AbstractSpace):
     In the body frame every operation is the same at all points.
 
     Use it for the kinetic energy of a free rigid body or vehicle, whose inertia is constant in the body frame.
-    `models.GroupSystem` builds it from an inertia matrix. Its geodesics are the motions without force, and in general
-    they are not `group.exp` of a constant velocity.
+    `models.GroupSystem` builds it from an inertia matrix. Its geodesics are the motions without forces; in general they
+    differ from `group.exp` of a constant velocity.
 
     Args:
         group: the group.
         inertia: matrix (n, n) or an `AbstractInertia`.
 
     Raises:
-        ValueError: for a matrix of the wrong shape, or one that `Inertia` refuses.
+        ValueError: the matrix has the wrong shape, or `Inertia` refuses it.
 
     Example:
         A free rigid body: `−B(ω, ω)` is its angular acceleration by Euler's equations.
@@ -163,7 +163,7 @@ class LeftInvariant(AbstractSpace):
         """
         return (self.inertia(self.group.lie_bracket(a, b)) - self._coadjoint_sum(a, b)) / 2
 
-    # The energy ½<Iv, v> of a body velocity does not depend on the configuration.
+    # Zero, as the energy ½<Iv, v> of a body velocity does not depend on the configuration.
     def kinetic_force(self, x: Element, v: Vector, momentum: Vector | None = None) -> Vector:
         return jnp.zeros_like(v)
 
@@ -180,7 +180,7 @@ class LeftInvariant(AbstractSpace):
         Returns:
             Vector (n,).
         """
-        # B(v, v) = −I⁻¹ ad*_v I v, so that geodesics v' = −B(v, v) satisfy Euler's equation I v' = ad*_v I v.
+        # B(v, v) = −I⁻¹ ad*_v I v, so geodesics v' = −B(v, v) satisfy Euler's equation I v' = ad*_v I v.
         return (self.group.lie_bracket(a, b) - self.inertia.solve(self._coadjoint_sum(a, b))) / 2
 
     def curvature(self, x: Element, a: Vector, b: Vector, c: Vector) -> Vector:
@@ -195,8 +195,8 @@ class LeftInvariant(AbstractSpace):
         Returns:
             Vector (n,).
         """
-        along = jax.jit(lambda d, e: self.connection(x, d, e))  # traced once, not at each of the five places
-        # The terms ∂B of the general formula are zero: B has the same components at every point.
+        along = jax.jit(lambda d, e: self.connection(x, d, e))  # traced once, although it is called five times
+        # The terms ∂B of the general formula vanish, since B has the same components at every point.
         return along(a, along(b, c)) - along(b, along(a, c)) - along(self.group.lie_bracket(a, b), c)
 
     def _coadjoint_sum(self, a: Vector, b: Vector) -> Vector:

@@ -17,24 +17,24 @@ from covariant._typing import Element, Flag, Vector
 from covariant.geometry.lie._group import AbstractGroup
 from scalargraph.errors import InputError
 
-# A turn by π becomes one by π/64, at which the series of 8 terms errs by less than tan(π/128)¹⁶/17 < 1e-26 of it.
+# Six halvings reduce a turn by π to π/64; the series of 8 terms then errs by less than tan(π/128)¹⁶/17 < 1e-26 of it.
 HALVINGS = 6
-"""Number of square roots taken before the series of the logarithm."""
+"""Number of square roots that are taken before the series of the logarithm is used."""
 ROOT_LIMIT = 80
-"""Newton iterations after which a square root stops: the matrix is then on the cut locus, to within rounding."""
-# The first term left out is 1/19! = 8e-18.
+"""Number of Newton iterations after which a square root stops; the matrix is then on the cut locus, to rounding."""
+# The first omitted term is 1/19! = 8e-18.
 TAYLOR = 18
 """Degree of the series of the exponential, exact to rounding for norms up to 1."""
 DOUBLINGS = 10
-"""Squarings after the series of the exponential: enough for norms up to 1024, beyond which float64 overflows."""
+"""Squarings after the series of the exponential; they suffice for norms up to 1024, beyond which float64 overflows."""
 
 
 class SU(AbstractGroup):
     """Unitary matrices of determinant 1, SU(n); x holds the n² − 1 real coordinates of su(n).
 
     The basis is −i/2 times the generalised Gell-Mann matrices: first the symmetric ones of all pairs j < k, then the
-    antisymmetric ones, then the diagonal ones. With it the bracket of su(2) is the cross product, as in SO(3). The
-    logarithm needs the Schur form, which JAX offers on CPUs only.
+    antisymmetric ones, then the diagonal ones. With this basis the bracket of su(2) is the cross product, as in SO(3).
+    The logarithm needs the Schur form, which JAX offers on CPUs only.
 
     Attributes:
         n: number of rows, 2 or more.
@@ -67,7 +67,7 @@ class SU(AbstractGroup):
     def hat(self, x: Vector) -> Element:
         above, below, diagonal = _su_layout(self.n)
         pairs = len(above)
-        # −(i/2)λ above the diagonal: a symmetric λ (entry 1) gives −ix/2, an antisymmetric one (entry −i) −x/2.
+        # Above the diagonal, −(i/2)λ x is −ix/2 for a symmetric λ (entry 1), and −x/2 for an antisymmetric (entry −i).
         upper = jax.lax.complex(-x[pairs : 2 * pairs], -x[:pairs]) / 2
         middle = -0.5 * (jnp.asarray(diagonal, x.dtype) @ x[2 * pairs :])
         entries = jnp.concatenate([upper, -upper.conj(), jax.lax.complex(jnp.zeros_like(middle), middle)])
@@ -98,7 +98,7 @@ class SU(AbstractGroup):
 
     def unique_log(self, g: Element) -> Flag:
         angles = jnp.linalg.eigvalsh(1j * self.hat(self.log(g)))
-        # Moving 2π from the largest to the smallest angle gives another logarithm, as long where they differ by 2π.
+        # Moving 2π from the largest to the smallest angle gives another logarithm, equally long if they differ by 2π.
         return 2 * np.pi - (angles[-1] - angles[0]) > 4 * jnp.finfo(angles.dtype).eps ** 0.5
 
 
@@ -107,8 +107,8 @@ class MatrixGroup(AbstractGroup):
 
     Args:
         basis: matrices (n, N, N), linearly independent and closed under the bracket.
-        structure: structure constants C (n, n, n), with `[e_i, e_j] = C[i, j, k] e_k`. Optional: useful where they have
-            many zeros and exact numbers; they must agree with the basis.
+        structure: structure constants C (n, n, n), with `[e_i, e_j] = C[i, j, k] e_k`. Optional: they save work if many
+            of them are zero, and they are exact; they must agree with the basis.
 
     Attributes:
         basis: the basis.
@@ -116,8 +116,8 @@ class MatrixGroup(AbstractGroup):
         structure: the structure constants, or None.
 
     Raises:
-        ValueError: for a basis that is linearly dependent or not closed under the bracket, and for structure
-            constants that do not match it.
+        ValueError: the basis is linearly dependent or not closed under the bracket, or the structure constants do not
+            match it.
 
     Example:
         Translations of the line, as matrices [[1, x], [0, 1]]:
@@ -138,7 +138,7 @@ class MatrixGroup(AbstractGroup):
         basis = array.astype(complex if np.iscomplexobj(array) else float)
         if basis.ndim != 3 or basis.shape[1] != basis.shape[2] or not len(basis):
             raise InputError(f"MatrixGroup: the basis must have shape (n, N, N); got {basis.shape}")
-        # Real and imaginary parts side by side: the algebra is a real vector space also where matrices are complex.
+        # Real and imaginary parts side by side: the algebra is a real vector space, even if matrices are complex.
         flat = np.concatenate([part.reshape(len(basis), -1) for part in (np.real(basis), np.imag(basis))], axis=1)
         if np.linalg.matrix_rank(flat) < len(basis):
             raise InputError(f"MatrixGroup: the {len(basis)} matrices of the basis are linearly dependent")
@@ -149,7 +149,7 @@ class MatrixGroup(AbstractGroup):
         pairs = (len(basis), len(basis), -1)
         flat_brackets = np.concatenate([np.real(brackets).reshape(pairs), np.imag(brackets).reshape(pairs)], axis=2)
         constants = flat_brackets @ dual.T
-        # The precision in which the caller wrote the basis, before it was made double.
+        # The tolerance follows the precision in which the caller wrote the basis, before conversion to double.
         accuracy = np.finfo(array.dtype if np.issubdtype(array.dtype, np.inexact) else float).eps ** 0.5
         scale = accuracy * max(1.0, float(np.abs(brackets).max()))
         if np.abs(constants @ flat - flat_brackets).max() > scale:
@@ -187,7 +187,7 @@ class MatrixGroup(AbstractGroup):
         return matrix_exp(self.hat(x))
 
     def log(self, g: Element) -> Vector:
-        """Principal logarithm where it lies in the algebra; elsewhere there is none, and `contains` is False.
+        """Principal logarithm if it lies in the algebra; otherwise there is none, and `contains` is False.
 
         Args:
             g: element (N, N).
@@ -203,8 +203,8 @@ class MatrixGroup(AbstractGroup):
     def defect(self, g: Element) -> Array:
         """Distance of `exp(log g)` from g.
 
-        The group's equations are not known, so this is the only test. Elements without a principal logarithm in the
-        algebra do not pass it.
+        A group given by a basis has no known equations, so this is the only test. It rejects elements without a
+        principal logarithm in the algebra.
 
         Args:
             g: matrix (N, N).
@@ -225,7 +225,7 @@ def _in_precision(constants: Array, dtype) -> Array:
 
 
 def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the pairs j < k are in the matrix counted as one axis, where k > j, and the basis of the diagonals."""
+    """Places of the pairs j < k in the flattened matrix, places with k > j, and the basis of the diagonal matrices."""
     rows, columns = np.triu_indices(n, 1)
     diagonal = np.zeros((n, n - 1))
     for k in range(1, n):
@@ -235,20 +235,20 @@ def _su_layout(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def matrix_bracket(group: AbstractGroup, x: Vector, y: Vector) -> Vector:
-    """Lie bracket `[x, y]` from one commutator of matrices, for a group of any dimension."""
+    """Lie bracket `[x, y]` by one commutator of matrices, for a group of any dimension."""
     a, b = group.hat(x), group.hat(y)
     return group.vee(a @ b - b @ a)
 
 
 def matrix_exp(a: Element) -> Element:
     """Matrix exponential by scaling and squaring of exp − 1, so that small steps from the identity lose no digits."""
-    # The number of halvings is no smooth function; the result does not depend on it.
+    # The number of halvings is not smooth, but the result does not depend on it, so its gradient is stopped.
     norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
-    # Scaled to norm ≤ 1, where the series is exact to rounding.
+    # The matrix is scaled to norm ≤ 1, where the series is exact to rounding.
     # A norm of zero has the logarithm −∞, which is clipped to 0.
     doublings = jnp.clip(jnp.ceil(jnp.log2(norm)), 0, DOUBLINGS)
     a = a * 0.5 ** doublings.astype(a.dtype)
-    # Horner's rule for exp − 1 = a(1 + a/2 (1 + a/3 (…))), without the 1 that would absorb small digits.
+    # Horner's rule for exp − 1 = a(1 + a/2 (1 + a/3 (…))); adding 1 would absorb small digits.
     order = jnp.arange(TAYLOR - 1, 0, -1).astype(a.dtype)
     total = jax.lax.fori_loop(0, TAYLOR - 1, lambda i, f: (a + a @ f) / order[i], a / TAYLOR)
     # f = exp(a) − 1 squared: (1 + f)² − 1 = f² + 2f.
@@ -274,13 +274,13 @@ def unitary_log(g: Element) -> Element:
 
     It comes from the Schur form, which is diagonal for a unitary matrix.
     """
-    # A normal matrix has a diagonal Schur form, with orthonormal vectors also where eigenvalues are equal.
+    # A normal matrix has a diagonal Schur form, with orthonormal vectors even if eigenvalues are equal.
     form, vectors = jax.scipy.linalg.schur(g, output="complex")
     angles = jnp.angle(jnp.diagonal(form))
     turns = jnp.round(jnp.sum(angles) / (2 * np.pi)).astype(int)
     rank = jnp.argsort(jnp.argsort(angles))
     excess = jnp.where(rank >= g.shape[0] - turns, 1.0, jnp.where(rank < -turns, -1.0, 0.0))
-    # det g = 1: the sum of the angles is a multiple of 2π, taken off the largest ones (added to the smallest).
+    # det g = 1, so the sum of the angles is a multiple of 2π; it is removed from the largest (smallest) angles.
     angles = angles - 2 * np.pi * excess.astype(angles.dtype)
     return 1j * vectors @ jnp.diag(angles.astype(g.dtype)) @ vectors.conj().T
 
@@ -288,22 +288,22 @@ def unitary_log(g: Element) -> Element:
 def principal_log(group: AbstractGroup, g: Element) -> Element:
     """Logarithm by inverse scaling and squaring, and one Newton step that leaves rounding errors only.
 
-    Where the square roots do not converge (an eigenvalue −1, to rounding) the last iterate is used.
+    If the square roots do not converge (an eigenvalue is −1, to rounding), the last iterate is used.
     """
     root = jax.lax.fori_loop(0, HALVINGS, lambda _, root: _square_root(root), g)
     one = jnp.eye(g.shape[0], dtype=g.dtype)
     ratio = jnp.linalg.solve((root + one).T, (root - one).T).T  # (root − 1)(root + 1)⁻¹
     square, total = ratio @ ratio, one / 15
-    for j in range(7, 0, -1):  # artanh
+    for j in range(7, 0, -1):  # series of artanh
         total = one / (2 * j - 1) + square @ total
-    # log(r) = 2 artanh((r − 1)(r + 1)⁻¹) of the root r, times 2^HALVINGS.
+    # The logarithm of the root r is 2 artanh((r − 1)(r + 1)⁻¹); it is multiplied by 2^HALVINGS.
     x = 2.0 ** (HALVINGS + 1) * group.vee(ratio @ total)
     # exp(x)⁻¹g = 1 + δ with a small δ, and log(exp(x)(1 + δ)) = x + δ up to products of δ with x and itself.
     return group.hat(x) + group.inverse(group.exp(x)) @ g - one
 
 
 def matrix_unique_log(g: Element) -> Flag:
-    """Whether the principal logarithm of g (N, N) is unique: False near the eigenvalue −1, to the root of rounding."""
+    """Whether the principal logarithm of g (N, N) is unique: False if an eigenvalue is −1, to the root of rounding."""
     shifted = g + jnp.eye(g.shape[0], dtype=g.dtype)
     return jnp.linalg.svd(shifted, compute_uv=False)[-1] > 4 * jnp.finfo(g.dtype).eps ** 0.5
 
@@ -318,7 +318,7 @@ def _square_root(g: Element) -> Element:
 
     def improve(carry):
         k, x, y, _ = carry
-        # Both from the old pair: this form is stable, Newton's X ← (X + X⁻¹g)/2 is not (Higham 2008, chapter 6).
+        # Both use the old pair: this form is stable, Newton's X ← (X + X⁻¹g)/2 is not (Higham 2008, chapter 6).
         new_x, new_y = (x + jnp.linalg.inv(y)) / 2, (y + jnp.linalg.inv(x)) / 2
         return k + 1, new_x, new_y, jnp.max(jnp.abs(new_x - x))
 

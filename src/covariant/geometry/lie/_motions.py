@@ -1,8 +1,8 @@
-"""Rigid motions of the plane and of space, SE(2) and SE(3). A twist is (v, ω): translation first.
+"""Rigid motions of the plane and of space, SE(2) and SE(3), with twists (v, ω): translation first.
 
-A twist is a dual number: with ε² = 0 the bracket of SE(3) is the cross product of numbers `ω + εv`. Every formula of
-SO(3) that consists of cross products therefore gives that of SE(3) by one directional derivative. SE(2) is SE(3) in the
-plane.
+A twist is treated as a dual number: with ε² = 0 the bracket of SE(3) is the cross product of `ω + εv`. So every formula
+of SO(3) that consists of cross products gives the one of SE(3) by a directional derivative. SE(2) is SE(3) restricted
+to the plane.
 """
 
 import jax
@@ -44,7 +44,7 @@ class SpecialEuclidean2(AbstractGroup):
         return ((2,),)
 
     def hat(self, x: Vector) -> Element:
-        # The corner is 0 in the algebra, the derivative of the 1 of an element.
+        # The last entry is 0 in the algebra, as the derivative of the 1 in an element.
         return _affine(SO2.hat(x[2:]), x[:2], 0.0)
 
     def vee(self, matrix: Element) -> Vector:
@@ -58,12 +58,12 @@ class SpecialEuclidean2(AbstractGroup):
 
     def log(self, g: Element) -> Vector:
         angle = SO2.log(g[:2, :2])
-        # The plane is z = 0 of space, where a rotation vector (0, 0, ω) maps the plane to itself.
+        # The plane is z = 0 in space; a rotation vector (0, 0, ω) maps this plane to itself.
         at_start = jnp.concatenate([g[:2, 2], jnp.zeros_like(angle)])
         return jnp.concatenate([SO3.left_jacobian_inverse(_axis(angle), at_start)[:2], angle])
 
     def inverse(self, g: Element) -> Element:
-        # The transpose of the rotation is its inverse: no linear system, and exact for exact rotations.
+        # A rotation is inverted by its transpose: this needs no linear system, and is exact for exact rotations.
         return _affine(g[:2, :2].T, -g[:2, :2].T @ g[:2, 2], 1.0)
 
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
@@ -153,7 +153,7 @@ _PLANE = np.ix_([0, 1, 3], [0, 1, 3])
 
 def _dual(formula, x: Vector, y: Vector) -> Vector:
     """A formula of SO(3) in rotation vectors, evaluated on the dual numbers `ω + εv`."""
-    # f(ω + εv) = f(ω) + ε Df(ω)[v] with ε² = 0: the ε part is the translation, so no formula of SE(3) is written twice.
+    # f(ω + εv) = f(ω) + ε Df(ω)[v], as ε² = 0: the ε part is the translation, so SO(3)'s formulas serve for SE(3).
     real, dual = jax.jvp(formula, (x[3:], y[3:]), (x[:3], y[:3]))
     return jnp.concatenate([dual, real])
 
@@ -166,7 +166,7 @@ def _affine(linear: Array, shift: Array, corner: float) -> Element:
 def _affine_defect(g: Element) -> Array:
     size = g.shape[0] - 1
     last = jnp.max(jnp.abs(g[size] - jnp.eye(size + 1, dtype=g.dtype)[size]))
-    # A translation may have any finite value, and no other equation of the group excludes an infinite one.
+    # No equation of the group restricts a translation, so an infinite one is excluded here.
     finite = jnp.where(jnp.all(jnp.isfinite(g)), last, jnp.inf)
     return jnp.maximum(rotation_defect(g[:size, :size]), finite)
 

@@ -1,4 +1,4 @@
-"""Products of groups: block-diagonal matrices, and concatenated vectors."""
+"""Products of groups: their matrices form diagonal blocks, and their vectors are concatenated."""
 
 import jax
 import jax.numpy as jnp
@@ -101,7 +101,7 @@ class Product(AbstractGroup):
     def defect(self, g: Element) -> Array:
         blocks = self.blocks(g)
         each = [group.defect(block) for group, block in zip(self.groups, blocks, strict=True)]
-        # The last entry is the largest element outside the diagonal blocks, which must be zero.
+        # The last value is the largest entry outside the diagonal blocks, where all must be zero.
         return jnp.max(jnp.stack([*each, jnp.max(jnp.abs(g - self.join(blocks)))]))
 
     def unique_log(self, g: Element) -> Flag:

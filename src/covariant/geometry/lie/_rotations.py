@@ -1,4 +1,4 @@
-"""The rotations of the plane and of space, SO(2) and SO(3), and the unit quaternions that represent them.
+"""The rotations of the plane and of space, SO(2) and SO(3), and their unit quaternions.
 
 Source: Barfoot 2017, State Estimation for Robotics, chapter 7; Shepperd 1978 for the quaternion of a matrix.
 """
@@ -12,7 +12,7 @@ from covariant.geometry.lie._coefficients import angle_over_half_sine, inverse_j
 from covariant.geometry.lie._group import AbstractGroup
 
 Quaternion = Float[Array, "4"]
-"""wxyz, of unit length; q and −q are the same rotation."""
+"""Components wxyz, of unit length; q and −q are the same rotation."""
 
 
 class SpecialOrthogonal2(AbstractGroup):
@@ -49,7 +49,7 @@ class SpecialOrthogonal2(AbstractGroup):
         return (matrix[1, 0] - matrix[0, 1])[None] / 2
 
     def lie_bracket(self, x: Vector, y: Vector) -> Vector:
-        # Zero, computed from both arguments so that it has their type.
+        # Zero, computed from both arguments so that it has their common type.
         return 0 * x * y
 
     def exp(self, x: Vector) -> Element:
@@ -57,7 +57,7 @@ class SpecialOrthogonal2(AbstractGroup):
         return jnp.stack([jnp.stack([c, -s]), jnp.stack([s, c])])
 
     def log(self, g: Element) -> Vector:
-        # From the sums of both entries: the angle of the nearest rotation, where g is one to rounding only.
+        # Sums of both entries give the angle of the nearest rotation, even if g is a rotation only to rounding.
         return jnp.arctan2(g[1, 0] - g[0, 1], g[0, 0] + g[1, 1])[None]
 
     def inverse(self, g: Element) -> Element:
@@ -81,8 +81,8 @@ class SpecialOrthogonal3(AbstractGroup):
 
     Velocities are angular velocities [rad/s] in the body frame.
 
-    Elements are matrices (3, 3) that take body components to space components. There is no singular attitude, as with
-    Euler angles; `log` is unique up to half a turn. Convert quaternions by `rotation_from_quaternion`.
+    Elements are matrices (3, 3) that take body components to space components. Unlike Euler angles, they have no
+    singular attitude; `log` is unique up to half a turn. Convert quaternions by `rotation_from_quaternion`.
 
     Example:
         A quarter turn about the z axis takes the x axis to the y axis:
@@ -118,7 +118,7 @@ class SpecialOrthogonal3(AbstractGroup):
         return jnp.cross(x, y)
 
     def exp(self, x: Vector) -> Element:
-        # Rodrigues' formula; the square of hat(x) is xxᵀ − |x|².
+        # By Rodrigues' formula; the square of hat(x) is xxᵀ − |x|².
         square = x @ x
         turned = stumpff(0, square) * np.eye(3, dtype=x.dtype) + stumpff(2, square) * jnp.outer(x, x)
         return turned + stumpff(1, square) * self.hat(x)
@@ -131,7 +131,7 @@ class SpecialOrthogonal3(AbstractGroup):
         return g.T
 
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
-        # The sign of the odd term is that of the body frame: J_r(x) = J_l(−x).
+        # The odd term has the sign for the body frame: J_r(x) = J_l(−x).
         square, turned = x @ x, jnp.cross(x, y)
         return y - stumpff(2, square) * turned + stumpff(3, square) * jnp.cross(x, turned)
 
@@ -153,14 +153,14 @@ SO3 = SpecialOrthogonal3()
 def rotation_defect(g: Element) -> Array:
     """Distance of a matrix from the rotations."""
     size = g.shape[0]
-    # |gᵀg − 1| alone is zero for reflections as well.
+    # |gᵀg − 1| alone would also be zero for reflections, so the determinant is tested too.
     determinant = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0] if size == 2 else jnp.dot(jnp.cross(g[0], g[1]), g[2])
     return jnp.where(determinant < 0, jnp.inf, jnp.max(jnp.abs(g.T @ g - jnp.eye(size, dtype=g.dtype))))
 
 
 def no_half_turn(g: Element) -> Flag:
-    """Whether a rotation g, (2, 2) or (3, 3), is no turn by π; False to within the square root of rounding of one."""
-    # The trace is 2cos θ in the plane and 1 + 2cos θ in space, and 2 + 2cos θ = 4cos²(θ/2).
+    """Whether a rotation g, (2, 2) or (3, 3), is not a turn by π, with a margin of the square root of rounding."""
+    # The trace is 2cos θ in the plane and 1 + 2cos θ in space; 2 + 2cos θ = 4cos²(θ/2).
     squared_cosine = jnp.trace(g) + (4 - g.shape[0])  # 4cos²(θ/2), in the plane and in space
     return squared_cosine > 4 * jnp.finfo(g.dtype).eps
 
@@ -168,8 +168,8 @@ def no_half_turn(g: Element) -> Flag:
 def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
     """Unit quaternion of a rotation matrix.
 
-    Each of the four rows below is the quaternion times four times one of its entries; the longest row is the most
-    accurate. Near half a turn the axis thus comes from the symmetric part of the matrix.
+    Each of the four rows below is four times the quaternion times one of its entries; the longest row is the most
+    accurate. Near half a turn the axis therefore comes from the symmetric part of the matrix.
 
     Args:
         g: rotation matrix (3, 3).
@@ -189,7 +189,7 @@ def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
     rows = ((1 + x + y + z, a, b, c), (a, 1 + x - y - z, f, e), (b, f, 1 - x + y - z, d), (c, e, d, 1 - x - y + z))
     table = jnp.stack([jnp.stack(row) for row in rows])
     longest = table[jnp.argmax(jnp.diagonal(table))]
-    # q and −q are the same rotation: w ≥ 0 gives the shorter rotation vector.
+    # Of q and −q, the one with w ≥ 0 gives the shorter rotation vector.
     upper = jnp.where(longest[0] < 0, -longest, longest)
     return upper / jnp.sqrt(upper @ upper)
 
@@ -197,12 +197,12 @@ def quaternion_from_rotation(g: Float[Array, "3 3"]) -> Quaternion:
 def rotation_from_quaternion(q: Quaternion) -> Float[Array, "3 3"]:
     """Rotation matrix of a quaternion.
 
-    Use it for readings of attitude sensors. The scalar part comes first; many drivers put it last, which gives another
-    rotation without an error. The quaternion is normalised. The matrix takes body components to space components if the
-    quaternion does.
+    Use it for readings of attitude sensors. The scalar part comes first. Many drivers put it last, which would give
+    another rotation without an error message. The quaternion is normalised. The matrix takes body components to space
+    components if the quaternion does.
 
     Args:
-        q: quaternion wxyz (4,) of any length but zero; q and −q have the same matrix.
+        q: quaternion wxyz (4,) of any nonzero length; q and −q have the same matrix.
 
     Returns:
         Rotation matrix (3, 3).
@@ -218,5 +218,5 @@ def rotation_from_quaternion(q: Quaternion) -> Float[Array, "3 3"]:
     w, v = q[0], q[1:]
     square = v @ v
     scaled = (w * w - square) * jnp.eye(3, dtype=q.dtype) + 2 * jnp.outer(v, v) + 2 * w * SO3.hat(v)
-    # Both are of degree 2 in q, so that its length cancels.
+    # Numerator and denominator are both of degree 2 in q, so its length cancels.
     return scaled / (w * w + square)

@@ -1,4 +1,4 @@
-"""Models from files, from modules, or by name: tables and keys of a model file, and models with open parameters."""
+"""Loads models from files, from modules, or by name, and opens their numbers for fits."""
 
 import lazy_loader
 

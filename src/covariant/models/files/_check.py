@@ -1,4 +1,4 @@
-"""A numerical check of the metric of a model, beyond the types and shapes of its functions."""
+"""Checks the metric of a model numerically, beyond the types and shapes of its functions."""
 
 import numpy as np
 from jaxtyping import Float
@@ -9,10 +9,10 @@ from scalargraph.errors import InputError
 
 
 def check_metric(model: MechanicalSystem, points: Float[np.ndarray, "k n"]) -> None:
-    """Check that the inertia matrix of a model is symmetric and, where the chart is valid, positive definite.
+    """Check that the inertia matrix of a model is symmetric and, if the chart is valid there, positive definite.
 
-    A chart may be singular at some of the points, as polar coordinates are at r = 0: points where the matrix is
-    singular or not finite are skipped, unless all of them are.
+    A chart may be singular at some of the points, as polar coordinates are at r = 0. Therefore points at which the
+    matrix is singular or not finite are skipped, unless all points are.
 
     Args:
         model: Mechanical system in coordinates.
@@ -37,16 +37,16 @@ def _is_usable(g: np.ndarray, q: np.ndarray) -> bool:
     """Whether g (n, n) is positive definite at q (n,), well beyond rounding errors."""
     if not np.isfinite(g).all():
         return False
-    # Weyl: errors of the entries of eps · max move an eigenvalue by no more than n times that. Integers have no eps.
+    # By Weyl, entry errors of eps · max move an eigenvalue by at most n times that. Integer matrices have no eps.
     roundoff = len(g) * np.finfo(np.result_type(g, np.float32)).eps * np.abs(g).max()
     asymmetry, smallest = np.abs(g - g.T).max(), np.linalg.eigvalsh((g + g.T) / 2)[0]
-    # Entries (i, j) and (j, i) may be computed by different sums, hence the factor.
+    # Entries (i, j) and (j, i) may come from different sums, hence the factor 100.
     if asymmetry > 100 * roundoff or smallest < -roundoff:
         raise InputError(
             f"metric is not symmetric positive definite at q = {_text(q)}: smallest eigenvalue {smallest:.3g}, "
             f"largest asymmetry {asymmetry:.3g}; look at the signs and units of its parameters"
         )
-    # Within ±roundoff the sign of the eigenvalue is unknown: the chart may be singular here, which is no mistake.
+    # Within ±roundoff the sign of the eigenvalue is unknown: the chart may be singular here, which is not a fault.
     return bool(smallest > roundoff)
 
 

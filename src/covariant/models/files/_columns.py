@@ -1,4 +1,4 @@
-"""The columns of a model's logs, named by the model file or derived from the model."""
+"""Names the columns of a model's logs, from the model file or from the model itself."""
 
 from typing import Any, NamedTuple
 
@@ -33,11 +33,11 @@ _NEEDS = ((SO3, _Needs(0, 1, 0)), (SE3, _Needs(3, 1, 0)), (SE2, _Needs(2, 0, 1))
 def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns:
     """Columns of a model's logs.
 
-    The names in the model file take precedence over those loaded with the model, and these over names derived from the
+    Names in the model file take precedence over names loaded with the model, and these over names derived from the
     model. An attitude gets no default names, since its representation is unknown.
     """
     if any(given.get(kind) for kind in ATTITUDES):
-        # The file's representation replaces the loaded one: two kinds of columns for one attitude would contradict.
+        # The file's representation replaces the loaded one, as an attitude must not have two kinds of columns.
         loaded = loaded._replace(**dict.fromkeys(ATTITUDES, ()))
     given = {key: value for key, value in loaded._asdict().items() if value} | given
     columns = _name_columns(model, given)
@@ -46,7 +46,7 @@ def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns
 
 
 def _name_columns(model: Any, names: dict[str, Any]) -> Columns:
-    """Columns with names derived from the model where the document has none."""
+    """Columns whose missing names are derived from the model."""
     if not model.manifold.commuting:
         return _on_manifold(model, names)
     by_outputs = isinstance(model, StateSpace)
@@ -58,7 +58,7 @@ def _name_columns(model: Any, names: dict[str, Any]) -> Columns:
 
 
 def unnamed_attitudes(model: Model, columns: Columns) -> int:
-    """Number of attitudes in a log of the model whose representation no column states."""
+    """Number of attitudes in a log of the model for which no column states a representation."""
     return 0 if any(getattr(columns, kind) for kind in ATTITUDES) else _needs(model.manifold.ambient).attitudes
 
 
@@ -112,7 +112,7 @@ def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
     _check_count("position", columns.position, needs.position, "coordinates of a position")
     _check_count("angle", columns.angle, needs.angle, "angles")
     _check_count("q", columns.q, needs.q, "coordinates")
-    # A body in free flight has no force to log: with u = [] its inputs are zero.
+    # A body in free flight has no forces to log; with u = [] its inputs are zero.
     _check_count("u", columns.u or _numbered_names("u", inputs), inputs, "inputs")
     _check_count("v", columns.v or model.velocities, n, "velocities")
     _check_count("truth", columns.truth or model.velocities, n, "velocities")
@@ -120,14 +120,14 @@ def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
 
 
 def _needs(manifold: AbstractManifold) -> _Needs:
-    """The columns that a manifold needs; raises `ValueError` where logs cannot hold its configurations."""
+    """The columns that a manifold needs; raises `ValueError` if logs cannot represent its configurations."""
     if manifold.commuting:
         return _Needs()
     first, *rest = _factors(manifold)
     needs = next((needs for group, needs in _NEEDS if group == first), None)
     joints = [part.dimension or 0 for part in rest if isinstance(part, Coordinates)]
     wheels = [part for part in rest if part == SO2]
-    # Ball joints: attitudes in separate arrays, not blocks of one matrix.
+    # Ball joints have attitudes in separate arrays, unlike bodies, which are blocks of one matrix.
     balls = [part for part in manifold.factors[1:] if part == SO3 and first in (SO3, SE3) and not wheels]
     if isinstance(manifold, AbstractGroup):
         balls = []
@@ -145,7 +145,7 @@ def _factors(manifold: AbstractManifold) -> list[AbstractManifold]:
 
 
 def _check_units(model: Model, columns: Columns) -> None:
-    """Raise `ValueError` for a unit of another quantity than its column's, or a wrong number of units."""
+    """Raise `ValueError` if the unit of a column measures another quantity, or the number of units is wrong."""
     expected = {"t": ("s",), **model.logged_units, "position": ("m",) * len(columns.position)}
     expected["angle"] = ("rad",) * len(columns.angle)
     for key, texts in columns.units.items():

@@ -1,4 +1,4 @@
-"""A model as a function of its open parameters, for fits to logs."""
+"""Represents a model as a function of its open parameters, for fits to logs."""
 
 import copy
 import math
@@ -21,28 +21,27 @@ from covariant.models.files._toml import Overrides
 from scalargraph.errors import InputError
 
 POINTS, ROUNDING = 4, 1e-9
-"""Configurations at which energies are compared, and relative differences that are rounding."""
+"""Number of configurations at which energies are compared, and relative differences that count as rounding."""
 LAG = ("inputs", "lag")
-"""The one number outside [parameters] that may be open."""
+"""The only number outside [parameters] that may be open."""
 
 Place = tuple[str | int, ...]
-"""Place of a number in a document: table, key, and the index in each list."""
+"""Location of a number in a document: table, key, and the index in each list."""
 
 
 class Family(NamedTuple):
-    """The models that a model file describes when some of its numbers are open.
+    """The models that a model file describes if some of its numbers are open.
 
     Attributes:
         file: The model file with the first values of these numbers.
         names: The p open numbers, such as `mass[0]` of [parameters], or `inputs.lag`.
         first: Their values (p,) in the file.
-        positive: Which of the p numbers stay positive: those that the model refuses where they are negative, and those
-            that start positive and with the other sign would make inertias negative or friction drive the motion.
-        make: `values (k,) -> (model, lag [s])`, which may be traced, differentiated and batched by JAX.
+        positive: Which of the p numbers must stay positive: those whose negative values the model refuses, and those
+            that start positive and whose negative values would make inertias negative or let friction drive the motion.
+        make: `values (k,) -> (model, lag [s])`; JAX can trace, differentiate and batch it.
         document: The content of the file, with the first values, as nested dictionaries and lists.
-        places: Table, key and list indices of each of the k numbers of one machine in the document.
-        parts: Index (M, k) in `names` of the k numbers of each of M machines; of one machine these are all p.
-
+        places: Table, key and list indices in the document of each of the k numbers of one machine.
+        parts: Indices (M, k) in `names` of the k numbers of each of M machines; for a single machine these are all p.
     Example:
         >>> from covariant import models
         >>> family = models.family("oscillator", ["stiffness"], {"parameters.stiffness": 2.0})
@@ -63,7 +62,7 @@ class Family(NamedTuple):
 
     @property
     def numbers(self) -> tuple[str, ...]:
-        """Names (k,) of the open numbers of one machine, as the model file has them."""
+        """Names (k,) of the open numbers of one machine, as in the model file."""
         return tuple(map(_name, self.places))
 
     def with_values(self, values: Float[np.ndarray, "k"]) -> dict[str, Any]:
@@ -78,17 +77,17 @@ class Family(NamedTuple):
         return _with(self.document, self.places, np.asarray(values).tolist())
 
     def of_machines(self, machines: Sequence[str], each: Sequence[str]) -> "Family":
-        """Family of several machines that share their numbers, except some that each has of its own.
+        """Family of several machines that share their numbers, except some that differ between machines.
 
         Args:
             machines: Names of the M machines.
-            each: Numbers, as for `family`, of which each machine has its own; `viscous@arm1` is that of `arm1`.
+            each: Numbers, as for `family`, that differ between machines; `viscous@arm1` is the one of `arm1`.
 
         Returns:
             The family with the p numbers of all machines.
 
         Raises:
-            ValueError: A name of `each` is none of the open numbers.
+            ValueError: A name in `each` is not an open number.
 
         Example:
             >>> from covariant import models
@@ -113,9 +112,9 @@ class Family(NamedTuple):
 def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family:
     """Family of a mechanical model with the named numbers open.
 
-    Use it for `calibration.fit`, where the open numbers are searched. A number must be in [parameters] of the model
-    file, or `inputs.lag`. Use `robot_family` for masses, inertias and friction of a robot. The verb `covariant.fit`
-    builds either of them itself.
+    Use it for `calibration.fit`, which searches the open numbers. A number must be in [parameters] of the model file,
+    or be `inputs.lag`. For masses, inertias and friction of a robot use `robot_family`. The verb `covariant.fit` builds
+    either of them itself.
 
     Args:
         spec: As for `load`, except an object.
@@ -127,8 +126,8 @@ def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family
         The family.
 
     Raises:
-        ModelError: One line that names the spec and the first thing wrong: a name that does not exist, a value that is
-            no number, a first value of zero where negative ones are refused, or a function that JAX cannot trace.
+        ModelError: One line with the spec and the first fault: a name that does not exist, a value that is not a
+            number, a first value of zero if negative values are refused, or a function that JAX cannot trace.
 
     Example:
         >>> from covariant import models
@@ -158,7 +157,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
         return made(spec, filled).model, filled.get(LAG[0], {}).get(LAG[1], file.input_lag)
 
     positive = tuple(
-        # The model's own refusal of −value says that a number is positive: no list of such names can go stale.
+        # A number is positive if the model refuses −value: this needs no list of names that could become outdated.
         _refuses(spec, _with(content, (place,), [-abs(value) or -1.0]))  # −0.0 is no negative number: −1 in its place
         for place, value in zip(places, first, strict=True)
     )
@@ -169,7 +168,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
                 f"{name} must be positive and starts from {value:g}; give it a first value by `overrides={[remedy]}`"
             )
     try:
-        # Traced, not evaluated: a function that uses NumPy or branches on a number fails here, and not within a fit.
+        # Tracing here shows early that a function uses NumPy or branches on a number, instead of during a fit.
         eqx.filter_eval_shape(make, first)
     except (TypeError, ValueError) as error:  # building it from plain numbers succeeded above
         raise InputError(
@@ -182,7 +181,7 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
 
 
 def _numbers(content: dict[str, Any]) -> Iterator[Place]:
-    """The places of all numbers that may be open."""
+    """The locations of all numbers that may be open."""
     if _is_number(content.get(LAG[0], {}).get(LAG[1])):
         yield LAG
     yield from _places(("parameters",), content.get("parameters", {}))
@@ -206,7 +205,7 @@ def _name(place: Place) -> str:
 
 
 def _match_names(pattern: str, numbers: dict[str, Place]) -> list[str]:
-    """The numbers that a name stands for: itself, or all entries of the list."""
+    """The numbers that a name denotes: the number of this name, or all entries of the list."""
     plain = pattern.strip().removeprefix("parameters.")
     matches = [name for name in numbers if name == plain or re.fullmatch(re.escape(plain) + r"(\[\w+\])+", name)]
     if not matches:
@@ -221,7 +220,7 @@ def _value_at(content: Any, place: Place) -> Any:
 
 
 def _with(content: dict[str, Any], places: Sequence[Place], values: Sequence[Any]) -> dict[str, Any]:
-    """A copy of the document with other numbers at these places."""
+    """A copy of the document with other numbers at these locations."""
     filled = copy.deepcopy(content)
     for place, value in zip(places, values, strict=True):
         _value_at(filled, place[:-1])[place[-1]] = value
@@ -238,10 +237,10 @@ def _refuses(spec: str, content: dict[str, Any]) -> bool:
 
 
 def _bounded(make: Callable[[Any], tuple[Any, Any]], first: Float[np.ndarray, "p"]) -> Bool[np.ndarray, "p"]:
-    """Which positive numbers (p,) of a model that refuses nothing are inertias or friction, and so stay positive.
+    """Which positive numbers (p,) are inertias or friction and so stay positive, for a model that refuses nothing.
 
-    With the other sign an inertia lowers the kinetic energy of each motion, or friction feeds power into each. Energies
-    and powers are compared at a few configurations and velocities.
+    A negated inertia lowers the kinetic energy of each motion, and negated friction adds power. Energies and powers are
+    compared at a few configurations and velocities.
     """
 
     def energies(values):
@@ -265,7 +264,7 @@ def _bounded(make: Callable[[Any], tuple[Any, Any]], first: Float[np.ndarray, "p
     for i in np.flatnonzero(first > 0):
         other = compiled(jnp.asarray(np.where(np.arange(len(first)) == i, -first, first)))
         adds, takes = kinetic - np.asarray(other[0]), np.asarray(other[1]) - power
-        # Rounding of sums that cancel is no difference.
+        # Differences within rounding, from sums that cancel, do not count.
         inertia = (adds > -ROUNDING * np.abs(kinetic)).all() and (adds > ROUNDING * np.abs(kinetic)).any()
         dissipates = (takes > -ROUNDING * np.abs(power)).all() and (takes > ROUNDING * np.abs(power)).any()
         bounded[i] = inertia or dissipates

@@ -1,4 +1,4 @@
-"""Model files from their documents: the system with its parameters, and models rebuilt from their recipes."""
+"""Builds model files from documents, with system and parameters, and rebuilds models from their recipes."""
 
 import inspect
 from pathlib import Path
@@ -45,7 +45,7 @@ def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> Mod
     model: Any = loaded.model
     if loaded.mechanical and model.manifold.commuting:
         check_metric(model, _points(len(columns.q)))
-    # On a group the errors are components in the body frame, not logged columns, so one number serves for all.
+    # On a group, errors are components in the body frame and not logged columns, so one number serves for all.
     counts = {
         "coordinate": len(columns.q) if model.manifold.commuting else 1,
         "velocity": len(model.velocities if loaded.mechanical else ()) or len(columns.q),
@@ -57,7 +57,7 @@ def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> Mod
 
 
 def _with_servos(file: ModelFile, content: dict[str, Any]) -> ModelFile:
-    """The file with what its servos say of its inputs and of its positions."""
+    """The file, completed by what its servos determine about inputs and positions."""
     servos = servos_in(file.model)
     if servos is None:
         if file.input_kind == "command":
@@ -74,20 +74,20 @@ def _with_servos(file: ModelFile, content: dict[str, Any]) -> ModelFile:
         table.get("backlash", 0.0) for table in (servo_tables(content).get(n, {}) for n in file.model.coordinates)
     ]
     if any(backlash) and file.measurement_std is not None:
-        # An error uniform over the play has the variance backlash²/12.
+        # An error distributed uniformly over the backlash has the variance backlash²/12.
         std = np.sqrt(np.square(file.measurement_std) + np.square(backlash) / 12)
         file = file._replace(measurement_std=tuple(std.tolist()))
     return file._replace(input_kind="command")
 
 
 def made(spec: str, content: dict[str, Any]) -> ModelFile:
-    """Build the model of a document from its system, or from the attribute that a spec names, with its parameters."""
+    """Build the model of a document with its parameters, from its system or from the attribute that a spec names."""
     name = content.get("system", spec.rpartition(":")[2])
     return _build(name, _model_or_factory(spec, content), parameters_of(content))
 
 
 def parameters_of(content: dict[str, Any]) -> dict[str, Any]:
-    """The parameters of the system of a document, with the servos and loops that it has as tables of their own."""
+    """The parameters of the system of a document, together with its tables of servos and loops."""
     parameters = content.get("parameters", {})
     own = {table: content[table] for table in (_toml.SERVO, _toml.LOOP) if table in content}
     for table in own:
@@ -98,14 +98,14 @@ def parameters_of(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def servo_tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The tables of the servos of a document, each with what it takes from the one that it is like."""
+    """The tables of the servos of a document, each completed by the table named in its key `like`."""
     return complete_tables(content.get("servo", {}))
 
 
 def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
     """Build the model of a recipe: a system of this library by name, with parameters of the right types.
 
-    A recipe may come from a file, so nothing in it is ever imported. A caller who trusts the code may pass `model`.
+    A recipe may come from a file, so its content is never imported. A caller who trusts the code may pass `model`.
 
     Args:
         made: The recipe, as `recipe` returns it: `system` or `attribute`, and `parameters`.
@@ -116,7 +116,7 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
         The model.
 
     Raises:
-        ModelError: The recipe is wrong; the message is one line that says how.
+        ModelError: The recipe is wrong; the message is one line that says why.
 
     Example:
         >>> from covariant import models
@@ -133,17 +133,17 @@ def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
                 "model, as `model=module:attribute`"
             )
         factory, name = _source.system(made.get("system")), str(made.get("system"))
-        with np.errstate(all="ignore"):  # parameters may make numbers infinite, which later checks find
+        with np.errstate(all="ignore"):  # parameters may make numbers infinite; later checks detect this
             return _build(name, factory, parameters).model
-    except Exception as error:  # parameters from a file may make a system fail in any way
+    except Exception as error:  # parameters from a file may cause any error in a system
         kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
         raise ModelError(kind + _source.first_line(error)) from error
 
 
 def recipe_text(made: dict[str, Any]) -> str:
-    """Describe the model of a recipe in one line, with all its parameters, default values included.
+    """Describe the model of a recipe in one line, with all its parameters, including default values.
 
-    For a model that is not of this library the line has only the parameters of the recipe.
+    If the model is not from this library, the line contains only the parameters in the recipe.
 
     Args:
         made: The recipe, as `recipe` returns it.
@@ -171,7 +171,7 @@ def recipe_text(made: dict[str, Any]) -> str:
 
 
 def _replacement(model: Any, parameters: dict[str, Any]) -> Model:
-    """Build the model that a caller passes in place of the one that a recipe names."""
+    """Build the model that a caller passes to replace the one in a recipe."""
     name = model if isinstance(model, str) else type(model).__name__
     if isinstance(model, str) and not all(model.partition(":")):
         raise InputError(f"a model is given as module:attribute; got {model!r}")
@@ -180,12 +180,12 @@ def _replacement(model: Any, parameters: dict[str, Any]) -> Model:
 
 
 def is_file(spec: str) -> bool:
-    """Whether a spec is the path of a model file, or a robot by its path or name."""
+    """Whether a spec denotes a model file by its path, or a robot by path or name."""
     return spec.endswith((".toml", *ROBOT_FILES)) or spec in ROBOTS
 
 
 def document(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
-    """Read the document that a spec stands for, with overrides applied and its layout checked.
+    """Read the document that a spec denotes, apply overrides, and check its layout.
 
     Args:
         spec: As for `load`, except an object.
@@ -220,7 +220,7 @@ def _document(spec: str) -> dict[str, Any]:
 
 
 def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
-    """The document of a model file; the path of a robot's file in it is relative to the folder of the model file."""
+    """The document of a model file; a robot's path in it is relative to the folder of the model file."""
     parameters = content.get("parameters")
     if (
         content.get("system") not in ("robot", "legged_base")
@@ -239,7 +239,7 @@ def text(path: Path) -> str:
 
 
 def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
-    """Find the model that a spec names, or the function that builds it."""
+    """Find the model that a spec denotes, or the function that builds it."""
     named = content.get("system")
     if is_file(spec) and isinstance(named, str) and ":" in named:
         return _source.attribute(named, Path(spec).parent)
@@ -251,7 +251,7 @@ def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
 
 
 def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
-    """Return a finished model, or call its factory with the parameters, with types converted for library systems."""
+    """Return a finished model, or call a factory with the parameters; library systems get converted types."""
     finished = isinstance(candidate, Model | ModelFile)
     if finished and parameters:
         raise InputError(f"{name} is a finished model; only a function that makes one takes parameters")
@@ -271,5 +271,5 @@ def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
 
 def _points(n: int) -> np.ndarray:
     """Points at which the metric is checked: 0, 1, and a few fixed points between 0 and 2."""
-    # Fixed, so that a model passes always or never; 0 alone may be a singular point of its chart.
+    # They are fixed, so that the check gives the same result each time; 0 alone may be a singular point of the chart.
     return np.concatenate([np.zeros((1, n)), np.ones((1, n)), np.random.default_rng(0).uniform(0, 2, (4, n))])

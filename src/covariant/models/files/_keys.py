@@ -1,4 +1,4 @@
-"""The kinds of keys of a model file: which values each may have, and how they are read."""
+"""Defines the kinds of keys of a model file: the values that each accepts, and how they are read."""
 
 import sys
 from collections.abc import Mapping
@@ -11,19 +11,19 @@ from scalargraph.errors import InputError
 _EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
 
 Counts = Mapping[str, int]
-"""Length of a list with one number for each "coordinate", "velocity", "state" and "input"; 0 where there are none."""
+"""Length of a list with one number for each "coordinate", "velocity", "state" or "input"; 0 if the model has none."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number, or a list with one for each coordinate, state or input.
+    """A key for a number, or for a list with one number for each coordinate, state or input.
 
     Attributes:
         path: Table and key, as in an override.
         least: `POSITIVE`, `ZERO_OR_MORE` or `ANY_SIGN`.
-        each: Of what each may have its own number; only a state-space model has states.
-        replaces: Keys of the table that state the same in another way; an override of this one removes them.
-        whole: Whether it must be a whole number.
+        each: The things that may have a number each; only a state-space model has states.
+        replaces: Keys of the table that state the same in another way; an override of this key removes them.
+        whole: Whether it must be an integer.
     """
 
     path: str
@@ -42,7 +42,7 @@ class Number:
         return self._one + (f", or a list with one for each {self.each}" if self.each else "")
 
     def read(self, value: Any, counts: Counts) -> float | tuple[float, ...]:
-        """The number or the numbers of a document; raises `ValueError` for others."""
+        """Read the number or numbers of a document; raises `ValueError` for invalid ones."""
         if self.each == "state" and not counts["state"]:
             raise InputError(f"{self.path} is for a state-space model, and this one is mechanical")
         if not self.each or not isinstance(value, list):
@@ -53,8 +53,8 @@ class Number:
         return tuple(map(self.checked, value))
 
     def checked(self, value: Any) -> float:
-        """One number; raises `ValueError` where it is none, or out of its range."""
-        numeric = isinstance(value, int | float) and not isinstance(value, bool)  # in Python True is an int
+        """Check one number; raises `ValueError` if it is not a number, or out of its range."""
+        numeric = isinstance(value, int | float) and not isinstance(value, bool)  # True is an int in Python
         if not numeric or not self.least <= value <= sys.float_info.max or (self.whole and value % 1):
             raise InputError(f"{self.path} must be a {self._one}; got {value!r}")
         return float(value)
@@ -62,7 +62,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Choice:
-    """One of several words."""
+    """A key for one of several words."""
 
     path: str
     words: tuple[str, ...]
@@ -74,7 +74,7 @@ class Choice:
         return "one of " + ", ".join(map(repr, self.words))
 
     def read(self, value: Any, counts: Counts) -> str:
-        """The word of a document; raises `ValueError` for another."""
+        """Read the word of a document; raises `ValueError` for any other."""
         if value not in self.words:
             raise InputError(f"{self.path} must be {self.values}; got {value!r}")
         return value
@@ -82,14 +82,14 @@ class Choice:
 
 @dataclass(frozen=True)
 class Deviations:
-    """Relative standard deviations of numbers of [parameters], by name."""
+    """A key for relative standard deviations of numbers of [parameters], by name."""
 
     path: str
     replaces = ()
     values = "positive number for each name"
 
     def read(self, value: Any, counts: Counts) -> dict[str, float]:
-        """The deviations of a document; raises `ValueError` where they are none."""
+        """Read the deviations of a document; raises `ValueError` for invalid ones."""
         if not isinstance(value, dict):
             raise InputError(
                 f"{self.path} must name numbers of [parameters], each with the standard deviation of its relative "

@@ -1,4 +1,4 @@
-"""Models from files, from modules, or by name."""
+"""Loads models from files, from modules, or by name."""
 
 import contextlib
 from collections.abc import Iterator
@@ -17,17 +17,17 @@ from scalargraph.errors import InputError
 _KEPT: ContextVar[dict[tuple[str, str], ModelFile] | None] = ContextVar("models that are loaded once", default=None)
 
 MOST_KEPT = 8
-"""Models that are kept at most: a caller may try other numbers on each log."""
+"""Largest number of models in a cache, since a caller may try other numbers on each log."""
 
 
 @contextlib.contextmanager
 def loaded_once(kept: dict[tuple[str, str], ModelFile]) -> Iterator[None]:
-    """Context in which a model that is in `kept` is not loaded again, so that what was compiled for it serves again.
+    """Context in which models in `kept` are not loaded again, so that their compiled programs are reused.
 
-    Use it if one model is loaded for each of many logs, and its files do not change meanwhile.
+    Use it to load one model for each of many logs, while its files do not change.
 
     Args:
-        kept: Models that were loaded in such a context; the first few that are loaded are added.
+        kept: Models loaded in such a context before; the first few further models are added.
 
     Example:
         >>> from covariant import models
@@ -43,16 +43,16 @@ def loaded_once(kept: dict[tuple[str, str], ModelFile]) -> Iterator[None]:
 
 
 def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = ()) -> ModelFile:
-    """Load a model: the system, the columns of its logs, and the numbers that a design starts from.
+    """Load a model: the system, the columns of its logs, and the numbers from which a design starts.
 
-    Use it to work with the system in Python, as `load(spec).model`. The verbs, such as `estimate`, take the same
-    specifications, and need no call of it. Loading `module:attribute` runs the code of that module, so load only what
-    you trust. Use `models.robots.load` for a robot with options of its own, and `family` where numbers shall be fitted.
+    Use it to work with the system in Python, as `load(spec).model`. The verbs, such as `estimate`, accept the same
+    specifications and call it themselves. Loading `module:attribute` runs the code of that module, so load only code
+    that you trust. Use `models.robots.load` for a robot with further options, and `family` to fit numbers.
 
     Args:
         spec: A `.toml` file; the `.urdf` or `.xml` file of a robot, or the name of one that comes with the library (see
             `models.robots.load`); `module:attribute` (a `Lagrangian`, a `GroupSystem`, a `StateSpace`, a `ModelFile`,
-            or a function that makes one; the module is also looked for in the current folder); the name of a system
+            or a function that returns one; the current folder is searched for the module too); the name of a system,
             with its default parameters; or a system or a `ModelFile` itself.
         overrides: Applied last. Each is `table.key=value`, with the tables of the file and values as in TOML, such as
             `parameters.mass=[1.0, 2.0]`; or all are a mapping, such as `{"parameters.mass": [1.0, 2.0]}`.
@@ -61,7 +61,7 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
         The model with the columns of its logs and its numbers.
 
     Raises:
-        ModelError: One line that names the spec and the first thing wrong.
+        ModelError: One line that names the spec and the first fault.
 
     Example:
         >>> from covariant import models
@@ -96,7 +96,7 @@ def spec_name(spec: Any) -> str:
         spec: As for `load`.
 
     Returns:
-        Its path or name, or the type of a system that has none.
+        Its path or name, or the type of a system without a name.
 
     Example:
         >>> from covariant import models
@@ -109,11 +109,11 @@ def spec_name(spec: Any) -> str:
 
 
 class _Loaded(dict[str, Any]):
-    """A recipe whose code has been run in this process, unlike one that was read from a file."""
+    """A recipe whose code has been run in this process, unlike a recipe read from a file."""
 
 
 def recipe(spec: str, overrides: Overrides = ()) -> dict[str, Any]:
-    """Recipe of the model that `load(spec, overrides)` returns: what is needed to build it again.
+    """Recipe of the model that `load(spec, overrides)` returns: the data needed to build it again.
 
     Args:
         spec: A path, the name of a system, or `module:attribute`.

@@ -1,4 +1,4 @@
-"""A model with the columns of its logs, the noise of its sensors and the uncertainty of its parameters."""
+"""Defines the content of a model file: a model with its logs' columns, its sensors' noise, and its uncertainties."""
 
 import contextlib
 import math
@@ -16,15 +16,15 @@ from scalargraph.errors import InputError
 
 Several = float | tuple[float, ...]
 Unknown = Several | None
-"""A number, or one for each coordinate or state; None where it is not known."""
+"""A number, or one for each coordinate or state; None if it is not known."""
 
 
 class ModelError(InputError):
     """A model cannot be loaded.
 
-    The message is one line: the file or module, what is wrong there, and what to do.
+    The message is one line: the file or module, the fault, and the remedy.
 
-    It is a `ValueError`, so that one `except` catches it with other faults of the arguments.
+    It is a `ValueError`, so that one `except` catches it together with other faults of the arguments.
 
     Example:
         >>> from covariant import models
@@ -38,70 +38,69 @@ class ModelError(InputError):
 
 @contextlib.contextmanager
 def named(spec: str) -> Iterator[None]:
-    """Raise a `ValueError` as a `ModelError`: its first line, after the name of the model that it is about."""
+    """Raise a `ValueError` as a `ModelError`: the name of the model, and the first line of the message."""
     try:
         yield
     except InputError as error:
-        line = first_line(error)  # of a robot's file it names the path already
+        line = first_line(error)  # for a robot's file it contains the path already
         raise ModelError(line if line.startswith(f"{spec}: ") else f"{spec}: {line}") from error
 
 
 class ModelFile(NamedTuple):
-    """A model and the numbers that a design starts from; a number that is not known is None.
+    """A model and the numbers from which a design starts; a number that is not known is None.
 
-    Most fields are a key of the model file. Its name and range are declared with the field, its meaning and unit are
-    in the list below, and nowhere else: reading, overrides, messages and the table of keys follow from these.
+    Most fields are keys of the model file. Key and range of each are declared with the field, its meaning and unit only
+    in the list below; reading, overrides, messages and the table of keys use these.
 
     Attributes:
-        name: What messages and titles call the model.
+        name: Name of the model in messages and titles.
         model: A `MechanicalSystem` or a `StateSpace`.
-        columns: Columns of a log; empty `q` and `u` stand for the model's coordinates and for u1, u2, …. Where the
-            model is a `StateSpace`, `q` are its outputs.
+        columns: Columns of a log; empty `q` and `u` mean the model's coordinates and u1, u2, …. For a `StateSpace`,
+            `q` are the outputs.
         input_lag: Time constant [s] of the first-order lag between logged input and force.
         input_delay: Time [s] from the stamp of an input until it acts; for a command a key of its `[servo.JOINT]`.
-        input_lead: Time [s] which, times the rate of an input, is added to it. For a command it follows from the
-            `feedforward` of its servo.
-        input_kind: Whether inputs are each a "torque", or a force, or the "command" of a servo.
+        input_lead: Time [s]; an input is increased by this time multiplied by its rate. For a command it follows from
+            the `feedforward` of its servo.
+        input_kind: Whether each input is a "torque" (or force), or the "command" of a servo.
         input_between: Whether an input is "held" from one stamp to the next, or "linear" between them.
-        measurement_std: Standard deviation of a measured position [its unit]; on a group that of each component of
+        measurement_std: Standard deviation of a measured position [its unit]; on a group, of each component of
             `log(g⁻¹ y)`, the error as seen from the body [rad, and m where there is a position].
         delay: Measurement delay [s]: a position read at the stamp t was true at t − delay.
         quantum: One tick of the encoders [unit of the coordinates], in place of a standard deviation.
-        period: Period [unit of the coordinates] after which an encoder reads the same again, as one of a single turn
-            behind a gear; 0 where there is none. Angles on a full circle have 2π without it.
+        period: Period [unit of the coordinates] after which an encoder reads the same again, such as a single-turn
+            encoder behind a gear; 0 for none. Angles on a full circle have the period 2π anyway.
         bias: Standard deviation of a constant offset of a measured position [its unit], for a filter that estimates it.
         bias_drift: Standard deviation of the change of the offset in a second [its unit].
         acceleration_std: Standard deviation [unit/s²] of the acceleration that the model does not explain.
-        torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N]: noise of the
-            acceleration that grows where the inertia is small, with the same correlation time.
+        torque_std: Standard deviation of the torques or forces that the model does not explain [N m or N]: as noise of
+            the acceleration it is larger for a smaller inertia. It has the same correlation time.
         correlation_time: Correlation time [s] of the acceleration that the model does not explain.
         process_std: Standard deviation of the white noise in the rate of each state [its unit/√s].
-        external_force: Standard deviation of the change in a second of a force that the model does not know [N or N m],
-            for a filter that estimates it: a random walk, which stays through a gap.
-        external_force_std: Usual size [N or N m] of a force that the model does not know, for a filter that estimates
-            it and forgets it.
+        external_force: Standard deviation of the change per second of an unknown force [N or N m], for a filter that
+            estimates it: a random walk, which keeps its value through a gap.
+        external_force_std: Usual size [N or N m] of an unknown force, for a filter that estimates it and forgets it
+        over
+            time.
         external_force_time: Time constant [s] with which that force is forgotten.
         uncertain: Relative standard deviations of numbers of `[parameters]`, by name, for a filter that estimates them.
         parameters_drift: Standard deviation of their relative change in a second.
         motion_std: Standard deviation [unit/s²] of the acceleration of the motion, for filters that use no model.
         motion_time: Correlation time [s] of the acceleration of the motion, for filters that use no model.
         initial_state: First estimate of each state [its unit]. By default the middle of the model's box, or zero.
-        initial_std: Standard deviation of the first estimate [its unit]. By default as uncertain as the box is wide.
+        initial_std: Standard deviation of the first estimate [its unit]. By default as large as the box is wide.
         damping: Damping ratio of the error [1].
-        natural_frequency: Natural frequency [rad/s] of the error under constant gains, where it is not designed from
-            the noise.
+        natural_frequency: Natural frequency [rad/s] of the error under constant gains, if it is not designed from the
+            noise.
         force_rate: Rate [1/s] at which an unknown force is learnt under constant gains, 0 for none. By default it is
             designed from the size and time of the force in `[uncertainty]`.
         reference_half: Half width [s] of the windows of the local polynomials that give the reference velocity for
             scoring.
         reference_order: Degree of these polynomials.
         wrenches: Forces on links of a robot, by name, for a filter that estimates them: arguments of
-            `observers.wrench`.
-        sensors: Sensors beside the measured positions, by name, with the keys of their tables, for a filter that uses
-            them.
+        sensors: Further sensors, by name, with the keys of their tables, for a filter that uses them.
         family: The model with the numbers of `uncertain` open, in their order.
-        system: Name of the system, where it is one of this library, as "robot".
-        stated: Keys of [parameters], which `covariant.fit` takes as names.
+        system: Name of the system, if it is from this library, such as "robot".
+        stated: Keys of [parameters], which `covariant.fit` accepts as names.
 
     Example:
         >>> from covariant import models
@@ -157,7 +156,7 @@ class ModelFile(NamedTuple):
     def typical_std(self) -> float | None:
         """The measurement noise in one number: `measurement_std`, or the root mean square of its entries."""
         std = self.measurement_std
-        # hypot scales its arguments, so that no square overflows or underflows.
+        # hypot scales its arguments, so no square overflows or underflows.
         return math.hypot(*std) / math.sqrt(len(std)) if isinstance(std, tuple) else std
 
     @property
@@ -174,8 +173,8 @@ class ModelFile(NamedTuple):
         """Require a mechanical model.
 
         Args:
-            spec: What the message calls the model.
-            why: What needs a mechanical model, for the message.
+            spec: Name of the model in the message.
+            why: The purpose that needs a mechanical model, for the message.
 
         Returns:
             The mechanical model.
@@ -192,7 +191,7 @@ class ModelFile(NamedTuple):
 
     @property
     def unnamed_attitudes(self) -> int:
-        """Number of attitudes in a log of the model whose representation no column states."""
+        """Number of attitudes in a log of the model for which no column states a representation."""
         return unnamed_attitudes(self.model, self.columns)
 
 

@@ -1,4 +1,4 @@
-"""The numbers of a robot that a log may show, and the names by which they are opened."""
+"""Lists the numbers of a robot that logs can determine, and the names by which they are opened."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -19,17 +19,17 @@ from covariant.models.robots import (
 from scalargraph.errors import InputError
 
 GROUPS = ("friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets", "servo")
-"""What may be open: `GROUP`, `GROUP.NAME` of a joint or link, by name or number, and `GROUP.NAME.NUMBER`."""
+"""Groups of open numbers: `GROUP`, `GROUP.NAME` for a joint or link, by name or number, and `GROUP.NAME.NUMBER`."""
 USUAL_FRICTION = ("viscous", "coulomb", "asymmetry")
-"""Numbers of the friction law that `friction` opens; the others are opened by their names."""
+"""Numbers of the friction law that `friction` opens; other numbers are opened only by name."""
 NEVER_OPEN = ("gain", "sign", "supply", "pwm_limit", "backlash", "smoothing")
-"""Keys of a servo that are settings, or that no log shows."""
+"""Keys of a servo that are settings, or that logs cannot determine."""
 OF_PAYLOAD: tuple[str, ...] = ("mass", "x", "y", "z")
 FIRST_LOAD = 0.01
-"""First mass of a payload that the model file does not have, relative to that of the robot: where it is shows only with
-a mass."""
+"""First mass of a payload that the model file does not state, relative to the robot's: its position has an effect only
+if the mass is not zero."""
 LEAST_INERTIA = 1e-6
-"""Least eigenvalue of a link's pseudo-inertia, relative to the largest: a thinner body is thickened to it."""
+"""Least eigenvalue of a link's pseudo-inertia, relative to the largest; a thinner body is thickened to it."""
 USUAL_DELAY = 0.05
 """Usual size of a delay [s]."""
 LENGTH, ANGLE = 0.1, 0.1
@@ -42,15 +42,15 @@ class OpenNumber(NamedTuple):
     Attributes:
         group: One of `GROUPS`.
         target: Name of its joint or link; "" for gravity.
-        number: Which number of these; "" where there is one.
+        number: The number within the group; "" if there is only one.
         first: Its first value.
-        least: Its least value; −inf where it has none.
+        least: Its least value; −inf for none.
         unit: Its unit.
-        size: Usual size of its change; for friction and rotors, in the units of the torque of a joint, of its speed and
-            of its acceleration, as exponents in `powers`.
-        joint: Index of the coordinate; −1 where there is none.
+        size: Usual size of its change. For friction and rotors it is in units of the joint's torque, speed and
+            acceleration, with the exponents `powers`.
+        joint: Index of the coordinate; −1 for none.
         powers: Exponents of torque, speed and acceleration of the joint in the size.
-        machine: The machine whose own number it is, of several; "" for a number that all share.
+        machine: The machine to which it belongs; "" for a number that all machines share.
     """
 
     group: str
@@ -66,13 +66,13 @@ class OpenNumber(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name as in `parameters` of `fit`, such as `friction.elbow.coulomb`, and `…@arm1` for that of a machine."""
+        """Name as in `parameters` of `fit`, such as `friction.elbow.coulomb`; `…@arm1` for a single machine."""
         plain = ".".join(part for part in (self.group, self.target, self.number) if part)
         return plain + f"@{self.machine}" * bool(self.machine)
 
 
 class Scene(NamedTuple):
-    """The robot of which numbers are opened, the group that they are in, and the tables of its servos."""
+    """The robot whose numbers are opened, the group of these numbers, and the tables of its servos."""
 
     file: ModelFile
     robot: Description
@@ -87,7 +87,7 @@ class Scene(NamedTuple):
         return tuple(name for name in self.file.model.coordinates if name in names)
 
     def of_joints(self, rest: list[str], kinds: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-        """Joints that the rest of a name selects, and what remains of it; a name may begin with a kind."""
+        """Joints that the remaining parts of a name select, and the parts after them; a name may begin with a kind."""
         if not rest or rest[0] in kinds:
             return self.joints, rest
         return (self._one(rest[0], self.joints),), rest[1:]
@@ -116,7 +116,7 @@ class Scene(NamedTuple):
 
     @property
     def moving_links(self) -> list[str]:
-        """Links with a mass that some joint moves."""
+        """Links with mass that at least one joint moves."""
         model: Any = self.file.model
         links = model.space.links
         return [n for n, body in zip(links.names, links.bodies, strict=True) if body >= 0 and self.robot.links[n].mass]
@@ -195,7 +195,7 @@ def _payload(scene: Scene, rest: list[str]) -> list[OpenNumber]:
 
 
 def first_load(robot: Description, link: str) -> list[float]:
-    """First load on a link without one: a small mass in the centre of the link."""
+    """First load on a link without one: a small mass at the link's centre."""
     body, whole = robot.links[link], sum(each.mass for each in robot.links.values())
     centre = body.first / body.mass if body.mass else np.zeros(3)
     return [FIRST_LOAD * whole, *centre.tolist()]
@@ -229,7 +229,7 @@ def _gravity(scene: Scene, rest: list[str]) -> list[OpenNumber]:
 
 
 def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
-    """Numbers of servos: those that their tables state, or one of them by its name."""
+    """Numbers of servos: those that the tables state, or a single one by name."""
     tables = scene.servos
     if not tables:
         raise InputError("servo: the model has no [servo.JOINT] table, which states what each servo is")
@@ -243,7 +243,7 @@ def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
         if name not in tables:
             continue
         joint, unit = scene.joint(name), scene.unit(name)
-        # What a table takes from another one is open there, once for all that are like it.
+        # A value inherited from another table by `like` is opened there, once for all tables that inherit it.
         if rest and "like" in tables[name] and rest[0] not in tables[name] and len(joints) > 1:
             continue
         for kind in rest or [kind for kind in kinds if kind in tables[name]]:
@@ -302,7 +302,7 @@ OPENED: dict[str, Callable[[Scene, list[str]], list[OpenNumber]]] = {
 
 
 def _thick(inertia: BodyInertia) -> BodyInertia:
-    """The body nearest to one that can exist: with a mass distribution that is positive in all directions."""
+    """The nearest physically possible body, whose mass distribution is positive in all directions."""
     centre = inertia.first / inertia.mass
     central = inertia.second - inertia.mass * np.outer(centre, centre)
     moments, axes = np.linalg.eigh(central)

@@ -1,4 +1,4 @@
-"""Model files rewritten with other values, with their comments and layout."""
+"""Rewrites model files with other values, keeping their comments and layout."""
 
 import json
 import re
@@ -11,14 +11,14 @@ from scalargraph.errors import InputError
 _TOKEN = re.compile(
     r"""(?P<skip>#[^\n]*|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')|(?P<number>[+-]?(?:[0-9][0-9_]*\.?[0-9_]*)(?:[eE][+-]?[0-9]+)?)"""
 )
-"""A comment, a text, or a number in the text of a value."""
+"""A comment, a string, or a number in the text of a value."""
 
 
 def rewrite(text: str, content: dict[str, Any]) -> str:
     """Change values in the text of a model file.
 
-    Numbers are replaced where they stand, so that comments and layout remain. A new key takes the place of a comment
-    that drafts it, as `# acceleration = 2.0`, or goes to the end of its table.
+    Numbers are replaced in place, so comments and layout remain. A new key replaces a comment that drafts it, such as
+    `# acceleration = 2.0`, or is added at the end of its table.
 
     Args:
         text: Text of a model file.
@@ -28,7 +28,7 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
         The new text.
 
     Raises:
-        ValueError: Names a table that the file writes in an unsupported way, such as `parameters.mass = 1`.
+        ValueError: The file writes a table in an unsupported way, such as `parameters.mass = 1`; the message names it.
 
     Example:
         >>> from covariant import models
@@ -48,7 +48,7 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
                 text = _replace_value(text, table, key, value, old.get(key))
     try:
         after = parse_toml(text)
-    except InputError:  # a table written as parameters.mass = 1 has become two
+    except InputError:  # a table written as parameters.mass = 1 now exists twice
         after = before
     wrong = next((table for table in content if after.get(table) != content[table]), None)
     if wrong is not None:
@@ -57,8 +57,8 @@ def rewrite(text: str, content: dict[str, Any]) -> str:
 
 
 def _tables(content: dict[str, Any], text: str) -> dict[str, dict[str, Any]]:
-    """The tables of a document by the names in their headers: one for each servo, each loop, and each table within
-    another that the text has under a header, as [parameters.armature]."""
+    """The tables of a document by their headers: one for each servo and loop, and each nested table that has a header
+    in the text, such as [parameters.armature]."""
     tables, several = {}, (_toml.SERVO, _toml.LOOP)
 
     def add(header: str, values: dict[str, Any]) -> None:
@@ -76,12 +76,12 @@ def _tables(content: dict[str, Any], text: str) -> dict[str, dict[str, Any]]:
 
 
 def _has_header(text: str, table: str) -> bool:
-    """Whether a text has a table, or one within it, under a header."""
+    """Whether a text has a header for a table, or for one nested in it."""
     return re.search(rf"^[ \t]*\[[ \t]*{re.escape(table)}[ \t]*[.\]]", text, re.MULTILINE) is not None
 
 
 def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None) -> str:
-    """The text with one value changed, removed where it is None, or put at the end of its table."""
+    """The text with one value changed, removed if it is None, or added at the end of its table."""
     begin, end = _span(text, table)
     if begin is None:
         return f"{text.rstrip()}\n\n[{table}]\n{key} = {written(value)}\n"
@@ -91,7 +91,7 @@ def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None)
     if match is None:
         drafted = re.compile(rf"^[ \t]*#[ \t]*{re.escape(key)}[ \t]*=[ \t]*", re.MULTILINE).search(text, begin, end)
         if drafted is not None and _is_value(text[drafted.end() : _value_end(text, drafted.end())]):
-            # A line that a draft has as a comment: to take its mark away later would give the table two such keys.
+            # The commented draft of a key is replaced; if it stayed, uncommenting it later would define the key twice.
             return f"{text[: drafted.start()]}{key} = {written(value)}{text[_value_end(text, drafted.end()) :]}"
         body = text[begin:end].rstrip()
         return f"{text[:begin]}{body}\n{key} = {written(value)}\n{text[begin + len(body) :].removeprefix(chr(10))}"
@@ -102,7 +102,7 @@ def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None)
 
 
 def _is_value(text: str) -> bool:
-    """Whether a text is a value of TOML, and not the words of a remark."""
+    """Whether a text is a TOML value, and not prose."""
     try:
         return bool(parse_toml(f"key = {text}"))
     except InputError:
@@ -114,13 +114,13 @@ def _span(text: str, table: str) -> tuple[int | None, int]:
     head = re.search(rf"^[ \t]*\[[ \t]*{re.escape(table)}[ \t]*\][^\n]*\n", text, re.MULTILINE)
     if head is None:
         return None, 0
-    header = re.compile(r"^[ \t]*\[[ \t]*[A-Za-z\"'\[]", re.MULTILINE)  # not the row of a matrix, nor its end
+    header = re.compile(r"^[ \t]*\[[ \t]*[A-Za-z\"'\[]", re.MULTILINE)  # excludes rows and ends of matrices
     following = header.search(text, head.end())
     return head.end(), following.start() if following else len(text)
 
 
 def _value_end(text: str, begin: int) -> int:
-    """End of a value that begins at a position: the bracket that closes it, a comment, or the line's end."""
+    """End of a value that begins at a position: its closing bracket, a comment, or the end of the line."""
     depth, position = 0, begin
     while position < len(text):
         token = _TOKEN.match(text, position)
@@ -137,13 +137,13 @@ def _value_end(text: str, begin: int) -> int:
 
 
 def _value(text: str, value: Any, old: Any) -> str:
-    """The text of a value with other numbers, where it has as many of them as before; otherwise written anew."""
+    """The text of a value with other numbers, if their count is the same as before; otherwise it is written anew."""
     before, after = _leaves(old), _leaves(value)
     tokens = [token for token in _TOKEN.finditer(text) if token.lastgroup == "number"]
-    # Hexadecimal numbers match as several tokens and inf and nan as none: the counts then differ.
+    # Hexadecimal numbers match as several tokens, inf and nan as none, so the counts differ then.
     if not len(before) == len(after) == len(tokens) or not all(isinstance(leaf, int | float) for leaf in after):
         return written(value)
-    # From the end, so that the positions of the tokens before remain valid.
+    # The tokens are replaced from the end, so that the positions of earlier ones remain valid.
     for token, previous, current in reversed(list(zip(tokens, before, after, strict=True))):
         if previous != current:
             text = text[: token.start()] + written(current) + text[token.end() :]

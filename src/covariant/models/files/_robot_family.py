@@ -1,7 +1,7 @@
-"""A robot as a function of numbers that a log may show: friction, rotors, loads, inertias, gravity, constants, offsets.
+"""Represents a robot as a function of numbers that a log can determine, such as friction, rotors, loads and inertias.
 
-Source: Rucker & Wensing 2022, Smooth Parameterization of Rigid-Body Inertia, IEEE Robotics and Automation Letters 7(2),
-for the inertia of a link as the triangular factor of its pseudo-inertia, with the logarithms of the diagonal.
+Source: Rucker & Wensing 2022, Smooth Parameterization of Rigid-Body Inertia, IEEE Robotics and Automation Letters 7(2):
+the inertia of a link as the triangular factor of its pseudo-inertia, with logarithms on the diagonal.
 """
 
 import copy
@@ -43,17 +43,17 @@ LINEAR = ("mass", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 class RobotFamily(NamedTuple):
     """A robot as a function of open numbers.
 
-    Coordinates x (p,) are zero at the first values. They are changes of the numbers, but those of an inertia are the
-    entries α, d, s, t of the upper triangular `U(x)` of Rucker & Wensing, equation (11), in the pseudo-inertia
-    `U₀ U(x) U(x)ᵀ U₀ᵀ`, where `U₀ U₀ᵀ` is the first one. So every x is a body that can exist.
+    Coordinates x (p,) are zero at the first values. They are changes of the numbers, except for inertias: there they
+    are the entries α, d, s, t of the upper triangular `U(x)` of Rucker & Wensing, equation (11), in the pseudo-inertia
+    `U₀ U(x) U(x)ᵀ U₀ᵀ`, where `U₀ U₀ᵀ` is the first one. So every x describes a body that is physically possible.
 
     Attributes:
         file: The model file with the first values.
         document: Its content.
         numbers: The p open numbers.
         spec: Name or path of the model.
-        resting: Speeds (n,) below which dry friction may hold each joint [rad/s or m/s]; 0 for one without.
-        parts: Index (M, k) in `numbers` of the k numbers of each of M machines; of one machine these are all p.
+        resting: Speed (n,) below which dry friction may hold each joint [rad/s or m/s]; 0 for a joint without it.
+        parts: Indices (M, k) in `numbers` of the k numbers of each of M machines; for a single machine, all p.
 
     Example:
         >>> import numpy as np
@@ -74,16 +74,16 @@ class RobotFamily(NamedTuple):
 
     @property
     def one(self) -> "RobotFamily":
-        """The family of one machine, without numbers of the others."""
+        """The family of one machine, without the numbers of others."""
         numbers = tuple(self.numbers[k]._replace(machine="") for k in self.parts[0])
         return self._replace(numbers=numbers, parts=np.arange(len(numbers))[None])
 
     def of_machines(self, machines: Sequence[str], own: Collection[str]) -> "RobotFamily":
-        """Family of several machines that share their numbers, except some that each has of its own.
+        """Family of several machines that share their numbers, except some that differ between machines.
 
         Args:
             machines: Names of the M machines.
-            own: Names of the numbers of which each machine has its own; `gravity@arm1` is that of `arm1`.
+            own: Names of the numbers that differ between machines; `gravity@arm1` is the one of `arm1`.
 
         Returns:
             The family with the p numbers of all machines, the shared ones first.
@@ -99,7 +99,7 @@ class RobotFamily(NamedTuple):
         numbers = [self.numbers[k] for k in shared]
         parts = np.zeros((len(machines), len(is_own)), int)
         parts[:, shared] = np.arange(len(shared))
-        # The numbers of a machine stand together, as those of an inertia have to.
+        # The numbers of a machine are adjacent, as those of an inertia must be.
         for m, machine in enumerate(machines):
             parts[m, each] = len(numbers) + np.arange(len(each))
             numbers += [self.numbers[k]._replace(machine=machine) for k in each]
@@ -129,7 +129,7 @@ class RobotFamily(NamedTuple):
             acceleration: Usual accelerations (n,).
 
         Returns:
-            The sizes, such as that of a viscous friction which takes all the torque at the usual speed.
+            The sizes; for example, a viscous friction that accounts for all the torque at the usual speed.
         """
         motion = np.stack([torque, speed, acceleration])
         return np.array(
@@ -137,7 +137,7 @@ class RobotFamily(NamedTuple):
         )
 
     def values(self, x: Float[AnyArray, "p"]) -> Float[Array, "p"]:
-        """Numbers (p,) at the coordinates x (p,), traced or not."""
+        """The numbers (p,) at the coordinates x (p,), which may be traced."""
         x = jnp.asarray(x)
         values = jnp.asarray(self.first) + x
         for start in self._inertias:
@@ -146,8 +146,8 @@ class RobotFamily(NamedTuple):
         return values
 
     def linear(self, x: Float[AnyArray, "p"]) -> Float[Array, "p"]:
-        """The numbers (p,) with those of inertias in their linear form: mass, first moments, inertia about the origin
-        of the link; so the torques are linear in them."""
+        """The numbers (p,) in which torques are linear: for inertias, mass, first moments, and inertia about the
+        origin of the link."""
         values = self.values(x)
         for start in self._inertias:
             block = slice(start, start + len(OF_INERTIA))
@@ -167,7 +167,7 @@ class RobotFamily(NamedTuple):
         )
 
     def make(self, x: Float[AnyArray, "k"]) -> Any:
-        """The model of one machine at the coordinates x (k,), which JAX may trace."""
+        """The model of one machine at the coordinates x (k,); JAX can trace it."""
         return made(self.spec, self.with_values(self.one.values(x))).model
 
     def with_values(self, values: Any) -> dict[str, Any]:
@@ -204,7 +204,7 @@ class RobotFamily(NamedTuple):
 
     @property
     def _inertias(self) -> list[int]:
-        """Where the ten numbers of each open inertia begin."""
+        """Indices at which the ten numbers of each open inertia begin."""
         return [i for i, n in enumerate(self.numbers) if n.group == "inertia" and n.number == OF_INERTIA[0]]
 
 
@@ -222,7 +222,7 @@ def robot_family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> 
         The family.
 
     Raises:
-        ModelError: One line that names the spec and the first thing wrong.
+        ModelError: One line that names the spec and the first fault.
 
     Example:
         >>> from covariant import models
@@ -268,14 +268,14 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> RobotFa
 
 
 def _resting(robot: Description, numbers: list[OpenNumber]) -> dict[str, float]:
-    """Speed at which dry friction is smoothed, of each joint that has some by its law or its file, or may get some."""
+    """Smoothing speed of the dry friction of each joint that has, or may get, dry friction."""
     opened = {n.target for n in numbers if n.group in ("friction", "servo") and n.number in ("coulomb", "stribeck")}
     laws = {joint.name: joint.law or FrictionLaw(coulomb=joint.friction) for joint in robot.joints}
     return {name: float(law.smoothing) for name, law in laws.items() if name in opened or law.coulomb or law.stribeck}
 
 
 def _fill_laws(content: dict[str, Any], robot: Description, numbers: list[OpenNumber]) -> dict[str, Any]:
-    """The document with all numbers of each law that is opened: in it a law takes the place of damping and friction."""
+    """The document with all numbers of each opened friction law; a law replaces damping and friction of the file."""
     content = copy.deepcopy(content)
     for joint in robot.joints:
         if joint.law is None and any(n.group == "friction" and n.target == joint.name for n in numbers):
@@ -295,7 +295,7 @@ def _pseudo_inertia(inertia: BodyInertia) -> np.ndarray:
 def _inertia_at(first: Float[np.ndarray, "10"], x: Array) -> Array:
     """The ten numbers at coordinates x = (α, d1, d2, d3, s12, s23, s13, t1, t2, t3)."""
     pseudo = _pseudo_inertia(inertia_of("", first))
-    # An upper triangular factor: that of the Cholesky factor of the matrix with rows and columns reversed.
+    # An upper triangular factor is the Cholesky factor of the matrix with rows and columns reversed, reversed back.
     upper = np.linalg.cholesky(pseudo[::-1, ::-1])[::-1, ::-1]
     alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = x
     zero, one = jnp.zeros_like(alpha), jnp.ones_like(alpha)
@@ -313,6 +313,6 @@ def _inertia_at(first: Float[np.ndarray, "10"], x: Array) -> Array:
 
 
 def _tensor_of(second: Any) -> Array:
-    """The six numbers ixx, iyy, izz, ixy, ixz, iyz of the inertia tensor of a second moment S: tr(S) 1 − S."""
+    """The six numbers ixx, iyy, izz, ixy, ixz, iyz of the inertia tensor tr(S) 1 − S of a second moment S."""
     xx, yy, zz = jnp.diagonal(second)
     return jnp.stack([yy + zz, zz + xx, xx + yy, -second[0, 1], -second[0, 2], -second[1, 2]])

@@ -1,4 +1,4 @@
-"""The keys of each kind of sensor in a model file; `observers.sensors` defines what each kind measures."""
+"""Lists the keys of each kind of sensor in a model file; `observers.sensors` defines what each kind measures."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Models looked up: a system of this library by its name, or an attribute of a module."""
+"""Finds the source of a model: a system of this library by name, or an attribute of a module."""
 
 import contextlib
 import functools
@@ -35,7 +35,7 @@ CRAFT = ("cybership", "odin", "supply_vessel")
 
 
 def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
-    """Wrap a function that returns a craft as one that returns its state-space model, with the same parameters."""
+    """Wrap a function that returns a craft: the result returns its state-space model, with the same parameters."""
 
     @functools.wraps(factory)
     def build(*arguments: Any, **parameters: Any) -> StateSpace:
@@ -45,14 +45,14 @@ def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
 
 
 def system(name: Any) -> Callable[..., Model]:
-    """Function that builds a system of this library, the same object each time."""
+    """The function that builds a system of this library; the same object each time."""
     if not isinstance(name, str):
         raise InputError(f'system must be a name, as in system = "oscillator"; got {name!r}')
     refuse_unknown("system", name, SYSTEMS)
     return _function(name)
 
 
-@functools.cache  # the same function object each time: compiled programs are cached by it
+@functools.cache  # compiled programs are cached by the function object, so it must stay the same
 def _function(name: str) -> Callable[..., Model]:
     module, _, attribute = SYSTEMS[name].partition(":")
     factory = getattr(importlib.import_module(f"covariant.models.{module}"), attribute)
@@ -62,8 +62,8 @@ def _function(name: str) -> Callable[..., Model]:
 def attribute(spec: str, folder: Path | None = None) -> Any:
     """Import the object that `module:attribute` names.
 
-    A file that names it gives its `folder`: then it is a module in there, or one that a package declares by an entry
-    point. Otherwise somebody typed it, and it may be any module, also one in the current folder.
+    If a file names it, `folder` is the file's folder; the module must then be in that folder, or be declared by the
+    entry point of a package. Otherwise a user typed the name, and any module is allowed, also in the current folder.
     """
     where, _, name = spec.partition(":")
     if folder is not None and not _lies_in(where, folder):
@@ -80,7 +80,7 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
         _prefer(where, Path(beside))
     try:
         module = importlib.import_module(where)
-    except Exception as error:  # a module may fail in any way while it is imported
+    except Exception as error:  # importing a module may raise any exception
         reason = f"{type(error).__name__}: {first_line(error)}"
         raise InputError(f"module {where!r} cannot be imported: {reason}") from error
     if name not in vars(module):
@@ -89,7 +89,7 @@ def attribute(spec: str, folder: Path | None = None) -> Any:
 
 
 ENTRY_POINTS = "covariant.models"
-"""Group of entry points by which an installed package declares models: `module:attribute`, or a module with all in it.
+"""Group of entry points by which an installed package declares models: `module:attribute`, or a module for all in it.
 """
 
 
@@ -99,10 +99,10 @@ def _declared(spec: str) -> bool:
 
 
 def _lies_in(where: str, folder: Path) -> bool:
-    """Whether a module lies in a folder, and no other code would be imported in its place."""
+    """Whether a module is in a folder, and no other code would be imported under its name."""
     top = where.partition(".")[0]
     found = PathFinder.find_spec(top, [str(folder.resolve())]) if top.isidentifier() else None
-    # A folder without `__init__.py`, or a module of Python, would stand for installed code that is loaded already.
+    # A folder without `__init__.py`, or a standard-library name, could denote installed code that is loaded already.
     if found is None or found.origin is None or top in sys.stdlib_module_names:
         return False
     loaded = getattr(sys.modules.get(top), "__file__", None)
@@ -114,7 +114,7 @@ _imported: dict[str, tuple[Path, int]] = {}
 
 
 def _prefer(where: str, folder: Path) -> None:
-    """Let a module be imported anew from a folder where its file was changed or another folder has one of its name."""
+    """Make Python import a module anew from a folder, if its file has changed or another folder has the same name."""
     file, module = folder / f"{where}.py", sys.modules.get(where)
     if not file.exists():
         return
@@ -129,9 +129,9 @@ def _prefer(where: str, folder: Path) -> None:
 
 
 def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> dict[str, Any]:
-    """Convert parameters to the types that a function declares: an int serves as a `float`, a bool does not.
+    """Convert parameters to the types that a function declares: an int is accepted for a `float`, a bool is not.
 
-    Numbers of arrays, such as those being fitted, and parameters that the function does not take are not converted.
+    Numbers in arrays, such as open ones, and parameters that the function does not have are not converted.
     """
     declared, converted = inspect.signature(factory).parameters, dict(parameters)
     for key, value in parameters.items():
@@ -142,7 +142,7 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
         try:
             converted[key] = _convert_to_type(converted[key], kind)
         except TypeError as error:
-            open_too = inspect.formatannotation(Number)  # a number may be open, but not one from a file
+            open_too = inspect.formatannotation(Number)  # accepts open (traced) numbers, which a file cannot contain
             expected = inspect.formatannotation(kind).replace(open_too, "float").replace("collections.abc.", "")
             shown = reprlib.repr(converted[key])
             raise InputError(f"parameter {key} of {name} must be {expected}; got {shown}") from error
@@ -153,7 +153,7 @@ def _convert_to_type(value: Any, declared: Any) -> Any:
     choices = get_args(declared)
     if isinstance(value, jax.Array | np.floating):  # possibly traced: its value cannot be converted
         return value
-    if declared is Any:  # whoever takes it checks it
+    if declared is Any:  # the function itself checks it
         return value
     if get_origin(declared) in (Union, UnionType):
         for choice in choices:
@@ -163,14 +163,14 @@ def _convert_to_type(value: Any, declared: Any) -> Any:
         return {_convert_to_type(key, choices[0]): _convert_to_type(entry, choices[1]) for key, entry in value.items()}
     elif get_origin(declared) is Sequence and isinstance(value, list | tuple):
         return [_convert_to_type(entry, choices[0]) for entry in value]
-    # `type`, not `isinstance`: in Python True is an int.
+    # `type` instead of `isinstance`, since True is an int in Python.
     elif type(value) is declared or (type(value), declared) == (int, float):
         return declared(value)
     raise TypeError
 
 
 def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> Any:
-    """Call a function that builds a model; raises `ValueError` for a parameter that it lacks or refuses."""
+    """Call a function that builds a model; raises `ValueError` if a parameter is missing or refused."""
     accepted = inspect.signature(factory).parameters
     for parameter in parameters:
         refuse_unknown(f"parameter of {name}", parameter, accepted)
@@ -182,12 +182,12 @@ def call(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) -> 
         return factory(**parameters)
     except TypeError as error:
         raise InputError(f"a parameter of {name} is of the wrong kind: {first_line(error)}") from error
-    except ValueError as error:  # a function of a user refuses parameters by it; one of this library by `InputError`
+    except ValueError as error:  # a user's function refuses parameters by it, this library's by `InputError`
         if isinstance(error, InputError) or getattr(factory, "__module__", "").startswith("covariant."):
             raise
         raise InputError(f"{name} refuses its parameters: {first_line(error)}") from error
 
 
 def first_line(error: BaseException) -> str:
-    """First line of an error's message, or the name of its type where it has none."""
+    """First line of an error's message, or the name of its type if it has no message."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)

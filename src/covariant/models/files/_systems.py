@@ -1,4 +1,4 @@
-"""The systems of this library by name, and a check of the names and paths of models. Loads nothing heavy."""
+"""Lists the systems of this library, and checks names and paths of models; it loads nothing heavy."""
 
 import errno
 import os
@@ -10,7 +10,7 @@ from covariant.models.robots import ROBOTS
 from scalargraph.errors import InputError
 
 LOG_FILES = (".csv", ".txt", ".parquet", ".mcap", ".db3", ".bag")
-"""Suffixes of logs, which are sometimes given in place of a model."""
+"""Suffixes of logs, which users sometimes pass instead of a model."""
 ROBOT_FILES = (".urdf", ".xml")
 """Suffixes of robot files."""
 SYSTEMS = {
@@ -42,7 +42,7 @@ SYSTEMS = {
 
 
 def check_spec(spec: str | PathLike[str]) -> None:
-    """Refuse a path or name that no model can be loaded from, before anything heavy is loaded.
+    """Refuse a path or name from which no model can be loaded, before anything heavy is loaded.
 
     Args:
         spec: A path (.toml, .urdf, .xml), the name of a system or a robot, or `module:attribute`, which is not checked.
@@ -68,7 +68,7 @@ def check_spec(spec: str | PathLike[str]) -> None:
 
 
 def unknown_model(name: str) -> str:
-    """Message for a name that is no model."""
+    """Message for a name that is not a model."""
     if Path(name).suffix in LOG_FILES:
         return (
             f"unknown model {name!r}. The model comes first and then the log: did you swap them? A model is a .toml, "

@@ -1,4 +1,4 @@
-"""The layout of a model file: its tables and keys, and the values that each of them may have."""
+"""Defines the layout of a model file: its tables and keys, and the values that each key may have."""
 
 import math
 import re
@@ -16,7 +16,7 @@ from covariant.models.files._sensor_keys import EVERY_SENSOR, SENSOR_KEYS
 from scalargraph.errors import InputError
 
 Overrides = Sequence[str] | Mapping[str, Any]
-"""Values that replace those of a model file: `table.key=value` each, or a mapping from `table.key` to values."""
+"""Values that replace those of a model file: a text `table.key=value` each, or a mapping from `table.key` to values."""
 
 WRENCH = "wrench"
 """Table of the forces that act on links, with one table for each force."""
@@ -41,7 +41,7 @@ _OF_TABLE = {"columns": _NAMES, "units": tuple(name for name in _NAMES if name n
 """Keys of each table, except tables whose keys are names."""
 _QUOTED = re.compile(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'""")
 _ODD_NUMBER = re.compile(r"(?<![\w-])[+-]?(?:0[xob]\w|[0-9.]+_)")
-"""TOML allows underscores and hexadecimal numbers; on a command line these are more likely typing errors."""
+"""Numbers with underscores or in hexadecimal: TOML allows them, but on a command line they are likely typing errors."""
 _REPLACES = {key.path: key.replaces for key in KEYS.values()} | {
     f"columns.{kind}": tuple(other for other in ATTITUDES if other != kind) for kind in ATTITUDES
 }
@@ -61,7 +61,7 @@ def override(document: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
             table = table.setdefault(name, {})
             if not isinstance(table, dict):
                 raise InputError(f"override {text!r}: {name!r} is not a table")
-        for rival in _REPLACES.get(key, ()):  # the new key for a number replaces any other key for it
+        for rival in _REPLACES.get(key, ()):  # a new key replaces other keys that state the same number
             table.pop(rival, None)
         table[last] = value
     return document
@@ -86,11 +86,11 @@ def plain(value: Any) -> Any:
 
 
 def _value(text: str, value: str) -> Any:
-    # Quoted texts are emptied first: they may contain anything.
+    # Quoted texts are emptied first, since they may contain anything.
     if _ODD_NUMBER.search(_QUOTED.sub('""', value)):
         raise InputError(f"override {text!r}: write numbers in plain decimals, as 1000 or 1e3")
     try:
-        # The parser of the file, so that a value means the same in both places.
+        # The parser is the same as for the file, so that a value has the same meaning in both.
         return parse_toml(f"value = {value}")["value"]
     except InputError as error:
         reason = str(error).removeprefix("not a TOML document: ").split(" (at ")[0]
@@ -98,7 +98,7 @@ def _value(text: str, value: str) -> Any:
 
 
 def check_layout(document: dict[str, Any]) -> None:
-    """Check that a document has no table or key but those of a model file."""
+    """Check that a document contains only tables and keys of a model file."""
     for table, content in document.items():
         refuse_unknown("table or key", table, ("system", "parameters", *_OF_TABLE, WRENCH, SENSORS, SERVO, LOOP))
         if table != "system" and not isinstance(content, dict):
@@ -106,7 +106,7 @@ def check_layout(document: dict[str, Any]) -> None:
         if table in _OF_TABLE:
             for key in content:
                 refuse_unknown(f"key of [{table}]", key, _OF_TABLE[table])
-        else:  # the numbers of the others are checked against the ranges of their keys
+        else:  # the numbers of other tables are checked against the ranges of their keys
             _check_finite(table, content)
 
 
@@ -116,7 +116,7 @@ def _check_finite(key: str, value: Any) -> None:
         _check_finite(f"{key}.{name}", entry)
     for k, entry in enumerate(value if isinstance(value, list) else ()):
         _check_finite(f"{key}[{k}]", entry)
-    # An integer of TOML has as many digits as it likes.
+    # A TOML integer may have any number of digits, so it may exceed the range of floats.
     if isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
         raise InputError(f"{key} must be a finite number; got {value if isinstance(value, float) else 'a larger one'}")
 
@@ -129,7 +129,7 @@ def columns(document: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(names, list) or not all(isinstance(name, str) and name for name in names):
             expected = "the name of a column" if key == "t" else 'a list of column names, as in ["q1", "q2"]'
             raise InputError(f"columns.{key} must be {expected}; got {value!r}")
-        # One switch, or one supply, may be that of several servos; the commands come before these.
+        # Several servos may share one switch or supply column, but not their commands, which come first.
         distinct = names[: len(document.get(SERVO, {})) or None] if key == "u" else names
         if len(set(distinct)) < len(distinct):
             raise InputError(f"columns.{key} names a column twice: {', '.join(names)}")
@@ -169,7 +169,7 @@ def numbers(document: dict[str, Any], counts: Counts) -> dict[str, Any]:
     if not fields.get("uncertain", True):
         del fields["uncertain"]  # an empty list keeps the uncertain parameters of a model object
     if "quantum" in fields:
-        # An error uniform over one step has the variance quantum²/12.
+        # An error distributed uniformly over one tick has the variance quantum²/12.
         ticks = fields["quantum"]
         std = tuple(tick / math.sqrt(12) for tick in ticks) if isinstance(ticks, tuple) else ticks / math.sqrt(12)
         fields["measurement_std"] = std

@@ -1,4 +1,4 @@
-"""Ships and underwater vehicles, with parameters that name their sources."""
+"""Models of ships and underwater vehicles, with parameters that name their sources."""
 
 from scalargraph.rooms import attach
 

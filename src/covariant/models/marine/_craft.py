@@ -1,4 +1,4 @@
-"""A marine craft in the vectorial form of Fossen: velocities in the body frame, and coordinates of its position.
+"""Models a marine craft in Fossen's vectorial form: velocities in the body frame, positions in the earth frame.
 
 Source: Jouffroy & Fossen 2004, equations (38)–(39) and (80)–(85); Fossen 2011, Handbook of Marine Craft Hydrodynamics
 and Motion Control, chapters 2 and 6, for the kinematics and the Coriolis matrix.
@@ -25,9 +25,9 @@ from scalargraph.errors import InputError
 class Craft(eqx.Module):
     """A marine craft `η' = J(η)ν`, `Mν' + C(ν)ν + D(ν)ν + g(η) = τ`, whose position η is measured; the input is τ.
 
-    It is the model form of marine engineering, in any number of degrees of freedom, for `craft_observer` and
-    `Backstepping`. ν is in the body frame and η in the earth frame, so ν is no derivative of η. `state_space` converts
-    it for Kalman filters, and `underwater_vehicle` is a vehicle on SE(3), without a singular attitude.
+    It is the usual model form of marine engineering, in any number of degrees of freedom, for `craft_observer` and
+    `Backstepping`. ν is in the body frame and η in the earth frame, so ν is not the derivative of η. `state_space`
+    converts it for Kalman filters; `underwater_vehicle` is a vehicle on SE(3), without a singular attitude.
 
     Attributes:
         mass: Inertia matrix M (n, n), added mass included, symmetric positive definite.
@@ -147,7 +147,7 @@ def _no_coriolis(nu: Vector) -> Matrix:
 def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
     """Convert a matrix to an array and check that it is symmetric positive definite.
 
-    Inside a compiled function its numbers are not known: there only its shape is checked.
+    In a compiled function its numbers are not known, so only its shape is checked there.
 
     Args:
         name: Name of the matrix, for the message.
@@ -168,9 +168,9 @@ def positive_definite(name: str, matrix: Numbers, n: int) -> Matrix:
     if np.shape(matrix) != (n, n):
         raise InputError(f"{name} must be a matrix of {n} rows and {n} columns; its shape is {np.shape(matrix)}")
     if isinstance(matrix, Tracer):
-        return matrix  # its numbers are not known before the program runs
+        return matrix  # its numbers are unknown while a program is traced
     array = np.asarray(matrix, float)
-    if not np.allclose(array, array.T, rtol=1e-9, atol=0.0):  # relative: inertias come in any unit
+    if not np.allclose(array, array.T, rtol=1e-9, atol=0.0):  # relative, as inertias may have any unit
         raise InputError(f"{name} must be symmetric")
     smallest = np.linalg.eigvalsh(array)[0]
     if not smallest > 0:
@@ -223,7 +223,7 @@ def yaw_rotation(psi: Scalar) -> Matrix:
         True
     """
     c, s, zero = jnp.cos(psi), jnp.sin(psi), jnp.zeros_like(psi)
-    # Body to north-east, with z down: a positive ψ turns the bow from north to east.
+    # From the body to north and east, with z down: a positive ψ turns the bow from north to east.
     return jnp.stack([jnp.stack([c, -s, zero]), jnp.stack([s, c, zero]), jnp.stack([zero, zero, jnp.ones_like(psi)])])
 
 

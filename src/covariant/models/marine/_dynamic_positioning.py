@@ -1,4 +1,4 @@
-"""A ship in dynamic positioning: first-order wave motion, slowly varying forces, and thrusters with a lag.
+"""Models a ship in dynamic positioning: first-order wave motion, slowly varying forces, and thrusters with a lag.
 
 Source: Fossen & Strand 1999, Passive nonlinear observer design for ships using Lyapunov methods, Automatica 35(1);
 Jouffroy & Fossen 2004, equations (38)–(42), for the ship alone.
@@ -21,10 +21,11 @@ from scalargraph.errors import InputError
 class Waves(eqx.Module):
     """First-order wave motion of north, east and heading.
 
-    `ξ₁' = ξ₂`, `ξ₂' = −ω²ξ₁ − 2ζωξ₂ + w`, of which ξ₂ is measured.
+    `ξ₁' = ξ₂`, `ξ₂' = −ω²ξ₁ − 2ζωξ₂ + w`; ξ₂ is part of the measured position.
 
-    Give it to a `Station`, whose observer then separates this motion from that of the ship, so that thrusters do not
-    fight waves. Take the frequency from the peak of the wave spectrum. A smaller damping gives a narrower spectrum.
+    Give it to a `Station`, whose observer then separates this motion from the ship's, so that thrusters do not
+    counteract waves. Take the frequency from the peak of the wave spectrum. A smaller damping gives a narrower
+    spectrum.
 
     Attributes:
         frequency: Frequencies ω (3,) [rad/s].
@@ -65,8 +66,8 @@ class Waves(eqx.Module):
 class Station(eqx.Module):
     """A surface ship with the disturbances at sea: waves, a slowly varying force, and thrusters with a lag.
 
-    States are in this order: η (3,), ν (3,), ξ (6,), b (3,), τ (3,), of which the last three only where the station has
-    them.
+    The states are, in this order: η (3,), ν (3,), ξ (6,), b (3,), τ (3,); each of the last three is present only if the
+    station includes it.
 
     Attributes:
         ship: A `Craft` in the plane, such as `supply_vessel()`.
@@ -103,7 +104,7 @@ class Station(eqx.Module):
         """Slices of the parts of the state.
 
         Returns:
-            Slices by name: "eta" and "nu", and "waves", "bias" and "thrust" where the station has them.
+            Slices by name: "eta" and "nu", and "waves", "bias" and "thrust" if the station includes them.
         """
         sizes = {
             "eta": 3,
@@ -126,7 +127,7 @@ class Station(eqx.Module):
         """State derivative x' of the station.
 
         Args:
-            heading: Heading [rad] for the rotations, measured or that of the state.
+            heading: Heading [rad] for the rotations: measured, or taken from the state.
             x: State (n,).
             u: Commanded force (3,) in the body frame [N, N, N m].
             noise: Noise that drives the waves and the bias, three entries each: white noise of unit spectral density
@@ -140,9 +141,9 @@ class Station(eqx.Module):
         eta, nu = part["eta"], part["nu"]
         force = part.get("thrust", u)
         if "bias" in part:
-            force = force + turn.T @ part["bias"]  # b is in north and east, the force in the body frame
+            force = force + turn.T @ part["bias"]  # b is in north and east; the force is in the body frame
         drive = jnp.zeros(3 * (("waves" in part) + ("bias" in part)), x.dtype) if noise is None else noise
-        # The restoring force turns by the same heading: measured, both rotations are known functions of time.
+        # The restoring force uses the same heading: if it is measured, both rotations are known functions of time.
         rates = [turn @ nu, self.ship.acceleration(eta.at[2].set(heading), nu, force)]
         if self.waves is not None:
             w, z, k = (
@@ -151,8 +152,8 @@ class Station(eqx.Module):
             place, speed = jnp.split(part["waves"], 2)
             rates += [speed, -(w**2) * place - 2 * z * w * speed + k * drive[:3]]
         if self.bias_time is not None:
-            # A time constant of infinity leaves the noise alone: a random walk.
-            rates.append(-part["bias"] / self.bias_time + drive[-3:])  # last, with or without waves before it
+            # An infinite time constant leaves only the noise: a random walk.
+            rates.append(-part["bias"] / self.bias_time + drive[-3:])  # its noise comes last, with or without waves
         if self.thruster_time is not None:
             rates.append((u - part["thrust"]) / self.thruster_time)
         return jnp.concatenate(rates)
@@ -173,7 +174,7 @@ class Station(eqx.Module):
         """State-space model of the station.
 
         Args:
-            noise: Whether the noise of waves and bias is an input too, after the force in u.
+            noise: Whether the noise of waves and bias is also an input, after the force in u.
 
         Returns:
             The model, with the outputs north, east and heading.

@@ -1,4 +1,4 @@
-"""A tanker that is steered by a rudder and driven by a propeller: three degrees of freedom, the MMG standard method.
+"""Models a tanker with rudder and propeller in three degrees of freedom, by the MMG standard method.
 
 Source: Yasukawa & Yoshimura 2015, Introduction of MMG standard method for ship maneuvering predictions, Journal of
 Marine Science and Technology 20, with its tables for KVLCC2.
@@ -74,8 +74,8 @@ def manoeuvring_ship(
     """Model of the tanker KVLCC2, 7 m long; x = (north, east, heading, surge, sway, yaw rate).
 
     The outputs are north, east [m] and heading [rad]. The input is (rudder angle [rad], revolutions [1/s]); a positive
-    angle turns the bow to starboard. The model is valid at cruising speed ahead: the propeller turns ahead, and surge
-    is positive.
+    angle turns the bow to starboard. The model is valid only at cruising speed ahead, with the propeller turning ahead
+    and positive surge.
 
     Args:
         length: Length [m].
@@ -95,7 +95,7 @@ def manoeuvring_ship(
         The system with six states and two inputs.
 
     Raises:
-        ValueError: Names an entry that is not known.
+        ValueError: An entry is not known; the message names it.
 
     Example:
         >>> import jax.numpy as jnp
@@ -108,7 +108,7 @@ def manoeuvring_ship(
     h, p, r = _merge("hull", HULL, hull), _merge("propeller", PROPELLER, propeller), _merge("rudder", RUDDER, rudder)
     mass, scale = density * displacement, density / 2 * length * draught
     added = {"x": 0.022 * scale * length, "y": 0.223 * scale * length, "z": 0.011 * scale * length**3}
-    # Radius of gyration L/4, as the source assumes; the moment is about midships, hence Steiner's term.
+    # The source assumes the radius of gyration L/4; the moment is about midships, hence Steiner's term.
     turning = mass * (length / 4) ** 2 + centre**2 * mass + added["z"]
     ratio = propeller_diameter / rudder_height
     return StateSpace(
@@ -210,12 +210,12 @@ def _forces(nu, delta, n, ship: _Ship):
     """Surge and sway force and yaw moment at midships [N, N, N m]."""
     u, v, yaw = nu
     speed = jnp.maximum(jnp.sqrt(u**2 + v**2), 1e-9)  # a divisor below
-    # The drift angle is positive for a motion to port, v < 0: the water then comes from that side.
+    # A positive drift angle means motion to port, v < 0: the water then comes from that side.
     flow = _Flow(speed, jnp.arctan2(-v, u), yaw * ship.length)
     x, y, z = _hull(v, flow, ship.hull)
     inflow_speed, jet, thrust = _propeller(u, n, flow, ship)
     lift = _lift(delta, inflow_speed, jet, flow, ship)
-    # For δ > 0 the ship feels −F_N across: it pushes the stern to port, and so turns the bow to starboard.
+    # For δ > 0 the force across the ship is −F_N: it pushes the stern to port and turns the bow to starboard.
     side, rudder, length = lift * jnp.cos(delta), ship.rudder, ship.length
     thrust, braking = (1 - ship.propeller["deduction"]) * thrust, (1 - rudder["deduction"]) * lift * jnp.sin(delta)
     return jnp.stack(
@@ -230,7 +230,7 @@ def _forces(nu, delta, n, ship: _Ship):
 def _hull(v, flow: _Flow, hull: dict[str, Array]):
     """Surge and sway force by `scale`, and yaw moment by `scale * length` [m²/s²], of the hull alone."""
     speed, turn = flow.speed, flow.turn
-    # v' = v/U and r' = rL/U, so U² times a quadratic term is free of U, and a cubic one keeps 1/U.
+    # v' = v/U and r' = rL/U, so U² times a quadratic term is independent of U, and a cubic term has the factor 1/U.
     x = -hull["R0"] * speed**2 + hull["Xvv"] * v**2 + hull["Xvr"] * v * turn + hull["Xrr"] * turn**2
     x = x + hull["Xvvvv"] * v**4 / speed**2
     cubic = (v**3, v**2 * turn, v * turn**2, turn**3)
@@ -245,14 +245,15 @@ def _hull(v, flow: _Flow, hull: dict[str, Array]):
 def _propeller(u, n, flow: _Flow, ship: _Ship):
     """Speed of the water into the propeller and of its jet [m/s], and its thrust [N]."""
     propeller = ship.propeller
-    inflow = flow.drift + 0.5 * flow.turn / flow.speed  # the propeller is at half a length aft
+    inflow = flow.drift + 0.5 * flow.turn / flow.speed  # the propeller is half a length aft of midships
     swirl = jnp.where(inflow > 0, propeller["C2+"], propeller["C2-"]) - 1
     inflow_speed = (1 - ship.wake) * u * (1 + (1 - jnp.exp(-propeller["C1"] * jnp.abs(inflow))) * swirl)
     tip = jnp.maximum(n * ship.diameter, 1e-9)  # a divisor below
     advance = inflow_speed / tip
     thrust_coefficient = propeller["k0"] + propeller["k1"] * advance + propeller["k2"] * advance**2
-    # Speed of the propeller's jet by momentum theory; a braking thrust may leave no real root.
-    # The source divides by the advance ratio J; times its square, no inflow or no revolutions stay finite.
+    # Speed of the propeller's jet by momentum theory; for a braking thrust there may be no real root.
+    # The source divides by the advance ratio J. Multiplied by its square, the formula is finite without inflow or
+    # revolutions.
     jet = jnp.sqrt(jnp.maximum(inflow_speed**2 + 8 * thrust_coefficient * tip**2 / math.pi, 0.0))
     return inflow_speed, jet, ship.density * n**2 * ship.diameter**4 * thrust_coefficient
 

@@ -1,9 +1,9 @@
-"""ODIN, a spherical underwater robot with eight thrusters, in Euler angles and on SE(3).
+"""Models ODIN, a spherical underwater robot with eight thrusters, in Euler angles and on SE(3).
 
-Source: Jouffroy & Fossen 2004, equations (80)–(85). The paper gives no numbers. Those used here are the usual ones: a
-sphere of 0.31 m radius and 125 kg, half its displaced mass as added mass, the inertia of a shell, and the quadratic
-drag of Choi, Yuh & Takashige 1995 as tabulated in Antonelli, Underwater Robots, appendix A. The drag was not checked
-against the printed paper.
+Source: Jouffroy & Fossen 2004, equations (80)–(85). The paper gives no numbers. The usual ones are used here: a sphere
+of 0.31 m radius and 125 kg, half its displaced mass as added mass, the inertia of a shell, and the quadratic drag of
+Choi, Yuh & Takashige 1995 as tabulated in Antonelli, Underwater Robots, appendix A. The drag was not checked against
+the printed paper.
 """
 
 from collections.abc import Sequence
@@ -37,8 +37,8 @@ def odin(
 ) -> Craft:
     """ODIN, a spherical underwater robot, in Euler angles: η = (north, east, down [m], roll, pitch, yaw [rad]).
 
-    ν = (surge, sway, heave [m/s], p, q, r [rad/s]). The weight equals that of the displaced water. At a pitch of ±90°
-    the angles are singular; `odin_on_group` has no singularity.
+    ν = (surge, sway, heave [m/s], p, q, r [rad/s]). The weight equals the buoyancy. At a pitch of ±90° the angles are
+    singular; `odin_on_group` has no singularity.
 
     Args:
         mass: Mass [kg].
@@ -124,13 +124,13 @@ def _restoring(eta, torque):
     return jnp.stack([zero, zero, zero, *tilt, zero])
 
 
-def _potential(g, torque):  # z is down, so the energy is lowest where the body's z axis points along that of space
+def _potential(g, torque):  # z points down: the energy is lowest if the body's z axis is parallel to it
     return -torque * g[2, 2]
 
 
 def _inertia_matrix(mass: float, inertia: Sequence[float], added_mass: Sequence[float]) -> np.ndarray:
     """M (6, 6), equation (82)."""
-    # No coupling m z_g of translation and rotation: for a sphere (82) is diagonal.
+    # Translation and rotation are not coupled by m z_g: for a sphere (82) is diagonal.
     return np.diag(np.asarray([mass] * 3 + list(inertia), float) + np.asarray(added_mass, float))
 
 

@@ -1,4 +1,4 @@
-"""Two ships in the horizontal plane: an offshore supply vessel at low speed, and a laboratory model ship."""
+"""Models two ships in the horizontal plane: an offshore supply vessel at low speed, and a laboratory model ship."""
 
 from collections.abc import Callable, Sequence
 
@@ -80,7 +80,7 @@ def supply_vessel(
     The dimensionless matrices were identified at sea, in the Bis system: lengths are scaled by L, times by √(L/g),
     masses by m.
 
-    Use it for low speed only. It gives a usual model to try `PassiveShip` and `Station` on.
+    Use it for low speed only. It is a typical model on which to try `PassiveShip` and `Station`.
 
     Args:
         length: Length L [m].
@@ -99,7 +99,7 @@ def supply_vessel(
         >>> round(vessel.mass[0, 0].item() / 6000e3, 4)  # added mass in surge included
         1.1274
     """
-    # Yaw is the only angle: its rows and columns carry a length each, so moments scale with L².
+    # Yaw is the only angle: its rows and columns contribute one length each, so moments scale with L².
     stretch = np.diag([1.0, 1.0, length])
     m = mass * stretch @ np.asarray(inertia, float) @ stretch
     d = mass * np.sqrt(gravity / length) * stretch @ np.asarray(damping, float) @ stretch
@@ -127,8 +127,8 @@ def cybership(
 ) -> Craft:
     """CyberShip II, a supply ship at 1:70, 1.255 m long, with its identified nonlinear drag and Coriolis force.
 
-    The drag was fitted to towed motions; where the ship turns and drifts at once it does not take energy from every
-    motion. All hydrodynamic derivatives are opposite in sign to the usual ones.
+    The drag was fitted to towed motions. If the ship turns and drifts at the same time, the drag does not dissipate
+    energy in every motion. All hydrodynamic derivatives have the opposite sign of the usual ones.
 
     Args:
         mass: Mass [kg].
@@ -149,7 +149,7 @@ def cybership(
         17.0
     """
     x_u, y_v, y_r, n_v, n_r = added_mass
-    # The identified Y_ṙ and N_v̇ differ; their mean makes the inertia symmetric, as a kinetic energy needs.
+    # The identified Y_ṙ and N_v̇ differ; their mean makes the inertia symmetric, as a kinetic energy requires.
     across = mass * centre + (y_r + n_v) / 2
     m = np.array([[mass + x_u, 0.0, 0.0], [0.0, mass + y_v, across], [0.0, across, inertia + n_r]])
     return surface_ship(

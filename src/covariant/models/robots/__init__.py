@@ -1,4 +1,4 @@
-"""Robots from their descriptions: the geometry and mechanics of a tree of rigid bodies."""
+"""Builds models of robots from their descriptions: geometry and mechanics of trees of rigid bodies, and their files."""
 
 from scalargraph.rooms import attach
 

@@ -1,10 +1,10 @@
-"""The description of a robot against MuJoCo's model of its file, so that no entry of an MJCF file is dropped unseen.
+"""Compares the description of a robot with MuJoCo's model of its file, so that no entry of an MJCF file gets lost.
 
-The description is written back as a plain MuJoCo model, which has links, joints with springs, dampers and rotors, and
-weight, and nothing else. At random states and inputs both models need the same generalised force: an entry that the
-description lacks shows at the joint on which it acts. Both run in MuJoCo, which takes milliseconds. Contacts, limits,
-loops and dry friction are constraints in MuJoCo, and none of them acts here. The constraints of closed loops are soft
-there, so that motions differ by its step; but how far a loop is open at random positions is a number of both.
+The description is written back as a plain MuJoCo model of links, joints with springs, dampers and rotors, and weight.
+At random states and inputs both models must need the same generalised forces; an entry that the description lacks shows
+at the joint on which it acts. MuJoCo evaluates both, which takes milliseconds. Contacts, limits, loops and dry friction
+are constraints in MuJoCo and are switched off here. Its constraints of closed loops are soft, so motions would differ
+with its time step; instead, the gap of each loop is compared at random positions.
 """
 
 import copy
@@ -26,22 +26,22 @@ from scalargraph import evaluate_batch
 from scalargraph.errors import InputError
 
 SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""Sizes of the random states and inputs; what acts from some state on, like a spring that yields, shows at the large
-ones."""
+"""Sizes of the random states and inputs; an effect that begins at some state, such as a yielding spring, shows at the
+large ones."""
 TOLERANCE = 1e-9
 """Largest difference of a generalised force, relative to the sum of the sizes of its terms."""
 ANY_INERTIA = BodyInertia.of(
     1.0, np.array([0.1, 0.2, 0.3]), np.array([[1.0, 0.1, 0.2], [0.1, 1.1, 0.3], [0.2, 0.3, 1.2]])
 )
-"""Inertia of all bodies while MuJoCo compiles them: it refuses bodies without mass, and treats others in a shorter
-way."""
+"""Inertia of all bodies while MuJoCo compiles them, since it refuses bodies without mass and treats some others
+differently."""
 STEP = 1e-3
 QUATERNIONS = {"floating": slice(3, 7), "ball": slice(0, 4)}
-"""Part of the position of a joint that is a unit quaternion, by the kind of the joint."""
+"""Slice of the position of a joint that is a unit quaternion, by kind of joint."""
 
 
 class _Dynamics(NamedTuple):
-    """Inertia matrix, smooth force without inertia, and the sum of the sizes of the terms that the rate needs."""
+    """Inertia matrix, smooth force without inertia, and the sum of the sizes of the terms of the acceleration."""
 
     matrix: Float[np.ndarray, "n n"]
     force: Float[np.ndarray, "n"]
@@ -49,11 +49,11 @@ class _Dynamics(NamedTuple):
 
 
 def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] | None) -> None:
-    """Raise `ValueError` where the motion of a described robot is not that of MuJoCo's compiled model of its file."""
+    """Raise `ValueError` if a described robot moves differently from MuJoCo's compiled model of its file."""
     mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
-    # Assembling the robot refuses a motor that is not supported; until then all are compared without their forces.
+    # Unsupported motors are refused when the robot is assembled; here robots are then compared without motor forces.
     if robot.loops:
-        with jax.ensure_compile_time_eval():  # the file's numbers are known, also where those of the model are traced
+        with jax.ensure_compile_time_eval():  # the file's numbers are known even if those of the model are traced
             _refuse_other_gaps(mujoco, engine, robot)
     motors = () if actuated is not None or any(motor.unsupported for motor in robot.motors) else robot.motors
     joints = [joint for joint in robot.joints if joint.kind != "fixed"]
@@ -73,7 +73,7 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
 
 
 def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
-    """Raise `ValueError` where a loop is open by another distance or angle than in MuJoCo's model of the file."""
+    """Raise `ValueError` if the gap of a loop differs from the one in MuJoCo's model of the file."""
     space, data = geometry_of(robot), mujoco.MjData(engine)
     names, joints = names_of(mujoco, engine, "EQUALITY", engine.neq), names_of(mujoco, engine, "JOINT", engine.njnt)
     balls = [space.limits[first][0] for first in space.tree.balls]
@@ -103,7 +103,7 @@ def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
 
 
 def _sizes(gap: np.ndarray, scale: float | None = None) -> np.ndarray:
-    """Lengths of the distance and, for six rows, of the sine of the turn; MuJoCo has that of half of it, scaled."""
+    """Lengths of the distance and, for six rows, of the sine of the angle; MuJoCo has the scaled sine of its half."""
     if scale is None or len(gap) < 6:
         return np.linalg.norm(gap.reshape(-1, min(3, len(gap))), axis=1)
     half = np.linalg.norm(gap[3:]) / scale
@@ -111,17 +111,17 @@ def _sizes(gap: np.ndarray, scale: float | None = None) -> np.ndarray:
 
 
 def _smooth(mujoco: Any, engine: Any, actuated: bool) -> Any:
-    """MuJoCo's model of the file without constraints, and without the forces of motors where these are no inputs."""
+    """MuJoCo's model of the file without constraints, and without motor forces if motors are not inputs."""
     model, flags = copy.copy(engine), mujoco.mjtDisableBit
-    if hasattr(model, "actuator_delay"):  # earlier versions delay nothing
+    if hasattr(model, "actuator_delay"):  # earlier versions have no delays
         model.actuator_delay[:] = 0
     model.opt.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_CLAMPCTRL)
-    sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)  # earlier versions let nothing sleep
+    sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)  # earlier versions do not let bodies sleep
     model.opt.enableflags &= ~(0 if sleep is None else int(sleep))
     for field in ("actuator_forcelimited", "actuator_actlimited", "jnt_actfrclimited"):
         getattr(model, field)[:] = 0
     if not actuated:
-        # Rotors and dampers of motors stay, which they would not where the flag disables actuation.
+        # Rotors and dampers of motors stay in effect; the flag that disables actuation would remove them.
         model.actuator_gainprm[:], model.actuator_biasprm[:] = 0, 0
     return model
 
@@ -151,7 +151,7 @@ def _set_inertia(mujoco: Any, model: Any, body: int, inertia: BodyInertia) -> No
 def _random_state(
     rng: np.random.Generator, scale: float, joints: list[Joint], inputs: int
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
-    """Position and velocity of each joint, all their rates, and the inputs."""
+    """Position and velocity of each joint, all rates of change of the velocity, and the inputs."""
     q = [scale * rng.normal(size={"floating": 7, "ball": 4}.get(joint.kind, 1)) for joint in joints]
     for joint, position in zip(joints, q, strict=True):
         if joint.kind in QUATERNIONS:
@@ -161,7 +161,7 @@ def _random_state(
 
 
 def _motor_forces(motors: Sequence[Motor], u: np.ndarray) -> dict[str, np.ndarray]:
-    """Generalised force of the motors at each joint that they drive."""
+    """Generalised force of the motors at each driven joint."""
     forces = {}
     for motor, value in zip(motors, u, strict=True):
         forces[motor.joint] = forces.get(motor.joint, 0.0) + motor.gain * value * np.array(motor.direction)

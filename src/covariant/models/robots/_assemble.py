@@ -1,4 +1,4 @@
-"""Mechanical systems from descriptions of robots: links that do not move apart become one body."""
+"""Assembles mechanical systems from descriptions of robots; links that cannot move apart become one body."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -37,11 +37,11 @@ TWIST_UNITS = ("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s")
 SMALLEST_INERTIA = 1e-12
 """Smallest eigenvalue of the inertia matrix, relative to the largest, with which it counts as positive definite."""
 TAKES_PART = 1e-3
-"""Smallest part in the velocity without energy, relative to the largest, with which a joint takes part in it."""
+"""Smallest component of the velocity without energy, relative to the largest, at which a joint counts as involved."""
 
 
 class Moved(NamedTuple):
-    """What a component of the velocity moves.
+    """The mass that a component of the velocity moves.
 
     The joint is empty for a base without one; the mass is in kg; the axis is None for a base.
     """
@@ -64,12 +64,12 @@ def assemble(
     Args:
         robot: Description of the robot.
         floating: Whether the root link moves freely.
-        lock: Joints that stand still, with their position [rad or m].
+        lock: Locked joints, with their position [rad or m].
         actuated: Names of the joints with an input, in the order of the joints; all, or the file's motors, by default.
         payload: Point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link].
 
     Returns:
-        The system, with its configuration space as a `RobotSpace`, or a `Leaf` of one where it has closed loops.
+        The system; its configuration space is a `RobotSpace`, or a `Leaf` of one if there are closed loops.
 
     Raises:
         ValueError: A name does not exist, a loop does not close, no joint moves, or a joint moves no mass.
@@ -80,7 +80,7 @@ def assemble(
         ('shoulder',)
     """
     loads = _check_payload(payload or {})
-    # `_check_inertia` needs the numbers of the inertia, also inside a compiled function.
+    # `_check_inertia` needs numerical values of the inertia, even in a compiled function.
     numbers, traced = known((loads, robot)), not known(jnp.zeros(()))
     with jax.ensure_compile_time_eval() if traced and numbers else contextlib.nullcontext():
         model, moved = _assemble(robot, floating, dict(lock or {}), actuated, loads)
@@ -94,7 +94,7 @@ def assemble(
 def _assemble(
     robot: Description, floating: bool, locked: dict[str, float], actuated: Sequence[str] | None, loads: dict[str, Any]
 ) -> tuple[MechanicalSystem, list[Moved]]:
-    """The system of a robot, whose inertia matrix is not checked yet, and what each component of its velocity moves."""
+    """The system of a robot, with its inertia matrix not yet checked, and the mass that each velocity moves."""
     _check_names(robot, [*locked, *(actuated or ())])
     locked = still_joints(robot, locked)
     robot, free_joint = _on_its_base(robot, locked)
@@ -108,7 +108,7 @@ def _assemble(
     moved = _moved(axes, freedom, bodies, base, free_joint.name if free_joint else "", 6 * floating)
     bodies, base = regrouped(axes, bodies, base)
     weightless = 0.0 if free_joint is None else free_joint.armature
-    # The six equal rotors of a floating joint move as a mass and a sphere at its origin, which have no weight.
+    # Six equal rotors of a floating joint act like a sphere at its origin, with mass but without weight.
     base = base.joined(BodyInertia(weightless, np.zeros(3), weightless / 2 * np.eye(3)))
     tree = _tree(axes, freedom, bodies, base, weightless, namespace(loads, robot))
     of_joints = Coordinates(tuple(k for k, i in enumerate(freedom.free) if axes[i].circle), len(freedom.free))
@@ -118,7 +118,7 @@ def _assemble(
 
 
 def geometry_of(robot: Description, floating: bool = False, lock: Mapping[str, float] | None = None) -> RobotSpace:
-    """The space of a robot's tree without inertias, in known numbers, also where others of the robot are traced."""
+    """The space of a robot's tree without inertias, in known numbers, even if other numbers of the robot are traced."""
     none = {"armature": 0.0, "damping": 0.0, "friction": 0.0, "law": None, "servo": None, "torque_constant": 1.0}
     joints = tuple(joint._replace(**none) for joint in robot.joints)
     links = dict.fromkeys(robot.links, NO_INERTIA)
@@ -131,7 +131,7 @@ def _moved(
     axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, base_joint: str, of_base: int
 ) -> list[Moved]:
     mass = [body.mass for body in bodies]
-    for i in reversed(range(len(axes))):  # leaves first: a body passes on what it received
+    for i in reversed(range(len(axes))):  # from the leaves on: a body passes on what it received
         if axes[i].parent >= 0:
             mass[axes[i].parent] = mass[axes[i].parent] + mass[i]
     whole = base.mass + sum(body.mass for body in bodies)
@@ -147,7 +147,7 @@ def _moved(
 
 
 def _check_names(robot: Description, names: Sequence[str]) -> None:
-    """Raise `ValueError` where there is no joint of a name, or none that another one follows."""
+    """Raise `ValueError` if a joint does not exist, or a joint that others follow does not."""
     present = [joint.name for joint in robot.joints]
     for name in names:
         refuse_unknown("joint", name, present)
@@ -160,7 +160,7 @@ def _check_names(robot: Description, names: Sequence[str]) -> None:
 def _with_payload(
     bodies: list[BodyInertia], base: BodyInertia, frames: dict[str, Any], loads: dict[str, Any]
 ) -> BodyInertia:
-    """Add the payload to the bodies that carry it; returns the base with its own."""
+    """Add the payload to the bodies that carry it; returns the base with its share."""
     for link, (mass, place) in loads.items():
         refuse_unknown("link of payload", link, frames)
         body, rotation, origin = frames[link]
@@ -174,7 +174,7 @@ def _with_payload(
 def _tree(
     axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, weightless: Any, xnp: Any
 ) -> KinematicTree:
-    """The arrays of the robot space; `xnp` is JAX's NumPy where a number is traced, else NumPy."""
+    """The arrays of the robot space; `xnp` is JAX's NumPy if a number is traced, else NumPy."""
 
     def stacked(parts: list, shape: tuple[int, ...]) -> Array:
         return jnp.asarray(xnp.stack([xnp.asarray(part, float) for part in parts])) if parts else jnp.zeros((0, *shape))
@@ -193,7 +193,7 @@ def _tree(
         jnp.asarray(base.second, float),
         jnp.asarray(freedom.matrix),
         jnp.asarray(freedom.offset + freedom.matrix @ numbers(axes[i].joint.encoder_offset for i in freedom.moving)),
-        # Each joint depends on one coordinate, so that the inertia of the rotors is diagonal: ratio² times each.
+        # Each joint depends on one coordinate, so the rotors' inertia is diagonal: ratio² times each armature.
         jnp.asarray(freedom.matrix.T**2 @ numbers(axis.joint.armature for axis in axes)),
         tuple(freedom.balls[::3]),
         jnp.asarray(weightless, float),
@@ -201,7 +201,7 @@ def _tree(
 
 
 def _limits(axis: Axis) -> tuple[str, float, float]:
-    # Files often have 0 and 0 for limits that are not known.
+    # In many files, limits 0 and 0 mean that they are not known.
     limited = axis.joint.kind in ("revolute", "prismatic") and axis.joint.lower < axis.joint.upper
     return (axis.joint.name, *((axis.joint.lower, axis.joint.upper) if limited else (-np.inf, np.inf)))
 
@@ -260,13 +260,13 @@ def _system(
 
 
 def _product(floating: bool, balls: int, joints: Coordinates) -> AbstractManifold:
-    """The manifold of a base, ball joints and coordinates; one of them alone is no product."""
+    """The manifold of a base, ball joints and coordinates; a single one of them is returned without a product."""
     factors = [SE3] * floating + [SO3] * balls + [joints] * bool(joints.dimension)
     return ProductManifold(tuple(factors)) if len(factors) > 1 else factors[0]
 
 
 def _check_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
-    """Mass and place (3,) of the load on each link."""
+    """Mass and position (3,) of the load on each link."""
     loads = {}
     for link, load in payload.items():
         if len(load) != 4:
@@ -279,13 +279,13 @@ def _check_payload(payload: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _on_its_base(robot: Description, locked: dict[str, float]) -> tuple[Description, Joint | None]:
-    """The part of a robot that a floating joint carries, and this joint if there is one."""
+    """The part of a robot that a floating joint carries, and this joint, if there is one."""
     loose = [joint for joint in robot.joints if joint.kind == "floating" and joint.name not in locked]
     if not loose:
         return robot, None
     base = loose[0].child
     carried = {base}
-    for joint in robot.joints:  # each after the one that carries it
+    for joint in robot.joints:  # each joint comes after the one that carries it
         carried |= {joint.child} if joint.parent in carried else set()
     beside = [j for j in robot.joints if j.child not in carried and j.name not in locked]
     if len(loose) > 1 or beside:
@@ -302,7 +302,7 @@ def still_joints(robot: Description, locked: dict[str, float]) -> dict[str, floa
     """The locked joints, and those that follow one of them."""
     still = locked | {joint.name: 0.0 for joint in robot.joints if joint.kind == "fixed"}
     still |= {j.name: j.follows.offset for j in robot.joints if j.follows is not None and not j.follows.joint}
-    # A follower may follow a follower: each pass settles one more link of the chain, so the loop ends.
+    # Followers may form chains: each pass settles one more link of a chain, so the loop ends.
     while True:
         more = {
             joint.name: joint.follows.ratio * still[joint.follows.joint] + joint.follows.offset
@@ -317,7 +317,7 @@ def still_joints(robot: Description, locked: dict[str, float]) -> dict[str, floa
 def _check_moments(
     robot: Description, frames: dict[str, Any], bodies: list[BodyInertia], base: BodyInertia | None
 ) -> None:
-    """Raise `ValueError` where a body that moves, with all that is fixed to it, has a negative moment of inertia."""
+    """Raise `ValueError` if a moving body, with all that is fixed to it, has a negative moment of inertia."""
     for body, inertia in [*enumerate(bodies), *([] if base is None else [(-1, base)])]:
         if not (known(inertia) and negative_inertia("", inertia)):
             continue
@@ -328,13 +328,13 @@ def _check_moments(
 
 
 def _check_inertia(model: MechanicalSystem, moved: list[Moved]) -> None:
-    """Raise `ValueError` where a velocity has no kinetic energy."""
+    """Raise `ValueError` if a velocity has no kinetic energy."""
     (matrix,) = evaluate_batch(model.space, jax.tree.map(lambda part: part[None], model.manifold.origin()))
     eigenvalues, vectors = np.linalg.eigh(matrix)
     least = SMALLEST_INERTIA * eigenvalues[-1]
     if eigenvalues[0] > least:
         return
-    # The velocity without energy is the eigenvector of the smallest eigenvalue: its largest entry names the joint.
+    # The eigenvector of the smallest eigenvalue is the velocity without energy; its largest entry names the joint.
     participation = np.abs(vectors[:, 0])
     worst = int(np.argmax(participation))
     name, mass, axis = moved[worst]

@@ -1,4 +1,4 @@
-"""The axes of a robot's joints, the bodies that they move, and which of the axes move by themselves."""
+"""Splits a robot's joints into single axes, with the bodies that they move, and finds the independent axes."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from scalargraph.errors import InputError
 
 
 class Axis(NamedTuple):
-    """A joint of one axis, one of the three of a planar or ball joint, or a frame that one moves.
+    """A joint of one axis, one of the three axes of a planar or ball joint, or a frame moved by one.
 
     Attributes:
         name: Name of its coordinate.
@@ -17,8 +17,8 @@ class Axis(NamedTuple):
         parent: Number of the body that carries it, −1 for the base.
         rotation: Rotation (3, 3) of its frame in that of the parent.
         place: Origin (3,) of its frame in that of the parent [m].
-        turn: Axis (3,) about which it turns; zero where it slides.
-        slide: Axis (3,) along which it slides; zero where it turns.
+        turn: Axis (3,) about which it turns; zero if it slides.
+        slide: Axis (3,) along which it slides; zero if it turns.
         circle: Whether it is an angle on a full circle.
     """
 
@@ -38,13 +38,13 @@ class Axis(NamedTuple):
 
 
 class Freedom(NamedTuple):
-    """The axes that move by themselves: those of ball joints, the free ones, and all axes as functions of them.
+    """The axes that move independently, those of ball joints and the free ones, and all axes as functions of them.
 
     Attributes:
         balls: Numbers of the axes of ball joints, three for each.
         free: Numbers of the axes that are coordinates.
-        matrix: The axes as linear functions (k, n) of the moving ones.
-        offset: Their positions (k,) where those are zero [rad or m].
+        matrix: The axes as linear functions (k, n) of the independent ones.
+        offset: Positions (k,) of all axes if the independent ones are zero [rad or m].
     """
 
     balls: list[int]
@@ -54,12 +54,12 @@ class Freedom(NamedTuple):
 
     @property
     def moving(self) -> list[int]:
-        """All axes that move by themselves, in the order of the velocities."""
+        """All independent axes, in the order of the velocities."""
         return self.balls + self.free
 
 
 def freedom_of(axes: list[Axis]) -> Freedom:
-    """Find the axes that move by themselves, and how the others follow them."""
+    """Find the axes that move independently, and how the others follow them."""
     balls = [i for i, axis in enumerate(axes) if axis.ball]
     free = [i for i, axis in enumerate(axes) if axis.joint.follows is None and not axis.ball]
     return Freedom(balls, free, *_follow(axes, [axis.name for axis in axes], balls + free))
@@ -68,14 +68,14 @@ def freedom_of(axes: list[Axis]) -> Freedom:
 def bodies_of(
     robot: Description, locked: dict[str, float]
 ) -> tuple[list[Axis], list[BodyInertia], BodyInertia, dict[str, Any]]:
-    """The axes, the body behind each, the base, and the frame of each link in its body.
+    """The axes, the body behind each, the base, and the frame of each link within its body.
 
     Fixed and locked links become part of the body that carries them.
     """
     axes: list[Axis] = []
     bodies: list[BodyInertia] = []
     base = robot.links[robot.root]
-    frames = {robot.root: (-1, np.eye(3), np.zeros(3))}  # body of each link, and where the link's frame is in it
+    frames = {robot.root: (-1, np.eye(3), np.zeros(3))}  # body of each link, and the link's frame in it
 
     def add(body: int, inertia: BodyInertia) -> None:
         nonlocal base
@@ -93,8 +93,8 @@ def bodies_of(
             frames[joint.child] = body, rotation, place
             add(body, robot.links[joint.child].moved(rotation, place))
             continue
-        # Where the frame of the link is that of its carrier but for quarter turns, that of the body makes none: they
-        # would cost an observer a change of sign at every joint in every sweep.
+        # If a link is mounted by quarter turns only, its body gets no rotation at all; in every sweep of an observer, a
+        # quarter turn would cost a permutation with changes of sign.
         quarters = np.isin(rotation, (-1.0, 0.0, 1.0)).all() and joint.kind != "ball"
         turned = rotation if quarters else np.eye(3)
         for name, turn, slide, circle in _motions(joint):
@@ -107,15 +107,15 @@ def bodies_of(
 
 
 def regrouped(axes: list[Axis], bodies: list[BodyInertia], base: BodyInertia) -> tuple[list[BodyInertia], BodyInertia]:
-    """Regroup the inertial parameters: what a joint does not move differently becomes part of what carries the joint.
+    """Regroup the inertial parameters: the part that a joint does not move relative to its carrier joins the carrier.
 
-    A mass on the axis of a turning joint moves with the carrier, and a sliding joint turns its body as the carrier. So
-    bodies have no mass, no first and no second moment along an axis that they turn about, no second moment where they
-    slide, and behind a ball joint no mass, since its centre moves with the carrier. Source: Khalil & Dombre 2002,
-    Modeling, Identification and Control of Robots, section 9.4.
+    A mass on the axis of a turning joint moves with the carrier, and a sliding joint does not turn its body relative to
+    the carrier. So bodies keep no mass, no first and no second moment along an axis about which they turn, no second
+    moment if they slide, and behind a ball joint no mass, since its centre moves with the carrier. Source: Khalil &
+    Dombre 2002, Modeling, Identification and Control of Robots, section 9.4.
     """
-    remaining, carried = list(bodies), [*bodies, base]  # the base is last: index −1 is its number as a parent
-    for i in reversed(range(len(axes))):  # leaves first: a body passes on what it received
+    remaining, carried = list(bodies), [*bodies, base]  # the base is last, so that its parent number −1 indexes it
+    for i in reversed(range(len(axes))):  # from the leaves on: a body passes on what it received
         turn, body = axes[i].turn, carried[i]
         if axes[i].ball:
             moved = BodyInertia(body.mass, np.zeros(3), np.zeros((3, 3)))
@@ -130,7 +130,7 @@ def regrouped(axes: list[Axis], bodies: list[BodyInertia], base: BodyInertia) ->
 
 
 def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
-    """Name, turning axis, sliding axis of each motion of a joint, and whether it is an angle on a full circle."""
+    """Name, turning axis and sliding axis of each motion of a joint, and whether it is an angle on a full circle."""
     none = np.zeros(3)
     if joint.kind == "prismatic":
         return [(joint.name, none, joint.axis, False)]
@@ -138,7 +138,7 @@ def _motions(joint: Joint) -> list[tuple[str, np.ndarray, np.ndarray, bool]]:
         return [(joint.name, joint.axis, none, joint.kind == "continuous")]
     if joint.kind == "ball":
         return [(f"{joint.name}_{x}", axis, none, False) for x, axis in zip("xyz", np.eye(3), strict=True)]
-    # The coordinate axis least along the normal: its part in the plane is at least √(2/3) long.
+    # The coordinate axis that is least parallel to the normal: its part in the plane is at least √(2/3) long.
     first = np.eye(3)[np.argmin(np.abs(joint.axis))]
     first = first - joint.axis * (first @ joint.axis)
     first = first / np.linalg.norm(first)

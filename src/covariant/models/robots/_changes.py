@@ -1,4 +1,4 @@
-"""Changed parameters of a robot: friction, rotors, inertias, gravity, torque constants and encoder offsets."""
+"""Changes parameters of a robot: friction, rotors, inertias, gravity, torque constants and encoder offsets."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -43,18 +43,18 @@ def changed(
         friction: Fields of `FrictionLaw`, by joint.
         armature: Inertia of the rotor, by joint [kg m² or kg].
         inertia: The ten parameters of `OF_INERTIA`, by link.
-        gravity: Its magnitude, along its direction in the file, or the vector (3,) [m/s²].
+        gravity: Its magnitude, in the direction of the file, or the vector (3,) [m/s²].
         torque_constants: Factor of the logged torque, by joint.
         offsets: Offset to add to a logged position, by joint [rad or m].
         servos: Keys of `[servo.JOINT]`, by joint.
-        loops: Keys of `[loop.NAME]`, by name, beside the loops of the file.
-        assembly: Positions of the joints where the loops are closed as they are built.
+        loops: Keys of `[loop.NAME]`, by name, in addition to the loops of the file.
+        assembly: Positions of the joints in a pose in which the loops are closed.
 
     Returns:
         The changed description.
 
     Raises:
-        ValueError: A joint or link does not exist, or a parameter is out of its range; the message names the first.
+        ValueError: A joint or link does not exist, or a parameter is out of range; the message names the first one.
     """
     for name in (servos or {}).keys() & (armature or {}).keys():
         if "armature" in (servos or {})[name]:
@@ -104,7 +104,7 @@ def inertia_of(name: str, numbers: Any) -> BodyInertia:
         The inertia about the origin of the link.
 
     Raises:
-        ValueError: There are not ten parameters, or no physical body has them.
+        ValueError: The number of parameters is not ten, or no physical body has them.
     """
     if len(numbers) != len(OF_INERTIA):
         raise InputError(f"inertia of {name!r}: give {', '.join(OF_INERTIA)}; got {len(numbers)} numbers")

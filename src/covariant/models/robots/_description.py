@@ -1,4 +1,4 @@
-"""Descriptions of robots, whatever the format of the file: links, joints and the forces in them."""
+"""Defines descriptions of robots, independent of the file format: links, joints and the forces in them."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
@@ -10,9 +10,9 @@ from covariant.models._parameters import namespace
 from scalargraph.errors import InputError
 
 MOST_TURNS = 4
-"""Number of turns beyond which the limits of a joint are suspected to be degrees."""
+"""Number of turns above which limits of a joint are suspected to be in degrees."""
 SMALLEST_ENTRY = 1e-10
-"""Entries of rotations below this are zero: quarter turns in files are rounded, and zeros cost nothing."""
+"""Entries of rotations below this count as zero: quarter turns in files are rounded, and zeros save work."""
 
 
 class BodyInertia(NamedTuple):
@@ -49,8 +49,8 @@ class BodyInertia(NamedTuple):
         Returns:
             The inertia about the origin of the frame.
         """
-        # With S the second moment, I = tr(S) 1 − S, so tr(I) = 2 tr(S).
-        trace = about_centre[0, 0] + about_centre[1, 1] + about_centre[2, 2]  # np.trace takes no traced array
+        # With the second moment S, I = tr(S) 1 − S, so tr(I) = 2 tr(S).
+        trace = about_centre[0, 0] + about_centre[1, 1] + about_centre[2, 2]  # np.trace does not accept traced arrays
         central = trace / 2 * np.eye(3) - about_centre
         return cls(mass, mass * centre, central + mass * (centre[:, None] * centre[None, :]))
 
@@ -58,7 +58,7 @@ class BodyInertia(NamedTuple):
         """Transform the inertia to another frame.
 
         Args:
-            rotation: Rotation (3, 3) of the present frame in the other one.
+            rotation: Rotation (3, 3) from the present frame to the other one.
             place: Origin (3,) of the present frame in the other one [m].
 
         Returns:
@@ -71,7 +71,7 @@ class BodyInertia(NamedTuple):
         return BodyInertia(self.mass, first + self.mass * place, second)
 
     def joined(self, other: "BodyInertia") -> "BodyInertia":
-        """Combine two bodies to one.
+        """Combine two bodies into one.
 
         Args:
             other: Inertia of the other body in the same frame.
@@ -84,7 +84,7 @@ class BodyInertia(NamedTuple):
     @property
     def about_centre(self) -> np.ndarray:
         """Inertia tensor (3, 3) about the centre of mass [kg m²]."""
-        # Without mass there is no centre, and the quotient would be 0/0.
+        # A body without mass has no centre, and the quotient would be 0/0.
         central = self.second - np.outer(self.first, self.first) / self.mass if self.mass > 0 else self.second
         return np.trace(central) * np.eye(3) - central
 
@@ -108,9 +108,9 @@ class Follows(NamedTuple):
     """A constraint by which a joint follows another one: `θ = ratio θ_other + offset`.
 
     Attributes:
-        joint: Name of the other joint; empty for a joint that stands still at the offset.
-        ratio: Change of the joint for one of the other.
-        offset: Position of the joint [rad or m] where the other is at 0.
+        joint: Name of the other joint; empty for a joint that is fixed at the offset.
+        ratio: Change of the joint per change of the other.
+        offset: Position of the joint [rad or m] if the other is at 0.
 
     Example:
         >>> from covariant.models import robots
@@ -133,11 +133,11 @@ class FrictionLaw(NamedTuple):
         viscous: Viscous friction [N m s/rad or N s/m].
         coulomb: Coulomb friction [N m or N], the mean of both directions.
         asymmetry: Half the difference between the Coulomb friction forwards and backwards [N m or N].
-        stribeck: Friction at rest beyond the Coulomb friction [N m or N].
-        stribeck_velocity: Speed at which that has fallen by a factor of e [rad/s or m/s].
-        load: Coulomb friction for a unit of the motor's torque, in a joint with a servo [1].
-        load_external: Coulomb friction for a unit of the weight's torque, in a joint with a servo [1]; both act as
-            `|load_external τ_weight − load τ_motor|`, so that friction is largest where the motor carries the weight.
+        stribeck: Friction at rest in excess of the Coulomb friction [N m or N].
+        stribeck_velocity: Speed at which this excess has fallen by a factor of e [rad/s or m/s].
+        load: Coulomb friction per unit of the motor's torque, in a joint with a servo [1].
+        load_external: Coulomb friction per unit of the weight's torque, in a joint with a servo [1]; both act as
+            `|load_external τ_weight − load τ_motor|`, so friction is largest if the motor carries the weight.
         smoothing: Speed v0 [rad/s or m/s] up to which the Coulomb friction rises, as tanh(v/v0).
 
     Example:
@@ -157,10 +157,10 @@ class FrictionLaw(NamedTuple):
 
 
 class Servo(NamedTuple):
-    """A motor that is told a position c, and gives `on (clip(gain k e − damping v, ±limit) − back_emf v)`.
+    """A motor that receives a position command c and gives `on (clip(gain k e − damping v, ±limit) − back_emf v)`.
 
-    The error is `e = c + offset − q`. The position q is that which the servo reports: an encoder offset of the joint
-    does not enter. Friction and rotor of the gear are those of the joint.
+    The error is `e = c + offset − q`. The position q is the one that the servo reports, so an encoder offset of the
+    joint does not enter. Friction and rotor of the gear belong to the joint.
 
     Attributes:
         stiffness: Torque k per unit of the error, for a gain of 1 [N m/rad or N/m].
@@ -168,18 +168,18 @@ class Servo(NamedTuple):
         damping: Damping within the limit [N m s/rad or N s/m].
         feedforward: Torque per rate of the command [N m s/rad or N s/m].
         delay: Time from the stamp of a command until it acts [s].
-        offset: What the servo adds to the command [rad or m].
+        offset: Position that the servo adds to the command [rad or m].
         dead_band: Error below which it gives no torque [rad or m].
-        limit: Largest torque, or force of a linear servo [N m or N]; infinite without one.
-        back_emf: Damping beyond the limit while it is on [N m s/rad or N s/m].
-        supply: Voltage of the drive [V]; 0 where no drive is stated.
+        limit: Largest torque, or force of a linear servo [N m or N]; infinite without a limit.
+        back_emf: Damping while it is on that the limit does not affect [N m s/rad or N s/m].
+        supply: Voltage of the drive [V]; 0 if no drive is stated.
         resistance: Resistance of the winding [Ω].
         torque_constant: Torque per current, at the joint [N m/A or N/A].
-        pwm_limit: Largest part of the voltage that the drive uses [1].
-        backlash: Play of the gear [rad or m]: the position of the link is known up to half of it.
+        pwm_limit: Largest fraction of the voltage that the drive uses [1].
+        backlash: Backlash of the gear [rad or m]: the position of the link is known up to half of it.
         switch: Whether an input switches the motor on (1) and off (0).
         logged_supply: Whether an input is the voltage of the drive [V].
-        command_scale: Change of the servo's position for a unit of its command [1].
+        command_scale: Change of the servo's position per unit of its command [1].
 
     Example:
         >>> from covariant.models import robots
@@ -215,13 +215,13 @@ class Joint(NamedTuple):
             "floating" or "fixed". A floating joint carries the base of the robot; its frame is that of the parent.
         parent: Name of the link that carries it.
         child: Name of the link that it carries.
-        rotation: Rotation (3, 3) of the frame of the child, which is that of the joint, in that of the parent, where
-            the joint is at 0.
-        place: Origin (3,) of the frame of the child in that of the parent [m], where the joint is at 0.
+        rotation: Rotation (3, 3) of the child's frame, which is also the joint's, in the parent's frame if the joint is
+            at 0.
+        place: Origin (3,) of the child's frame in the parent's frame [m] if the joint is at 0.
         axis: Axis (3,) in the frame of the joint, of unit length.
         damping: Viscous friction [N m s/rad or N s/m].
         friction: Coulomb friction [N m or N].
-        armature: Inertia of the rotor as felt at the joint [kg m² or kg].
+        armature: Inertia of the rotor, reflected to the joint [kg m² or kg].
         stiffness: Stiffness of a spring [N m/rad or N/m].
         rest: Position at which the spring rests [rad or m].
         lower: Lower limit [rad or m]; −inf without one.
@@ -229,11 +229,11 @@ class Joint(NamedTuple):
         velocity: Limit of the speed [rad/s or m/s]; inf without one.
         effort: Limit of the torque or force [N m or N]; inf without one.
         follows: Constraint by which it follows another joint; None without one.
-        reductions: Turns of each motor for one of the joint, or for 1 m, where they matter.
-        law: Friction in place of `damping` and `friction`; None without one.
-        encoder_offset: What has to be added to a logged position for the true one [rad or m].
+        reductions: Turns of each motor per turn of the joint, or per 1 m, if they are needed.
+        law: Friction that replaces `damping` and `friction`; None without one.
+        encoder_offset: Offset to add to a logged position to get the true one [rad or m].
         torque_constant: Factor of the logged torque, force or input of the joint's motors.
-        servo: The servo that drives it; None where its input is a torque or force.
+        servo: The servo that drives it; None if its input is a torque or force.
 
     Example:
         >>> from covariant.models import robots
@@ -267,7 +267,7 @@ class Joint(NamedTuple):
 
 
 class Motor(NamedTuple):
-    """A motor of a joint: `gain u − stiffness θ − damping θ' + constant` [N m or N], the input being u.
+    """A motor of a joint, which gives `gain u − stiffness θ − damping θ' + constant` [N m or N] for the input u.
 
     Attributes:
         name: Name of the motor.
@@ -276,7 +276,7 @@ class Motor(NamedTuple):
         stiffness: Stiffness of a servo [N m/rad or N/m].
         damping: Damping of a servo [N m s/rad or N s/m].
         constant: Constant torque or force [N m or N].
-        unsupported: Reason why it cannot be an input here, empty where it can.
+        unsupported: Reason why it cannot be an input here; empty if it can.
         direction: Direction of its torque among the axes of the joint; for a ball joint a vector (3,) in the frame of
             the child.
         limit: Largest torque or force [N m or N]; infinite without one.
@@ -302,13 +302,13 @@ class Motor(NamedTuple):
 
 
 class Coincide(NamedTuple):
-    """A loop in which a point of one link stays at a point of another, or a frame of one in that of another.
+    """A closed loop in which two points of two links coincide, or two whole frames.
 
     Attributes:
         name: Name of the loop.
         links: The two links.
-        points: A point (3,) of each, in its own frame [m].
-        rotation: Rotation (3, 3) of the frame of the second link in that of the first; None for a point alone.
+        points: A point (3,) of each link, in its own frame [m].
+        rotation: Rotation (3, 3) of the second link's frame in that of the first; None if only points coincide.
 
     Example:
         >>> from covariant.models import robots
@@ -327,7 +327,7 @@ class Coupled(NamedTuple):
 
     Attributes:
         name: Name of the constraint.
-        joints: The joint that is a function of the other, and the other.
+        joints: The dependent joint, and the other one.
         polynomial: The coefficients c0, c1, c2, …
 
     Example:
@@ -342,22 +342,22 @@ class Coupled(NamedTuple):
 
 
 class Description(NamedTuple):
-    """A robot as a file describes it.
+    """A robot, as described by a file.
 
     Attributes:
         name: Name of the robot.
         links: Inertia of each link, in its own frame, by name.
-        joints: The joints, each after the one that carries it.
+        joints: The joints, each after the joint that carries it.
         root: Name of the link that no joint carries.
         gravity: Gravity (3,) in the frame of the world [m/s²].
         used: Number of entries of the file that were used, by kind.
         ignored: Number of entries of the file that have no meaning here, by kind.
-        doubts: Sentences on what looks wrong in the file but does not prevent its use.
-        motors: Motors that the file names; where there are none, every joint has an input.
+        doubts: Sentences on entries of the file that look wrong but do not prevent its use.
+        motors: Motors that the file names; without motors, every joint has an input.
         motor_torques: Whether the inputs are torques of the motors, before the reductions of their joints.
-        loops: What couples links or joints beyond the tree of the joints.
-        assembly: Positions of the joints where the loops are closed as they are built, by name [rad or m, a ball joint
-            by its quaternion wxyz]; None where the file has no such pose.
+        loops: Couplings of links or joints in addition to the tree of the joints.
+        assembly: Positions of the joints in a pose in which the loops are closed, by name [rad or m, a ball joint by
+            its quaternion wxyz]; None if the file has no such pose.
 
     Example:
         >>> from covariant.models import robots
@@ -381,7 +381,7 @@ class Description(NamedTuple):
 
 
 def numbers(values: Iterable[Any]) -> Any:
-    """An array of numbers some of which may be traced."""
+    """An array of numbers, some of which may be traced."""
     listed = list(values)
     return namespace(listed).asarray(listed, float)
 
@@ -404,7 +404,7 @@ def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def limits_in_doubt(joint: Joint) -> list[str]:
-    """Sentence where the limits of a turning joint look like degrees."""
+    """A sentence if the limits of a turning joint look like degrees."""
     largest = max(abs(limit) for limit in (joint.lower, joint.upper))
     if joint.kind != "revolute" or not MOST_TURNS * 2 * np.pi < largest < np.inf:
         return []
@@ -415,7 +415,7 @@ def limits_in_doubt(joint: Joint) -> list[str]:
 
 
 def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:
-    """The root, and each joint after the one that carries it; raises `ValueError` where the links are no tree."""
+    """The root, and each joint after the joint that carries it; raises `ValueError` if the links are not a tree."""
     moving = sum(joint.kind != "fixed" for joint in joints)
     check_count(len(links), MOST_LINKS, "links")
     check_count(moving, MOST_COORDINATES, "joints that move")
@@ -443,7 +443,7 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
     while stack:
         link = stack.pop()
         below = [joint for joint in joints if joint.parent == link]
-        # Depth first, in the order of the file.
+        # The order is depth first and, within a link, that of the file.
         if carrier.get(link) is not None:
             ordered.append(carrier[link])
         stack += [joint.child for joint in reversed(below)]
@@ -454,7 +454,7 @@ def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, t
 
 
 def negative_inertia(name: str, inertia: BodyInertia) -> str:
-    """Sentence where a principal moment of inertia about the centre of mass is negative, else empty."""
+    """A sentence if a principal moment of inertia about the centre of mass is negative, else an empty text."""
     moments, size = _principal_moments(inertia)
     if moments[0] >= -1e-9 * size:
         return ""
@@ -468,14 +468,14 @@ def negative_inertia(name: str, inertia: BodyInertia) -> str:
 def _principal_moments(inertia: BodyInertia) -> tuple[np.ndarray, float]:
     """Principal moments (3,) about the centre of mass, and the size to which their tolerances are relative."""
     moments = np.linalg.eigvalsh(inertia.about_centre)
-    # The floor is for a body without mass.
+    # The lower bound is for a body without mass.
     return moments, max(np.abs(moments).max(), np.abs(inertia.second).max(), 1e-12)
 
 
 def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
-    """Sentence where no rigid body has these moments; raises `ValueError` where a number is out of its range.
+    """A sentence if no rigid body has these moments; raises `ValueError` if a number is out of range.
 
-    A negative moment is a doubt only: what is fixed to the link, or to the ground, decides whether it can move.
+    A negative moment is only doubtful: it depends on the links fixed to this one, or to the ground, whether it matters.
     """
     numbers = np.concatenate([[inertia.mass], inertia.first, inertia.second.ravel()])
     if not np.isfinite(numbers).all():
@@ -485,7 +485,7 @@ def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
     if negative := negative_inertia(name, inertia):
         return [negative]
     moments, size = _principal_moments(inertia)
-    # The triangle inequality of principal moments, with a tolerance for the few digits in files.
+    # Triangle inequality of principal moments, with a tolerance for the few digits in files.
     if moments[2] > (moments[0] + moments[1]) * (1 + 1e-6) + 1e-9 * size:
         return [
             f"link {name!r}: no rigid body has the principal moments of inertia "

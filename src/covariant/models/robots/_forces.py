@@ -1,4 +1,4 @@
-"""The forces in a robot: weight and springs, motors with their servos, friction of its joints."""
+"""Computes the forces in a robot: weight and springs, motors with their servos, and friction of its joints."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -30,7 +30,7 @@ class Potential(Functional):
         gravity: Gravity (3,) in the frame of the world [m/s²].
         stiffness: Stiffness of the springs (k,) [N m/rad or N/m].
         rest: Positions at which the springs rest (k,) [rad or m].
-        sprung: Indices of the ball joints with a spring; it turns them back the short way, and rests at the identity.
+        sprung: Indices of the ball joints with a spring, which pulls the short way back to the identity.
 
     Example:
         >>> import jax.numpy as jnp
@@ -69,20 +69,20 @@ def resistance(
     friction: Float[Array, "k"],
     base: Float[Array, "b"],
 ):
-    """Generalised force of the friction in k joints, at the rates `coordinates` (k, n) times those of the coordinates.
+    """Generalised force of the friction in k joints, whose rates are `coordinates` (k, n) times the coordinate rates.
 
-    `base` are the zeros of a floating base. Coulomb friction [N m or N] is smoothed as `(2/π) atan(100 v)`.
+    `base` are the zeros for a floating base. Coulomb friction [N m or N] is smoothed as `(2/π) atan(100 v)`.
     """
     rates = coordinates @ v[base.shape[0] :]
     torque = _plain_friction(rates, damping, friction)
-    # coordinatesᵀ by virtual work: the power is −torque · rates ≤ 0.
+    # By virtual work coordinatesᵀ converts torques; the power is −torque · rates ≤ 0.
     return jnp.concatenate([base, -coordinates.T @ torque])
 
 
 def floating_friction(q, v, joints: dict[str, Any], damping: Scalar, friction: Scalar, law: dict[str, Scalar]):
-    """Generalised force of the friction of a floating joint and of the others, whose parameters are `joints`.
+    """Generalised force of the friction in a floating joint and in the others, whose parameters are `joints`.
 
-    It acts on each component of the velocity, the linear one in the world and the angular one in the body.
+    It acts on each component of the velocity: on the linear ones in the world, on the angular ones in the body.
     """
     rotation = q.reshape(-1)[:16].reshape(4, 4)[:3, :3]
     rates = jnp.concatenate([rotation @ v[:3], v[3:6]])
@@ -91,7 +91,7 @@ def floating_friction(q, v, joints: dict[str, Any], damping: Scalar, friction: S
 
 
 def floating_damping(q, v, joints: dict[str, Any], damping: Scalar):
-    """As `floating_friction` without dry friction: six equal dampers act alike in the world and in the body."""
+    """`floating_friction` without dry friction: six equal dampers have the same effect in the world and in the body."""
     return _of_joints(q, v, joints) - jnp.concatenate([damping * v[:6], jnp.zeros_like(v[6:])])
 
 
@@ -108,13 +108,13 @@ def joint_friction(
     base: Float[Array, "b"],
     law: dict[str, Float[Array, "k"]],
 ):
-    """Generalised force of the friction in joints some of which have a `FrictionLaw`."""
+    """Generalised force of the friction in joints, some of which have a `FrictionLaw`."""
     torque = _friction_of_law(coordinates @ v[base.shape[0] :], law)
     return resistance(q, v, coordinates, damping, friction, base) + jnp.concatenate([base, -coordinates.T @ torque])
 
 
 def _plain_friction(rates, damping, friction):
-    # atan tends to π/2, so the factor makes `friction` the torque far from rest.
+    # atan tends to π/2, so with this factor the torque at high speed is `friction`.
     return damping * rates + friction * (2 / jnp.pi) * jnp.arctan(COULOMB_STEEPNESS * rates)
 
 
@@ -124,14 +124,14 @@ def _friction_of_law(rates, law):
 
 
 def dry_friction(rates, law):
-    """Size of the dry friction, without what a load adds; `law` holds arrays by name."""
+    """Size of the dry friction without the contribution of a load; `law` holds arrays by name."""
     return law["coulomb"] + law["stribeck"] * jnp.exp(-((rates / law["stribeck_velocity"]) ** 2))
 
 
 def dissipation(
     joints: list[Joint], coordinates: np.ndarray, base: np.ndarray, free_joint: Joint | None = None
 ) -> Parametric:
-    """Friction of the joints; where one has a law it takes the place of its damping and dry friction."""
+    """Friction of the joints; the law of a joint, if it has one, replaces its damping and dry friction."""
     of_joints = _dissipation_of_joints(joints, coordinates, base)
     if free_joint is None or not (free_joint.law or free_joint.damping or free_joint.friction):
         return of_joints
@@ -163,7 +163,7 @@ def with_motors(joint: Joint, motors: Sequence[Motor]) -> Joint:
     """The joint with the springs and dampers of the servos that drive it."""
     drives = [motor for motor in motors if motor.joint == joint.name]
     stiffness = joint.stiffness + sum(motor.stiffness for motor in drives)
-    # Springs in parallel: stiffnesses add, and so do the torques at θ = 0, each stiffness · rest.
+    # For springs in parallel, stiffnesses add up, and so do the torques at θ = 0, stiffness · rest each.
     torque = joint.stiffness * joint.rest + sum(motor.constant for motor in drives)
     if torque and not stiffness:
         raise InputError(f"joint {joint.name!r}: a motor with a constant bias is not supported; add it to the input")
@@ -181,7 +181,7 @@ def inputs_of(
     motors: Sequence[Motor],
     actuated: Sequence[str] | None,
 ) -> tuple[Any, Servos | None]:
-    """Generalised force (n, m) of each input that is a torque, traced where a constant is, and the servos."""
+    """Generalised force (n, m) of each input that is a torque, traced if a constant is, and the servos."""
     if motors:
         chosen = [_of_motor(motor, axes, freedom) for motor in motors if _drives(motor, axes)]
     else:
@@ -217,20 +217,20 @@ def _drives(motor: Motor, axes: Sequence[Axis]) -> bool:
 
 
 def _of_motor(motor: Motor, axes: Sequence[Axis], freedom: Freedom) -> tuple[Driven, Any]:
-    """The input of a motor of the file, and its generalised force (n,) where it is a torque."""
+    """The input of a motor in the file, and its generalised force (n,) if it is a torque."""
     at = [i for i, axis in enumerate(axes) if axis.joint.name == motor.joint]
     joint = axes[at[0]].joint
     servo = joint.servo or servo_of(motor)
     if servo is not None:
         servo = servo._replace(command_scale=servo.command_scale * joint.torque_constant)
         return Driven(at[0], servo, joint.servo is not None), np.zeros(freedom.matrix.shape[1])
-    # By virtual work the transpose of coordinates ↦ joint positions takes torques to generalised forces.
+    # By virtual work, the transpose of the map from coordinates to joint positions converts torques.
     column = motor.gain * joint.torque_constant * (np.array(motor.direction) @ freedom.matrix[at])
     return Driven(at[0], None), column
 
 
 def _of_joint(robot: Description, joint: Joint, axis: int, freedom: Freedom) -> tuple[Driven, Any]:
-    """The input of a joint without a motor in the file, and its generalised force (n,) where it is a torque."""
+    """The input of a joint without a motor in the file, and its generalised force (n,) if it is a torque."""
     if joint.servo is not None:
         return Driven(axis, joint.servo, True), np.zeros(freedom.matrix.shape[1])
     factor = joint.torque_constant * (reduction_of(joint) if robot.motor_torques else 1.0)

@@ -1,6 +1,6 @@
-"""Feet of a robot as its base sees them: their places and attitudes from the joints, and the forces on them.
+"""Describes the feet of a robot relative to its base: their positions and attitudes, and the forces on them.
 
-Everything is in the axes of the base, so that neither the place of the robot in the world nor its heading enters.
+All vectors are in the axes of the base, so neither the robot's position in the world nor its heading is needed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,16 +21,16 @@ from scalargraph.errors import InputError
 
 
 class Legs(Functional):
-    """The motion of anchors of feet in the axes of a base with an IMU: `x' = f(t, x, u)`.
+    """Motion of a base with an IMU relative to its standing feet, in the axes of the base: `x' = f(t, x, u)`.
 
-    The state x is the velocity of the base, gravity, the place of each foot that stands, and the biases of gyro and
-    accelerometer; the input u is what gyro and accelerometer read. It is linear in the state but for the products with
-    the bias of the gyro, and nothing of the dynamics of the robot enters.
+    The state x is the velocity of the base, gravity, the position of each standing foot, and the biases of gyro and
+    accelerometer; the input u is the reading of gyro and accelerometer. The model is linear in the state, except for
+    products with the gyro bias, and does not use the dynamics of the robot.
 
     Attributes:
         space: Configuration space of the robot, whose base is free.
-        radius: Radius () of the spherical feet [m], which roll; 0 for points.
-        places: Place (F, 3) of the centre of each foot in the frame of its link [m].
+        radius: Radius () of spherical feet [m], which roll; 0 for points.
+        places: Position (F, 3) of the centre of each foot in the frame of its link [m].
         links: Link of each of the F feet.
         carrying: Joints that carry each foot.
     """
@@ -46,21 +46,22 @@ class Legs(Functional):
         return jax.jvp(lambda dt: self.step(x, u, dt), (start,), (jnp.ones_like(start),))[1]
 
     def step(self, x: Vector, u: Float[Array, "6"], dt: Scalar) -> Vector:
-        """The state dt later, for constant readings of the IMU, to the third order in what the base turns meanwhile."""
+        """The state dt later for constant IMU readings, accurate to third order in the rotation of the base."""
         velocity, gravity, feet = x[:3], x[3:6], x[6:-6].reshape(-1, 3)
         spin, force = u[:3] - x[-6:-3], u[3:] - x[-3:]
         turn = spin * dt
-        # Means over dt and over the times before, in the axes at the start, of a force that turns with the base.
+        # Means over dt, plain and weighted by the earlier times, of a force that turns with the base, in the axes at
+        # the start.
         once = jnp.cross(turn, force)
         mean, weighted = force + once / 2 + jnp.cross(turn, once) / 6, force + once / 3
-        # A ball that rolls moves its centre by the spin about the ground, which is the radius below the centre.
+        # The centre of a rolling ball moves by its spin about the contact point, one radius below the centre.
         change = jnp.cross(turn, self.up(gravity)) - dt * velocity - dt**2 / 2 * (gravity + weighted)
         back = SO3.exp(-turn)
         vectors = jnp.concatenate([(velocity + dt * (gravity + mean))[None], gravity[None], feet + change[None]])
         return jnp.concatenate([(vectors @ back.T).ravel(), x[-6:]])
 
     def up(self, gravity: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Vector from the ground to the centre of a foot that stands, in the axes of the base [m]."""
+        """Vector from the ground to the centre of a standing foot, in the axes of the base [m]."""
         return -self.radius.astype(gravity.dtype) / jnp.sqrt(gravity @ gravity) * gravity
 
     def feet(self, q: Float[Array, "n"]) -> tuple[Float[Array, "F 3"], Float[Array, "F 3 3"], Float[Array, "F 3 n"]]:
@@ -98,7 +99,7 @@ class Legs(Functional):
     ) -> Float[Array, "F 3"]:
         """Forces of the ground on the feet [N] in the axes of the base, from `Jᵀf = M_jb (a, ω') + M_jj q̈ + C − τ`.
 
-        The accelerometer holds gravity, so that neither the attitude nor the velocity of the base is needed.
+        The accelerometer reading includes gravity, so neither attitude nor velocity of the base is needed.
 
         Args:
             q: Positions (n,) of the joints.
@@ -109,7 +110,7 @@ class Legs(Functional):
             torque: Torques (n,) of the joints.
 
         Returns:
-            Force (F, 3) on each foot, for legs of three joints or more; of more, the part that the torques tell.
+            Force (F, 3) on each foot, for legs of three or more joints; with more joints, the least-squares solution.
         """
         x = jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q])
         still = jnp.zeros(3, q.dtype)
@@ -121,7 +122,7 @@ class Legs(Functional):
 
 
 def legs(space: Any, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:
-    """Legs of a robot with a free base, with feet at `{link: (x, y, z)}`; raises `ValueError` for others."""
+    """The legs of a robot with a free base and feet at `{link: (x, y, z)}`; raises `ValueError` for other robots."""
     if not (space.floating and len(space.tree.balls) == 0):
         raise InputError("legged_base: the base must be free, and no joint a ball joint")
     if not feet or any(len(place) != 3 for place in feet.values()):

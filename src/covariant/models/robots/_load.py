@@ -1,4 +1,4 @@
-"""Robots from files, whatever their format."""
+"""Loads robots from files of any supported format."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,8 +22,8 @@ from scalargraph.files import bounded
 def read(path: str | Path, *, motor_torques: bool = False) -> Description:
     """Read the description of a robot from a URDF or MJCF file.
 
-    Use it to look at links, joints, limits and inertias, or to check a file, before mechanics are built. It returns
-    data only. `load` builds the mechanical system from the same file.
+    Use it to inspect links, joints, limits and inertias, or to check a file before a model is built. It returns data
+    only. `load` builds the mechanical system from the same file.
 
     Args:
         path: Path of the file, or the name of one of `ROBOTS`.
@@ -33,7 +33,7 @@ def read(path: str | Path, *, motor_torques: bool = False) -> Description:
         Links, joints and motors of the robot.
 
     Raises:
-        ValueError: One line with the path, for what is wrong in the file.
+        ValueError: The file has a fault; one line with the path describes it.
         ImportError: The file is MJCF and MuJoCo is not installed.
 
     Example:
@@ -46,10 +46,10 @@ def read(path: str | Path, *, motor_torques: bool = False) -> Description:
 
 
 def _read(path: str | Path, motor_torques: bool) -> tuple[Description, Any]:
-    """The description of a robot, and MuJoCo's model of it where the file is MJCF, else None."""
+    """The description of a robot, and MuJoCo's model if the file is MJCF, else None."""
     try:
         return _read_file(located(path), motor_torques)
-    except InputError as error:  # of the door it names the file already
+    except InputError as error:  # errors of file access contain the path already
         text = str(error) + ("" if located(path).exists() else f", or one of {', '.join(ROBOTS)}")
         raise InputError(text if text.startswith(f"{path}: ") else f"{path}: {text}") from error
 
@@ -90,53 +90,53 @@ def load(
 ) -> MechanicalSystem:
     """Load the mechanical system of a robot from its URDF or MJCF file.
 
-    Coordinates are the joints that are not fixed, locked or following another one, by their names [rad or m]; those
-    without limits are full circles. Inputs are the torques [N m] or forces [N] at them, or the inputs of the motors of
-    the joints where an MJCF file names some. Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF
-    file says. Friction of a joint is `damping v + friction (2/π) atan(100 v)`; that of a floating joint acts so on each
-    component of its velocity, the linear one in the world and the angular one in the body. An MJCF file is compared
-    with MuJoCo at random states, so a robot that would move otherwise is refused.
+    Coordinates are the joints that are not fixed, locked or following another joint, by name [rad or m]; those without
+    limits are full circles. Inputs are the torques [N m] or forces [N] at these joints, or the inputs of the motors
+    that an MJCF file names. Gravity is 9.81 m/s² along −z of the root, or of the world, or as an MJCF file states.
+    Friction of a joint is `damping v + friction (2/π) atan(100 v)`; in a floating joint it acts in this way on each
+    component of the velocity, the linear one in the world and the angular one in the body. An MJCF file is compared
+    with MuJoCo at random states, so a robot that would move differently is refused.
 
     Args:
         path: Path of the file, or the name of one of `ROBOTS`.
-        floating: Whether the root link moves freely, as it does where the file has a floating joint. A configuration is
-            then its pose T_world_root (4, 4), row by row, followed by the joints, and a velocity its twist (v, ω) in
+        floating: Whether the root link moves freely, as it also does if the file has a floating joint. A configuration
+            is then its pose T_world_root (4, 4), row by row, followed by the joints, and a velocity its twist (v, ω) in
             its own frame, followed by the rates of the joints.
-        lock: Joints that stand still, with their position [rad or m].
-        actuated: Names of the joints with an input, in the order of the joints; motors of the file are then left out.
+        lock: Locked joints, with their position [rad or m].
+        actuated: Names of the joints with an input, in the order of the joints; motors of the file are then ignored.
             All joints by default.
         payload: Point masses, `{link: (mass, x, y, z)}` [kg, m in the frame of the link]. They may be traced and
             differentiated by JAX.
-        dry_friction: False leaves out the part of the friction that does not grow with the speed, as where it is
+        dry_friction: False leaves out the part of the friction that does not grow with speed, for robots in which it is
             compensated.
-        motor_torques: True where logs have the torques [N m] of motors, before the reductions that the `transmission`s
-            of a URDF file state. Every joint with an input needs one; losses in the gear count as friction.
+        motor_torques: True if logs contain torques [N m] of motors, before the reductions that the `transmission`s of a
+            URDF file state. Every joint with an input needs one; losses in the gear count as friction.
         friction: Fields of `FrictionLaw` by joint, in place of the damping and dry friction of the file:
             `{joint: {"viscous": 0.1, "coulomb": 0.5}}`.
-        armature: Inertia of the rotor as felt at the joint, by joint [kg m² or kg].
+        armature: Inertia of the rotor, reflected to the joint, by joint [kg m² or kg].
         inertia: Mass, centre of mass and inertia about it, by link, in its frame:
             `{link: (mass, cx, cy, cz, ixx, iyy, izz, ixy, ixz, iyz)}` [kg, m, kg m²].
-        gravity: Its magnitude, along its direction in the file, or the vector [m/s²].
+        gravity: Its magnitude, in the direction of the file, or the vector [m/s²].
         torque_constants: Factor of the logged torque, force or motor input, by joint.
-        offsets: What has to be added to a logged position for the true one, by joint [rad or m].
-        servos: Keys of the tables `[servo.JOINT]` of a model file, by joint: such a joint is told positions, and holds
-            them by its own controller, `{joint: {"stiffness": 20.0, "delay": 0.04}}`. Its input is the command.
+        offsets: Offset to add to a logged position to get the true one, by joint [rad or m].
+        servos: Keys of the tables `[servo.JOINT]` of a model file, by joint. Such a joint receives position commands,
+            which its own controller follows: `{joint: {"stiffness": 20.0, "delay": 0.04}}`. Its input is the command.
         loops: Keys of the tables `[loop.NAME]` of a model file, by name, for loops that a URDF file cannot state: a
             point of each of two links that coincide, `{name: {"links": [a, b], "points": [[0.4, 0, 0], [0.3, 0, 0]]}}`
             [m], in the frame of each link; also `"rpy": [0, 0, 0]`, roll, pitch and yaw [rad] of the second link in the
             first, for frames that coincide; or a polynomial between positions of two joints,
             `{name: {"joints": ["lift", "shaft"], "polynomial": [c0, c1, c2]}}`.
-        assembly: Positions of the joints [rad or m] where the loops are closed as they are built, to a few digits, as
+        assembly: Positions of the joints [rad or m] in a pose in which the loops are closed, to a few digits, such as
             `{"motor": 0.6, "coupler": 0.3}`; 0 for others. By default the pose of an MJCF file, or one of its
-            keyframes. The same motor angles may be assembled in several ways, of which none is guessed.
+            keyframes. It is never guessed, since the same motor angles may allow several assemblies.
 
     Returns:
         The system, with its configuration space as a `RobotSpace`, or a `covariant.geometry.Leaf` of one if the robot
         has closed loops.
 
     Raises:
-        ValueError: One line with the path, for what is wrong in the file, for names it does not have, for loops that do
-            not close or that close by exact lengths alone, and for an MJCF file whose robot moves otherwise in MuJoCo.
+        ValueError: One line with the path: a fault in the file, a name that it does not have, loops that do not close
+            or close for exact lengths only, or an MJCF file whose robot moves differently in MuJoCo.
         ImportError: The file is MJCF and MuJoCo is not installed.
 
     Example:
@@ -171,7 +171,7 @@ def described(
     motor_torques: bool = False,
     **numbers: Any,
 ) -> Description:
-    """The description that `load` makes a system of: that of the file with other numbers."""
+    """The description from which `load` builds a system: the one in the file, with other numbers."""
     robot, engine = _read(path, motor_torques)
     try:
         if engine is not None:

@@ -1,7 +1,7 @@
-"""Closed loops of robots: what couples links or joints beyond the tree, as a constraint on the space of the tree.
+"""Closes the loops of robots: couplings of links or joints in addition to the tree become constraints on its space.
 
-A gap is measured in the frame of the first of two links, and through the joints between them alone. So rows that a
-planar loop does not need are zero wherever an arm carries it, and no joint before the loop enters.
+A gap is measured in the frame of the first of two links, and only through the joints between them. So rows that a
+planar loop does not need are zero for every pose of an arm that carries it, and joints before the loop do not matter.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,15 +25,15 @@ from covariant.models.robots._space import RobotSpace
 from scalargraph.errors import InputError
 
 FARTHEST = 0.1
-"""Largest distance [rad or m] from the stated positions to those in which the loops close: few digits, and no guess."""
+"""Largest distance [rad or m] from the stated positions to closed loops: it allows for rounding, not for guesses."""
 KEYS = {"links": 2, "points": 2, "rpy": 3, "joints": 2, "polynomial": None}
 """Keys of the table of a loop, and the number of their entries."""
 KINDS = ({"links", "points"}, {"links", "points", "rpy"}, {"joints", "polynomial"})
-"""The keys that belong together."""
+"""The sets of keys that may occur together."""
 
 
 class Closure(Functional):
-    """The constraint `x -> (m,)` of the loops of a robot: gaps [m or rad] that are zero where they are closed."""
+    """The constraint `x -> (m,)` of the loops of a robot: gaps [m or rad], which are zero if the loops are closed."""
 
     space: RobotSpace
     loops: tuple[Coincide | Coupled, ...] = eqx.field(static=True)
@@ -43,7 +43,7 @@ class Closure(Functional):
 
 
 def robot_space(space: Any) -> RobotSpace | None:
-    """The space of a robot with links and joints by name: of one with closed loops, that of its tree; else None."""
+    """The space of a robot with links and joints by name; for closed loops the space of its tree; else None."""
     tree = space.space if isinstance(space, Leaf) else space
     return tree if isinstance(tree, RobotSpace) else None
 
@@ -54,12 +54,12 @@ def loops_of(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Coincide | Couple
 
 
 def close_loops(model: MechanicalSystem, robot: Description, geometry: RobotSpace) -> MechanicalSystem:
-    """The robot with its loops closed: its space is a leaf of that of the tree, which has the known `geometry`."""
+    """The robot with closed loops: its space is a leaf of the tree's space, whose numbers are known in `geometry`."""
     for loop in robot.loops:
         _check_names(geometry, robot, loop)
     if not known(geometry.tree.offset):
         raise InputError("encoder offsets of a robot with closed loops cannot be fitted; leave offsets out")
-    # Inertias may be traced; the loops close whatever they are.
+    # Inertias may be traced, but the closing of loops does not depend on them.
     with jax.ensure_compile_time_eval():
         near = _assembled(model, geometry, robot)
         try:
@@ -67,7 +67,7 @@ def close_loops(model: MechanicalSystem, robot: Description, geometry: RobotSpac
         except InputError as error:
             raise InputError(f"loop {', '.join(repr(loop.name) for loop in robot.loops)}: {error}") from error
         for loop in robot.loops:
-            # The rows of a weld are sines, which vanish at half a turn too.
+            # The rows of a weld are sines, which also vanish at half a turn.
             if isinstance(loop, Coincide) and loop.rotation is not None:
                 turned = np.asarray(loop.rotation).T @ np.asarray(geometry.relative(leaf.assembly, *loop.links)[0])
                 if np.trace(turned) < 1:
@@ -95,7 +95,7 @@ def _check_names(space: RobotSpace, robot: Description, loop: Coincide | Coupled
 
 
 def _assembled(model: MechanicalSystem, space: RobotSpace, robot: Description) -> Array:
-    """The configuration near which the loops are assembled."""
+    """The configuration near which the loops are closed."""
     assembly = robot.assembly or {}
     for name in assembly:
         refuse_unknown("joint of assembly", name, [joint.name for joint in robot.joints])
@@ -111,7 +111,7 @@ def _assembled(model: MechanicalSystem, space: RobotSpace, robot: Description) -
 
 
 def _refuse_far(model: MechanicalSystem, space: RobotSpace, near: Array, closed: Array, stated: bool) -> None:
-    """Raise `ValueError` if the loops close only far from the stated positions, as at those of another assembly."""
+    """Raise `ValueError` if the loops close only far from the stated positions, which suggests another assembly."""
     if float(jnp.max(jnp.abs(space.manifold.local(near, closed)))) <= FARTHEST:
         return
     count = len(model.coordinates)
@@ -149,12 +149,12 @@ def _loop(name: str, table: Any) -> Coincide | Coupled:
 
 
 def gap(space: RobotSpace, loop: Coincide | Coupled, x: Array) -> Vector:
-    """By how much (m,) a loop is open [m or rad]: zero where it is closed."""
+    """The gap (m,) of a loop [m or rad]; zero if it is closed."""
     return _apart(space, loop, x) if isinstance(loop, Coincide) else _off_curve(space, loop, x)
 
 
 def _apart(space: RobotSpace, loop: Coincide, x: Array) -> Vector:
-    """Distance (3,) of the points, and the turn (3,) of the second frame from where it coincides."""
+    """Distance (3,) of the points, and the rotation (3,) of the second frame relative to the first."""
     rotation, place = space.relative(x, *loop.links)
     first, second = (jnp.asarray(point, x.dtype) for point in loop.points)
     moved = place + rotation @ second - first

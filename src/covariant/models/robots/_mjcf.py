@@ -1,8 +1,8 @@
-"""MJCF files, the robot descriptions of MuJoCo, through its own compiler. Source: MuJoCo documentation, XML reference.
+"""Reads MJCF files, the robot descriptions of MuJoCo, through its compiler. Source: MuJoCo's XML reference.
 
-The compiled model knows defaults, units, included files and the inertia of shapes; here it becomes a `Description`.
-Entries that would change the motion and are not supported are refused by name; those that do not, or only in contact,
-are counted as ignored. `_against_mujoco` compares the forces of both afterwards, for the entries that this file misses.
+The compiled model resolves defaults, units, included files and the inertia of shapes; here it becomes a `Description`.
+Unsupported entries that would change the motion are refused by name; entries that change nothing, or matter only in
+contact, are counted as ignored. Afterwards `_against_mujoco` compares the forces of both models, to detect missed ones.
 """
 
 import re
@@ -45,19 +45,19 @@ IGNORED = {
     "nmat": "asset/material",
     "nskin": "skin",
 }
-"""Entries that have no meaning here: sizes of the compiled model, and the names under which they are reported."""
+"""Entries that have no meaning here: sizes of the compiled model, with the names under which they are reported."""
 
 MOTOR_LIMITS = {
     "actuator_ctrllimited": "actuator/ctrlrange",
     "actuator_forcelimited": "actuator/forcerange",
     "jnt_actfrclimited": "joint/actuatorfrcrange",
 }
-"""Limits of motors, which have no meaning where they are not those of a servo: forces and inputs of a log are within
-them."""
+"""Limits of motors other than servos; they have no meaning here, since forces and inputs of a log are within them.
+"""
 
 
 class _Reader:
-    """A compiled model, with the entries that have been read from it so far."""
+    """A compiled model, with the entries read from it so far."""
 
     def __init__(self, mujoco: Any, model: Any):
         self.mujoco, self.model = mujoco, model
@@ -70,16 +70,16 @@ class _Reader:
         return names_of(self.mujoco, self.model, kind, index + 1)[index]
 
     def entry(self, field: str, index: int) -> np.ndarray:
-        """An entry of a field that earlier versions of MuJoCo do not have; they give 0."""
+        """An entry of a field; 0 if an earlier version of MuJoCo does not have the field."""
         return np.asarray(getattr(self.model, field, np.zeros(index + 1))[index], float)
 
     def off(self, flag: str) -> bool:
-        """Whether the file switches a kind of force off."""
+        """Whether the file disables a kind of force."""
         return bool(self.model.opt.disableflags & int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
 
 
 def names_of(mujoco: Any, model: Any, kind: str, count: int) -> list[str]:
-    """Names of the first entries of a kind, such as "JOINT"; those without one are numbered."""
+    """Names of the first entries of a kind, such as "JOINT"; entries without a name get numbers."""
     kind_number = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
     return [mujoco.mj_id2name(model, kind_number, i) or f"{kind.lower()}{i}" for i in range(count)]
 
@@ -124,7 +124,7 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
 
 
 def _refuse(read: _Reader) -> None:
-    """Raise `ValueError` for the first entry that changes the motion and is not supported, or is not finite."""
+    """Raise `ValueError` for the first entry that is unsupported but changes the motion, or is not finite."""
     model = read.model
     for field in filter(re.compile("(body|jnt|dof|actuator|eq)_|qpos").match, dir(model)):
         if not np.isfinite(np.asarray(getattr(model, field), float)).all():
@@ -162,7 +162,7 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
     """Add a body, its joints, and a link without mass between any two of them."""
     model = read.model
     axes = rotation_of(model.body_iquat[i])
-    # `ipos`, `iquat`: the compiler gives the moments along principal axes, about the centre of mass.
+    # The compiler gives moments along principal axes (`iquat`), about the centre of mass (`ipos`).
     inertia = BodyInertia.of(
         float(model.body_mass[i]), np.array(model.body_ipos[i]), axes @ np.diag(model.body_inertia[i]) @ axes.T
     )
@@ -185,7 +185,7 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
         anchor = np.array(model.jnt_pos[k])
         joints.append(_joint(read, k, above, below, rotation, place + rotation @ (anchor - origin)))
         links[below] = inertia.moved(np.eye(3), -anchor) if last else NO_INERTIA
-        # Further joints of a body are in its frame, each at its own anchor.
+        # Further joints of a body are in its frame, each at an anchor of its own.
         above, rotation, place, origin = below, np.eye(3), np.zeros(3), anchor
 
 
@@ -211,13 +211,13 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
             raise InputError(f"{where}: the stiffness of a free joint is not supported; set it to 0")
         return Joint(read.names[k], "floating", parent, child, exact(rotation), place, axis)._replace(**forces)
     address, ball, slide = int(model.jnt_qposadr[k]), kind == "ball", kind == "slide"
-    # The configuration of a ball joint is a quaternion, and its spring rests where the file poses it.
+    # The configuration of a ball joint is a quaternion, and its spring rests at the pose in the file.
     start, rest = (0.0, 0.0) if ball else (float(model.qpos0[address]), float(model.qpos_spring[address]))
     limited = bool(model.jnt_limited[k]) and not ball
     lower, upper = model.jnt_range[k] if limited else (-np.inf, np.inf)
     if ball and model.jnt_limited[k]:
         read.ignored["joint/range of a ball"] += 1
-    # The file's pose of the body is that at q = ref.
+    # The file states the pose of the body at q = ref.
     if slide:
         place = place - rotation @ axis * start
     else:
@@ -239,7 +239,7 @@ def _joint(read: _Reader, k: int, parent: str, child: str, rotation: np.ndarray,
 
 
 def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
-    """The joints with the rotors and dampers of their actuators, which act also where their motors are no inputs."""
+    """The joints with rotors and dampers of their actuators, which act even if the motors are not inputs."""
     by_name, hinges = {joint.name: joint for joint in joints}, ("revolute", "continuous", "prismatic")
     for i, name in enumerate(read.actuators):
         where = f"actuator {name!r}"
@@ -255,7 +255,7 @@ def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
                 f"{where}: armature and damping are supported only where it drives a hinge or a slide; set them to 0, "
                 "and give the joints theirs"
             )
-        # A gear scales force and position, so that inertia and damper are felt at the joint by its square.
+        # A gear scales force and position, so inertia and damping at the joint have the factor gear².
         squared = float(read.model.actuator_gear[i, 0]) ** 2
         for key, value in losses.items():
             if value:
@@ -280,7 +280,7 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         return ()
     for i, name in enumerate(read.actuators):
         group = int(model.actuator_group[i])
-        # MuJoCo can disable the groups 0 to 30 only.
+        # MuJoCo can disable only the groups 0 to 30.
         if 0 <= group < 31 and model.opt.disableactuator >> group & 1:
             read.ignored["actuator (disabled group)"] += 1
             continue
@@ -288,7 +288,7 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         gain, bias = float(model.actuator_gainprm[i, 0]), np.array(model.actuator_biasprm[i])
         linear = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
         joint = int(model.actuator_trnid[i, 0])
-        # A bias of the type none leaves numbers in biasprm that MuJoCo does not use.
+        # With the bias type none, MuJoCo ignores the numbers in biasprm.
         if int(model.actuator_biastype[i]) == linear[0]:
             bias = bias * 0
         kind = int(model.jnt_type[joint]) if _drives_joint(read, i) else None
@@ -314,8 +314,8 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
         direction = tuple(float(number) for number in model.actuator_gear[i, :3]) if ball else (1.0,)
         gear = 1.0 if ball else float(model.actuator_gear[i, 0])
         of_joint = "" if unsupported else read.names[joint]
-        # A gear scales torque and position, so springs and dampers by its square. MuJoCo's bias is
-        # b₀ + b₁ length + b₂ velocity, hence the sign.
+        # A gear scales torque and position, hence springs and dampers by its square. MuJoCo's bias is
+        # b₀ + b₁ length + b₂ velocity, hence the signs.
         numbers = gear * gain, -(gear**2) * spring, -(gear**2) * damper, gear * constant
         motor = Motor(name, of_joint, *numbers, unsupported, direction)
         motors.append(_with_limit(read, i, abs(gear), motor) if of_joint and spring else motor)
@@ -323,7 +323,7 @@ def _motors(read: _Reader) -> tuple[Motor, ...]:
 
 
 def _with_limit(read: _Reader, i: int, gear: float, servo: Motor) -> Motor:
-    """A servo with its delay and the limit of its torque, or the reason why it cannot be an input."""
+    """A servo with its delay and torque limit, or with the reason why it cannot be an input."""
     model, joint = read.model, int(read.model.actuator_trnid[i, 0])
     ranges = []
     if model.actuator_forcelimited[i]:

@@ -1,4 +1,4 @@
-"""What an MJCF file asks MuJoCo for, counted before its compiler makes it: copies, arrays, and files that it reads."""
+"""Limits what an MJCF file may request of MuJoCo, before compilation: copies, array sizes, and files to read."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -11,20 +11,20 @@ from scalargraph.errors import InputError
 from scalargraph.files import check_file
 
 CELLS = {"hfield": ("nrow", "ncol"), "texture": ("width", "height"), "numeric": ("size",)}
-"""Attributes that are sizes of an array, by entry."""
+"""Attributes that determine the size of an array, by entry."""
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
 def check_bounds(path: Path, outermost: Element) -> None:
-    """Refuse an MJCF file that asks for too many copies or too large arrays, or names a file that is none or too large.
+    """Refuse an MJCF file that requests too many copies or too large arrays, or names an invalid or too large file.
 
-    Files that it includes are counted with it, and those that it attaches each time.
+    Included files are counted as part of it, and attached files each time.
     """
     files, attached = {path.resolve(): outermost}, dict[str, Element]()
     folders, todo, entries, bodies = {path.parent}, [(outermost, 1.0)], 0.0, 0.0
     while todo:
         entry, copies = todo.pop()
-        copies *= _product(entry, ("count",))  # of `replicate` and the like
+        copies *= _product(entry, ("count",))  # the count of `replicate` and similar entries
         entries, bodies = entries + copies, bodies + copies * (entry.tag in ("body", "composite"))
         check_count(bodies, MOST_LINKS, "bodies or more, with copies")
         check_count(entries, MOST_ENTRIES, "entries or more, with copies")
@@ -46,14 +46,14 @@ def check_bounds(path: Path, outermost: Element) -> None:
 
 
 def _parts(entry: Element, folders: set[Path]) -> Iterator[Path]:
-    """Files that an entry names, in any of the folders that may be meant."""
+    """Files that an entry names, in any folder to which the name may be relative."""
     names = [text for key, text in entry.attrib.items() if key.startswith("file")]
     places = {folder / each for folder in folders for name in names for each in (name, Path(name).name)}
     return filter(Path.exists, places)
 
 
 def _product(entry: Element, keys: Iterable[str]) -> float:
-    """Product of the numbers of attributes, 1 where there are none; MuJoCo refuses what is no number."""
+    """Product of the numbers of attributes, 1 if there are none; MuJoCo itself refuses texts that are not numbers."""
     numbers = [number for key in keys for number in entry.get(key, "").split()]
     try:
         product = math.prod((max(float(number), 1.0) for number in numbers), start=1.0)

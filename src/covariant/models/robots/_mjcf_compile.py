@@ -1,4 +1,4 @@
-"""MuJoCo's compiler on an MJCF file, also where meshes are missing that no inertia follows from."""
+"""Runs MuJoCo's compiler on an MJCF file, even if meshes are missing that do not affect inertias."""
 
 from collections import Counter
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 from scalargraph.errors import InputError
 
 PLACEHOLDER_SIZE = 0.01
-"""Radius [m] of the spheres that take the place of shapes without a meaning here."""
+"""Radius [m] of the spheres that replace shapes without a meaning here."""
 
 
 def compiled_model(mujoco: Any, path: Path) -> tuple[Any, Counter[str]]:
@@ -30,7 +30,7 @@ def compiled_model(mujoco: Any, path: Path) -> tuple[Any, Counter[str]]:
 
 
 def _leave_out_shapes(mujoco: Any, spec: Any) -> tuple[Counter[str], list[str]]:
-    """Leave out all assets but the meshes that an inertia follows from; their bodies are returned too."""
+    """Leave out all assets except meshes that determine an inertia; the bodies of those meshes are returned too."""
     ignored, shaped, needed = Counter(), [], set()
     for geom in spec.geoms:
         if not (geom.meshname or geom.hfieldname):
@@ -39,7 +39,7 @@ def _leave_out_shapes(mujoco: Any, spec: Any) -> tuple[Counter[str], list[str]]:
             needed.add(geom.meshname)
             shaped.append(f"body {geom.parent.name!r}")
             continue
-        # A sphere, and not nothing: a sensor or a pair of contacts may name the geom.
+        # The geom is replaced and not removed, since a sensor or a pair of contacts may name it.
         geom.type, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
         geom.size = [PLACEHOLDER_SIZE] * 3
     for part in (*spec.geoms, *spec.sites, *spec.tendons):
@@ -54,7 +54,7 @@ def _leave_out_shapes(mujoco: Any, spec: Any) -> tuple[Counter[str], list[str]]:
 
 
 def _has_inertia(mujoco: Any, spec: Any, geom: Any) -> bool:
-    """Whether the inertia of a body follows from this shape."""
+    """Whether this shape determines the inertia of a body."""
     body, kinds = geom.parent, mujoco.mjtInertiaFromGeom
     low, high = spec.compiler.inertiagrouprange
     from_geoms = spec.compiler.inertiafromgeom
@@ -62,6 +62,6 @@ def _has_inertia(mujoco: Any, spec: Any, geom: Any) -> bool:
         return False
     if from_geoms == kinds.mjINERTIAFROMGEOM_AUTO and body.explicitinertial:
         return False
-    # The mass is NaN where the density counts.
+    # A mass of NaN means that the density determines it.
     massless = geom.mass == 0 or (geom.mass != geom.mass and geom.density == 0)
     return low <= geom.group <= high and not massless

@@ -1,4 +1,4 @@
-"""Equalities of MJCF files: joints that follow others, and closed loops. Source: MuJoCo documentation."""
+"""Reads equalities of MJCF files: joints that follow others, and closed loops. Source: MuJoCo documentation."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from covariant.models.robots._description import Coincide, Coupled, Follows, Joi
 from scalargraph.errors import InputError
 
 CLOSES = 1e-3
-"""Largest gap [m or rad] of a pose, written to a few digits, in which the loops of a file count as closed."""
+"""Largest gap [m or rad] in a pose, written to a few digits, with which the loops of a file count as closed."""
 
 
 def kind_of(read: Any, i: int) -> str:
@@ -23,7 +23,7 @@ def anchor_of(read: Any, body: int) -> np.ndarray:
 
 
 def couple_joints(read: Any, joints: list[Joint]) -> tuple[list[Joint], list[Coincide | Coupled]]:
-    """The joints, with the equalities by which they follow another joint or stand still, and all other equalities."""
+    """The joints, where equalities let them follow other joints or fix them, and all other equalities."""
     model, coupled, loops = read.model, {joint.name: joint for joint in joints}, []
     for i in range(model.neq):
         if not model.eq_active0[i] or read.off("EQUALITY"):
@@ -37,7 +37,7 @@ def couple_joints(read: Any, joints: list[Joint]) -> tuple[list[Joint], list[Coi
         constant, *slopes = (float(number) for number in model.eq_data[i, :5])
         name = read.names[one]
         start = float(model.qpos0[model.jnt_qposadr[one]])
-        # MuJoCo's polynomial holds between deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀) + …
+        # MuJoCo's polynomial relates deviations from qpos0: q − q₀ = c₀ + c₁ (p − p₀) + …
         deviation = Polynomial([0.0 if other < 0 else -float(model.qpos0[model.jnt_qposadr[other]]), 1.0])
         polynomial = (start + Polynomial([constant, *(slopes if other >= 0 else ())])(deviation)).trim().coef
         if len(polynomial) > 2:
@@ -63,17 +63,17 @@ def _coincide(read: Any, i: int, kind: str) -> Coincide:
         turned = first @ second.T
     else:
         bodies = list(ends)
-        # A weld has its point in the second body first.
+        # For a weld, the point in the second body comes first.
         points = [data[:3], data[3:6]] if kind == "connect" else [data[3:6], data[:3]]
         turned = rotation_of(data[6:10]) if kind == "weld" else turned
     points = [point - anchor_of(read, body) for point, body in zip(points, bodies, strict=True)]
     links = tuple(read.bodies[body] for body in bodies)
-    whole = kind == "weld" and data[10] > 0  # without a scale of its torque a weld holds a point
+    whole = kind == "weld" and data[10] > 0  # a weld without a torque scale constrains only a point
     return Coincide(read.name("EQUALITY", i), links, rows(points), rows(exact(turned)) if whole else None)
 
 
 def assembly_of(read: Any, loops: list[Coincide | Coupled]) -> dict[str, Any] | None:
-    """Positions of the joints in the first pose of the file, qpos0 or a keyframe, in which the loops are closed."""
+    """Positions of the joints in the first pose of the file, qpos0 or a keyframe, that closes the loops."""
     mujoco, model = read.mujoco, read.model
     if not loops:
         return None

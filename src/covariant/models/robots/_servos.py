@@ -1,4 +1,4 @@
-"""Servos: motors with a position controller, a gear and friction, whose input is a commanded position.
+"""Models servos: motors with a position controller, a gear and friction, whose input is a commanded position.
 
 At rest, their torque depends on the measured position and on time only, which the force S(q, t) of Aghannan & Rouchon
 2003, section II, allows. The part that depends on the speed belongs to the dissipation.
@@ -52,8 +52,8 @@ class Servos(Functional):
         limit: Largest torque (k,) [N m or N]; infinite without a limit.
         back_emf: Damping (k,) that the limit does not clip, while a servo is on [N m s/rad or N s/m].
         supply: Voltage (k,) at which stiffness and limit hold [V].
-        load: Dry friction (k,) per torque of the motor [1].
-        load_external: Dry friction (k,) per torque of the weight on the joint [1].
+        load: Dry friction (k,) per unit of the motor's torque [1].
+        load_external: Dry friction (k,) per unit of the weight's torque on the joint [1].
         smoothing: Speed (k,) over which dry friction rises to its size [rad/s or m/s].
         delay: Time (m,) from the stamp of each input until it acts [s].
         lead: Time (m,) [s]; each input has its rate, multiplied by this time, added.
@@ -108,7 +108,7 @@ class Servos(Functional):
         return _input_ratio(u, self.switches, jnp.ones_like(rate)) * (controller_torque - self.back_emf * rate)
 
     def added_friction(self, torque: Float[Array, "k"], weight: Float[Array, "k"]) -> Float[Array, "k"]:
-        """Dry friction (k,) due to the load: to the torques of the motors and of the weight at the servos."""
+        """Dry friction (k,) caused by the load, the torques of the motors and of the weight at the servos."""
         return jnp.abs(self.load_external * weight - self.load * torque)
 
     def cast(self, dtype: Any) -> "Servos":
@@ -166,7 +166,7 @@ class ServoDissipation(Functional):
         if servos.loaded:
             weight = jnp.zeros_like(torque)
             if servos.weighted:
-                # A servo drives one coordinate, at the ratio in its row, so the weight at the servo is torque / ratio.
+                # A servo drives one coordinate with the ratio in its row, so the weight at the servo is torque / ratio.
                 slope = jax.grad(self.potential)(q)
                 weight = -servos.rows @ _last(slope, n) / jnp.sum(servos.rows**2, axis=1)
             sign = jnp.tanh(servos.rows @ rates / servos.smoothing)
@@ -307,7 +307,7 @@ def with_servos(robot: Description, given: Mapping[str, Mapping[str, Any]]) -> D
     flipped = {name for name, table in given.items() if _sign(name, table) < 0}
     joints = []
     for joint in (_flipped(joint, flipped) for joint in robot.joints):
-        # A table adds to the servo that the file states.
+        # A table adds keys to the servo that the file states.
         own = servo_of(driving[joint.name]) if joint.name in driving and joint.servo is None else joint.servo
         joint = joint._replace(servo=own)
         joints.append(_with_servo(joint, given[joint.name]) if joint.name in given else joint)
@@ -315,7 +315,7 @@ def with_servos(robot: Description, given: Mapping[str, Mapping[str, Any]]) -> D
 
 
 def complete_tables(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Tables of servos, each with what it takes from the one that it is like."""
+    """Tables of servos, each completed by the table named in its key `like`."""
     for name, table in given.items():
         if not isinstance(table, Mapping):
             raise InputError(f"servo.{name} must be a table, [servo.{name}]; got {table!r}")
@@ -336,7 +336,7 @@ def _sign(name: str, table: Mapping[str, Any]) -> int:
 
 
 def _flipped(joint: Joint, names: set[str]) -> Joint:
-    """The joint with its axis reversed if it is in `names`, and its ratio reversed if the joint that it follows is."""
+    """The joint with its axis reversed if it is in `names`, and with its ratio reversed if its leader is."""
     if joint.follows is not None and joint.follows.joint in names:
         joint = joint._replace(follows=joint.follows._replace(ratio=-joint.follows.ratio))
     if joint.name not in names:
@@ -395,7 +395,7 @@ def checked_law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
 
 
 def drive_limit(servo: Servo) -> tuple[Any, Any]:
-    """Torque limit and back-EMF damping; both follow from the drive where the servo states one."""
+    """Torque limit and back-EMF damping; if the servo states a drive, both follow from it."""
     if known(servo.supply) and not servo.supply:
         return servo.limit, servo.back_emf
     current = servo.torque_constant / servo.resistance

@@ -1,9 +1,9 @@
-"""The configuration space of a tree of rigid bodies, by sweeps along the tree.
+"""Computes the configuration space of a tree of rigid bodies by sweeps along the tree.
 
 A configuration embeds a machine in the flat space of its mass points, where its kinetic energy is a quadratic form. All
-geometry follows from two things: the twists of the bodies, a linear function of the velocity, and the change of these
-along a motion. Sums over mass points come down to mass, first and second moment of each body. Curvature is that of a
-submanifold (Gauss), so no inertia matrix is ever differentiated.
+geometry follows from the twists of the bodies, a linear function of the velocity, and from their change along a motion.
+Sums over mass points reduce to mass, first and second moment of each body. Curvature is computed as for a submanifold
+(Gauss), so an inertia matrix is never differentiated.
 
 Source: Featherstone 2008, Rigid Body Dynamics Algorithms, chapters 5 and 6; Kobayashi & Nomizu 1969, Foundations of
 Differential Geometry II, chapter VII, for the equation of Gauss.
@@ -67,7 +67,7 @@ class Moments(NamedTuple):
 class PointField(NamedTuple):
     """A vector `offset + gradient r` at each mass point r of each body, the base first.
 
-    Or what belongs to such fields by duality, sums of forces on the mass points: `∫ρ N` and `∫ρ N rᵀ`.
+    It also represents what is dual to such fields, sums of forces N on the mass points: `∫ρ N` and `∫ρ N rᵀ`.
 
     Attributes:
         offset: Value (k + 1, 3) at the origin of the body.
@@ -86,7 +86,7 @@ class PointField(NamedTuple):
 
 
 class RobotSpace(AbstractSpace):
-    """Configuration space of a tree of bodies: SE(3) × SO(3)ᵇ × coordinates, or those of the factors that it has.
+    """Configuration space of a tree of bodies: SE(3) × SO(3)ᵇ × coordinates, of which each factor may be absent.
 
     A configuration x is an array of the pose (4, 4) of a floating base, row by row, the rotation (3, 3) of each ball
     joint, and the coordinates q. A velocity is the twist (v, ω) of a floating base in its own frame, then the spin of
@@ -98,7 +98,7 @@ class RobotSpace(AbstractSpace):
         manifold: Manifold of the configurations.
         floating: Whether the base floats.
         limits: Joint, and its lower and upper limit [rad or m], for each of the k positions of `joint_angles`; ±inf
-            without one. Nothing stops the motion there.
+            without a limit. The model does not stop a motion at a limit.
 
     Example:
         >>> import jax.numpy as jnp
@@ -129,7 +129,7 @@ class RobotSpace(AbstractSpace):
         joints = self.joints(x)
         twists, gathered = jax.vjp(lambda b: self.twists(joints, b), a)
         momenta = jnp.concatenate(_momentum(self._bodies(x), *_split_twists(twists)), axis=1)
-        # The transpose of velocity ↦ twists sums the momenta along the tree.
+        # The transpose of the map from velocity to twists sums the momenta along the tree.
         return gathered(momenta)[0] + self._rotors(a)
 
     def __call__(self, x: Configuration) -> Matrix:
@@ -152,7 +152,7 @@ class RobotSpace(AbstractSpace):
             aside = jnp.outer(turned, place)
             # Moments of the points R r + p, about the origin of the parent.
             moved = rotation @ second @ rotation.T + aside + aside.T + mass * jnp.outer(place, place)
-            moved = jnp.where(UPPER, moved, moved.T)  # symmetric to the last bit: when lowered, half the work
+            moved = jnp.where(UPPER, moved, moved.T)  # symmetric to the last bit, which halves the work when lowered
             return Moments(
                 whole.mass.at[parent].add(mass),
                 whole.first.at[parent].add(turned + mass * place),
@@ -160,7 +160,7 @@ class RobotSpace(AbstractSpace):
             ), None
 
         bodies = (order, parents, *joints)
-        # In reverse, children before parents: a composite body is complete when it is passed on.
+        # In reverse, children come before parents: a composite body is complete when it is passed on.
         whole = jax.lax.scan(collect, self._bodies(x), bodies, reverse=True)[0]
         turn, slide = (axis.astype(x.dtype) for axis in (tree.turn, tree.slide))
         each = Moments(*(part[1:] for part in whole))
@@ -175,14 +175,14 @@ class RobotSpace(AbstractSpace):
             row = carries * (force @ slide + moment @ turn)
             force = force @ rotation.T
             moved = jnp.concatenate([force, moment @ rotation.T + jnp.cross(place[None], force)], axis=1)
-            # Momenta of bodies not carried here are on another branch: their frames do not change in this step.
+            # A body that is not carried here is on another branch: the frame of its momentum does not change.
             return jnp.where(carries[:, None] > 0.5, moved, columns), row
 
         bodies = (order, *joints, turn, slide, by_joint, carried)
-        at_base, rows = by_joint, carried  # both are empty for a single body, which is no loop for JAX
+        at_base, rows = by_joint, carried  # both are empty for a single body, for which JAX has no loop
         if tree.parents:
             at_base, rows = jax.lax.scan(lower_down, jnp.zeros_like(by_joint), bodies, reverse=True)
-        # Parents come first, so that row i has its entries in the columns of bodies carried by i: the upper triangle.
+        # Parents come first, so row i has its entries in the columns of the bodies that i carries: the upper triangle.
         matrix = jnp.where(np.tri(len(tree.parents), dtype=bool).T, rows, rows.T)
         coordinates = tree.coordinates.astype(x.dtype)
         matrix = coordinates.T @ matrix @ coordinates + jnp.diag(tree.armature.astype(x.dtype))
@@ -209,7 +209,7 @@ class RobotSpace(AbstractSpace):
         return _solve_leaves_first(self(x), mu)
 
     def connection_force(self, x: Configuration, a: Vector, b: Vector) -> Vector:
-        """Covector `<∇_a b, ·>`: resistance of the mass points to the change of b along a, summed along the joints.
+        """Covector `<∇_a b, ·>`: inertial force of the mass points for the change of b along a, summed over joints.
 
         Args:
             x: Configuration.
@@ -229,7 +229,8 @@ class RobotSpace(AbstractSpace):
         """Riemann curvature `R(a, b)c` by the equation of Gauss.
 
         `<R(a, b)c, w> = <II(a, w), II(b, c)> − <II(b, w), II(a, c)>` with the second fundamental form II. In
-        `<II(a, w), II(b, c)>` the first may be the whole `∂_a ∂_w` of the places: the second is normal to the rest.
+        `<II(a, w), II(b, c)>` the first factor may be all of `∂_a ∂_w` of the positions, as the second is normal to the
+        rest.
 
         Args:
             x: Configuration.
@@ -245,14 +246,14 @@ class RobotSpace(AbstractSpace):
         spin_a, spin_b, spin_c = self._all_twists(joints, a)[:, 3:], self._all_twists(joints, b)[:, 3:], twists[:, 3:]
 
         def normal(along, spin, inertia):
-            """What mass points with these moments resist `II(along, c)` with."""
+            """Inertial forces of mass points with these moments for `II(along, c)`."""
             field = self._accelerations(joints, along, c, spin, spin_c, twists[0, :3])
-            # The part along the motions is what the constraint forces leave: its momentum is the gathered resistance.
+            # The tangential part is removed: its momentum is the inertial force gathered along the tree.
             within = _solve_leaves_first(matrix, gathered(_wrench(_resistance(moments, field)))[0])
             speed, twist = _split_twists(self._all_twists(joints, within))
             return _resistance(inertia, PointField(field.offset - speed, _plus_cross(field.gradient, -1, twist)))
 
-        # The second term of Gauss's equation has a minus sign, which negated moments carry.
+        # The second term of Gauss's equation has a minus sign, which negated moments provide.
         onto = normal(b, spin_b, moments), normal(a, spin_a, jax.tree.map(jnp.negative, moments))
 
         def moved(w):
@@ -261,7 +262,7 @@ class RobotSpace(AbstractSpace):
                 self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
             )
 
-        # `moved` is linear, so that its transpose is the same at any w.
+        # `moved` is linear, so its transpose is the same at every w.
         return _solve_leaves_first(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
 
     def joints(self, x: Configuration) -> Joints:
@@ -284,7 +285,7 @@ class RobotSpace(AbstractSpace):
         eye = jnp.eye(3, dtype=x.dtype)[None]
         flat = jnp.where(turns[:, None, None], eye - along, 0.0)
         still = eye - flat
-        # Rodrigues' formula; where the joint slides, `flat` and `turn` are zero and this is the identity.
+        # Rodrigues' formula; for a sliding joint `flat` and `turn` are zero, and it gives the identity.
         turned = still + jnp.cos(angle) * flat + jnp.sin(angle) * _hat(turn)
         if tree.balls:
             turned = turned.at[np.array(tree.balls)].set(self.ball_rotations(x))
@@ -311,7 +312,7 @@ class RobotSpace(AbstractSpace):
             x: Configuration.
 
         Returns:
-            Rotation (b, 3, 3) of the frame that each joint carries, in that in which it stands at the identity.
+            Rotation (b, 3, 3) of the frame that each joint carries, relative to its pose at the identity.
         """
         start = 16 * self.floating
         return x.reshape(-1)[start : start + 9 * len(self.tree.balls)].reshape(-1, 3, 3)
@@ -328,7 +329,7 @@ class RobotSpace(AbstractSpace):
         return self.tree.coordinates.astype(a.dtype) @ (a[6:] if self.floating else a)
 
     def pose(self, x: Configuration, link: str) -> Float[Array, "4 4"]:
-        """Pose `T_world_link` of the frame of a link; the world is the frame of the root where that is fixed.
+        """Pose `T_world_link` of the frame of a link; the world is the frame of the root if the root is fixed.
 
         Args:
             x: Configuration.
@@ -351,7 +352,7 @@ class RobotSpace(AbstractSpace):
         return x.reshape(-1)[:16].reshape(4, 4) @ pose if self.floating else pose
 
     def relative(self, x: Configuration, link: str, other: str) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
-        """Rotation and origin of the frame of another link in that of a link, through the joints between them alone.
+        """Rotation and origin of another link's frame in a link's frame, only through the joints between them.
 
         Args:
             x: Configuration.
@@ -369,7 +370,7 @@ class RobotSpace(AbstractSpace):
             body, rotation, place = self.links.of(name)
             frames.append((body, rotation.astype(x.dtype), place.astype(x.dtype)))
         while frames[0][0] != frames[1][0]:
-            # Parents come first, so that the later body is not the one that carries both.
+            # Parents come first, so the later of two bodies does not carry the other one.
             later = int(frames[1][0] > frames[0][0])
             body, rotation, place = frames[later]
             rotation, place = joints.rotation[body] @ rotation, joints.rotation[body] @ place + joints.place[body]
@@ -378,7 +379,7 @@ class RobotSpace(AbstractSpace):
         return first.T @ second, first.T @ (place - origin)
 
     def jacobian(self, x: Configuration, link: str) -> Float[Array, "6 n"]:
-        """Jacobian of a link: its twist (v, ω), in its own frame, for each component of the velocity.
+        """Jacobian of a link: its twist (v, ω), in its own frame, per component of the velocity.
 
         Args:
             x: Configuration.
@@ -395,7 +396,7 @@ class RobotSpace(AbstractSpace):
 
         def twist(a: Vector) -> Float[Array, "6"]:
             speed, spin = _split_twists(self.twists(joints, a)[body + 1])
-            # v @ R is Rᵀ v: from the frame of the body to that of the link.
+            # v @ R is Rᵀ v: it converts from the frame of the body to that of the link.
             return jnp.concatenate([(speed + jnp.cross(spin, place)) @ rotation, spin @ rotation])
 
         zero = self.manifold.zero(x)
@@ -403,11 +404,11 @@ class RobotSpace(AbstractSpace):
 
     @property
     def mass(self) -> Array:
-        """Mass of the robot [kg], base included, that has a weight."""
+        """Mass of the robot [kg], base included, as far as it has weight."""
         return self.tree.base_mass + jnp.sum(self.tree.mass) - self.tree.weightless
 
     def first_moment(self, x: Configuration, joints: Joints) -> Float[Array, "3"]:
-        """First moment `∫ρ r` of the whole robot in the world, of what has a weight.
+        """First moment `∫ρ r` of the whole robot in the world, as far as it has weight.
 
         Args:
             x: Configuration.
@@ -461,16 +462,16 @@ class RobotSpace(AbstractSpace):
     def _accelerations(
         self, joints: Joints, a: Vector, b: Vector, spin_a: Array, spin_b: Array, speed: Float[Array, "3"]
     ) -> "PointField":
-        """`∂_a ∂_b` of the positions of the mass points: linear in b, without the change of b itself.
+        """`∂_a ∂_b` of the positions of the mass points; linear in b, for constant components of b.
 
-        `spin_a`, `spin_b` are the spins of the bodies, `speed` is that of the base, all at the velocities a and b.
+        `spin_a` and `spin_b` are the spins of the bodies, `speed` is that of the base, for the velocities a and b.
         """
         tree, rates_a, rates_b = self.tree, self.joint_rates(a)[:, None], self.joint_rates(b)[:, None]
         turn, slide = tree.turn.astype(b.dtype), tree.slide.astype(b.dtype)
         k1 = len(tree.parents) + 1
-        # A sliding axis turns with its body: each of the two rates is turned by the other's spin (Coriolis).
+        # A sliding axis turns with its body, so the spin for one velocity turns the rate of the other (Coriolis).
         sliding = jnp.cross(spin_b[1:k1], slide * rates_a) + jnp.cross(spin_a[1:k1], slide * rates_b)
-        # The axes of a ball joint's three bodies all stand still in the frame that it carries.
+        # The axes of the three bodies of a ball joint are all fixed in the frame that the joint carries.
         frame_spin = spin_a[1 + tree.frames()] if tree.balls else spin_a[1:k1]
         spun = jnp.cross(frame_spin, turn * rates_b)
 
@@ -491,7 +492,7 @@ class RobotSpace(AbstractSpace):
             return (now, angular.at[i + 1].set(turned)), None
 
         parents = jnp.asarray([p + 1 for p in tree.parents], int)
-        # The base's twist has constant components in its own frame: only the turn of that frame, by ω_a, changes it.
+        # The base's twist has constant components in its own frame, so it changes only by that frame's rotation ω_a.
         angular = jnp.cross(spin_a[0], spin_b[0])
         none = jnp.zeros((k1, 3), b.dtype)
         start = PointField(
@@ -508,7 +509,7 @@ class RobotSpace(AbstractSpace):
     def _propagated(
         self, joints: Joints, first: Float[Array, "k1 6"], by_joint: Float[Array, "k 6"]
     ) -> Float[Array, "k1 6"]:
-        """Propagate twists along the tree from `first`, that of the base; each joint adds that in `by_joint`."""
+        """Propagate twists along the tree from `first`, the base's twist; each joint adds its entry of `by_joint`."""
 
         def step(twists, body):
             i, parent, rotation, place, added = body
@@ -534,8 +535,9 @@ class RobotSpace(AbstractSpace):
     def _moments(self, x: Configuration) -> Moments:
         """Moments of the base, of the bodies, and of the rotors of ball joints.
 
-        A rotor with the reflected inertia J about every axis of a joint is a body with the second moment J/2, without
-        mass, which turns as the joint does, whatever carries it. A rotor of a single axis adds no curvature.
+        A rotor with the reflected inertia J about every axis of a joint is a body without mass and with the second
+        moment J/2, which turns as the joint does, independent of its carrier. A rotor of a single axis adds no
+        curvature.
         """
         bodies, balls = self._bodies(x), len(self.tree.balls)
         if not balls:
@@ -547,8 +549,8 @@ class RobotSpace(AbstractSpace):
 
 
 def _solve_leaves_first(matrix: Matrix, mu: Vector) -> Vector:
-    """Solve `matrix a = mu` by eliminating each joint before those that carry it, so that zeros between branches
-    remain.
+    """Solve `matrix a = mu`, eliminating each joint before the joints that carry it, so that zeros between branches
+    are preserved.
 
     Source: Featherstone 2008, section 6.5.
     """
@@ -566,8 +568,8 @@ def _momentum(moments: Moments, speed: Array, spin: Array) -> tuple[Array, Array
 def _rotational_inertia(second: Float[Array, "k1 3 3"]) -> Float[Array, "k1 3 3"]:
     """The inertia tensors `tr(S) − S` of second moments S, entry by entry.
 
-    The moment of a body along an axis does not enter its inertia about that axis; a trace would add and subtract it,
-    with a rounding error.
+    The moment of a body along an axis does not contribute to its inertia about that axis; a trace would add and
+    subtract it, with a rounding error.
     """
     others = [
         [second[:, j, j] + second[:, k, k] if i == m else -second[:, i, m] for m in range(3)]
@@ -586,7 +588,7 @@ def _resistance(moments: Moments, field: PointField) -> PointField:
 def _wrench(resisted: PointField) -> Float[Array, "k1 6"]:
     """Force `∫ρ N` and moment `∫ρ r × N` of each body."""
     force, dual = resisted
-    # Negative indices step cyclically: entry 0 is r₁N₂ − r₂N₁, and so on.
+    # Negative indices work cyclically: entry 0 is r₁N₂ − r₂N₁, and so on.
     moment = [dual[:, i - 1, i - 2] - dual[:, i - 2, i - 1] for i in range(3)]
     return jnp.concatenate([force, jnp.stack(moment, axis=1)], axis=1)
 
@@ -602,7 +604,7 @@ def _plus_cross(matrix: Array, sign: int, a: Array) -> Array:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """The matrix products (k, 3, 3), written out: XLA 0.9 fails to compile some nested batches of such small ones."""
+    """The matrix products (k, 3, 3), written out, as XLA 0.9 fails to compile some nested batches of small products."""
     return jnp.sum(a[:, :, :, None] * b[:, None, :, :], axis=2)
 
 

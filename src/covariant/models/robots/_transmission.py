@@ -1,7 +1,8 @@
-"""Transmissions of URDF: rotor inertias and reductions, as felt at the joints.
+"""Reads transmissions of URDF files: rotor inertias and reductions, reflected to the joints.
 
-An inertia J that turns n times as fast as the joint is felt there as n² J, and a torque τ of the motor as n τ. Logged
-torques are those at the joints, so that a reduction alone changes nothing, unless a user says they are the motors'.
+An inertia J that turns n times as fast as the joint acts there as n² J, and a torque τ of the motor as n τ. Logged
+torques are those at the joints, so a reduction alone changes nothing, unless the user says that motor torques are
+logged.
 Source: `transmission_interface` of ROS for `mechanicalReduction`; the documentation of Drake, reflected inertia, for
 `rotor_inertia` and `gear_ratio`.
 """
@@ -26,7 +27,7 @@ def with_rotors(
     used: Counter[str],
     ignored: Counter[str],
 ) -> list[Joint]:
-    """Joints with the armatures and reductions of transmissions, whose entries are counted in `used` and `ignored`."""
+    """Joints with the armatures and reductions of transmissions; their entries are counted in `used` and `ignored`."""
     by_name = {joint.name: joint for joint in joints}
     for entry in transmissions:
         rotors = [part for part in entry.iter() if name_of(part) == ROTOR]
@@ -51,7 +52,7 @@ def with_rotors(
         if inertia < 0:
             raise InputError(f"{where}: {ROTOR} must not be negative; got {inertia:g} kg m²")
         by_name[joint.name] = joint._replace(
-            # The energy ½J(n q')² is that of n²J at the joint.
+            # The energy ½J(n q')² equals that of an inertia n²J at the joint.
             armature=joint.armature + turns**2 * inertia,
             reductions=(*joint.reductions, turns) if geared else joint.reductions,
         )
@@ -59,9 +60,9 @@ def with_rotors(
 
 
 def reduction(entry: Element, where: str) -> float:
-    """Turns of the motor for one of the joint, or for 1 m: 1 where nothing is stated."""
+    """Turns of the motor per turn of the joint, or per 1 m; 1 if nothing is stated."""
     stated = [(name_of(part), _value(part, where)) for part in entry.iter() if name_of(part) in REDUCTIONS]
-    # Joint and actuator may both state the reduction, by either name, but not with different numbers.
+    # Joint and actuator may both state the reduction, by either name, but the numbers must agree.
     if len({value for _, value in stated}) > 1:
         both = " and ".join(f"{name} {value:g}" for name, value in stated)
         raise InputError(f"{where}: {both} differ; keep one")
@@ -72,14 +73,14 @@ def reduction(entry: Element, where: str) -> float:
 
 
 def _value(entry: Element, where: str) -> float:
-    """The number of a tag, its attribute `value` or its text."""
+    """The number of a tag, from its attribute `value` or its text."""
     if "value" in entry.attrib:
         return number(entry, "value", where)
     return finite((entry.text or "").strip(), f"{where}: <{name_of(entry)}>")
 
 
 def _count(entry: Element, needed_here: bool, used: Counter[str], ignored: Counter[str], path: str = "") -> None:
-    """Count a transmission and its tags: those that lead to an armature or a reduction are used."""
+    """Count a transmission and its tags; tags that contribute to an armature or a reduction count as used."""
     name = name_of(entry)
     path = f"{path}/{name}" if path else name
     needed = needed_here and name in ("transmission", "joint", "actuator", ROTOR, *REDUCTIONS)

@@ -1,4 +1,4 @@
-"""Trees of rigid bodies as arrays: their parents, joints and inertias."""
+"""Stores trees of rigid bodies as arrays: their parents, joints and inertias."""
 
 import equinox as eqx
 import numpy as np
@@ -8,13 +8,13 @@ from covariant._names import refuse_unknown
 
 
 class KinematicTree(eqx.Module):
-    """Rigid bodies that are connected by joints of one axis, or by ball joints, the parents first.
+    """Rigid bodies connected by joints of one axis or by ball joints, with parents before children.
 
-    Body i turns about, or slides along, an axis through its own origin. It stands on body `parents[i]`, or on the base
-    where this is −1. The joints stand at `θ = coordinates q + offset`, linear functions of the n coordinates q: so one
-    may follow another. A ball joint is three bodies with one and the same frame, the first two without mass; each turns
-    about one axis of that frame, at the rate that is a component of the spin of the joint in it. Its position is a
-    rotation matrix, and not three angles.
+    Body i turns about, or slides along, an axis through its origin. Its parent is the body `parents[i]`, or the base if
+    this is −1. The joint positions are `θ = coordinates q + offset`, linear functions of the n coordinates q, so one
+    joint may follow another. A ball joint is three bodies with the same frame, the first two without mass. Each turns
+    about one axis of that frame, at the rate of one component of the joint's spin in it. The position of a ball joint
+    is a rotation matrix, not three angles.
 
     Attributes:
         parents: Parent of each of the k bodies, −1 for the base.
@@ -25,15 +25,15 @@ class KinematicTree(eqx.Module):
         mass: Mass `∫ρ` (k,) [kg].
         first: First moment `∫ρ r` (k, 3) about the origin of the body [kg m].
         second: Second moment `∫ρ r rᵀ` (k, 3, 3) about the origin of the body [kg m²].
-        base_mass: Mass () of the base [kg], where it floats.
+        base_mass: Mass () of the base [kg], if it floats.
         base_first: First moment (3,) of the base [kg m].
         base_second: Second moment (3, 3) of the base [kg m²].
-        coordinates: Rates of the joints for those of the velocity (k, 3b + n), spins of the b ball joints first; for
-            the configuration the last n columns.
+        coordinates: Joint rates per velocity component (k, 3b + n), spins of the b ball joints first; for the
+            configuration, the last n columns apply.
         offset: Positions of the joints at q = 0 (k,) [rad or m].
-        armature: Inertia of the rotors, as felt at the rates of the velocity (3b + n,) [kg m² or kg].
+        armature: Inertia of the rotors, reflected to the velocity components (3b + n,) [kg m² or kg].
         balls: First of the three bodies of each of the b ball joints.
-        weightless: Part () of the mass of the base that has no weight [kg], the armature of a floating joint.
+        weightless: Part () of the base's mass that has no weight [kg], the armature of a floating joint.
 
     Example:
         >>> from covariant.models import robots
@@ -60,7 +60,7 @@ class KinematicTree(eqx.Module):
     weightless: Float[Array, ""]
 
     def frames(self) -> np.ndarray:
-        """Body in whose frame the axis of each body stands still.
+        """The body in whose frame the axis of each body is fixed.
 
         Returns:
             Indices (k,): the body itself, or the last one of its ball joint.
@@ -79,14 +79,14 @@ class KinematicTree(eqx.Module):
         k = len(self.parents)
         bodies = np.eye(k, dtype=bool)
         for i in reversed(range(k)):
-            # From the last body to the first: what a body carries is complete when its parent takes it over.
+            # From the last body to the first: the list of a body is complete when its parent takes it over.
             if self.parents[i] >= 0:
                 bodies[self.parents[i]] |= bodies[i]
         return bodies
 
 
 class Links(eqx.Module):
-    """The frames of a robot's links in the bodies that they are part of.
+    """The frames of a robot's links in the bodies to which they belong.
 
     Attributes:
         names: Names of the l links.

@@ -1,6 +1,6 @@
-"""URDF files, the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`.
+"""Reads URDF files, the robot descriptions of ROS. Source: the specification of the ROS package `urdfdom`.
 
-Ball joints, which URDF does not have, are called `spherical`, as in Bullet and MuJoCo, or `ball`, as in Drake.
+Ball joints, which standard URDF lacks, are called `spherical`, as in Bullet and MuJoCo, or `ball`, as in Drake.
 """
 
 import math
@@ -33,14 +33,14 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Description:
-    """Read the robot that a URDF file describes; `robot` is its outermost tag, `name` its name where that has none."""
+    """Read the robot that a URDF file describes; `robot` is its outermost tag, `name` is used if that has no name."""
     used, ignored, doubts = Counter(), Counter(), []
     links: dict[str, BodyInertia] = {}
     joints: list[Joint] = []
     for tag in ("link", "joint"):
         check_count(len(robot.findall(tag)), MOST_LINKS, f"{tag}s")
     for entry in robot:
-        tag = name_of(entry)  # without a namespace: Drake has joints in one
+        tag = name_of(entry)  # without the namespace, in which Drake has some joints
         if tag == "transmission":
             continue
         if tag not in ("link", "joint") or (tag == "joint" and "type" not in entry.attrib):
@@ -87,7 +87,7 @@ def _inertia(link: Element, name: str) -> BodyInertia:
     if mass is None or moments is None:
         raise InputError(f"{where}: <inertial> needs <mass> and <inertia>")
     xx, xy, xz, yy, yz, zz = (
-        # The moments are required by the specification; files often leave out products that are zero.
+        # The specification requires all moments, but files often leave out products that are zero.
         number(moments, key, where, 0.0 if key in ("ixy", "ixz", "iyz") else None)
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
@@ -113,7 +113,7 @@ def _joint(entry: Element, name: str) -> Joint:
     if kind not in WITHOUT_AXIS and not length > 1e-9:
         raise InputError(f"{where}: the axis must have a direction; got {axis.tolist()}")
     dynamics, limit, mimic = entry.find("dynamics"), entry.find("limit"), entry.find("mimic")
-    # The specification has 0 for a limit that is not stated, and limits a continuous joint by none.
+    # In the specification 0 means a limit that is not stated, and a continuous joint has no limits.
     lower, upper = (
         (-np.inf, np.inf)
         if limit is None or kind in ("continuous", *WITHOUT_AXIS)
@@ -157,4 +157,4 @@ def _origin(entry: Element, where: str) -> tuple[np.ndarray, np.ndarray]:
     about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return exact(about_z @ about_y @ about_x), place  # rpy turns about fixed axes: roll first, yaw last
+    return exact(about_z @ about_y @ about_x), place  # rpy are rotations about fixed axes: roll first, yaw last

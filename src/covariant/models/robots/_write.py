@@ -1,4 +1,4 @@
-"""Robots as files for simulators: URDF, MJCF, and a table of their servos, by the ending of the file."""
+"""Writes robots as files for simulators: URDF, MJCF, or a table of their servos, depending on the file's suffix."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,17 +22,17 @@ from scalargraph.errors import InputError
 LAW = ("asymmetry", "stribeck", "load", "load_external")
 """Numbers of a `FrictionLaw` beyond viscous and Coulomb friction."""
 SERVO = ("dead_band", "backlash", "switch", "logged_supply")
-"""What of a `Servo` no simulator's own drive of a joint has."""
+"""Properties of a `Servo` that no simulator's drive has."""
 LEFT_OUT = {
     ".urdf": (("stiffness", "gain", "damping", "feedforward", "delay", "offset", *SERVO), LAW),
     ".xml": (SERVO, LAW),
     ".json": (SERVO, ("asymmetry", "load", "load_external")),
 }
-"""What each format has no entry for, of a servo and of friction: URDF, MJCF, and the table for Isaac Lab."""
+"""Properties of servos and friction that each format cannot represent: URDF, MJCF, and the table for Isaac Lab."""
 
 
 class RobotText(NamedTuple):
-    """Text of a robot's file, and lines on numbers that the format has no entry for."""
+    """Text of a robot's file, and lines on numbers that the format cannot represent."""
 
     text: str
     left_out: tuple[str, ...]
@@ -50,7 +50,7 @@ def robot_text(
     payload: Mapping[str, Sequence[float]] | None = None,
     **numbers: Any,
 ) -> RobotText:
-    """Text of a file of the robot that `load` loads with the same arguments; `step` is that of a simulation [s]."""
+    """Text of a file of the robot that `load` loads with the same arguments; `step` is the simulation's step [s]."""
     robot = described(path, actuated, **numbers)
     try:
         robot = _with_payload(robot, payload or {})
@@ -70,7 +70,7 @@ def robot_text(
 
 
 def _check_mjcf(text: str) -> None:
-    """Raise `ValueError` where MuJoCo does not take the text, such as one with bodies that have no mass."""
+    """Raise `ValueError` if MuJoCo rejects the text, for example because of bodies without mass."""
     mujoco = load_optional("mujoco", use="MJCF files are written with", extra="robots")
     try:
         mujoco.MjModel.from_xml_string(text)
@@ -86,7 +86,7 @@ def _with_payload(robot: Description, payload: Mapping[str, Sequence[float]]) ->
 
 
 def _at_rest(robot: Description, lock: Mapping[str, float]) -> Description:
-    """The robot with fixed joints in place of those that stand still."""
+    """The robot with fixed joints in place of locked ones."""
     still, joints = still_joints(robot, dict(lock)), []
     for joint in robot.joints:
         if joint.name in still:
@@ -98,7 +98,7 @@ def _at_rest(robot: Description, lock: Mapping[str, float]) -> Description:
 
 
 def _with_motors(robot: Description, actuated: Sequence[str] | None) -> Description:
-    """The robot with a motor for each input, and with the servos of its motors at their joints."""
+    """The robot with a motor for each input; servos of its motors move to their joints."""
     joints = {joint.name: joint for joint in robot.joints if joint.kind != "fixed"}
     if robot.motors and actuated is None:
         motors = tuple(motor for motor in robot.motors if motor.joint in joints)

@@ -1,8 +1,9 @@
-"""Servos of a robot as one table for the actuators of Isaac Lab and of simulators with the same names.
+"""Writes servos of a robot as one table for the actuators of Isaac Lab and of simulators with the same names.
 
 An entry has the arguments of an explicit actuator with a delay for one joint, such as `DelayedPDActuatorCfg`:
-`stiffness` and `damping` are those of the drive, within `effort_limit`; `friction` is what holds the joint at rest,
-`dynamic_friction` what brakes it in motion, `viscous_friction` grows with the speed. Delays count physics steps.
+`stiffness` and `damping` belong to the drive, within `effort_limit`; `friction` holds the joint at rest,
+`dynamic_friction` brakes it in motion, and `viscous_friction` grows with the speed. Delays are counted in physics
+steps.
 """
 
 import json
@@ -41,7 +42,7 @@ def _actuator(joint: Joint, step: float) -> dict[str, Any]:
     return {
         "stiffness": float(servo.gain * servo.stiffness),
         "damping": float(servo.damping),
-        # JSON has no infinity, and a configuration without a limit leaves the entry out.
+        # JSON has no infinity; without a limit the configuration leaves the entry out.
         **{key: float(value) for key, value in limits.items() if math.isfinite(value)},
         "armature": float(joint.armature),
         "friction": float(coulomb + stribeck),

@@ -1,7 +1,7 @@
-"""Robots as MJCF files. Source: MuJoCo documentation, XML reference.
+"""Writes robots as MJCF files. Source: MuJoCo documentation, XML reference.
 
-The file has links, joints and actuators, and no shapes, so nothing touches anything. The position of a joint there is
-that of the log: an encoder offset o becomes `ref = −o`, the position at which the bodies have the pose of the file.
+The file has links, joints and actuators, but no shapes, so there are no contacts. Joint positions are those of the log:
+an encoder offset o becomes `ref = −o`, the position at which the bodies have the pose of the file.
 """
 
 import math
@@ -27,24 +27,24 @@ from scalargraph.errors import InputError
 KINDS = {"floating": "free", "ball": "ball", "prismatic": "slide", "revolute": "hinge", "continuous": "hinge"}
 ONE_AXIS = ("prismatic", "revolute", "continuous")
 STICKING = "0.999 0.999 0.001"
-"""Impedance of dry friction: MuJoCo's own default lets a joint creep under a load that friction could hold."""
+"""Impedance of dry friction; with MuJoCo's default a joint creeps under a load that friction could hold."""
 ROUNDING = 1e-9
-"""Part of a step that is rounding."""
+"""Fraction of a step that counts as rounding."""
 MOST_COEFFICIENTS = 5
-"""Coefficients of a polynomial between joints."""
+"""Largest number of coefficients of a polynomial between joints."""
 SPARE_SAMPLES = 2
-"""Samples of a delayed command beyond those of the delay: one is read before it is written, one for rounding."""
+"""Additional samples of a delayed command: one because it is read before it is written, one for rounding."""
 
 
 def mjcf_text(robot: Description, step: float, about: Sequence[str] = ()) -> str:
-    """Text of the MJCF file of a robot whose joints all move, follow or are fixed.
+    """Text of the MJCF file of a robot; each of its joints moves, follows another one, or is fixed.
 
     `step` is the time step of the simulation [s]; `about` are lines of its head.
     """
     robot = gathered(robot)
     whole = Element("mujoco", model=robot.name)
     SubElement(whole, "compiler", angle="radian")
-    # The damping of servos makes joints of little inertia stiff, which this integrator takes implicitly.
+    # The damping of servos makes joints of small inertia stiff; this integrator treats it implicitly.
     gravity = numbers_text(robot.gravity)
     SubElement(whole, "option", gravity=gravity, timestep=repr(step), integrator="implicitfast")
     world = SubElement(whole, "worldbody")
@@ -61,7 +61,7 @@ def mjcf_text(robot: Description, step: float, about: Sequence[str] = ()) -> str
 
 
 def gathered(robot: Description) -> Description:
-    """The robot with the inertia of fixed links at the links that carry them, so that frames need none."""
+    """The robot with the inertia of fixed links moved to the links that carry them, so that fixed frames have none."""
     links, frames = dict(robot.links), {robot.root: (robot.root, np.eye(3), np.zeros(3))}
     for joint in robot.joints:
         carrier, turned, shifted = frames[joint.parent]
@@ -77,13 +77,13 @@ def gathered(robot: Description) -> Description:
 
 def _add_bodies(parent: Element, robot: Description, link: str, below: Mapping[str, list[Joint]], step: float) -> None:
     """Add the bodies that a link carries."""
-    # Depth first without recursion: a chain may be longer than Python's stack.
+    # Depth first without recursion, since a chain may be longer than Python's stack.
     stack = [(parent, joint, [joint]) for joint in reversed(below.get(link, []))]
     while stack:
         element, joint, chain = stack.pop()
         carried = below.get(joint.child, [])
         if len(carried) == 1 and _is_passed(robot.links[joint.child], chain, carried[0]):
-            # MuJoCo refuses moving bodies without mass, and gives one body several joints instead.
+            # MuJoCo refuses moving bodies without mass; instead, one body gets several joints.
             stack.append((element, carried[0], [*chain, carried[0]]))
             continue
         body = _add_body(element, robot, joint.child, chain, step)
@@ -91,14 +91,14 @@ def _add_bodies(parent: Element, robot: Description, link: str, below: Mapping[s
 
 
 def _is_passed(inertia: BodyInertia, chain: Sequence[Joint], after: Joint) -> bool:
-    """Whether a link without mass only passes on the motion of the joints before it."""
+    """Whether a massless link only passes on the motion of the joints before it."""
     massless = not inertia.mass and not np.any(inertia.second)
     return massless and chain[0].kind in ONE_AXIS and after.kind in (*ONE_AXIS, "fixed")
 
 
 def _add_body(parent: Element, robot: Description, link: str, chain: Sequence[Joint], step: float) -> Element:
     """Add a link with the joints from its carrier to it."""
-    rotations, places = [np.eye(3)], [np.zeros(3)]  # of the frame of the link in those of the joints, last first
+    rotations, places = [np.eye(3)], [np.zeros(3)]  # of the link's frame in the joints' frames, last joint first
     for joint in reversed(chain):
         rotations.append(joint.rotation @ rotations[-1])
         places.append(joint.place + joint.rotation @ places[-1])
@@ -143,18 +143,18 @@ def _add_joint(body: Element, joint: Joint, axis: np.ndarray, anchor: np.ndarray
         if value:
             entry.set(key, repr(float(value)))
     if coulomb:
-        # Two steps are the shortest time constant that MuJoCo takes.
+        # Two steps are the shortest time constant that MuJoCo accepts.
         entry.attrib.update(solreffriction=numbers_text([2 * step, 1.0]), solimpfriction=STICKING)
 
 
 def plain_friction(joint: Joint) -> tuple[float, float]:
-    """Viscous and Coulomb friction of a joint, with what a servo that is on damps beyond its limit."""
+    """Viscous and Coulomb friction of a joint, including a servo's damping that its limit does not affect."""
     viscous, coulomb = (joint.law.viscous, joint.law.coulomb) if joint.law else (joint.damping, joint.friction)
     return viscous + (drive_limit(joint.servo)[1] if joint.servo else 0.0), coulomb
 
 
 def _add_equalities(whole: Element, robot: Description) -> None:
-    """Add the constraints of joints that follow others: between deviations from `ref`, which are angles of the file."""
+    """Add the constraints of joints that follow others, between deviations from `ref`, which are angles of the file."""
     followers = [(joint.name, joint.follows) for joint in robot.joints if joint.follows and joint.kind != "fixed"]
     if not followers and not robot.loops:
         return
@@ -166,7 +166,7 @@ def _add_equalities(whole: Element, robot: Description) -> None:
 
 
 def _add_loops(whole: Element, robot: Description) -> None:
-    """Add what closes the loops, between sites, and a keyframe in which they are closed: at qpos0 they need not be."""
+    """Add constraints that close the loops, between sites, and a keyframe with closed loops, as qpos0 may be open."""
     table, world = whole.find("equality"), whole.find("worldbody")
     if not robot.loops or table is None or world is None:
         return
@@ -179,7 +179,7 @@ def _add_loops(whole: Element, robot: Description) -> None:
             entry.set("polycoef", numbers_text(np.pad(loop.polynomial, (0, MOST_COEFFICIENTS - len(loop.polynomial)))))
             continue
         entry = SubElement(table, "connect" if loop.rotation is None else "weld", name=loop.name)
-        # Where the frames coincide, that of the second link is turned against the first by `rotation`.
+        # If the frames coincide, the second link's frame is rotated relative to the first one by `rotation`.
         turns = np.eye(3) if loop.rotation is None else np.array(loop.rotation), np.eye(3)
         for number, (link, point, turn) in enumerate(zip(loop.links, loop.points, turns, strict=True), 1):
             body = bodies.get(link)
@@ -193,7 +193,7 @@ def _add_loops(whole: Element, robot: Description) -> None:
         kinds = {joint.name: joint.kind for joint in robot.joints}
         pose: list[float] = []
         for entry in whole.iter("joint"):
-            if "type" in entry.attrib:  # those of bodies, in the order of qpos
+            if "type" in entry.attrib:  # joints of bodies, in the order of qpos
                 name = entry.get("name", "")
                 still = {"floating": [0, 0, 0, 1, 0, 0, 0], "ball": [1, 0, 0, 0]}.get(kinds[name], 0.0)
                 pose += np.ravel(robot.assembly.get(name, still)).tolist()
@@ -223,7 +223,7 @@ def _add_actuators(whole: Element, robot: Description, step: float) -> None:
 
 
 def _add_servo(table: Element, motor: Motor, servo: Servo, step: float) -> None:
-    """Add `k (c + offset − q) − damping v` within the limit: MuJoCo's general actuator, or its position servo."""
+    """Add `k (c + offset − q) − damping v` within the limit, as MuJoCo's general actuator or position servo."""
     stiffness, (limit, _) = servo.gain * servo.stiffness, drive_limit(servo)
     plain = not servo.offset and servo.command_scale == 1
     entry = SubElement(table, "position" if plain else "general", name=motor.name, joint=motor.joint)
@@ -241,5 +241,5 @@ def _add_servo(table: Element, motor: Motor, servo: Servo, step: float) -> None:
 
 
 def lasting_delay(servo: Servo) -> float:
-    """Delay [s] of the command, less what the feedforward makes up for: to first order it is a lead."""
+    """Delay [s] of the command, reduced by the feedforward, which to first order is a lead."""
     return max(float(servo.delay - servo.feedforward / (servo.gain * servo.stiffness)), 0.0)

@@ -1,4 +1,4 @@
-"""URDF files with other numbers: inertias of links, and friction, rotors, limits, axes and zeros of joints."""
+"""Writes URDF files with other numbers: inertias of links, and friction, rotors, limits, axes and zeros of joints."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,13 +21,13 @@ from scalargraph.errors import InputError
 
 KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 DRAKE = "http://drake.mit.edu"
-"""Namespace of what Drake adds to URDF."""
+"""Namespace of Drake's additions to URDF."""
 ANY_SPEED = 1e6
-"""Limit of the speed [rad/s or m/s] beside a limit of the torque, where none is known: URDF requires both."""
+"""Speed limit [rad/s or m/s] that is written with a torque limit if none is known: URDF requires both."""
 
 
 def urdf_with_inertias(path: str | Path, inertia: Mapping[str, Sequence[float]]) -> str:
-    """Text of a URDF file with other inertias; everything else stays, but for comments.
+    """Text of a URDF file with other inertias; everything else stays, except comments.
 
     Args:
         path: Path of the file, or the name of one of `ROBOTS`.
@@ -37,7 +37,7 @@ def urdf_with_inertias(path: str | Path, inertia: Mapping[str, Sequence[float]])
         The text.
 
     Raises:
-        ValueError: The file is no URDF, or has no such link.
+        ValueError: The file is not a URDF file, or has no such link.
 
     Example:
         >>> from covariant.models import robots
@@ -56,7 +56,7 @@ def urdf_with_inertias(path: str | Path, inertia: Mapping[str, Sequence[float]])
 def urdf_text(path: str | Path, robot: Description, about: Sequence[str] = ()) -> str:
     """Text of the URDF file of a robot with the numbers of a changed description; everything else stays.
 
-    Positions of joints are then those of the log: an encoder offset goes into the pose of the joint.
+    Positions of joints are then those of the log: an encoder offset becomes part of the joint's pose.
     """
     if robot.loops:
         raise InputError(f"URDF has no closed loops, such as {robot.loops[0].name!r}; write an .xml file, MJCF")
@@ -94,7 +94,7 @@ def _set_inertia(link: Element, numbers: Sequence[float] | np.ndarray) -> None:
 
 
 def _set_joint(whole: Element, entry: Element, before: Joint, changed: Mapping[str, Joint]) -> None:
-    """Write what a joint has otherwise than before."""
+    """Write the properties of a joint that differ from before."""
     joint = changed[before.name]
     losses = plain_friction(joint)
     if losses != (before.damping, before.friction):
@@ -107,7 +107,7 @@ def _set_joint(whole: Element, entry: Element, before: Joint, changed: Mapping[s
     _set_limit(entry, before, joint)
     if joint.follows is not None and before.follows is not None:
         leader = changed[joint.follows.joint]
-        # Both count from where their logs do.
+        # Both positions count from the zeros of their logs.
         offset = joint.follows.offset + joint.follows.ratio * leader.encoder_offset - joint.encoder_offset
         if (joint.follows.ratio, offset) != (before.follows.ratio, before.follows.offset):
             numbers = {"multiplier": joint.follows.ratio, "offset": offset}
@@ -118,7 +118,7 @@ def _set_joint(whole: Element, entry: Element, before: Joint, changed: Mapping[s
 
 def _set_limit(entry: Element, before: Joint, joint: Joint) -> None:
     ends = np.array([joint.lower, joint.upper]) - joint.encoder_offset
-    limited = joint.kind in ("revolute", "prismatic") and before.lower < before.upper  # zeros stand for unknown ones
+    limited = joint.kind in ("revolute", "prismatic") and before.lower < before.upper  # zeros mean unknown limits
     if limited and not np.array_equal(ends, [before.lower, before.upper]):
         _part(entry, "limit").attrib.update(lower=repr(float(ends[0])), upper=repr(float(ends[1])))
     if joint.servo is None:
@@ -132,7 +132,7 @@ def _set_limit(entry: Element, before: Joint, joint: Joint) -> None:
 
 
 def _set_origin(origin: Element, joint: Joint) -> None:
-    """Turn or move the frame of a joint to where it is at a logged position of zero."""
+    """Turn or move the frame of a joint to its pose at a logged position of zero."""
     rotation, place = joint.rotation, joint.place
     if joint.kind == "prismatic":
         place = place + rotation @ joint.axis * joint.encoder_offset
@@ -143,7 +143,7 @@ def _set_origin(origin: Element, joint: Joint) -> None:
 
 
 def _roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Angles about fixed axes x, y, z, of which the first is zero where the second is ± 90°."""
+    """Angles about the fixed axes x, y, z; the first is zero if the second is ± 90°."""
     across = np.hypot(rotation[0, 0], rotation[1, 0])
     pitch = np.arctan2(-rotation[2, 0], across)
     if across < 1e-9:
@@ -152,7 +152,7 @@ def _roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
 
 
 def _set_rotor(whole: Element, joint: Joint) -> None:
-    """State the rotor of a joint as Drake does: URDF itself has no entry for it."""
+    """State the rotor of a joint in Drake's form, as URDF itself has no entry for it."""
     if joint.kind not in ONE_AXIS:
         raise InputError(f"joint {joint.name!r} is {joint.kind}, and URDF has rotors of joints of one axis only")
     driving = [
@@ -170,12 +170,12 @@ def _set_rotor(whole: Element, joint: Joint) -> None:
     for part in list(motor):
         if name_of(part) == ROTOR:
             motor.remove(part)
-    # The rotor turns as often as the transmission says, and is felt at the joint by the square.
+    # The transmission states the rotor's turns per joint turn; the joint feels the inertia with the square of these.
     value = float(joint.armature / reduction(transmission, where) ** 2)
     SubElement(motor, f"{{{DRAKE}}}{ROTOR}", value=repr(value))
 
 
 def _part(entry: Element, tag: str) -> Element:
-    """The part of an entry, made where it is missing."""
+    """The part of an entry, which is created if it is missing."""
     part = entry.find(tag)
     return SubElement(entry, tag) if part is None else part

@@ -1,4 +1,4 @@
-"""Text of XML files of robots: numbers to the last digit, and in a comment what a format cannot say."""
+"""Writes XML files of robots: numbers to the last digit, and a comment on what a format cannot represent."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -11,7 +11,7 @@ from covariant.models.robots._description import FrictionLaw, Joint, Servo
 from scalargraph.errors import InputError
 
 NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
-"""Characters that XML 1.0 cannot hold, not even as references."""
+"""Characters that XML 1.0 cannot contain, not even as references."""
 
 
 def numbers_text(numbers: Iterable[float]) -> str:
@@ -26,14 +26,14 @@ def xml_text(whole: Element, head: Sequence[str]) -> str:
             if NOT_IN_XML.search(value):
                 raise InputError(f"<{entry.tag}> has the {key} {value!r}, which XML cannot hold; rename it")
     ElementTree.indent(whole)
-    # Two hyphens end a comment.
+    # Two hyphens would end the comment.
     lines = [re.sub("-(?=-)", "- ", NOT_IN_XML.sub("?", line)) for line in head]
     comment = "<!--\n" + "".join(f"  {line}\n" for line in lines) + "-->\n" if lines else ""
     return f'<?xml version="1.0"?>\n{comment}{ElementTree.tostring(whole, encoding="unicode")}\n'
 
 
 def numbers_left_out(joints: Iterable[Joint], of_servo: Sequence[str], of_law: Sequence[str]) -> tuple[str, ...]:
-    """Those numbers of servos and friction that a format has no entry for, a line for each joint that has some."""
+    """The numbers of servos and friction that a format cannot represent, one line for each joint that has some."""
     lines = []
     for joint in joints:
         servo, law = joint.servo or Servo(0.0), joint.law or FrictionLaw()

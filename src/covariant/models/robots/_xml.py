@@ -1,4 +1,4 @@
-"""XML of robots: parsed so that the file can do no harm and open no other one, with numbers that are checked."""
+"""Parses XML of robots such that a file can do no harm and open no other file, and checks its numbers."""
 
 import math
 from pathlib import Path
@@ -13,9 +13,9 @@ from scalargraph.files import read_bytes
 
 
 def parse(path: Path) -> Element:
-    """Outermost tag of an XML file; raises `ValueError` where it declares document types or entities."""
+    """Outermost tag of an XML file; raises `ValueError` if it declares document types or entities."""
     data = read_bytes(path, ROBOT)
-    # UTF-16 has NUL bytes between letters, and would hide the words that are searched for below.
+    # UTF-16 has NUL bytes between letters, which would hide the words searched below.
     if b"\0" in data:
         raise InputError("is not text in UTF-8; save it as such")
     # Entities can grow exponentially (billion laughs) or name files to read.
@@ -29,7 +29,7 @@ def parse(path: Path) -> Element:
 
 
 def vector(entry: Element | None, key: str, where: str, default: tuple[float, float, float]) -> np.ndarray:
-    """Three finite numbers (3,) of an attribute, or the default where it is missing."""
+    """Three finite numbers (3,) of an attribute, or the default if it is missing."""
     text = None if entry is None else entry.get(key)
     if text is None:
         return np.array(default)
@@ -43,7 +43,7 @@ def vector(entry: Element | None, key: str, where: str, default: tuple[float, fl
 
 
 def number(entry: Element, key: str, where: str, default: float | None = None) -> float:
-    """Finite number of an attribute, or the default where it is missing; without a default it is required."""
+    """Finite number of an attribute, or the default if it is missing; without a default it is required."""
     text = entry.get(key)
     if text is None:
         if default is None:
@@ -53,7 +53,7 @@ def number(entry: Element, key: str, where: str, default: float | None = None) -
 
 
 def finite(text: str, what: str) -> float:
-    """The number in a text; raises `ValueError` where it is none, or not finite."""
+    """The number in a text; raises `ValueError` if it is not a number, or not finite."""
     try:
         value = float(text)
     except ValueError:
@@ -64,7 +64,7 @@ def finite(text: str, what: str) -> float:
 
 
 def attribute(entry: Element, key: str, where: str) -> str:
-    """Text of an attribute; raises `ValueError` where it is missing or empty."""
+    """Text of an attribute; raises `ValueError` if it is missing or empty."""
     text = entry.get(key)
     if not text:
         raise InputError(f"{where}: a <{entry.tag}> lacks {key!r}")

@@ -1,4 +1,4 @@
-"""The example systems that a model file may name, one in each file."""
+"""Example systems that a model file may name, one in each file."""
 
 import lazy_loader
 

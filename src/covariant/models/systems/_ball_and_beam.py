@@ -45,15 +45,15 @@ def ball_and_beam(gravity: Number = 1.0, mass: Number = 1.0, inertia: Number = 1
 
 
 def _metric(q, mass, inertia):
-    # The ball moves at (r', r θ') and the beam turns with it: T = ½ mass r'² + ½ (inertia + mass r²) θ'².
+    # The ball has the velocity (r', r θ') and the beam turns with it: T = ½ mass r'² + ½ (inertia + mass r²) θ'².
     return jnp.diag(jnp.stack([jnp.broadcast_to(mass, q[0].shape), inertia + mass * q[0] ** 2]))
 
 
 def _potential(q, mass, gravity):
-    # The ball is r sin θ above the pivot.
+    # The height of the ball above the pivot is r sin θ.
     return mass * gravity * q[0] * jnp.sin(q[1])
 
 
 def _on_the_beam(t, q, u):
-    # The torque works on the beam's angle alone: power u θ', so the covector is (0, u).
+    # The torque acts on the beam's angle only: its power is u θ', so the covector is (0, u).
     return jnp.stack([jnp.zeros_like(u[0]), u[0]])

@@ -25,9 +25,9 @@ def bioreactor(
     `μ(s) = growth s/(saturation + s + inhibition s²)`: Haldane's kinetics, and Monod's where `inhibition` is zero. To
     work in hours, or any other unit of time, give `growth` and u in that unit.
 
-    The biomass is observable from the substrate, by the rate at which it is consumed, wherever s > 0. The substrate
-    would not be observable from the biomass: two concentrations, below and above that of the fastest growth, give the
-    same growth rate.
+    The biomass is observable from the substrate, by the rate of its consumption, wherever s > 0. The substrate would
+    not be observable from the biomass: two concentrations, below and above that of the fastest growth, give the same
+    growth rate.
 
     Args:
         growth: Coefficient of the growth rate [1/s].
@@ -64,7 +64,8 @@ def bioreactor(
         units=("kg/m^3", "kg/m^3"),
         outputs=("substrate",),
         inputs=1,
-        # z = biomass + conversion·substrate obeys z' = u (conversion·feed − z), so no state stays above these bounds.
+        # z = biomass + conversion·substrate obeys z' = u (conversion·feed − z), so states do not stay above these
+        # bounds.
         box=tuple((high / 50, high) for high in (conversion * feed, feed)),  # unobservable without substrate
         parameters=parameters,
     )

@@ -11,11 +11,10 @@ _SOURCE = "Guckenheimer & Holmes 1983, section 2.2"
 def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) -> StateSpace:
     """Duffing oscillator `q̈ + damping q̇ + stiffness q + cubic q³ = u` of a unit mass [kg]; y = q [m], x = (q, q̇).
 
-    The input u is a force [N], zero where none is given.
+    The input u is a force [N], zero if none is given.
 
-    Use it to try observers of state-space models: with negative stiffness a periodic force can make it
-    chaotic. The
-    default values have two wells, at q = ±1 m.
+    Use it to try observers of state-space models: with negative stiffness, a periodic force can make it chaotic. The
+    default values have two potential wells, at q = ±1 m.
 
     Args:
         damping: Viscous damping [N s/m], not negative.
@@ -48,7 +47,7 @@ def duffing(damping: float = 0.25, stiffness: float = -1.0, cubic: float = 1.0) 
         units=("m", "m/s"),
         outputs=("q",),
         inputs=1,
-        # The wells are at ±√(−stiffness/cubic) = ±1, and the orbit through the saddle between them reaches ±√2.
+        # The wells are at ±√(−stiffness/cubic) = ±1; the orbit through the saddle between them reaches ±√2.
         box=((-2.0, 2.0), (-2.0, 2.0)),
         parameters=parameters,
     )

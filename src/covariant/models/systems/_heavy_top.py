@@ -1,4 +1,4 @@
-"""A rigid body that rotates about a fixed point: the heavy top and, without gravity, the free body."""
+"""Models a rigid body that rotates about a fixed point: the heavy top and, without gravity, the free body."""
 
 from collections.abc import Sequence
 
@@ -38,7 +38,7 @@ def heavy_top(
     xp = namespace(inertia, moment, axis)
     matrix, along = xp.asarray(inertia, float), xp.asarray(axis, float)
     matrix = xp.diag(matrix) if matrix.ndim == 1 else matrix
-    # U = m g l times the height of the unit vector along the arm: only the product is identifiable.
+    # U is m g l times the height of the unit vector along the arm: only the product m g l is identifiable.
     arm = moment * along / xp.linalg.norm(along)
     return GroupSystem(
         SO3,
@@ -58,7 +58,7 @@ def heavy_top(
 def free_body(inertia: Sequence[Number] | Sequence[Sequence[Number]] = (1.0, 2.0, 3.5)) -> GroupSystem:
     """Freely rotating rigid body: a `heavy_top` without gravity. Inputs are three torques in the body frame [N m].
 
-    Use it for a satellite or a first try of observers on SO(3). Its rotation has no friction, so kinetic energy and
+    Use it for a satellite or for first tests of observers on SO(3). Its rotation has no friction, so kinetic energy and
     angular momentum are constant without inputs. Near the axis of the middle inertia the motion is unstable, which
     makes it a hard test.
 

@@ -1,4 +1,4 @@
-"""A body on a leg of two links in a vertical plane, whose foot touches the ground."""
+"""Models a body on a leg of two links in a vertical plane, whose foot touches the ground."""
 
 from collections.abc import Sequence
 
@@ -20,19 +20,19 @@ def hopping_leg(
 ) -> Lagrangian:
     """A body on a leg of two links with a foot, in a vertical plane; the body does not turn.
 
-    Use it to see what an impact does to an estimate, and as an example of a model with `feet`. The foot is a point,
-    and may be anywhere: the ground is no part of the model.
+    Use it to see the effect of an impact on an estimate, and as an example of a model with `feet`. The foot is a point
+    and may be anywhere, since the ground is not part of the model.
 
     Args:
         body: Mass of the body [kg], at the hip.
-        mass: Masses of thigh and shank [kg], in their middles.
-        inertia: Their inertias [kg m²] about these.
+        mass: Masses of thigh and shank [kg], at their midpoints.
+        inertia: Their inertias [kg m²] about the midpoints.
         length: Their lengths [m].
         gravity: Gravity [m/s²].
 
     Returns:
-        The system with the coordinates x and z of the hip [m], the angle of the thigh from hanging down and that of the
-        knee [rad]. Its inputs are the torques [N m] of hip and knee, and the contact of the foot: 1 on the ground.
+        The system with the coordinates x and z of the hip [m], the angle of the thigh from hanging down, and the angle
+        of the knee [rad]. Inputs are the torques [N m] of hip and knee, and the contact of the foot: 1 on the ground.
 
     Example:
         >>> import jax.numpy as jnp
@@ -58,19 +58,19 @@ def hopping_leg(
 
 
 def _down(angle):
-    """Direction (2,) of a link that hangs at zero, and swings forwards."""
+    """Direction (2,) of a link that hangs down at angle zero and swings forwards."""
     return jnp.stack([jnp.sin(angle), -jnp.cos(angle)])
 
 
 def _turned(angle):
-    """Its derivative by the angle."""
+    """Derivative of `_down` by the angle."""
     return jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
 
 def _metric(q, body, mass, inertia, length):
     thigh, shank = length[0] * _turned(q[2]), length[1] * _turned(q[2] + q[3])
     none = jnp.zeros(2)
-    # Velocities of the middles of the links by the four rates; the shank turns with both angles.
+    # Velocities of the links' midpoints per rate of the four coordinates; the shank turns with both angles.
     middles = [
         jnp.column_stack([jnp.eye(2), thigh / 2, none]),
         jnp.column_stack([jnp.eye(2), thigh + shank / 2, shank / 2]),
@@ -91,5 +91,5 @@ def _feet(q, length):
 
 
 def _force(t, q, u):
-    """The torques of hip and knee; the last input is the contact of the foot, which is no force."""
+    """The torques of hip and knee; the last input, the contact of the foot, is not a force."""
     return jnp.stack([jnp.zeros_like(u[0]), jnp.zeros_like(u[0]), u[0], u[1]])

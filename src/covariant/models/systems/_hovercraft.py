@@ -58,7 +58,7 @@ def hovercraft(
 
 
 def _fans(t, g, u, offset):
-    # u[0] is the right fan: its thrust, at y = −offset, turns the bow to the left, which is a positive yaw rate.
+    # The right fan is u[0]: its thrust, at y = −offset, turns the bow to the left, a positive yaw rate.
     return jnp.stack([u[0] + u[1], jnp.zeros_like(u[0]), offset * (u[0] - u[1])])
 
 

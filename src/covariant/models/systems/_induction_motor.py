@@ -41,7 +41,7 @@ def induction_motor(
         mutual_inductance: Mutual inductance [H]; its square must be below the product of the other two.
         inertia: Inertia of the rotor [kg m²].
         pole_pairs: Number of pole pairs.
-        load: Torque [N m] against positive speed, a known constant; None for an unknown one, which becomes a sixth
+        load: Known constant torque [N m] against positive speed; None for an unknown one, which becomes a sixth
             state.
 
     Returns:
@@ -106,12 +106,12 @@ def _f(t, x, u, **parameters):
     motor = _Motor(**parameters)
     current, flux, speed = x[:2], x[2:4], x[4]
     rotated_flux = jnp.stack([-flux[1], flux[0]])  # by +90°
-    # The rotor is short-circuited, so its resistive drop, with rotor current (ψ − M i)/Lr, drives the flux.
+    # The rotor is short-circuited: the resistive voltage drop of its current (ψ − M i)/Lr drives the flux.
     induced = motor.rotor_resistance / motor.rotor_inductance * (motor.mutual_inductance * current - flux)
     flux_dot = induced + motor.pole_pairs * speed * rotated_flux
-    # Faraday in the stator, u = Rs i + (leakage i + coupling ψ)', solved for i'.
+    # Faraday's law in the stator, u = Rs i + (leakage i + coupling ψ)', solved for i'.
     current_dot = (u - motor.stator_resistance * current - motor.coupling * flux_dot) / motor.leakage
-    # No factor 3/2: the two phases are scaled so that u·i is the power of all three.
+    # There is no factor 3/2, as the two phases are scaled so that u·i is the power of all three.
     torque = motor.pole_pairs * motor.coupling * (rotated_flux @ current)
     resisting = x[5] if motor.load is None else motor.load
     load_dot = jnp.zeros_like(x[5:])

@@ -1,8 +1,9 @@
-"""The base of a robot on legs: what an IMU and the encoders of the legs tell of its velocity, without its dynamics.
+"""Models the base of a legged robot, whose velocity an IMU and leg encoders determine, without the robot's dynamics.
 
-Source: Bloesch et al. 2012, State estimation for legged robots, RSS, for feet that are anchors; Hartley, Ghaffari,
+Source: Bloesch et al. 2012, State estimation for legged robots, RSS, for feet as fixed points; Hartley, Ghaffari,
 Eustice & Grizzle 2020, Contact-aided invariant extended Kalman filtering for robot state estimation, IJRR 39(4). Here
-everything is in the axes of the base, where it is linear, and position and heading, which nothing measures, drop out.
+all vectors are in the axes of the base, in which the model is linear; position and heading, which are not measured,
+drop out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,9 +22,9 @@ GRAVITY = 9.81
 SPEED, TILT = 0.3, 0.3
 """Standard deviations of the first velocity [m/s] and of the first tilt [rad]."""
 BIASES = 0.05, 0.4
-"""Standard deviations of the biases of gyro [rad/s] and accelerometer [m/s²] at first."""
+"""Standard deviations of the initial biases of gyro [rad/s] and accelerometer [m/s²]."""
 DRIFTS = 1e-4, 1e-3
-"""Their drifts in a second, as a random walk."""
+"""Standard deviations of their drift in a second, as a random walk."""
 
 
 def legged_base(
@@ -35,11 +36,11 @@ def legged_base(
     slip: Number = 1e-3,
     flags: bool = False,
 ) -> ModelFile:
-    """Base of a robot on legs, whose velocity an IMU and encoders tell; for the observer `legged-base`.
+    """Base of a legged robot, whose velocity an IMU and encoders determine; for the observer `legged-base`.
 
     The IMU is at the origin of the root link, in its axes. Its readings are the inputs: angular velocity [rad/s], then
-    specific force [m/s²]; what is measured are the joints of the robot. States are, all in the axes of the base: its
-    velocity, gravity, the places of the feet while they stand, and the biases of gyro and accelerometer.
+    specific force [m/s²]. The joints of the robot are measured. The states, all in the axes of the base, are its
+    velocity, gravity, the positions of the standing feet, and the biases of gyro and accelerometer.
 
     Args:
         path: Robot file, URDF or MJCF.
@@ -47,14 +48,14 @@ def legged_base(
         radius: Radius of spherical feet [m], which roll; 0 for points.
         gyro_noise: Noise density of the gyro [rad/s/√Hz].
         accelerometer_noise: Noise density of the accelerometer [m/s²/√Hz], vibration included.
-        slip: How far a foot that stands creeps [m/√s].
-        flags: Whether a log has a column for each foot, 1 where it stands, 0 where it does not, empty where unknown.
+        slip: Creep of a standing foot, as a random walk [m/√s].
+        flags: Whether a log has a column for each foot: 1 while it stands, 0 while it does not, empty if unknown.
 
     Returns:
         The model with its noise, which `[uncertainty]` and `[initial]` of a model file may replace.
 
     Raises:
-        ValueError: The robot has no such link, or a foot fewer than three joints.
+        ValueError: The robot has no such link, or the leg of a foot has fewer than three joints.
 
     Example:
         >>> from covariant import models
@@ -91,4 +92,4 @@ def legged_base(
 
 
 def _joints(count, t, x, u):
-    return jnp.full(count, jnp.nan, x.dtype)  # where the joints are, the motion of the base does not say
+    return jnp.full(count, jnp.nan, x.dtype)  # the motion of the base does not determine the joint positions

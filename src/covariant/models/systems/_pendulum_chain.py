@@ -1,7 +1,7 @@
-"""Planar chains of pendulums: any number of links, absolute or relative angles, geared rotors, joint friction.
+"""Models planar chains of pendulums: any number of links, absolute or relative angles, geared rotors, joint friction.
 
 The inertia is that of the double pendulum of Wiebe et al. (double_pendulum, DFKI RIC), extended to n links: link i
-rotates at the absolute rate ω_i, the rotor of joint i sits on link i−1 and turns at ω_{i−1} − gear_i q̇_i.
+rotates at the absolute rate ω_i; the rotor of joint i is on link i−1 and turns at ω_{i−1} − gear_i q̇_i.
 """
 
 from collections.abc import Sequence
@@ -53,8 +53,8 @@ def pendulum_chain(
     Coordinates are angles on full circles [rad]. The inertia is that of Wiebe et al. (double_pendulum), extended to n
     links.
 
-    Use it for swings, cranes and simple arms; two links are the double pendulum, whose free motion is chaotic. The
-    angles are relative by default, as encoders measure them at joints. Give measured parameters their `source`.
+    Use it for swings, cranes and simple arms; with two links it is the double pendulum, whose free motion is chaotic.
+    Angles are relative by default, as encoders at joints measure them. State the `source` of measured parameters.
 
     Args:
         mass: Mass of each link [kg]; the number of entries is n.
@@ -109,21 +109,21 @@ def pendulum_chain(
         if known(p[name]) and (p[name] < 0).any():
             raise InputError(f"pendulum_chain: {name} must not be negative; got {tuple(p[name].tolist())}")
 
-    # Steiner's theorem: `coupling` already contains the energy of the centres of mass, and so m com².
+    # Steiner's theorem: `coupling` already contains the energy of the centres of mass, hence m com².
     about_com = p["inertia"] - (p["mass"] * p["com"] ** 2 if inertia_about == "joint" else 0.0)
     carriers, identity = np.tri(n, k=-1), np.eye(n)
     arms = carriers * p["length"][None] + identity * p["com"][None]  # arms[k, i]: lever arm of link i at mass k
-    # Point masses at rate ω: Σ m_k |Σ_i arms[k, i] ω_i e(θ_i)|², whose mixed terms have e(θ_i)·e(θ_j) = cos(θ_i − θ_j).
+    # Point masses at rate ω: Σ m_k |Σ_i arms[k, i] ω_i e(θ_i)|²; mixed terms have e(θ_i)·e(θ_j) = cos(θ_i − θ_j).
     coupling = (arms.T * p["mass"][None]) @ arms
     moment = p["mass"] @ arms
     relative = np.eye(n) - np.eye(n, k=-1)  # joint rates from absolute rates
     rotor_rates = np.eye(n, k=-1) - p["gear"][:, None] * relative  # rotor rates from absolute rates
     constant = identity * about_com[None] + (rotor_rates.T * p["rotor_inertia"][None]) @ rotor_rates
-    # The inverse has only the entries 0 and 1, so elimination makes no rounding error.
+    # The inverse has only entries 0 and 1, so elimination makes no rounding errors.
     absolute = np.linalg.inv(relative) if angles == "relative" else np.eye(n)  # absolute rates from the coordinates'
     between = absolute[:, None, :] - absolute[None, :, :]
     joints = np.eye(n) if angles == "relative" else relative  # joint rates from the coordinates'
-    # The potential is sign · g · Σ m h cos: highest at zero angles if upright, lowest if hanging.
+    # The potential is sign · g · Σ m h cos: at zero angles highest if upright, lowest if hanging.
     sign = 1.0 if zero == "upright" else -1.0
     driven = list(range(n)) if actuated is None else list(actuated)
     if any(not 0 <= i < n for i in driven):
@@ -144,7 +144,7 @@ def pendulum_chain(
 
 
 def _metric(q, coupling, constant, between, absolute):
-    # The angles between links are computed from the coordinates directly, so that the first link's angle drops out.
+    # Angles between links are computed directly from the coordinates, so the first link's angle drops out.
     links = coupling * jnp.cos(between @ q)
     return absolute.T @ (links + constant) @ absolute
 
@@ -159,7 +159,7 @@ def _force(t, q, u, offset, motors, joints):
 
 def _dissipation(q, v, viscous, coulomb, joints):
     rate = joints @ v
-    # Far from rest the Coulomb torque is coulomb·π/2, not coulomb, as Wiebe et al. define the coefficient.
+    # At high speed the Coulomb torque is coulomb·π/2, not coulomb, as Wiebe et al. define the coefficient.
     return -joints.T @ (viscous * rate + coulomb * jnp.arctan(COULOMB_STEEPNESS * rate))
 
 

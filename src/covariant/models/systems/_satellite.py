@@ -1,4 +1,4 @@
-"""A satellite with reaction wheels: only torques between its parts act, so its total angular momentum is constant."""
+"""Models a satellite with reaction wheels: only internal torques act, so its total angular momentum is constant."""
 
 from collections.abc import Sequence
 
@@ -22,11 +22,11 @@ def satellite(
 ) -> GroupSystem:
     """Satellite with k reaction wheels, on SO(3) × SO(2)^k; inputs are the k motor torques [N m].
 
-    The velocity is the angular velocity of the body [rad/s], followed by the rates of the wheels against the body
-    [rad/s]. Only torques between its parts act, so that the total angular momentum is constant.
+    The velocity is the angular velocity of the body [rad/s], followed by the rates of the wheels relative to the body
+    [rad/s]. Only internal torques act, so the total angular momentum is constant.
 
     Args:
-        inertia: Principal moments (3,) of the satellite with its wheels, except their inertia of spin [kg m²].
+        inertia: Principal moments (3,) of the satellite with its wheels, without the wheels' spin inertia [kg m²].
         wheel_inertia: Inertia of each wheel about its axis [kg m²].
         axes: Axes (k, 3) of the wheels; they are scaled to unit length.
         bearing: Friction coefficient of the wheels [N m s/rad].
@@ -48,7 +48,7 @@ def satellite(
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     k = directions.shape[0]
     xp = namespace(inertia, wheel_inertia)
-    # The wheels spin with the body, too: v counts their rates against it.
+    # The wheels also spin with the body, as v contains their rates relative to it.
     body = xp.diag(xp.asarray(inertia, float)) + wheel_inertia * directions.T @ directions
     spin = wheel_inertia * directions.T
     matrix = xp.block([[body, spin], [spin.T, wheel_inertia * np.eye(k)]])

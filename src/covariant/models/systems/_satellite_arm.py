@@ -1,4 +1,4 @@
-"""A free-floating satellite with an arm: a pose and joint angles, coupled by an inertia that depends on the joints."""
+"""Models a free-floating satellite with an arm: a pose and joint angles, coupled by a joint-dependent inertia."""
 
 from collections.abc import Sequence
 
@@ -28,8 +28,8 @@ def satellite_arm(
 
     A configuration (18,) is the pose T_world_body (4, 4), row by row, followed by the two joint angles. The velocity v
     (8,) is the twist (v, ω) of the body about its centre of mass, followed by the joint rates. The arm is mounted at
-    0.3 m along x and straight at angles 0; the first joint turns about z, the second about y. There is no gravity, so
-    that no motor changes the momentum.
+    0.3 m along x and is straight at angles 0; the first joint turns about z, the second about y. There is no gravity,
+    and motors do not change the momentum.
 
     Args:
         mass: Mass of the body alone [kg].
@@ -54,7 +54,7 @@ def satellite_arm(
         slender = m * length**2 / 12 * np.diag([0.0, 1.0, 1.0])
         bodies.append(_spatial_inertia(m, np.array([root + length / 2, 0.0, 0.0]), slender))
     pairs = zip(roots, _AXES, strict=True)
-    # A turn about an axis through `root` moves the point of the body at the origin at axis × (−root) = root × axis.
+    # A rotation about an axis through `root` moves the body's point at the origin at axis × (−root) = root × axis.
     screws = np.stack([np.concatenate([np.cross([root, 0.0, 0.0], axis), axis]) for root, axis in pairs])
     columns = np.zeros((len(screws), 6, 6 + len(screws)))
     for i, screw in enumerate(screws):
@@ -109,7 +109,7 @@ class ArmInertia(eqx.Module):
         bodies, columns, turns = (a.astype(x.dtype) for a in (self.bodies, self.columns, self.turns))
         k = turns.shape[0]
         s, c = (a[:, None, None] for a in (jnp.sin(x[-k:]), jnp.cos(x[-k:])))
-        # The Rodrigues formula ends at ad², since ad(S)³ = −ad(S) for a unit screw without pitch.
+        # The Rodrigues formula ends with ad², since ad(S)³ = −ad(S) for a unit screw without pitch.
         carried = np.eye(6, dtype=x.dtype)[None] - s * turns + (1 - c) * (turns @ turns)
         jacobians = [jnp.asarray(np.eye(6, 6 + k, dtype=x.dtype))]
         for carry, column in zip(carried, columns, strict=True):
@@ -121,7 +121,7 @@ class ArmInertia(eqx.Module):
 def _spatial_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Spatial inertia (6, 6) for twists (v, ω) about the origin, of a body with `inertia` about its centre of mass."""
     cross = np.cross(np.eye(3), centre)  # row i is e_i × c, so that ω × c = ω @ cross
-    # From the energy ½m|v + ω × c|² + ½ωᵀIω: the lower right block is Steiner's theorem.
+    # The energy is ½m|v + ω × c|² + ½ωᵀIω; the lower right block is Steiner's theorem.
     return np.block([[mass * np.eye(3), mass * cross.T], [mass * cross, inertia + mass * cross @ cross.T]])
 
 

@@ -1,4 +1,4 @@
-"""A rigid body in water, on SE(3): without Euler angles, so that there is no singular pitch.
+"""Models a rigid body in water on SE(3), without Euler angles and so without a singular pitch.
 
 Source: Leonard 1997, Stability of a bottom-heavy underwater vehicle, for the left-invariant kinetic energy of body and
 water; Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 6, for the drag.
@@ -32,8 +32,8 @@ def underwater_vehicle(
 
     The input is the wrench (force, torque) at the origin, in the body frame [N, N m].
 
-    Use it to try observers on SE(3): the body turns freely and the added mass makes the inertia depend on the
-    direction. In a current the drag depends on the velocity relative to the water, which this model does not have.
+    Use it to try observers on SE(3): the body turns freely, and the added mass makes the inertia depend on the
+    direction. In a current, drag would depend on the velocity relative to the water, which this model does not contain.
     `models.marine.odin` is a vehicle in Euler angles.
 
     Args:
@@ -61,7 +61,7 @@ def underwater_vehicle(
     xp = namespace(mass, inertia, added_mass, centre_of_mass, centre_of_buoyancy)
     centre, lift = xp.asarray(centre_of_mass, float), xp.asarray(centre_of_buoyancy, float)
     coupling = mass * xp.cross(xp.eye(3), centre)  # the matrix of x ↦ mass · centre × x
-    # Linear momentum m (v + ω × c) and angular momentum about the origin I ω + m c × v: coupling is antisymmetric.
+    # From linear momentum m (v + ω × c) and angular momentum about the origin I ω + m c × v; coupling is antisymmetric.
     rigid = xp.block([[mass * xp.eye(3), coupling.T], [coupling, xp.diag(xp.asarray(inertia, float))]])
     potential = Parametric(_potential, weight=mass * gravity, buoyancy=buoyancy, centre=centre, lift=lift)
 
@@ -98,9 +98,9 @@ def submerged_body(
 
 
 def _potential(g, weight, buoyancy, centre, lift):
-    # The weight acts at the centre of mass and buoyancy, upwards, at its own centre: z is up.
+    # Weight acts at the centre of mass, and buoyancy acts upwards at its own centre; z is up.
     return weight * SE3.act(g, centre)[2] - buoyancy * SE3.act(g, lift)[2]
 
 
 def _drag(g, v, linear, square):
-    return -(linear + square * jnp.abs(v)) * v  # |v| v: opposes the motion for either sign
+    return -(linear + square * jnp.abs(v)) * v  # |v| v opposes the motion for either sign

@@ -1,4 +1,4 @@
-"""The harmonic oscillator whose frequency is unknown, of Sanfelice & Praly 2015, equation (16)."""
+"""Models the harmonic oscillator with unknown frequency of Sanfelice & Praly 2015, equation (16)."""
 
 import jax.numpy as jnp
 

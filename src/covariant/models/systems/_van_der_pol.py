@@ -32,7 +32,7 @@ def van_der_pol(damping: float = 1.0) -> StateSpace:
         coordinates=("q", "q_dot"),
         units=("1", "1"),
         outputs=("q",),
-        # With damping 1 the limit cycle stays within |q| ≤ 2.01 and |q'| ≤ 2.68, so the box holds it.
+        # With damping 1 the limit cycle stays within |q| ≤ 2.01 and |q'| ≤ 2.68, inside the box.
         box=((-3.0, 3.0), (-4.0, 4.0)),
         parameters=parameters,
     )

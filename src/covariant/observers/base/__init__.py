@@ -1,4 +1,4 @@
-"""What every observer is made of: the protocol, sampled corrections, gates and covariances."""
+"""Provides the parts of every observer: the protocol, sampled corrections, gates and covariances."""
 
 import lazy_loader
 

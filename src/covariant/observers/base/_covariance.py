@@ -1,4 +1,4 @@
-"""Covariances as tensors, so that a filter can have the same noise in every chart."""
+"""Represents covariances as tensors, so that a filter can have the same noise in every chart."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,12 +16,12 @@ from covariant.observers.base._protocol import check_finite
 from scalargraph.errors import InputError
 
 Covariance = Scalar | Matrix | Callable[[Any], Matrix]
-"""A covariance of vectors at a configuration, in the frame of the space: a number is a variance in metric units, the
-same in every direction; a matrix (n, n) is the same at every configuration; or a function `q -> (n, n)`."""
+"""A covariance of vectors at a configuration, in the frame of the space. A number is a variance in metric units, equal
+in all directions; a matrix (n, n) is the same at every configuration; a function is `q -> (n, n)`."""
 
 
 def check_covariance(whose: str, name: str, covariance: Any, positive: bool = False) -> None:
-    """Check that a number or matrix is a covariance; a traced value and a function are not checked."""
+    """Check that a number or matrix is a covariance; traced values and functions are not checked."""
     if callable(covariance) or isinstance(covariance, Tracer):
         return
     check_finite(whose, **{name: covariance})
@@ -30,18 +30,18 @@ def check_covariance(whose: str, name: str, covariance: Any, positive: bool = Fa
         raise InputError(f"{whose}: {name} must be a number or a square matrix; its shape is {entries.shape}")
     matrix = np.atleast_2d(entries)
     largest = np.abs(matrix).max()
-    # Tolerances relative to the largest entry, since units may be of any size.
+    # Tolerances are relative to the largest entry, since units may have any size.
     if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * largest):
         raise InputError(f"{whose}: {name} must be symmetric; got {entries.tolist()}")
     smallest = np.linalg.eigvalsh(matrix)[0]
-    # Eigenvalues are computed to some n·eps of the largest; 1e-12 leaves a singular covariance of any size room.
+    # Eigenvalues err by some n·eps of the largest one; 1e-12 allows for this in a singular covariance.
     if smallest < -1e-12 * largest or (positive and not smallest > 1e-12 * largest):
         condition = "positive" if positive else "zero or more"
         raise InputError(f"{whose}: {name} must have variances that are {condition}; its least is {smallest:.3g}")
 
 
 def isotropic(std: Scalar | Vector, like: Vector) -> Matrix:
-    """Covariance (n, n) of n independent numbers, of one standard deviation or of one each."""
+    """Covariance (n, n) of n independent numbers with a common standard deviation, or one for each."""
     return jnp.diag(jnp.broadcast_to(std**2, like.shape).astype(like.dtype))
 
 
@@ -52,12 +52,12 @@ def covariance_at(covariance: Covariance, space: AbstractSpace, q: Array) -> Flo
     covariance = jnp.asarray(covariance)
     if covariance.ndim:
         return covariance
-    # A variance in metric units is that times the inverse of the metric.
+    # A variance in metric units means that variance times the inverse of the metric.
     metric = space(q)
     return covariance * solve(metric, jnp.eye(metric.shape[0], dtype=metric.dtype))
 
 
 def covariance_along(covariance: Covariance, space: AbstractSpace, q: Array) -> Float[Array, "n n"]:
-    """Covariance matrix of velocities at a configuration, which are along the space, also where that is a leaf."""
+    """Covariance matrix of velocities at a configuration; on a leaf only its tangential part."""
     along = jax.vmap(lambda a: space.projected(q, a), in_axes=1, out_axes=1)
     return along(along(covariance_at(covariance, space, q)).T)

@@ -1,18 +1,18 @@
-"""The gate: decides which measurements an estimator uses, by how far they are from the predicted ones.
+"""The gate: decides which measurements an estimator uses, by their distance from the predicted ones.
 
-An outlier is alone; what moves has neighbours that agree. A reading is refused where neither the estimate nor the last
-reading that was used explains it. Refused readings that lie on a line, which starts where the last used reading was and
-whose slope is a credible velocity, show an impact, or an estimate whose velocity is off: at the third of them the
-estimate starts anew, with their position and their velocity. Readings that agree otherwise, as after a slip, have to
-stay for `patience` samples. After a hole without readings three that agree with each other suffice.
+An outlier is isolated, while readings of a real motion agree with their neighbours. A reading is refused if neither the
+estimate nor the last used reading explains it. Suppose that refused readings lie on a line that starts at the last used
+reading and whose slope is a credible velocity. Then there was an impact, or the estimated velocity is wrong: at the
+third such reading the estimate restarts with their position and velocity. Readings that agree in another way, as after
+a slip, must persist for `patience` samples. After a gap without readings, three that agree with each other suffice.
 
-Refused readings that the usual speed can explain, and that continue without being on a line, tell of a wrong model,
-noise that is larger than given, or contact. Such a reading is used by the ordinary correction, as without a gate, and
-its whole square enters the scale of the gate. Two errors are weighed so: an outlier of the size d that is used changes
-the velocity by about Kd, K the gain, until it is forgotten after 1/(K dt) rows, a squared error of K d²/dt in all. A
-motion of the size d that is refused leaves the velocity off by d/dt for one row more, (d/dt)², but if it is refused
-again, by 2, 3, … times as much as the error adds up. So one refusal costs at most what a missing reading does, while
-one in every row leaves nothing of the estimate; outliers farther off than motion reaches stay refused.
+Refused readings that the usual speed can explain, and that continue without lying on a line, indicate a wrong model,
+more noise than assumed, or contact. Such a reading is used by the ordinary correction, as without a gate, and its full
+square enters the scale of the gate. This balances two errors. An outlier of size d that is used changes the velocity by
+about Kd, with the gain K, until it is forgotten after 1/(K dt) rows: a squared error of K d²/dt in total. A motion of
+size d that is refused leaves the velocity wrong by d/dt for one more row, (d/dt)²; if it is refused again, the error
+adds up to 2, 3, … times as much. So a single refusal costs at most as much as a missing reading, while refusals in
+every row would ruin the estimate; outliers that are beyond the reach of motion stay refused.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4 for the
 gate.
@@ -32,34 +32,34 @@ from covariant.observers.base._gate_memory import BEND, GateMemory, Judged, Line
 from scalargraph.errors import InputError
 
 BELIEVED = 4.0
-"""Cap on a squared innovation in the average, as a multiple of the average, so that an outlier changes it little."""
+"""Largest weight of a squared innovation in the average, as a multiple of it, so that outliers change it little."""
 CREDIBLE = 4.0
 """Largest credible velocity, as a multiple of the usual one."""
 AGREEING = 3.0
-"""Standard deviations of the noise within which readings are on a line."""
+"""Tolerance for readings on a line, in standard deviations of the noise."""
 MOVING = 4.0
-"""Least distance of neighbours on a line, in standard deviations of the noise, at which it shows a velocity."""
+"""Least distance of neighbouring readings on a line that shows a velocity, in standard deviations of the noise."""
 ROUGHLY = 0.25
-"""Distance at which a line passes the last used reading, as a fraction of the change since then."""
+"""Largest distance between a line and the last used reading, as a fraction of the change since then."""
 HOLE = 3.0
-"""Length of a hole before refused readings, in steps between them, from which they are asked among themselves."""
+"""Gap before refused readings, in steps between them, above which they are compared only with each other."""
 
 
 class Gate(eqx.Module):
     """Refuses a measurement that is too improbable, unless such measurements persist.
 
-    It keeps a single outlier, such as a bit error, from spoiling an estimate. The Kalman filters have one as their
-    field `gate`; put it around another observer by `Gated`. With the default of 8 deviations ordinary noise is
-    practically never refused, even if the assumed noise is somewhat too small. Lower `patience` where a jump of the
-    measurement is real, as after a re-homing, and should be followed sooner.
+    It prevents a single outlier, such as a bit error, from spoiling an estimate. Kalman filters have a gate as their
+    field `gate`; wrap another observer in `Gated`. With the default of 8 deviations, ordinary noise is practically
+    never refused, even if the assumed noise is somewhat too small. Lower `patience` if a jump of the measurement may be
+    real, as after re-homing, and should be followed sooner.
 
     Attributes:
         deviations: Threshold in standard deviations, 8 by default: a single number that is off by more is refused.
-            Several numbers measured together, such as an attitude, are refused when they are as improbable as that.
-        patience: Number of samples refused in a row after which the next one is accepted, and the estimate starts anew
-            from it; 10 by default. Readings that show a velocity do not wait for it.
+            Several numbers measured together, such as an attitude, are refused if they are equally improbable.
+        patience: Number of consecutive refusals after which the next sample is accepted and the estimate restarts from
+            it; 10 by default. Readings that show a velocity need not wait for this.
         memory: Number of samples over which the ratio of actual to expected squared innovations is averaged, 50 by
-            default; the average widens the gate where the assumed noise is too small.
+            default; the average widens the gate if the assumed noise is too small.
 
     Raises:
         ValueError: `deviations` is not positive and finite, `memory` not 1 or more and finite, or `patience` negative.
@@ -101,30 +101,31 @@ class Gate(eqx.Module):
     ) -> Judged:
         """Judge the measured components of an innovation by its covariance.
 
-        In the average, the square of an innovation counts no more than `BELIEVED` times the scale.
+        In the average, a squared innovation counts at most as `BELIEVED` times the scale.
 
         Args:
-            manifold: Manifold of the measured configurations, which says which components are measured together.
-            sample: The innovation, at the end of the prediction over which `memory` was advanced.
+            manifold: Manifold of the measured configurations; it says which components are measured together.
+            sample: The innovation, at the end of the prediction by which `memory` was advanced.
             memory: Field `memory` of the verdict on the previous sample, advanced; `GateMemory.at_start` at the start.
             predicted: Velocity of the estimate.
-            usual: Covariance (n, n) of the velocities of the system, with zero mean; None (default) where the state
-                holds no velocity, so that readings cannot correct it.
-            least: Lower bound of the scale by which the gate is widened, a number or (n,); 1 by default.
+            usual: Covariance (n, n) of the usual velocities, with zero mean; None (default) if the state contains no
+                velocity, so that readings cannot correct it.
+            least: Lower bound of the scale that widens the gate, a number or (n,); 1 by default.
 
         Returns:
             The verdict.
         """
         line, present, widening = memory.line(sample.innovation), sample.present, jnp.maximum(memory.scale, least)
-        # The noise of lines is at least what is said: a scale below 1 tells of large speeds or process noise.
+        # For lines, the noise is at least the assumed one, as a scale below 1 only means that speeds or process noise
+        # were assumed too large.
         noisier = jnp.maximum(memory.scale, 1.0)
         measured, far, even, moving, joined, continued = (jnp.zeros_like(present),) * 6
         square = memory.scale
         for together in manifold.measured_together(present.shape[0]):
             block, n = jnp.asarray(together), len(together)
-            # A block is judged as a whole, so it needs all of its components.
+            # A block is judged as a whole, so all of its components are needed.
             complete = jnp.all(present[block])
-            # An estimate that is off does not make an outlier of a reading that continues the last used one.
+            # If the estimate is wrong, a reading that continues the last used one is still no outlier.
             innovation, width = sample.innovation[block], jnp.sqrt(widening[block])
             vectors = jnp.stack([innovation, innovation / width, line.change[block] / width], axis=1)
             whole, *narrowed = _mean_squares(sample.cov[jnp.ix_(block, block)], vectors)
@@ -135,17 +136,17 @@ class Gate(eqx.Module):
             shapes = zip((even, moving, joined, continued), shape, strict=True)
             even, moving, joined, continued = (a.at[block].set(b) for a, b in shapes)
         unequal = moving | ~even
-        # A start after long patience needs a complete configuration.
+        # A restart after long patience needs a complete configuration.
         patient = far & (memory.refused >= self.patience) & jnp.all(present)
         even, credible = even & far & (memory.refused >= 1), _credible(manifold, line, predicted, usual)
         straight = even & moving
-        # All readings since the velocity changed are on the line: later in a burst, three in a row are so by chance.
+        # All readings since the change of velocity are on the line; later in a burst, three in a row may be by chance.
         moved = straight & joined & (memory.refused <= 2) & credible
-        # Before a hole nothing tells of the motion after it: three readings that agree with each other are believed.
+        # After a gap the motion before it tells nothing: three readings that agree with each other are accepted.
         possible = credible if usual is not None else jnp.ones_like(credible)
         moved = moved | (even & possible & (memory.refused >= 2) & (line.gap > HOLE * line.step))
-        # Readings within the reach of motion that go on as motion does, or stay off in a fourth row, and are not equal
-        # as after a slip: it is the model or the noise that is wrong, and the gate learns it without a cap.
+        # These readings are within reach of motion, continue like motion or stay off in a fourth row, and are not equal
+        # as after a slip. So the model or the noise is wrong, and the gate learns this without a cap.
         persistent = (memory.refused > 2) | (continued & (memory.refused >= 1))
         motion = far & unequal & persistent & _reached(manifold, line, usual)
         believed = jnp.where(motion, square, jnp.minimum(square, BELIEVED * memory.scale))
@@ -154,7 +155,7 @@ class Gate(eqx.Module):
         restart, anew = jnp.any(patient | moved), present & (~far | patient | moved)
         velocity = predicted
         if usual is not None:
-            # A start after long patience takes the velocity of the readings too, where three of them agree.
+            # A restart after long patience also takes the velocity of the readings, if three of them agree.
             agreed = moved | (patient & straight & (memory.refused >= 2))
             mean = predicted.mean + jnp.where(agreed, line.slope, 0.0)
             cov = jnp.where(jnp.any(patient), usual, predicted.cov)
@@ -182,21 +183,21 @@ def _exceedance(n: int, square: float) -> float:
 
 
 def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"]:
-    """Squared lengths of k vectors by a covariance (n, n), divided by n: 1 on average where it is theirs."""
+    """Squared lengths of k vectors by a covariance (n, n), divided by n; 1 on average if it is their covariance."""
     return jnp.sum(half_solve(cov, vectors) ** 2, axis=0) / len(vectors)
 
 
 def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag, Flag, Flag]:
-    """Whether the last three readings of a block are on a line, whether that moves, whether it starts at the last used
-    one, and whether it does so roughly.
+    """Whether the last three readings of a block are on a line, show motion, and start at the last used one, exactly
+    or roughly.
     """
     step, length = line.step[0], line.length[0]
     columns = half_solve(noise, jnp.stack([line.slope, line.bend, line.change], axis=1)) / len(noise) ** 0.5
     slope, bend, change = columns.T
     displacement = slope @ slope * step**2
-    # The bend is a second difference of noise, of the variance 1 + 4 + 1, and of the motion.
+    # The bend combines the second difference of the noise, with the variance 1 + 4 + 1, and that of the motion.
     even = bend @ bend <= 6 * AGREEING**2 + BEND**2 * displacement
-    # q is continuous: the velocity changed at some time between the last used reading and the reading before this one.
+    # q is continuous, so the velocity changed at some time between the last used reading and the previous reading.
     since = jnp.clip(slope @ change / jnp.maximum(slope @ slope, jnp.finfo(slope.dtype).tiny), step, length)
     apart, steps = change - since * slope, since / step
     joined = apart @ apart <= AGREEING**2 * (1 + 2 * steps**2) + (BEND * steps) ** 2 * displacement
@@ -204,10 +205,10 @@ def _shape(line: Line, noise: Matrix) -> tuple[Flag, Flag, Flag, Flag]:
 
 
 def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual: Matrix | None) -> Bool[Array, "n"]:
-    """Which components (n,) are measured together with a credible velocity; none where no velocity is usual.
+    """Which components (n,) are measured together with a credible velocity; none if no usual velocity is known.
 
-    Two readings are weak evidence of a line, and show only a velocity as after an impact: no faster than before, or
-    than usual. Three may show any that is credible.
+    Two readings are weak evidence of a line. They show a velocity only as after an impact, no faster than before or
+    than usual. Three readings may show any credible velocity.
     """
     credible = jnp.zeros(line.slope.shape, bool)
     if usual is None:
@@ -223,8 +224,8 @@ def _credible(manifold: AbstractManifold, line: Line, predicted: Velocity, usual
 
 
 def _reached(manifold: AbstractManifold, line: Line, usual: Matrix | None) -> Bool[Array, "n"]:
-    """Which components (n,) may have come where they are read by motion: it turned back at the usual speed, at most two
-    readings before, so that a large outlier that stays does not come into reach by waiting.
+    """Which components (n,) may have reached their readings by motion at the usual speed, reversed at most two readings
+    ago; so a large outlier that persists does not come into reach by waiting.
     """
     reached = jnp.zeros(line.change.shape, bool)
     if usual is None:
@@ -237,17 +238,17 @@ def _reached(manifold: AbstractManifold, line: Line, usual: Matrix | None) -> Bo
 
 
 def with_block(cov: Matrix, block: Matrix, places: Bool[Array, "n"]) -> Matrix:
-    """A covariance with a block replaced by that of another one, uncorrelated with the rest."""
+    """A covariance with one block replaced by the block of another matrix, uncorrelated with the rest."""
     inside, outside = places[:, None] & places[None], ~places[:, None] & ~places[None]
     return jnp.where(inside, block, jnp.where(outside, cov, 0.0))
 
 
 def start(manifold: AbstractManifold, q: Array, innovation: Vector, y: Array, anew: Bool[Array, "n"]) -> Array:
-    """The configuration of a new start."""
+    """The configuration of a restart."""
     if manifold.redundant and manifold.commuting:
         return manifold.measured(q, jnp.where(anew, y, jnp.nan))
     partly = manifold.retract(q, manifold.shown(q, anew, jnp.where(anew, innovation, 0.0)))
-    # In coordinates the two are the same. A group element is taken as it is, without a logarithm in between.
+    # In coordinates both are the same. A group element is used directly, without a logarithm in between.
     return partly if manifold.commuting else jnp.where(jnp.all(anew), manifold.measured(q, y), partly)
 
 
@@ -259,7 +260,7 @@ def judged(
     predicted: Velocity,
     usual: Matrix | None,
 ) -> Judged:
-    """Verdict of a gate, or of no gate, which refuses nothing."""
+    """Verdict of a gate; without a gate nothing is refused."""
     if gate is None:
         nothing = jnp.zeros_like(sample.present)
         velocity = predicted if usual is None else predicted._replace(cov=usual)

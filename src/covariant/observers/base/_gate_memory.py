@@ -1,4 +1,4 @@
-"""The sample that a gate judges, the memory of the gate, and its verdict."""
+"""Defines the sample that a gate judges, the memory of the gate, and its verdict."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from covariant._typing import Code, Flag, Matrix, Scalar, Vector
 from covariant.signals import StepCode
 
 BEND = 0.1
-"""Change of the slope along a line, as a fraction of the slope: the line of an accelerating motion is bent."""
+"""Change of the slope along a line, as a fraction of the slope, that is allowed for an accelerating motion."""
 
 
 class Line(NamedTuple):
@@ -36,18 +36,18 @@ class Line(NamedTuple):
 
     @property
     def gap(self) -> Vector:
-        """Time (n,) [s] without readings before the first refused one, where those since came evenly."""
+        """Time (n,) [s] without readings before the first refused one, assuming evenly spaced readings since then."""
         return self.length - self.refused.astype(self.step.dtype) * self.step
 
     def slope_cov(self, noise: Matrix, scale: Vector) -> Matrix:
         """Covariance (n, n) of the slope."""
         factor = jnp.sqrt(jnp.where(self.refused > 1, scale / 2, 2 * scale)) / self.step
-        # The bends of joints that are hit together are not correlated.
+        # The bends of joints that are hit at the same time are treated as uncorrelated.
         return noise * jnp.outer(factor, factor) + jnp.diag((self.bend / self.step) ** 2 + (BEND * self.slope) ** 2)
 
 
 class GateMemory(NamedTuple):
-    """What a gate remembers from sample to sample, for each of n components.
+    """Data that a gate remembers from sample to sample, for each of n components.
 
     Attributes:
         refused: Number (n,) of samples refused in a row.
@@ -95,7 +95,7 @@ class GateMemory(NamedTuple):
     def line(self, innovation: Vector) -> Line:
         """The line through the last refused readings and the new one, whose innovation (n,) is the argument."""
         change = innovation - self.left
-        # A repeated stamp changes no state, so any positive number may replace a zero divisor.
+        # A repeated stamp changes no state, so a zero divisor may be replaced by any positive number.
         step = jnp.where(self.idle > 0, self.idle, 1.0)
         latest, several = (change - self.last) / step, self.refused > 1
         slope = jnp.where(several, (latest + self.slope) / 2, latest)
@@ -132,7 +132,7 @@ class GateMemory(NamedTuple):
         Returns:
             The memory.
         """
-        # A used reading is where the next line starts.
+        # The next line starts at this used reading.
         return self._replace(
             refused=jnp.where(used, 0, self.refused),
             left=jnp.where(used, left, self.left),
@@ -189,8 +189,8 @@ class Judged(NamedTuple):
         restart: Whether the estimate has to restart from this measurement, because of `moved` or because too many
             samples were refused in a row.
         anew: Which components (n,) a restart takes from this measurement. Missing ones, and outliers of joints that
-            give no reason to restart, stay as predicted. Without a restart, the components that are used.
-        velocity: Velocity of a restart: the one that readings show, and the predicted one elsewhere.
+            are no reason to restart, stay as predicted. Without a restart, the components that are used.
+        velocity: Velocity of a restart: shown by readings where possible, otherwise predicted.
         memory: Memory of the gate after the verdict.
 
     Example:

@@ -1,15 +1,15 @@
 """The protocol that all observers share, and the loop that drives them.
 
-An observer is a frozen recipe: it holds its settings and never changes. Its state is all that it remembers from sample
-to sample, and the caller holds it. Its info holds the diagnostics of one step. A loop by hand takes four lines:
+An observer is a frozen recipe: it contains its settings and never changes. Its state is everything that it remembers
+from sample to sample, and the caller keeps it. Its info contains the diagnostics of one step. A loop by hand:
 
     state = observer.init(y[0], t[0])
     for k in range(1, len(t)):
         state, info = observer.step(state, u[k - 1], y[k], t[k] - t[k - 1])
         x = observer.estimate(state)
 
-A step has two halves, which an observer defines and a caller may take one at a time: `predict` moves the state to the
-time of a measurement, `correct` corrects it there. The parts of the protocol, from the inside out:
+A step has two halves, which an observer defines and a caller may also call separately: `predict` moves the state to the
+time of a measurement, `correct` corrects it there. The methods of the protocol, from the inside out:
 
 - `predict(state, u, dt)` runs the model over dt under the constant input u, without a measurement.
 - `correct(state, u, y)` corrects a predicted state by a measurement y taken at its own time; no time passes.
@@ -17,7 +17,7 @@ time of a measurement, `correct` corrects it there. The parts of the protocol, f
 - `advance(state, u, y, dt)` is `correct` after `predict`, for valid numbers.
 - `step(state, u, y, dt)` is `advance` for any numbers: it replaces invalid ones, and reports that it did.
 
-Everything that wraps an observer, such as a gate or a buffer for late sensors, uses `predict` and `correct`.
+Wrappers of an observer, such as a gate or a buffer for late sensors, use `predict` and `correct`.
 """
 
 import abc
@@ -41,7 +41,7 @@ from covariant.signals import Record, Run, StepCode, check_rounding, largest_mea
 from scalargraph.errors import InputError
 
 LastInput = Float[Array, "m"] | None
-"""The last finite input, in the field `last_input` of a state; None where the state stores none."""
+"""The last finite input, in the field `last_input` of a state; None if the state stores none."""
 
 
 class MechanicalState(NamedTuple):
@@ -50,7 +50,7 @@ class MechanicalState(NamedTuple):
     Attributes:
         q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Estimated velocity (n,), in the frame of the configuration space.
-        t: Time [s] that they belong to, for forces that depend on time.
+        t: Time [s] of the estimate, for forces that depend on time.
 
     Example:
         >>> import jax.numpy as jnp
@@ -71,7 +71,7 @@ class SampledState(NamedTuple):
     Attributes:
         q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Estimated velocity (n,), in the frame of the configuration space.
-        t: Time [s] that they belong to.
+        t: Time [s] of the estimate.
         last_input: The last finite input (m,), which replaces an input that is not finite; if it is None (default),
             zero replaces it.
         age: Time since the last measurement [s]; if it is None (default), every step counts as one after a measurement.
@@ -95,9 +95,9 @@ class SampledState(NamedTuple):
 class Info(NamedTuple):
     """Diagnostics of a step.
 
-    It is the info of observers with constant gains; filters add fields such as standard deviations. A small `distance`
-    with a result of 0 says that the model explains the measurements. `distance` is a length in the kinetic-energy
-    metric, so its unit is not that of the coordinates.
+    This is the info of observers with constant gains; filters add fields such as standard deviations. A small
+    `distance` with a result of 0 means that the model explains the measurements. `distance` is a length in the
+    kinetic-energy metric, so its unit differs from that of the coordinates.
 
     Attributes:
         innovation: Difference (n,) from q̂ to y before the correction: y − q̂ in coordinates, with angles wrapped. 0
@@ -127,8 +127,8 @@ def _is_number(x: Any) -> bool:
 class AbstractObserver(Functional):
     """Estimates the state of a system from measured positions, sample by sample.
 
-    A subclass writes its algorithm in `init`, `predict`, `correct` and `estimate`. `predict` and `correct` get valid
-    numbers only: `step` is the same for all observers and replaces invalid ones before it calls them. A state is a
+    A subclass writes its algorithm in `init`, `predict`, `correct` and `estimate`. `predict` and `correct` receive
+    valid numbers only: `step`, the same for all observers, replaces invalid ones before it calls them. A state is a
     `NamedTuple` of arrays whose form never changes. If it has a field `last_input` with the shape of the input, `step`
     stores the last finite input there.
 
@@ -165,7 +165,7 @@ class AbstractObserver(Functional):
     """
 
     def __repr__(self) -> str:
-        # `vars` and not the fields: a module that is still being constructed shows what is there so far.
+        # `vars` instead of the fields, so that a module under construction shows the attributes it has so far.
         numbers = (f"{name}={x}" for name, x in vars(self).items() if _is_number(x))
         return f"<{type(self).__name__}: {', '.join(numbers)}>"
 
@@ -178,7 +178,7 @@ class AbstractObserver(Functional):
             t: Its time stamp [s], 0 by default.
 
         Returns:
-            The state, in the form that every later one has.
+            The state, in the same form as all later ones.
 
         Raises:
             ValueError: y is not a configuration. A compiled function raises nothing and returns a state that is not
@@ -188,20 +188,20 @@ class AbstractObserver(Functional):
     def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Number) -> tuple[Any, Any]:
         """Predict over dt to the time of a measurement, then correct by it; invalid numbers never spoil the state.
 
-        The step is `advance` with these replacements, of which `info.result` reports the worst. Where the state is
+        The step is `advance` with the replacements below, and `info.result` reports the worst of them. If the state is
         returned unchanged, the other fields of the info are those of a step of zero length without input.
 
         - NaN in y marks a missing measurement, over which the model predicts alone. An entry of y that is infinite or
           larger than `largest` counts as missing, and so does a matrix that is not a rotation: `COASTED`.
         - An entry of u that is not finite is replaced by the last finite one, or by 0 before there is any:
           `INPUT_HELD`.
-        - For dt = 0 the state is returned unchanged: `REPEATED`. A subnormal dt, which processors may take for zero, is
-          zero.
+        - For dt = 0 the state is returned unchanged: `REPEATED`. A subnormal dt, which processors may flush to zero,
+          counts as zero.
         - For a dt that is negative or not finite the state is returned unchanged too: `STEP_REFUSED`.
-        - A state that is `lost`, as after an input of 1e200, is replaced by a new start at the measurement, if that is
+        - A state that is `lost`, as after an input of 1e200, is replaced by a restart at the measurement if that is
           complete, and otherwise by the state before, so that every state is finite: `NOT_FINITE`.
 
-        A subclass leaves it as it is, unless it makes the step of another observer under another input.
+        Subclasses do not override it, except those that make the step of another observer with another input.
 
         Args:
             state: State after the previous sample, from `init` or from this method.
@@ -211,17 +211,17 @@ class AbstractObserver(Functional):
             dt: Time from the previous sample to this one [s].
 
         Returns:
-            The corrected state at the time of y, in the form that `state` has, and the info.
+            The corrected state at the time of y, in the form of `state`, and the info.
         """
         dt = jnp.asarray(dt, jnp.result_type(dt, jnp.finfo(y.dtype).dtype))  # a Python number has no dtype
         advances = jnp.isfinite(dt) & (dt >= jnp.finfo(dt.dtype).tiny)
         valid_u = jnp.where(jnp.isfinite(u), u, _replacement_input(state, u))
         too_large = jnp.abs(y) > self.largest(y)
         measured = self.admitted(jnp.where(too_large, jnp.nan, y))
-        # A refused step is computed with dt = 0 and u = 0, so that an invalid number cannot reach `info.result` either.
+        # A refused step is computed with dt = 0 and u = 0, so that invalid numbers cannot affect `info.result`.
         told = _with_missing_input(state, u)
         advanced, info = self.advance(told, jnp.where(advances, valid_u, 0.0), measured, jnp.where(advances, dt, 0.0))
-        # Every branch is computed, so that the program has none.
+        # Every case is computed, so that the program has no branches.
         lost = self.lost(advanced, info)
         fresh = started(self.init, advanced, measured)
         usable = all_finite(self.estimate(fresh))
@@ -237,14 +237,14 @@ class AbstractObserver(Functional):
         return self.reported(state, new_state, info._replace(result=result), *ran)
 
     def lost(self, state: Any, info: Any) -> Flag:
-        """Whether a state after `advance` has left the finite numbers, so that no later measurement corrects it.
+        """Whether a state after `advance` is no longer finite, so that no later measurement can correct it.
 
         Args:
             state: State after the step.
             info: The info of the step.
 
         Returns:
-            True where the step has the result `NOT_FINITE`, or the estimate is not all finite.
+            True if the step has the result `NOT_FINITE`, or the estimate is not all finite.
         """
         return (info.result == int(StepCode.NOT_FINITE)) | ~all_finite(self.estimate(state))
 
@@ -282,7 +282,7 @@ class AbstractObserver(Functional):
             The new state and the info.
         """
         corrected, info = self.correct(self.predict(state, u, dt), u, y)
-        # A field that is None in the state, such as `age` in one written by hand, is None in the next one too.
+        # A field that is None in the state, such as `age` in a state written by hand, stays None in the next one.
         return corrected._replace(**{name: None for name in state._fields if getattr(state, name) is None}), info
 
     @abc.abstractmethod
@@ -295,7 +295,7 @@ class AbstractObserver(Functional):
             dt: Length of the prediction [s], finite and ≥ 0.
 
         Returns:
-            The predicted state, with what `correct` needs to know of the prediction, such as its length.
+            The predicted state, with the data that `correct` needs about the prediction, such as its length.
         """
 
     @abc.abstractmethod
@@ -314,8 +314,8 @@ class AbstractObserver(Functional):
     def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Vector:
         """Innovation of a measurement at a predicted state, without a correction.
 
-        It equals `correct(state, u, y)[1].innovation`, which is how it is computed here; subclasses compute it with
-        less work.
+        It equals `correct(state, u, y)[1].innovation`, and is computed so by default; subclasses compute it with less
+        work.
 
         Args:
             state: State that `predict` returned.
@@ -323,7 +323,7 @@ class AbstractObserver(Functional):
             y: Measurement, finite or NaN where missing.
 
         Returns:
-            Innovation (n,), from the predicted measurement to y, 0 where y is missing.
+            Innovation (n,), from the predicted measurement to y, 0 if y is missing.
         """
         return self.correct(state, u, y)[1].innovation
 
@@ -342,35 +342,35 @@ class AbstractObserver(Functional):
         return largest_measurement(y, circles)
 
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
-        """Replace by NaN a measurement that is no configuration of the model, such as a matrix that is no rotation.
+        """Replace a measurement by NaN if it is not a configuration of the model, such as a matrix but no rotation.
 
         Args:
             y: Measurement: coordinates (n,), or on a group a matrix (N, N).
 
         Returns:
-            The measurement, unchanged where it is a configuration or the observer has no model with a manifold.
+            The measurement, unchanged if it is a configuration or the observer has no model with a manifold.
         """
         manifold = getattr(getattr(self, "model", None), "manifold", None)
         return y if manifold is None else manifold.admitted(y)
 
     @property
     def fixed_numbers(self) -> bool:
-        """Whether all numbers are constants in generated code, because a proof holds only for these numbers."""
+        """Whether all numbers are constants in generated code, because a proof holds for these numbers only."""
         return False
 
     @property
     def input_at_end(self) -> bool:
-        """Whether the input of a step is that of its end, as where inputs are linear between samples, or its begin."""
+        """Whether a step gets the input at its end, as for inputs that are linear between samples, or at its begin."""
         return False
 
     def configuration(self, y: Any) -> Any:
-        """The measured configuration in a measurement: all of it, unless the observer has further sensors.
+        """The configuration within a measurement: all of it, unless the observer has further sensors.
 
         Args:
             y: Measurement, an array of any type.
 
         Returns:
-            The entries that are the configuration, in its shape: coordinates (n,), or on a group a matrix (N, N).
+            The entries of the configuration, in its shape: coordinates (n,), or on a group a matrix (N, N).
         """
         return y
 
@@ -414,12 +414,12 @@ class AbstractWrapper(AbstractObserver):
 
     @property
     def sensors(self) -> tuple[Any, ...]:
-        """The sensors of the inner observer besides those of the configuration; empty if it has none."""
+        """The further sensors of the inner observer, besides those of the configuration; empty if it has none."""
         return getattr(self.observer, "sensors", ())
 
 
 class AbstractFlowObserver(AbstractObserver):
-    """An observer that is defined by a differential equation, `flow`, besides its sampled form.
+    """An observer that is defined by a differential equation, `flow`, in addition to its sampled form.
 
     Example:
         >>> import jax.numpy as jnp
@@ -443,8 +443,8 @@ class AbstractFlowObserver(AbstractObserver):
             y: Complete measurement at the time t.
 
         Returns:
-            The derivative, in the form of the state. Fields that are only remembered between samples have the
-            derivative zero.
+            The derivative, in the form of the state. Fields that are only stored between samples have the derivative
+            zero.
         """
 
 
@@ -503,7 +503,7 @@ def uniqueness(model: MechanicalSystem, q: Array, y: Array) -> Code:
 
 
 def readability(model: MechanicalSystem, q: Array, y: Array) -> Code:
-    """As `uniqueness`, for constant gains: `NOT_RECONSTRUCTIBLE` at a dead centre of what is measured."""
+    """`uniqueness` for constant gains; `NOT_RECONSTRUCTIBLE` at a dead centre of the measured coordinates."""
     dead = model.manifold.dead_centre(q, y)
     return jnp.where(dead, int(StepCode.NOT_RECONSTRUCTIBLE), uniqueness(model, q, y)).astype(jnp.int32)
 
@@ -517,13 +517,13 @@ def as_gain(value: Any) -> Any:
 
 
 def check_positive(whose: str, **gains: Any) -> None:
-    """Check that gains are positive, finite numbers; a traced gain has no value to check."""
+    """Check that gains are positive, finite numbers; a traced gain has no value that can be checked."""
     for name, gain in gains.items():
         POSITIVE.check(whose, name, gain)
 
 
 def check_free(whose: str, model: MechanicalSystem) -> None:
-    """Check that a model has no closed loop, whose coordinates are more than an error in coordinates may have."""
+    """Check that a model has no closed loops, as their coordinates depend on each other, unlike coordinate errors."""
     if model.manifold.redundant:
         raise InputError(
             f"{whose}: its errors are differences of all coordinates, but a closed loop ties some together; take "
@@ -538,7 +538,7 @@ def check_not_negative(whose: str, **gains: Any) -> None:
 
 
 def check_whole(whose: str, observer: Any) -> None:
-    """Check that an observer may be wrapped: what it reports of its own steps is unknown where they do not run."""
+    """Check that an observer may be wrapped: its reports concern its own steps, which a wrapper would change."""
     reported = getattr(type(observer), "reported", AbstractObserver.reported)
     if reported is not AbstractObserver.reported:
         raise InputError(
@@ -571,8 +571,8 @@ def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
 
     Args:
         model: Model with an attribute `inputs`.
-        like: A vector (n,) whose length is the number of inputs where the model does not state one, and whose precision
-            is that of the result.
+        like: A vector (n,). Its length is the number of inputs if the model does not state one; the result has its
+            precision.
 
     Returns:
         Zeros (m,).
@@ -581,7 +581,7 @@ def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
 
 
 def with_velocity(state: Any, v: Vector) -> Any:
-    """State of an observer, or of one within another, with another velocity."""
+    """State of an observer, or of an inner one, with another velocity."""
     if "v" in state._fields:
         return state._replace(v=v)
     if "inner" not in state._fields:
@@ -590,12 +590,12 @@ def with_velocity(state: Any, v: Vector) -> Any:
 
 
 def time_since_measurement(state: Any) -> Scalar:
-    """Time [s] since the last measurement, at the end of the prediction that led to a predicted state."""
+    """Time [s] from the last measurement to the end of the prediction that led to a state."""
     return state.age
 
 
 def step_length(state: Any) -> Scalar:
-    """Length [s] of the prediction that led to a predicted state, for observers whose correction depends on it."""
+    """Length [s] of the prediction that led to a state, for observers whose correction depends on it."""
     return state.dt
 
 
@@ -611,7 +611,7 @@ def continuous(state: Any) -> Any:
         state: State of an observer.
 
     Returns:
-        The state with None in its fields `last_input`, `age` and `dt`, as far as it has them.
+        The state with None in those of the fields `last_input`, `age` and `dt` that it has.
 
     Example:
         >>> import jax.numpy as jnp
@@ -633,26 +633,26 @@ def _stores_input(state: Any, u: Array) -> bool:
 
 
 def _replacement_input(state: Any, u: Array) -> Array:
-    """The input that replaces one that is not finite: the last finite one, or zero where the state stores none."""
+    """The replacement for an input that is not finite: the last finite one, or zero if the state stores none."""
     return state.last_input.astype(u.dtype) if _stores_input(state, u) else jnp.zeros_like(u)
 
 
 def _with_missing_input(state: Any, u: Array) -> Any:
-    """The state with the flags of its field `missing_input`, where it has one: which inputs have been replaced."""
+    """The state, with flags for replaced inputs in its field `missing_input` if it has one."""
     flags = getattr(state, "missing_input", None)
     return state if flags is None or flags.shape != u.shape else state._replace(missing_input=~jnp.isfinite(u))
 
 
 def _with_last_input(advanced: Any, state: Any, u: Array) -> Any:
-    """The new state, with the input stored in it where the old state keeps one: the form of a state must not change."""
+    """The new state, which stores the input if the old one does: the form of a state must not change."""
     if _stores_input(state, u):
         return advanced._replace(last_input=u.astype(state.last_input.dtype))
     return advanced._replace(last_input=state.last_input) if _has_last_input(state) else advanced
 
 
 def _input_fault(u: Array, too_large: Array, dt: Scalar) -> Code:
-    """The worst fault of a sample, apart from what the observer itself reports about a missing measurement."""
-    # The least normal number: processors that flush subnormal numbers to zero see no step below it.
+    """The worst fault of a sample, except for missing measurements, which the observer itself reports."""
+    # The least normal number: processors that flush subnormal numbers to zero ignore smaller steps.
     tiny = jnp.finfo(dt.dtype).tiny
     faults = (
         (jnp.any(too_large), StepCode.COASTED),
@@ -661,7 +661,7 @@ def _input_fault(u: Array, too_large: Array, dt: Scalar) -> Code:
         (~(jnp.isfinite(dt) & (dt > -tiny)), StepCode.STEP_REFUSED),
     )
     code = jnp.asarray(int(StepCode.OK))
-    # In the order of severity: a later fault replaces an earlier one.
+    # Ordered by severity: a later fault replaces an earlier one.
     for occurred, result in faults:
         code = jnp.where(occurred, int(result), code)
     return code
@@ -670,8 +670,8 @@ def _input_fault(u: Array, too_large: Array, dt: Scalar) -> Code:
 def outcome(q: Array, v: Array, y: Array, result: Code | int = StepCode.OK) -> Code:
     """Result code of a step, by the precedence `NOT_FINITE`, `COASTED`, `result`.
 
-    A position so large that floating-point numbers cannot resolve one unit counts as not finite: differences of such
-    positions mean nothing.
+    A position so large that floating-point numbers cannot resolve one unit counts as not finite, since differences of
+    such positions are meaningless.
     """
     # Beyond 1/ε neighbouring floating-point numbers are 1 or more apart.
     finite = jnp.all(jnp.abs(q) < 1 / jnp.finfo(q.dtype).eps) & jnp.all(jnp.isfinite(v))
@@ -692,7 +692,7 @@ def in_jax(record: Record) -> tuple[Array, Array, Array]:
 
 
 class Rows(NamedTuple):
-    """The steps of a record, one for each of its rows.
+    """The steps of a record, one for each row.
 
     Attributes:
         u: Inputs (T, m) that acted since the previous stamp.
@@ -707,7 +707,7 @@ class Rows(NamedTuple):
     @classmethod
     def of(cls, t: Array, u: Array, y: Array, input_at_end: bool = False) -> "Rows":
         """Steps of the stamps t (T,), inputs u (T, m) and measurements y (T, *n) of a record."""
-        # The input of a row is held from its stamp on, so that a step uses that of the row before.
+        # The input of a row is held from its stamp on, so a step uses the input of the previous row.
         return cls(u if input_at_end else jnp.concatenate([u[:1], u[:-1]]), y, jnp.diff(t, prepend=t[:1]))
 
 
@@ -746,8 +746,8 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
         The record itself.
 
     Raises:
-        ValueError: From `Record.check`; also where the first measurement is larger than `AbstractObserver.largest`, and
-            for the first row whose measurement is no configuration of the observer's model.
+        ValueError: From `Record.check`; or the first measurement is larger than `AbstractObserver.largest`, or the
+            measurement of a row, the first of which is named, is not a configuration of the observer's model.
 
     Example:
         >>> import numpy as np
@@ -762,14 +762,14 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     manifold: Any = getattr(getattr(observer, "model", None), "manifold", None)
     redundant = manifold is not None and manifold.redundant
     if redundant and start is not None and not isinstance(record.y, Tracer) and len(record.t):
-        # What is missing, the rest may tell; where it does not, `AbstractManifold.checked` says so.
+        # Other entries may determine the missing ones; if they do not, `AbstractManifold.checked` reports it.
         start = start[~np.isnan(np.asarray(record.y, float)[0].ravel()[start])]
     y = record.check(start, missing_inputs=True).y
     if isinstance(y, Tracer):
         return record
     if manifold is not None and redundant:
         manifold.checked(jnp.asarray(observer.configuration(np.asarray(y)[0])))
-    first = np.asarray(y)[0]  # a value even inside a compiled function, where indexing in JAX is traced
+    first = np.asarray(y)[0]  # a value even in a compiled function, in which JAX's own indexing would be traced
     if (np.abs(first) > observer.largest(first)).any():
         raise InputError("row 1: the measurement is too large for a start; cut the log to begin later")
     admitted = np.asarray(jax.vmap(observer.admitted)(jnp.asarray(y)))
@@ -785,14 +785,14 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
 def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None = None) -> Run:
     """Run an observer over a record. Row k of the run depends on the measurements up to row k only.
 
-    Use it for a log that is complete, in a script or under `jax.jit`. `engine.run_log` gives the same numbers, up to
-    rounding, by compiled C and is faster on long logs. `engine.Stream` takes samples one by one, and the verb
+    Use it for a complete log, in a script or under `jax.jit`. `engine.run_log` gives the same numbers, up to rounding,
+    by compiled C and is faster on long logs. `engine.Stream` takes samples one by one, and the verb
     `covariant.estimate` starts from files. The first row starts the estimate, so its measurement should be complete. A
     step never raises an error: read `info.result`.
 
     Args:
         observer: The observer.
-        record: A log, whose input in a row acts from its stamp to the next.
+        record: A log; the input of a row acts from its stamp to the next.
         keep: Names of the fields of the info to store; the others are None in the result, and take no memory on a long
             log. None (default) stores all. Names that the observer's info does not have are ignored.
 
@@ -800,7 +800,7 @@ def run(observer: AbstractObserver, record: Record, keep: Collection[str] | None
         A `Run` with the stamps, the estimates and the info of every row.
 
     Raises:
-        ValueError: From `Record.check`, and for a measurement that is no configuration.
+        ValueError: From `Record.check`, or a measurement is not a configuration.
 
     Example:
         >>> import numpy as np

@@ -1,4 +1,4 @@
-"""A new start in place of a state that has left the finite numbers."""
+"""Restarts an observer whose state is no longer finite."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,19 +17,19 @@ def all_finite(tree: Any) -> Flag:
 
 
 def started(init: Callable[[Array, Number], Any], state: Any, y: Inexact[Array, "*n"]) -> Any:
-    """Start anew at a measurement, at the time of a state and in its form.
+    """Restart at a measurement, at the time of a state and in its form.
 
-    Compiled, `init` raises nothing for a measurement that is no start, and returns NaN.
+    In a compiled function, `init` raises nothing for an invalid measurement and returns NaN.
     """
     fresh = eqx.filter_jit(init)(y, _time(state))
-    # A state that was written by hand may have fewer fields.
+    # A state written by hand may have fewer fields.
     there = [name for name in state._fields if getattr(state, name) is not None]
     filled = state._replace(**{name: getattr(fresh, name) for name in there})
     return jax.tree.map(lambda new, old: jnp.asarray(new, jnp.result_type(old)), filled, state)
 
 
 def _time(state: Any) -> Number:
-    """Latest time [s] in a state, or in one within it; 0 where there is none."""
+    """Latest time [s] in a state or in an inner one; 0 if there is none."""
     if "t" in state._fields:
         return jnp.ravel(state.t)[-1]
     return _time(state.inner) if "inner" in state._fields else 0.0

@@ -1,7 +1,7 @@
-"""Continuous mechanical observers with sampled measurements: predict with the model, correct with matched gains.
+"""Samples continuous mechanical observers: predicts with the model, and corrects with matched gains.
 
 The error law ξ' = ζ − αξ, ζ' = −βξ is a double integrator with two poles. Over a step dt the model is integrated
-without correction; then the measured error is fed back so that the sampled loop has the poles a, b = exp(λ dt) of the
+without correction; then the measured error is fed back such that the sampled loop has the poles a, b = exp(λ dt) of the
 continuous one.
 
 Without correction the model changes an error by `ξ' = ζ, ζ' = Nξ` with N = ∇S − R(·, v)v. For a constant number N the
@@ -9,8 +9,9 @@ gains are
 `K1 = 1 − ab` and `K2 = √N ((1 + ab) cosh(√N dt) − a − b)/sinh(√N dt) = k2 + κN + O(N²)`, with `k2 = (1 − a)(1 − b)/dt`
 and `κ = ½(1 + ab) dt − k2 dt²/6`. For dt → 0 they are α dt and β dt + N dt.
 
-With an unknown force that is estimated too the error law is a triple integrator, `ξ' = ζ, ζ' = Nξ + η, η' = 0` without
-correction, and has a third pole c = exp(−ρ dt). The determinant, trace and second invariant of the sampled loop give,
+If an unknown force is estimated too, the error law is a triple integrator, `ξ' = ζ, ζ' = Nξ + η, η' = 0` without
+correction, and has a third pole c = exp(−ρ dt). Matching determinant, trace and second invariant of the sampled loop
+gives,
 for a constant N, with T = a + b + c, P = ab + bc + ca, `S = sinh(√N dt)/√N` and `C = (cosh(√N dt) − 1)/N`,
 `K1 = 1 − abc`, `K2 = (2(1 + abc) cosh(√N dt) + 1 + abc − T − P)/2S`, `K3 = (1 − abc − T + P)/2C`. To first order K2 is
 again k2 + κN, with κ as above, and K3 is k3 (1 − N dt²/12).
@@ -34,10 +35,10 @@ from scalargraph.errors import InputError
 Observer = TypeVar("Observer", bound=Any)
 
 LONGEST_STEP = 0.01
-"""Longest Runge–Kutta step [s] of a prediction whose number of substeps is not fixed."""
+"""Longest Runge–Kutta step [s] in a prediction with a variable number of substeps."""
 MOST_SUBSTEPS = 10_000
 LONGEST_GAP = (jnp.pi / 2) ** 2
-"""Largest `|N| dt²` at which a sample corrects the velocity: a quarter of the period of an oscillation, beyond which
+"""Largest `|N| dt²` at which a sample corrects the velocity: dt is a quarter of an oscillation period then, after which
 the error may have changed its sign."""
 
 
@@ -56,11 +57,11 @@ def predicted(model: MechanicalSystem, state: Any, u: Float[Array, "m"], dt: Sca
 
 
 def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: Float[Array, "m"], dt: Number) -> Code:
-    """Number of Runge–Kutta steps that keep h·rate ≤ 1, with a bound on the rate [1/s] of the friction.
+    """Number of Runge–Kutta steps that keep h·rate ≤ 1, for a bound on the rate [1/s] of the friction.
 
-    The bound is the larger of those at rest and at v. Coulomb friction is steepest at rest, drag at speed. The trace
-    bounds the fastest rate, since the Jacobian of monotone friction is similar to a symmetric negative semidefinite
-    matrix. No step is longer than `LONGEST_STEP`.
+    The bound is the larger one of those at rest and at v, since Coulomb friction is steepest at rest and drag at speed.
+    The trace bounds the fastest rate, since the Jacobian of monotone friction is similar to a symmetric negative
+    semidefinite matrix. No step is longer than `LONGEST_STEP`.
 
     Args:
         model: Mechanical system.
@@ -91,7 +92,7 @@ def needed_substeps(model: MechanicalSystem, t: Number, q: Array, v: Vector, u: 
 
 
 def chooses_substeps(observer: Any) -> bool:
-    """Whether an observer chooses its number of substeps in each sample, by the friction of its mechanical model.
+    """Whether an observer chooses its number of substeps in each sample, from the friction of its mechanical model.
 
     Args:
         observer: Any observer.
@@ -115,8 +116,8 @@ def with_fixed_substeps(
 ) -> Observer:
     """Fix the number of substeps of an observer, so that its program has a fixed length.
 
-    The number is the largest that any of K motions needs at `rate`, such as those of a simulation or of a log. With a
-    slower rate, or friction steeper than at these motions, determine the number again.
+    The number is the largest that any of K motions, such as those of a simulation or log, needs at `rate`. For a slower
+    rate, or if friction may be steeper than in these motions, determine the number again.
 
     Args:
         observer: Observer that chooses its substeps; see `chooses_substeps`.
@@ -129,8 +130,8 @@ def with_fixed_substeps(
         The observer with this number of substeps.
 
     Raises:
-        ValueError: The number of substeps of the observer is fixed already, it has no mechanical model, or the rate is
-            not positive and finite.
+        ValueError: The number of substeps is fixed already, the observer has no mechanical model, or the rate is not
+            positive and finite.
 
     Example:
         >>> import jax.numpy as jnp
@@ -151,7 +152,7 @@ def with_fixed_substeps(
 
 def steps_for(dt: Number, rate: Number) -> Code:
     """Number of equal steps in dt that keep h·rate ≤ 1, at most `MOST_SUBSTEPS`."""
-    # NaN has no integer value; one step passes it on to the state, where the result code reports it.
+    # NaN cannot be converted to an integer; one step passes it on to the state, and the result code reports it.
     count = jnp.ceil(jnp.nan_to_num(jnp.asarray(dt * rate), nan=1.0))
     return jnp.clip(count, 1, MOST_SUBSTEPS).astype(jnp.int32)
 
@@ -161,16 +162,16 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
 
     Complex poles `√p exp(±iφ)`, p = exp(−α dt), give `k2 = (1 − √p)²/dt + 2√p (1 − cos φ)/dt`.
     """
-    # For dt ≤ 0 the 1 keeps the unused branch and its derivative finite.
+    # For dt ≤ 0, the 1 keeps the unused branch and its derivative finite.
     positive_dt = jnp.where(dt > 0, dt, 1.0)
     square = beta - alpha * alpha / 4
     # At a double pole the derivative of the root is infinite, so the root is replaced by 1, which is not used there.
     half_gap = jnp.sqrt(jnp.where(square != 0, jnp.abs(square), 1.0))  # half the distance between the poles
     sine_square = jnp.where(square > 0, jnp.sin(half_gap * positive_dt / 2) ** 2, 0.0)
-    # Differences from 1 by expm1 and sin²: for small dt the plain formulas cancel.
+    # expm1 and sin² compute differences from 1 that would cancel in the plain formulas for small dt.
     root = jnp.exp(-alpha * positive_dt / 2)
     fast_pole = alpha / 2 + half_gap
-    # The slow pole is β over the fast one, since a difference would cancel.
+    # The slow pole is computed as β over the fast pole, since a difference would cancel.
     real_poles = jnp.expm1(-fast_pole * positive_dt) * jnp.expm1(-beta / fast_pole * positive_dt)
     k2 = (
         jnp.where(square < 0, real_poles, jnp.expm1(-alpha * positive_dt / 2) ** 2 + 4 * root * sine_square)
@@ -182,7 +183,7 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
 def sampled_force_gains(alpha: Number, beta: Number, force_rate: Number, dt: Number) -> tuple[Scalar, Scalar, Scalar]:
     """Gains of position, velocity and unknown acceleration of one sample: `sampled_gains` with a third pole at −ρ.
 
-    With 1 − a, 1 − b and 1 − c = r their elementary symmetric functions e1, e2, e3 give `k1 = e1 − e2 + e3`,
+    With the elementary symmetric functions e1, e2, e3 of 1 − a, 1 − b and 1 − c = r, they are `k1 = e1 − e2 + e3`,
     `k2 = (e2 − 3e3/2)/dt`, `k3 = e3/dt²`. For r = 0 the first two are those of `sampled_gains`.
     """
     k1, k2 = sampled_gains(alpha, beta, dt)
@@ -193,7 +194,7 @@ def sampled_force_gains(alpha: Number, beta: Number, force_rate: Number, dt: Num
 
 
 def acceleration_gain(k1: Scalar, k2: Scalar, dt: Number) -> Scalar:
-    """Gain `κ = ½(1 + ab) dt − k2 dt²/6` of the acceleration that is missing in a prediction, to first order in N."""
+    """Gain `κ = ½(1 + ab) dt − k2 dt²/6` of the acceleration that a prediction lacks, to first order in N."""
     # ½(1 + ab) dt, since k1 = 1 − ab.
     return dt * (1 - k1 / 2) - k2 * dt * dt / 6
 
@@ -204,7 +205,7 @@ class Correction(NamedTuple):
     Attributes:
         part: Fraction of ξ to subtract.
         velocity: Change (n,) of the velocity.
-        restarted: Whether the sample came too late to be used for the velocity, so that the estimate restarts from the
+        restarted: Whether the sample came too late to correct the velocity, so that the estimate restarts from the
             measured configuration and the predicted velocity.
     """
 
@@ -216,21 +217,21 @@ class Correction(NamedTuple):
 def sampled_correction(
     space: AbstractSpace, motion: Motion, gains: tuple[Scalar, Scalar], dt: Number, xi: Vector, missing: Vector
 ) -> Correction:
-    """Correction of a predicted motion by the error ξ, with the gains of position and velocity of one sample.
+    """Correction of a predicted motion by the error ξ, with the position and velocity gains of one sample.
 
-    N is an operator that is known in the direction of ξ only; terms beyond first order in `|N| dt²` use its size.
+    The operator N is known only in the direction of ξ; terms beyond first order in `|N| dt²` use its size.
     """
     k1, k2 = gains
     size, gap = space.norm(motion.q, xi), space.norm(motion.q, missing) * dt * dt
-    # An error below the rounding of the distance moved says nothing about N.
+    # An error below the rounding of the distance moved contains no information on N.
     rounding = float(jnp.finfo(xi.dtype).eps) ** 0.5 * dt * space.norm(*motion)
     restarted = gap > LONGEST_GAP * size + rounding
     square = gap / jnp.where(size > 0, size, 1.0)
     kappa = acceleration_gain(k1, k2, dt)
-    velocity = kappa / (1 + square / 18) * missing - k2 * xi  # for large |N| dt² it grows as x coth x does
+    velocity = kappa / (1 + square / 18) * missing - k2 * xi  # for large |N| dt² it grows like x coth x
     return Correction(jnp.where(restarted, 1.0, k1), jnp.where(restarted, 0.0, velocity), restarted)
 
 
 def step_result(correction: Correction, result: Code) -> Code:
-    """Result code of a step: its own, or `RESTARTED`, whichever is worse."""
+    """Result code of a step: `result`, or `RESTARTED` if that is worse."""
     return jnp.where(correction.restarted, jnp.maximum(result, int(StepCode.RESTARTED)), result)

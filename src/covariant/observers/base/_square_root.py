@@ -1,4 +1,4 @@
-"""Operations of Kalman filters on a square root S of the covariance `P = S Sᵀ`, which no rounding makes indefinite.
+"""Operations of Kalman filters on a square root S of the covariance `P = S Sᵀ`, which rounding cannot make indefinite.
 
 Source: Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 12, the array form.
 """
@@ -27,18 +27,18 @@ def white_acceleration(density: Matrix, h: Scalar) -> Float[Array, "two_n two_n"
 def updated(
     root: Float[Array, "k k"], shown: Float[Array, "n k"], noise: Float[Array, "n n"], used: Array
 ) -> tuple[Float[Array, "k n"], Float[Array, "k k"]]:
-    """Correction of a square root by a measurement of n linear functions H of the state, in array form."""
+    """Correct a square root by a measurement of n linear functions H of the state, in array form."""
     n = noise.shape[0]
     both = used[:, None] & used[None, :]
-    # An unused entry gets unit noise and no output: its gain is zero, and the matrix to be solved stays regular.
+    # An unused entry gets unit noise and zero output: its gain is zero, and the matrix to be solved stays regular.
     noise_root = semidefinite_root(jnp.where(both, noise, jnp.eye(n, dtype=noise.dtype)))
     measured_root = jnp.where(used[:, None], shown, 0.0)
     above = jnp.concatenate([noise_root, measured_root], axis=1)
     below = jnp.concatenate([jnp.zeros((root.shape[0], n), root.dtype), root], axis=1)
-    # The factor has the same `A Aᵀ`: its blocks are the innovation's root, the cross term and the corrected root.
+    # The triangular factor has the same `A Aᵀ`; its blocks are the innovation's root, the cross term and the new root.
     joint = triangular(jnp.concatenate([above, below]))
     innovation_root, cross = joint[:n, :n], joint[n:, :n]
-    # The gain is cross · L⁻¹ with the innovation's root L, as cross Lᵀ (L Lᵀ)⁻¹ for a solver of symmetric systems.
+    # The gain cross · L⁻¹, with the innovation's root L, is computed as cross Lᵀ (L Lᵀ)⁻¹ by a symmetric solver.
     return solve(innovation_root @ innovation_root.T, innovation_root @ cross.T).T, joint[n:, n:]
 
 
@@ -46,5 +46,5 @@ def normalised_square(spread: Matrix, innovation: Vector, present: Bool[Array, "
     """Normalised square `rᵀS⁻¹r` of the measured components of an innovation."""
     both = present[:, None] & present[None, :]
     r = jnp.where(present, innovation, 0.0)
-    # A component that is not measured has unit variance and r = 0: it adds nothing, and the matrix stays regular.
+    # A component that is not measured gets unit variance and r = 0: it adds nothing, and the matrix stays regular.
     return r @ solve(jnp.where(both, spread, jnp.eye(len(r), dtype=r.dtype)), r)

@@ -1,9 +1,9 @@
-"""Updates by encoders that count ticks: a reading gives an interval, and a change of reading marks a passed edge.
+"""Updates by encoders that count ticks: a reading is an interval, and a change of reading marks a passed edge.
 
-A reading y of an encoder with step s means `|y − q| ≤ s/2`. Independent Gaussian noise at every sample would count one
-interval many times while the joint crosses it. Here an interval only limits the variance, to that of a uniform
+A reading y of an encoder with tick s means `|y − q| ≤ s/2`. Independent Gaussian noise at every sample would use the
+same interval many times while the joint crosses it. Here an interval only limits the variance, to that of a uniform
 distribution, and keeps the mean inside. An edge is more informative: at some time between the last two samples, the
-joint was exactly between two readings.
+joint was exactly at the border between two readings.
 """
 
 from typing import NamedTuple
@@ -34,7 +34,7 @@ class Readings(NamedTuple):
 
 
 class Believed(NamedTuple):
-    """Posterior of an error.
+    """Posterior distribution of an error.
 
     Attributes:
         error: Mean (N,).
@@ -76,27 +76,27 @@ class Encoded(NamedTuple):
 def take(
     prior: Float[Array, "N N"], rows: tuple[Float[Array, "n N"], Float[Array, "n N"]], encoded: Encoded
 ) -> Believed:
-    """Update an error of mean zero and covariance `prior priorᵀ` by the encoders' readings, one after the other."""
+    """Update an error with zero mean and covariance `prior priorᵀ` by the encoders' readings, one after the other."""
     offset, moved, age, speed, step, noise, used = encoded
     state = Believed(jnp.zeros_like(prior[0]), prior)
     for i in range(len(step)):
         position, velocity = rows[0][i], rows[1][i]
         half = step[i] / 2
-        # The variance step²/12 of a uniform distribution over one tick.
+        # step²/12 is the variance of a uniform distribution over one tick.
         uniform = half * half / 3
-        # Rounding removes the floating-point error: two readings differ by a whole number of ticks.
+        # Two readings differ by a whole number of ticks; `round` removes floating-point errors.
         ticks = jnp.round(jnp.abs(moved[i]) / step[i])
         edge, still = ticks == 1, ticks == 0
         variance = jnp.sum((position @ state.root) ** 2)
-        # The joint passed the edge at an unknown time, which is uniformly distributed since the last reading.
+        # The joint passed the edge at an unknown time, distributed uniformly since the last reading.
         since_edge = jnp.where(edge, age[i] / 2, 0.0)
         mean_square_speed = speed[i] ** 2 + jnp.sum((velocity @ state.root) ** 2)
-        # Without an edge, this noise reduces a variance above the uniform one to the uniform one.
+        # Without an edge, this noise reduces a variance above the uniform one to exactly that.
         wider = variance > uniform
         interval_noise = 1 / jnp.where(wider, 1 / uniform - 1 / jnp.where(wider, variance, 1.0), 1.0)
-        # The time of an edge is uniform over the age: its variance age²/12, times the mean square of the speed.
+        # The time of the edge has the variance age²/12; it is multiplied by the mean square of the speed.
         r = noise[i] + jnp.where(edge, mean_square_speed * age[i] ** 2 / 12, jnp.where(still, interval_noise, uniform))
-        # The edge is half a tick before the new reading; the joint was there `since_edge` seconds ago on average.
+        # The edge is half a tick before the new reading; on average, the joint was there `since_edge` seconds ago.
         measured = offset[i] - jnp.where(edge, jnp.sign(moved[i]) * half - since_edge * speed[i], 0.0)
         state = _update_by_scalar(state, position - since_edge * velocity, measured, r, used[i] & (wider | ~still))
         state = _clamp_mean(state, position, offset[i], half + jnp.sqrt(noise[i]), used[i])
@@ -114,7 +114,7 @@ def _update_by_scalar(state: Believed, row: Vector, value: Scalar, noise: Scalar
 
 
 def _clamp_mean(state: Believed, row: Vector, centre: Scalar, half: Scalar, used: Array) -> Believed:
-    """Shift the mean into the interval, along the gain of a position measurement, and keep the covariance."""
+    """Shift the mean into the interval, along the gain of a position measurement; the covariance is unchanged."""
     residual = centre - row @ state.error
     outside = jnp.where(used, residual - jnp.clip(residual, -half, half), 0.0)
     projected = row @ state.root

@@ -1,4 +1,4 @@
-"""Observers with constant gains: intrinsic, geodesic, on groups, contracting."""
+"""Observers with constant gains: intrinsic, geodesic, on groups, for ships, contracting, reduced-order."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Copy of the plant with output injection, made contracting by its gain.
+"""Observer that copies the plant and injects the output error, with a gain that makes it contracting.
 
-Source: Jouffroy & Fossen 2004, equation (12). In place of its Theorem 2 stands the virtual system
-`y' = f(t, y, u(t)) + K(z − h(t, y))`: both plant and observer are solutions of it, whatever generates the input u(t).
+Source: Jouffroy & Fossen 2004, equation (12). Its Theorem 2 is replaced by the virtual system
+`y' = f(t, y, u(t)) + K(z − h(t, y))`: plant and observer both are solutions of it, whatever generates the input u(t).
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
 Injected = Callable[[Array, Array, Array, Array], Array]
-"""`(t, x, u, z) -> (n,)`: the model's f with measured outputs z replacing states; it equals f where z = h(x)."""
+"""`(t, x, u, z) -> (n,)`: f of the model with measured outputs z replacing states; it equals f if z = h(x)."""
 
 
 class ContractingState(NamedTuple):
@@ -31,7 +31,7 @@ class ContractingState(NamedTuple):
 
     Attributes:
         x: Estimated state (n,).
-        t: Time [s] that it belongs to.
+        t: Time [s] of the state.
         unmeasured: Time [s] since each output (p,) was last measured.
         last_input: The last finite input (m,).
 
@@ -56,10 +56,10 @@ class Contracting(AbstractFlowObserver):
     """Observer `x̂' = f(t, x̂, u) + K (z − h(t, x̂, u))` of a state-space model, equation (12).
 
     With sampled measurements the model runs between samples, and the correction is implicit,
-    `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`, where W holds the weight [s] of each output: no gain makes it unstable by
-    itself, and for dt → 0 it is the differential equation.
+    `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`, where W contains the weight [s] of each output: no gain makes the correction
+    unstable, and for dt → 0 it becomes the differential equation.
 
-    Use it for a model that is not mechanical, with a gain from `calibration.contracting_gain` or a design of your own.
+    Use it for a model that is not mechanical, with a gain from `calibration.contracting_gain` or your own design.
     `certificates.virtual` and `proofs.prove` show where it converges. `StateEKF` needs no design, but has no proof.
 
     Attributes:
@@ -109,7 +109,7 @@ class Contracting(AbstractFlowObserver):
         """State at the first estimate `start`.
 
         Args:
-            y: First measurement (p,), of which only shape and precision count.
+            y: First measurement (p,); only its shape and precision are used.
             t: Its time stamp [s], 0 by default.
 
         Returns:
@@ -124,8 +124,8 @@ class Contracting(AbstractFlowObserver):
     def virtual(self, t: Scalar, x: Vector, u: Float[Array, "m"], z: Float[Array, "p"]) -> Vector:
         """Right-hand side of the virtual system at x.
 
-        What has to be contracting is its Jacobian in x at fixed u and z: where u depends on an estimate, it acts on
-        plant and observer alike. Angles in z are not wrapped.
+        Its Jacobian in x, at fixed u and z, must be contracting: if u depends on an estimate, it acts equally on plant
+        and observer. Angles in z are not wrapped.
 
         Args:
             t: Time [s].
@@ -141,7 +141,7 @@ class Contracting(AbstractFlowObserver):
 
     def flow(self, t: Scalar, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"]) -> ContractingState:
         expected = self.model.h(t, state.x, u)
-        nearest = expected - self.model.output_error(expected, y)  # y, with angles shifted by 2π to be nearest
+        nearest = expected - self.model.output_error(expected, y)  # y, with angles shifted by 2π towards the expected
         slope, one = self.virtual(t, state.x, u, nearest), jnp.ones_like(state.t)
         return ContractingState(slope, one, jnp.zeros_like(state.unmeasured), still(state.last_input))
 
@@ -152,7 +152,7 @@ class Contracting(AbstractFlowObserver):
     def correct(
         self, state: ContractingState, u: Float[Array, "m"], y: Float[Array, "p"]
     ) -> tuple[ContractingState, Info]:
-        """Correct a predicted state by the implicit formula; an output that is missing has the weight 0.
+        """Correct a predicted state by the implicit formula; a missing output has weight 0.
 
         Args:
             state: State that `predict` returned.
@@ -167,11 +167,11 @@ class Contracting(AbstractFlowObserver):
         missing = jnp.isnan(y)
         error = self.model.output_error(expected, y)
         weight = jnp.where(missing, 0.0, jnp.minimum(elapsed, self.memory))
-        # output_error is h − z, so that this is z, with angles nearest to the expected ones.
+        # output_error is h − z, so this is z, with angles shifted to the nearest turn.
         correction_gain = self._gain(time, expected - error) * weight[None, :]
-        # One implicit Euler step of x' = −K (h − z) over the weight, with h linearised: (I + h_x KW) is its matrix.
+        # One implicit Euler step of x' = −K (h − z) over the weight, with h linearised; its matrix is (I + h_x KW).
         effect = jnp.eye(y.shape[0], dtype=y.dtype) + jax.jacfwd(self.model.h, 1)(time, x, u) @ correction_gain
-        # The matrix is not symmetric, so its normal equations are solved; it is small.
+        # The matrix is small but not symmetric, so its normal equations are solved.
         correction = correction_gain @ solve(effect.T @ effect, effect.T @ error)
         corrected = x - correction
         result = jnp.where(jnp.all(missing), int(StepCode.COASTED), int(StepCode.OK))
@@ -187,8 +187,8 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
     """Observer (101)–(102) of a craft: `η̂' = J(z)ν̂ + K1(z − η̂)`, `Mν̂' + (C(ν̂) + D(ν̂))ν̂ + g(z) = τ + Jᵀ(z)K2(z −
     η̂)`.
 
-    It converges where K2 is symmetric positive definite. The metric `diag(K2, M)` shows this only where drag acts at
-    rest; a metric with a cross term shows it everywhere. The paper's `K2 = I − K_p` is unstable for K_p > 1.
+    It converges if K2 is symmetric positive definite. The metric `diag(K2, M)` shows this only if drag acts at rest; a
+    metric with a cross term shows it in all cases. The paper's `K2 = I − K_p` is unstable for K_p > 1.
 
     Args:
         craft: The craft, with n coordinates.

@@ -35,12 +35,12 @@ class ModelCopy(AbstractMechanicalObserver):
 
         q̂' = E(q̂)(v̂ − αe),   v̂' = −B(q̂)(v̂, v̂) + S(q) − βe + friction
 
-    Use it at high gain on a nearly flat metric, where curvature does not matter; it is the cheapest observer with a
+    Use it with high gain on a nearly flat metric, whose curvature does not matter; it is the cheapest observer with a
     model. `Intrinsic` costs little more and has the full error law.
 
     Attributes:
         model: The mechanical system.
-        alpha: Gain α [1/s], which must be high where curvature or velocity is.
+        alpha: Gain α [1/s]; the more curvature or velocity there is, the higher it must be.
         beta: Gain β [1/s²], likewise.
         substeps: Number of Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need
             (offline).
@@ -82,7 +82,7 @@ class ModelCopy(AbstractMechanicalObserver):
     def correct(self, state: SampledState, u: Float[Array, "m"], y: Array) -> tuple[SampledState, Info]:
         (q, v, t), waited = state[:3], time_since_measurement(state)
         e = -self.model.manifold.towards(q, y)
-        # The prediction used S(q̂); the observer (15) uses S at the measurement.
+        # The prediction used S(q̂), but observer (15) uses S at the measurement.
         missing = source(self.model, t, self.model.manifold.measured(q, y), u) - source(self.model, t, q, u)
         gains = sampled_gains(self.alpha, self.beta, waited)
         correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, e, missing)

@@ -1,4 +1,4 @@
-"""The exact intrinsic observer: geodesic error, parallel transport, curvature. It is the same in all coordinates.
+"""The exact intrinsic observer, with geodesic error, transport and curvature; it is the same in all coordinates.
 
 Source: Aghannan & Rouchon 2003, equation (2), with the curvature sign of `covariant.geometry`; Maithripala, Berg &
 Dayawansa 2004, equation (17), for groups.
@@ -38,7 +38,7 @@ class GeodesicState(NamedTuple):
     Attributes:
         q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Estimated velocity (n,), in the frame.
-        t: Time [s] that they belong to.
+        t: Time [s] of the estimate.
         log: The last solution `log_q(q̂)` (n,), a velocity at the measurement q, from which the next search starts.
         last_input: The last finite input (m,); None in continuous time.
         age: Time since the last measurement [s]; None in continuous time.
@@ -65,7 +65,7 @@ class GeodesicInfo(NamedTuple):
     Attributes:
         innovation: Difference (n,) from q̂ to y before the correction, as in `Info`.
         distance: Length of the geodesic to the measurement, in the metric.
-        residual: Length in the metric by which the geodesic misses the measurement; infinite where there is none.
+        residual: Distance in the metric by which the geodesic misses the measurement; infinite if there is none.
         result: A `covariant.signals.StepCode` code.
 
     Example:
@@ -84,15 +84,15 @@ class GeodesicInfo(NamedTuple):
 
 
 class Path(NamedTuple):
-    """The geodesic between an estimate and a measurement, or the straight path in its place.
+    """The geodesic between an estimate and a measurement, or a straight path that replaces it.
 
     Attributes:
         log: Velocity (n,) at the estimate that leads to the measurement in unit time.
         back: Velocity (n,) at the measurement that leads to the estimate in unit time.
-        residual: Length in the metric by which the geodesic misses the estimate; infinite where there is none.
+        residual: Distance in the metric by which the geodesic misses the estimate; infinite if there is none.
         result: A `covariant.signals.StepCode` code.
         exact: Whether it is a geodesic; otherwise it is the first-order error.
-        measured: Measured configuration, with the estimate's entries where the measurement is missing.
+        measured: Measured configuration; missing entries are those of the estimate.
     """
 
     log: Vector
@@ -106,14 +106,14 @@ class Path(NamedTuple):
 def path_to(model: MechanicalSystem, q: Array, guess: Vector, y: Array, budget: Budget) -> Path:
     """Path between an estimate and a measurement.
 
-    The search starts at the measurement, so that its geodesic is also the one along which vectors come from there.
+    The search starts at the measurement, because vectors are transported from there along the same geodesic.
     """
     space = model.space
     measured = space.manifold.measured(q, y)
     shot = space.shoot(measured, q, guess, budget)
     exact = (shot.result != StepCode.NOT_CONVERGED) & jnp.all(jnp.isfinite(shot.velocity))
     straight = space.manifold.towards(q, y)
-    # A geodesic from q to q̂ arrives with −log_q̂(q).
+    # A geodesic from q to q̂ arrives with the velocity −log_q̂(q).
     log, back = jnp.where(exact, jnp.stack([-shot.arrival, shot.velocity]), jnp.stack([straight, -straight]))
     residual = jnp.where(exact, shot.residual, jnp.inf)
     return Path(log, back, residual, jnp.maximum(readability(model, q, y), shot.result), exact, measured)
@@ -127,11 +127,11 @@ class Geodesic(AbstractMechanicalObserver):
         q̂' = E(q̂) w,   w = v̂ − αξ
         ∇_w v̂ = T(q→q̂) S(q) − βξ + R(ξ, v̂)v̂ + raise(dissipation(q̂, v̂))
 
-    Where there is no finite geodesic, the first-order error of `Intrinsic` replaces it and `result` says
+    If there is no finite geodesic, the first-order error of `Intrinsic` replaces it, and `result` says
     `NOT_CONVERGED`.
 
     Use it if initial errors are large, gains are low, or the chart is strongly curved. The estimate is the same in all
-    coordinates. Without a closed form each step searches a geodesic, so it costs more than `Intrinsic`.
+    coordinates. Without a closed form each step searches for a geodesic, so it costs more than `Intrinsic`.
 
     Attributes:
         model: The mechanical system.
@@ -175,13 +175,13 @@ class Geodesic(AbstractMechanicalObserver):
         return GeodesicState(q, v, t, jnp.zeros_like(v), last_input, age)
 
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
-        # A time derivative has no result to report: conjugate points are not counted.
+        # A time derivative reports no result, so conjugate points are not counted.
         path, drive = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
         # ξ = −log, hence plus α and plus β.
         w = state.v + self.alpha * path.log
         v_dot = drive + self.beta * path.log + friction(self.model, t, state.q, state.v, u)
         v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
-        # This is only a warm start: it tracks the computed geodesic, and the estimate does not depend on how closely.
+        # The log is only a warm start: it follows the computed geodesic, and the estimate does not depend on it.
         log_dot = 10 * self.alpha * (path.back - state.log)
         return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.last_input), still(state.age))
 
@@ -201,7 +201,7 @@ class Geodesic(AbstractMechanicalObserver):
         new_v = jnp.where(path.exact, end.w, space.projected(new_q, corrected - space.connection(q, displacement, v)))
         result = outcome(new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, path.result))
         info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
-        # The same geodesic from the measurement, shortened: its initial velocity shrinks with its length.
+        # The same geodesic seen from the measurement; it is shortened, so its initial velocity shrinks with its length.
         log = (1 - correction.part) * path.back
         return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
 
@@ -213,8 +213,8 @@ class Geodesic(AbstractMechanicalObserver):
         path = path_to(self.model, q, state.log, y, budget)
         s = source(self.model, t, path.measured, u)
         transported = space.transport_along(path.measured, path.back, s, budget).w
-        # From the measurement to the estimate the displacement is −straight, hence the plus sign of the transport.
+        # The displacement from the measurement to the estimate is −straight, hence the plus sign in the transport.
         straight = space.manifold.towards(q, y)
         drive = jnp.where(path.exact, transported, s + space.connection(q, straight, s))
-        # ξ = −log, so that R(ξ, v̂)v̂ is subtracted as R(log, v̂)v̂.
+        # ξ = −log, so R(ξ, v̂)v̂ becomes −R(log, v̂)v̂.
         return path, drive - space.curvature(q, path.log, v, v) if self.curvature else drive

@@ -1,17 +1,17 @@
-"""An observer corrected by implicit steps along geodesics, which no gain makes too large; the same in all coordinates.
+"""An observer with implicit corrections along geodesics, stable for any gain α; it is the same in all coordinates.
 
-Between samples the estimate follows the model. A sample y that comes h after the one before moves it along the geodesic
-to y, and changes its velocity along it:
+Between samples the estimate follows the model. A sample y, a time h after the previous one, moves the estimate along
+the geodesic to y and changes its velocity in the same direction:
 
     q̂ ← exp_q̂(θ log_q̂ y),   v̂ ← Π(v̂ + σθ log_q̂ y),   θ = αh/(1 + αh),   σ = β/α,
 
-where Π is the parallel transport along that geodesic. θ is the part of the error that an implicit Euler step of
-`ξ' = −αξ` takes away; it is below 1 for all α and h. For the error ξ of the position and ζ of the velocity, let
-`w = ζ − σξ`: the correction is the proximal step of `½αh d(q, y)²` in the metric `|ξ|² + |w|²` of the states. In a flat
-metric it takes ξ to (1 − θ)ξ and leaves w as it is, however large the errors are. It uses neither the source nor the
-curvature at y, and leaves nothing out that would be of higher order.
+where Π is the parallel transport along that geodesic. θ is the fraction of the error that an implicit Euler step of
+`ξ' = −αξ` removes; it is below 1 for all α and h. For the position error ξ and the velocity error ζ, let `w = ζ − σξ`:
+the correction is the proximal step of `½αh d(q, y)²` in the metric `|ξ|² + |w|²` of the states. In a flat metric it
+reduces ξ to (1 − θ)ξ and leaves w unchanged, however large the errors are. It uses neither the source nor the curvature
+at y, and neglects no terms of higher order.
 
-What is left to the model between samples is w. That limits σ and h, and not α.
+The model alone acts on w between samples. That limits σ and h, but not α.
 
 Source: an addition. Rockafellar 1976, Monotone operators and the proximal point algorithm, SIAM J. Control Optim.
 14(5), for the step; Kalata 1984, The tracking index, IEEE TAES 20(2), for constant gains θ and σθh beside a prediction.
@@ -41,12 +41,11 @@ from covariant.observers.constant_gain._geodesic import GeodesicInfo, GeodesicSt
 class ImplicitGeodesic(AbstractMechanicalObserver):
     """Predict with the model; correct position and velocity by an implicit step along the geodesic to the sample.
 
-    A sample after the time h since the one before takes away the part `θ = αh/(1 + αh)` of the error along the
-    geodesic to the measurement, and adds `σ = β/α` times that displacement to the velocity. Unlike `Geodesic` it does
-    not compensate what the model does to an error between samples: to first order `ξ' = ζ − αξ, ζ' = −Kξ − βξ` with
-    `K = R(·, v)v − ∇S`. In exchange no α is too large, and where the metric is flat no error is. β/α must be well below
-    2/h. Where no geodesic is found, the first-order error of `Intrinsic` replaces it and `result` says
-    `NOT_CONVERGED`.
+    A sample at the time h after the previous one removes the fraction `θ = αh/(1 + αh)` of the error along the geodesic
+    to the measurement, and adds `σ = β/α` times that displacement to the velocity. Unlike `Geodesic` it does not
+    compensate the model's effect on an error between samples: to first order `ξ' = ζ − αξ, ζ' = −Kξ − βξ` with
+    `K = R(·, v)v − ∇S`. In exchange no α is too large and, in a flat metric, no error is. β/α must be well below 2/h.
+    If no geodesic is found, the first-order error of `Intrinsic` replaces it, and `result` says `NOT_CONVERGED`.
 
     Use it for a high gain at a low sampling rate, long gaps, or errors of any size.
 
@@ -91,13 +90,13 @@ class ImplicitGeodesic(AbstractMechanicalObserver):
         return GeodesicState(q, v, t, jnp.zeros_like(v), last_input, age)
 
     def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
-        # The limit of samples that follow one another at once. It has no result: conjugate points are not counted.
+        # The limit of ever more frequent samples. A flow reports no result, so conjugate points are not counted.
         q, v, _, log, last_input, age = state
         path = path_to(self.model, q, log, y, self.budget._replace(conjugate=False))
         w = v + self.alpha * path.log
         v_dot = source(self.model, t, q, u) + friction(self.model, t, q, v, u) + self.beta * path.log
         v_dot = v_dot - self.model.space.connection(q, w, v)
-        # A warm start, which the estimate does not depend on; see `Geodesic`.
+        # A warm start, on which the estimate does not depend; see `Geodesic`.
         log_dot = 10 * self.alpha * (path.back - log)
         return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(last_input), still(age))
 
@@ -110,12 +109,12 @@ class ImplicitGeodesic(AbstractMechanicalObserver):
         waited = time_since_measurement(state)
         part = self.alpha * waited / (1 + self.alpha * waited)  # θ
         displacement, kicked = part * path.log, v + self.beta * waited / (1 + self.alpha * waited) * path.log  # σθ
-        # The kick is along the geodesic, so that transport takes it to the same multiple of the velocity there.
+        # The change of velocity is along the geodesic, so transport maps it to the same multiple of the velocity there.
         end = space.transport_along(q, displacement, kicked, self.budget)
         new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
         new_v = jnp.where(path.exact, end.w, space.projected(new_q, kicked - space.connection(q, displacement, kicked)))
         result = outcome(new_q, new_v, space.manifold.seen(q, y), path.result)
         info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
-        # The rest of the geodesic, seen from the measurement: the next search starts from it.
+        # The remaining geodesic, seen from the measurement; the next search starts from it.
         log = (1 - part) * path.back
         return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info

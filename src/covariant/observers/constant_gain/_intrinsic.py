@@ -43,12 +43,12 @@ class Intrinsic(AbstractMechanicalObserver):
         q̂' = E(q̂) w,   w = v̂ − αξ
         v̂' = −B(q̂)(w, v̂) + S(q) − B(ξ, S) − βξ + R(ξ, v̂)v̂ + raise(dissipation(q̂, v̂))
 
-    On a group it is the observer of Maithripala, Berg & Dayawansa, whose published α is half of this one. Where two
-    shortest paths lead to the measurement, as after half a turn, one of them is used and `result` says `CUT_LOCUS`.
+    On a group it is the observer of Maithripala, Berg & Dayawansa, whose published α is half of this one. If two
+    shortest paths lead to the measurement, as after half a turn, one of them is used, and `result` says `CUT_LOCUS`.
 
     It is the default choice for mechanical systems: cheap, with two constant gains, and with a known error law for
     small errors. `calibration.gains` finds the gains, and `certify` proves how far it converges. Use `order=2` or
-    `Geodesic` for larger errors, and `IntrinsicKalman` where noise is known or measurements are missing for long.
+    `Geodesic` for larger errors, and `IntrinsicKalman` if noise is known or measurements are missing for long.
 
     Attributes:
         model: The mechanical system.
@@ -57,15 +57,15 @@ class Intrinsic(AbstractMechanicalObserver):
         order: 1 (default) uses the published error ξ = e := −local(q̂, q), which is q̂ − q in coordinates; 2 uses
             ξ = e − ½(B + Q)(q̂)(e, e), where Q is the acceleration of the retraction, 0 in coordinates and along
             one-parameter groups.
-        coefficients: Where B and R of the error terms are evaluated: at the "measured" (default) position as in (5), or
-            at the "estimated" one as in (14); the difference is of second order.
+        coefficients: Where B and R of the error terms are evaluated: at the "measured" (default) position, as in (5),
+            or at the "estimated" one, as in (14); the difference is of second order.
         curvature: False leaves the curvature term out, to show its effect; True by default.
         substeps: Number of Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need
             (offline).
 
     Raises:
-        ValueError: A gain is not positive and finite, or `order` or `coefficients` is another value. `init` raises it
-            where the first measurement is no configuration.
+        ValueError: A gain is not positive and finite, or `order` or `coefficients` has another value; or in `init`, the
+            first measurement is not a configuration.
 
     Example:
         A unit mass on a unit spring, whose velocity is estimated from its position:
@@ -181,7 +181,7 @@ class Intrinsic(AbstractMechanicalObserver):
         Returns:
             The new motion.
         """
-        # v̂ keeps its direction along the displacement to first order: parallel transport from q̂ to the new q̂.
+        # To first order v̂ keeps its direction along the displacement, by parallel transport from q̂ to the new q̂.
         carried = v - self.model.space.connection(q, displacement, v)
         end = self.model.manifold.retract(q, displacement)
         return Motion(end, self.model.space.projected(end, carried + velocity))
@@ -189,7 +189,7 @@ class Intrinsic(AbstractMechanicalObserver):
     def smooth_correction(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array, age: Scalar) -> Motion:
         """Correct an estimate as `correct` does to first order in the missing acceleration, without a restart.
 
-        `correct` divides the missing acceleration by `1 + square/18`, which is not differentiable where the error is 0.
+        `correct` divides the missing acceleration by `1 + square/18`, which is not differentiable for a zero error.
 
         Args:
             t: Time [s].
@@ -232,7 +232,7 @@ class Intrinsic(AbstractMechanicalObserver):
         return sampled_gains(self.alpha, self.beta, age)
 
     def measured_error(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], y: Array) -> tuple[Vector, Vector]:
-        """Compute the error, and the acceleration that the measurement gives.
+        """Compute the error, and the acceleration that follows from the measurement.
 
         Args:
             t: Time [s].
@@ -244,14 +244,14 @@ class Intrinsic(AbstractMechanicalObserver):
         Returns:
             The error ξ (n,) at q̂, and the acceleration `T S(q) + R(ξ, v̂)v̂` (n,) without friction.
         """
-        # The innovation leads from q̂ to q, the error of the paper from q to q̂.
+        # The innovation leads from q̂ to q, while the error of the paper leads from q to q̂.
         e = -self.model.manifold.towards(q, y)
         measured = self.model.manifold.measured(q, y)
         xi = e if self.order == 1 else second_order(self.model.space, q, e)
         return xi, self.measured_acceleration(t, q, v, u, measured, xi)
 
     def measured_acceleration(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"], measured: Array, xi: Vector):
-        """Compute the acceleration that a measurement without gaps gives, for a known error.
+        """Compute the acceleration that follows from a complete measurement, for a known error.
 
         Args:
             t: Time [s].
@@ -266,8 +266,8 @@ class Intrinsic(AbstractMechanicalObserver):
         """
         at = measured if self.coefficients == "measured" else q
         s = source(self.model, t, measured, u)
-        # ξ leads from the measurement to the estimate: transport along it subtracts B(ξ, S), (5).
-        # A first-order transport may leave a part across a leaf.
+        # ξ leads from the measurement to the estimate, so transport along it subtracts B(ξ, S), (5).
+        # A first-order transport may leave a part normal to a leaf, which is removed.
         return self.model.space.projected(q, self.bend(at, s - self.model.space.connection(at, xi, s), xi, v))
 
 

@@ -1,18 +1,18 @@
-"""The approximate intrinsic observer with an estimate of an unknown force: integral action, three poles.
+"""The approximate intrinsic observer with an estimate of an unknown force: integral action, with three poles.
 
 Source: an extension of Aghannan & Rouchon 2003, equation (5); Johnson 1971, Accommodation of external disturbances in
 linear regulator and servomechanism problems, IEEE TAC 16(6), for the state of the disturbance.
 
-With the force d, a covector, the model accelerates by `S(q) + raise(d)`. To an observer that knows d this is another
-source, so that transport, curvature and the sampled correction apply to it as they do to S. Where the estimate is off
-by δ, the error law of the observer becomes
+With the force d, a covector, the model accelerates by `S(q) + raise(d)`. For an observer that knows d this is only
+another source, so transport, curvature and the sampled correction apply to it as they do to S. If the estimate of the
+force is off by δ, the error law becomes
 
     ξ' = ζ − (α + ρ)ξ,   ζ' = −(β + αρ)ξ + η,   η' = −βρ ξ − raise(δ ∘ B(v, ·)),   η = raise(δ).
 
-Without the last term its poles are those of (s² + αs + β)(s + ρ). That term is there because a force whose components
-are constant in the frame is not parallel: along a motion with the velocity v its covariant derivative is −d ∘ B(v, ·).
-It is of the size |B(v, ·)| |η|, and zero where the metric is constant. On a double pendulum at 20 rad/s it changes the
-rates of decay by 1 % for ω = 50 and ρ = 18, and by a fourth for ω = 10 and ρ = 5, slower than the motion.
+Without the last term its poles are those of (s² + αs + β)(s + ρ). The last term arises because a force with constant
+components in the frame is not parallel: along a motion with velocity v its covariant derivative is −d ∘ B(v, ·). Its
+size is |B(v, ·)| |η|, and it vanishes if the metric is constant. On a double pendulum at 20 rad/s it changes the rates
+of decay by 1 % for ω = 50 and ρ = 18, and by a fourth for ω = 10 and ρ = 5, which is slower than the motion.
 """
 
 from typing import Literal, NamedTuple
@@ -48,7 +48,7 @@ class IntrinsicForceState(NamedTuple):
     Attributes:
         q: Estimated configuration: coordinates (n,), or on a group a matrix (N, N).
         v: Estimated velocity (n,), in the frame.
-        t: Time [s] that they belong to.
+        t: Time [s] of the estimate.
         force: Estimated force (n,) that the model does not contain, a covector in the frame [N or N m].
         last_input: The last finite input (m,); None in continuous time.
         age: Time since the last measurement [s]; None in continuous time.
@@ -94,19 +94,19 @@ class IntrinsicForceInfo(NamedTuple):
 
 
 class IntrinsicForce(AbstractMechanicalObserver):
-    """`Intrinsic` with an estimate of a constant unknown force: it has no velocity error under a load or friction.
+    """`Intrinsic` with an estimate of a constant unknown force, so that a load or friction causes no velocity error.
 
     With the error ξ from q to q̂, and the force d̂ added to that of the model, it is `Intrinsic` with
 
         w = v̂ − (α + ρ)ξ,   v̂' = … − (β + αρ)ξ,   d̂' = −βρ lower(ξ)
 
-    To first order the error has the poles of (s² + αs + β)(s + ρ) at any velocity, apart from a coupling of the size of
-    the connection times the velocity, by which a force that is constant in the frame is not parallel. On a group the
-    force is a wrench in the body frame. For ρ = 0 and no force it is `Intrinsic`.
+    To first order the error has the poles of (s² + αs + β)(s + ρ) at any velocity, apart from a coupling proportional
+    to connection and velocity, because a force that is constant in the frame is not parallel. On a group the force is a
+    wrench in the body frame. For ρ = 0 and no force it is `Intrinsic`.
 
-    Use it where the model leaves out what lasts for a while: loads, friction, a wrong mass; and in the loop of a
-    controller, where a constant error of the velocity acts like a torque. It is somewhat noisier than `Intrinsic` with
-    the same α and β. `IntrinsicKalman` with `external_force` estimates the same force and knows how uncertain it is.
+    Use it if the model lacks something persistent, such as loads, friction or a part of the mass; and in the loop of a
+    controller, where a constant velocity error acts like a torque. It is somewhat noisier than `Intrinsic` with the
+    same α and β. `IntrinsicKalman` with `external_force` estimates the same force with its uncertainty.
 
     Attributes:
         model: The mechanical system, without the force.
@@ -120,8 +120,8 @@ class IntrinsicForce(AbstractMechanicalObserver):
             (offline).
 
     Raises:
-        ValueError: A gain is not positive and finite, `force_rate` is negative, or `order` or `coefficients` is another
-            value. `init` raises it where the first measurement is no configuration.
+        ValueError: A gain is not positive and finite, `force_rate` is negative, or `order` or `coefficients` has
+            another value; or in `init`, the first measurement is not a configuration.
 
     Example:
         A load of 2 N on a unit mass on a unit spring, which the model does not know:
@@ -154,7 +154,7 @@ class IntrinsicForce(AbstractMechanicalObserver):
     def slow_names(self) -> tuple[str, ...]:
         """Names (n) of the components of the force, in the order of `IntrinsicForceInfo.slow`."""
         manifold = self.model.manifold
-        if None in manifold.shape:  # coordinates without names, whose number is not known
+        if None in manifold.shape:  # coordinates without names, whose number is unknown
             return ()
         return tuple(f"external_force{i + 1}" for i in range(jax.eval_shape(manifold.zero, manifold.origin()).size))
 
@@ -179,7 +179,7 @@ class IntrinsicForce(AbstractMechanicalObserver):
         q, space, waited = state.q, self.model.space, time_since_measurement(state)
         k1, k2, k3 = sampled_force_gains(self.alpha, self.beta, self.force_rate, waited)
         new, correction, xi, missing = self._knowing(state.force).corrected(state, u, y, (k1, k2))
-        # K3 = k3 (1 − N dt²/12), and the missing acceleration is −Nξ. A late sample says nothing about the force.
+        # K3 = k3 (1 − N dt²/12), and the missing acceleration is −Nξ. A late sample tells nothing about the force.
         learnt = k3 * space.lower(q, xi + waited * waited / 12 * missing)
         force = state.force - jnp.where(correction.restarted, 0.0, learnt)
         code = step_result(correction, readability(self.model, q, y))

@@ -25,7 +25,7 @@ from scalargraph.errors import InputError
 class PassiveGains(NamedTuple):
     """Gains of `PassiveShip`.
 
-    The gain of the velocity is `K2(ψ) = P2⁻¹ Rᵀ(ψ) P1 + A1(ψ)`, (49) and (60); where P2 is the ship's own mass it is
+    The gain of the velocity is `K2(ψ) = P2⁻¹ Rᵀ(ψ) P1 + A1(ψ)`, (49) and (60); if P2 is the ship's own mass, it is
     `M⁻¹ Rᵀ P1 + A1`.
 
     Attributes:
@@ -52,15 +52,15 @@ class PassiveGains(NamedTuple):
 
 
 class PassiveShip(AbstractFlowObserver):
-    """Observer (43)–(44) of a `marine.Station`, with its waves, bias and thrusters where the station has them.
+    """Observer (43)–(44) of a `marine.Station`, including waves, bias and thrusters if the station has them.
 
-    It is the observer `Contracting` with the station's model: rotations are by the measured heading, or by the
-    estimated one while the heading is missing. The first row of a record must hold north, east and heading: the
-    estimate starts from them, at rest.
+    It is the observer `Contracting` with the station's model: rotations use the measured heading, or the estimated one
+    while the heading is missing. The first row of a record must contain north, east and heading: the estimate starts
+    from them, at rest.
 
     Attributes:
         station: The ship with its disturbances.
-        gains: Gains, from `lyapunov_gains` for a ship alone, from `notch_gains` for one at sea.
+        gains: Gains, from `lyapunov_gains` for a ship alone, or from `notch_gains` for a ship at sea.
         substeps: Number of Runge–Kutta steps of the model in each sample, 1 by default.
         memory: Upper bound [s] of the weight of an output, infinite by default; see `Contracting`.
 
@@ -88,7 +88,7 @@ class PassiveShip(AbstractFlowObserver):
             t: Time stamp [s], 0 by default.
 
         Returns:
-            The state, with zero waves, bias and thrust where the station has them.
+            The state, with zero waves, bias and thrust if the station has them.
 
         Raises:
             ValueError: y has another shape, or an entry of it is missing; a traced y has no values to check.
@@ -175,8 +175,8 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
 
     `K1 = P1⁻¹Q1`, and P2 solves `½(P2A2 + A2ᵀP2) = −Q2`.
 
-    Use it for a `PassiveShip` whose station has no waves and no slowly varying force: the gains of these are zero.
-    Larger matrices P1⁻¹Q1 correct the position faster and let more of its noise through.
+    Use it for a `PassiveShip` whose station has no waves and no slowly varying force; their gains are zero. A larger
+    P1⁻¹Q1 corrects the position faster and passes more of its noise.
 
     Args:
         station: The ship with its disturbances.
@@ -190,7 +190,7 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
 
     Raises:
         ValueError: A matrix is not symmetric positive definite, A2 is not Hurwitz, or, without q2, the damping does not
-            take energy from every motion.
+            dissipate energy in every motion.
 
     Example:
         >>> import numpy as np
@@ -215,7 +215,7 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
         identity = np.eye(3)
         # The Lyapunov equation as a linear system, row by row: vec(P2A2 + A2ᵀP2) = (I⊗A2ᵀ + A2ᵀ⊗I) vec P2.
         p2 = np.linalg.solve(np.kron(identity, a2.T) + np.kron(a2.T, identity), -2 * q2_matrix.ravel()).reshape(3, 3)
-        p2 = (p2 + p2.T) / 2  # symmetric but for rounding
+        p2 = (p2 + p2.T) / 2  # removes rounding from the symmetric matrix
     no_bias = np.zeros((3, 3))
     return _gains(np.linalg.solve(p1, q1_matrix), p1, p2, no_bias, np.zeros((6, 3)))
 
@@ -223,7 +223,7 @@ def lyapunov_gains(station: Station, stiffness: Numbers, q1: Numbers, q2: Number
 def lyapunov_rate(station: Station, gains: PassiveGains) -> float:
     """Largest α [1/s] with `Q ≥ αP`, so that `V ≤ e^(−2αt) V(0)` for the ship alone.
 
-    (47) takes `λmin(Q) / λmax(P)`, which is never larger and depends on the units; see `printed_rate`.
+    (47) uses `λmin(Q) / λmax(P)`, which is never larger and depends on the units; see `printed_rate`.
 
     Args:
         station: The ship with its disturbances.
@@ -292,7 +292,7 @@ def notch_gains(
         notch_damping: Relative damping of the notch, above that of the waves; 1 by default.
 
     Returns:
-        The gains, with zero `waves` or `bias` where the station has none.
+        The gains, with zero `waves` or `bias` if the station has none.
 
     Raises:
         ValueError: An entry of `bandwidth` or `cutoff` is not positive, or `notch_damping` does not exceed the damping
@@ -317,9 +317,9 @@ def notch_gains(
         cutoffs = 1.22 * w if cutoff is None else _three_positive("cutoff", cutoff)
         if not (notch_damping > z).all():
             raise InputError(f"notch_damping must exceed that of the waves, {z.max():g}; got {notch_damping:g}")
-        # From the measurement to the wave-free error this leaves a notch of damping `notch_damping` at ω, (41)–(46).
+        # From the measurement to the wave-free error there remains a notch with this damping at ω, (41)–(46).
         waves = np.concatenate([np.diag(-2 * (notch_damping - z) * cutoffs / w), np.diag(2 * w * (notch_damping - z))])
-    # Without waves s² + K1 s + P1/m is (s + ω)²: the cutoff is 2ω, so that P1/m is ω².
+    # Without waves s² + K1 s + P1/m is (s + ω)²: the cutoff is 2ω, and P1/m is ω².
     stiffness = m * cutoffs * bandwidths / 2
     # With K3/m = ωcω²/20 Routh's condition for s³ + ωc s² + ½ωcω s + K3/m is ω < 10 ωc.
     bias = stiffness * bandwidths / 10 if station.bias_time is not None else np.zeros(3)

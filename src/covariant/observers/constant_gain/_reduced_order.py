@@ -1,7 +1,7 @@
-"""Reduced-order observer: measured states equal the measurement, and correct the others by a constant injection.
+"""Reduced-order observer: takes measured states from the measurement, and corrects the others by constant injection.
 
 In continuous time it is `ŵ' = f_z(y, ẑ) − L f_y(y, ẑ)` with `ẑ = ŵ + Ly`, for measured states y and others z. Between
-samples the model predicts both. At a sample y jumps to the measurement, w = z − Ly stays, and so z jumps with y.
+samples the model predicts both. At a sample y jumps to the measurement; w = z − Ly does not jump, so z jumps with y.
 
 Source: Luenberger 1966, Observers for multivariable systems, IEEE TAC 11(2); `certificates.reduced_order` for L.
 """
@@ -48,9 +48,8 @@ class ReducedOrder(AbstractObserver):
 
     A missing output corrects nothing. The noise of a measurement enters the estimate unfiltered.
 
-    Use it where the outputs are states that are measured accurately. `verbs.design_reduced_order` computes the
-    direction. It converges from any distance within the design's region. For noisy outputs choose `StateEKF` or
-    `Contracting`.
+    Use it if the outputs are states that are measured accurately. `verbs.design_reduced_order` computes the direction.
+    It converges from any distance within the design's region. For noisy outputs choose `StateEKF` or `Contracting`.
 
     Attributes:
         model: The system, with n states, p of which are the outputs.
@@ -140,6 +139,6 @@ class ReducedOrder(AbstractObserver):
         return -self._correction(state.t, state.x, u, y)[1]
 
     def _correction(self, t: Scalar, x: Vector, u: Float[Array, "m"], y: Float[Array, "p"]) -> tuple[Vector, Outputs]:
-        """The amount (n,) to subtract from the states, and the differences (p,) h − y of outputs, 0 where missing."""
+        """The amount (n,) to subtract from the states, and the output differences (p,) h − y, 0 for missing outputs."""
         error = self.model.output_error(self.model.h(t, x, u), y)
         return jnp.asarray(self.direction, y.dtype) @ error, error

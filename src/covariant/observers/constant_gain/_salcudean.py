@@ -1,7 +1,7 @@
-"""Salcudean's observer of the angular velocity of a rigid body: a Lyapunov function, no linearisation, no metric.
+"""Salcudean's observer of a rigid body's angular velocity, by a Lyapunov function, without linearisation or a metric.
 
 Source: Salcudean 1991, A globally convergent angular velocity observer for rigid body motion, IEEE TAC 36. With
-`V = ½|h̃|² + k_p(1 − |e₀|)`, h being the momentum in the space frame, `V' = −½ k_p k_v e·I₀⁻¹e`.
+`V = ½|h̃|² + k_p(1 − |e₀|)`, where h is the momentum in the space frame, `V' = −½ k_p k_v e·I₀⁻¹e`.
 """
 
 from typing import NamedTuple
@@ -35,7 +35,7 @@ class SalcudeanState(NamedTuple):
     Attributes:
         q: Estimated rotation (3, 3).
         momentum: Estimated momentum (3,) [N m s], in the space frame.
-        t: Time [s] that they belong to.
+        t: Time [s] of the estimate.
         last_input: The last finite input (m,); None in continuous time.
         dt: Length [s] of the last prediction; None in continuous time.
 
@@ -61,9 +61,9 @@ class Salcudean(AbstractFlowObserver):
 
         R̂' = hat(ω̂) R̂,   ω̂ = I₀⁻¹(ĥ + k_v e),   ĥ' = torque + ½ k_p I₀⁻¹ e,   I₀ = R I Rᵀ, all in the space frame
 
-    For an inertia J that is the same in all directions its error obeys s² + αs + β with α = k_v/2J, β = k_p/4J². A step
+    For an inertia J that is equal in all directions its error obeys s² + αs + β with α = k_v/2J, β = k_p/4J². A step
     predicts with the model and adds dt times the injected terms, so `kv dt` must stay below the inertia. A measurement
-    with any NaN counts as missing as a whole.
+    that contains NaN counts as missing as a whole.
 
     Attributes:
         model: Mechanical system on SO(3).
@@ -137,7 +137,7 @@ class Salcudean(AbstractFlowObserver):
         self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]
     ) -> tuple[SalcudeanState, Info]:
         measured = _measured_rotation(state.q, y)
-        # The feedback: the difference between the flow and the prediction, which used the estimated rotation.
+        # The feedback is the difference between the flow and the prediction, which used the estimated rotation.
         slope = self.flow(state.t, state, u, measured)
         omega, torque = self._free_motion(state.t, state, u, state.q)
         dt = step_length(state)
@@ -164,9 +164,9 @@ def _measured_rotation(q: Float[Array, "3 3"], y: Float[Array, "3 3"]) -> Float[
 
 
 def of_mean_inertia(model: MechanicalSystem, alpha: Number, beta: Number) -> Salcudean:
-    """Salcudean's observer with the gains of the error law s² + αs + β for the mean of the principal inertias.
+    """Salcudean's observer, with gains that give the error law s² + αs + β for the mean of the principal inertias.
 
-    The law is exact for an inertia that is the same in all directions.
+    The law is exact for an inertia that is equal in all directions.
     """
     inertia = float(jnp.trace(model.space(SO3.identity()))) / 3
     return Salcudean(model, 4 * inertia**2 * beta, 2 * inertia * alpha)

@@ -1,4 +1,4 @@
-"""Differentiators: velocities from positions without a model."""
+"""Differentiators: filters that compute velocities from positions without a model."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Backward difference through a first-order low-pass filter, as in most drives. It uses no model."""
+"""Differentiates positions by a backward difference and a first-order low-pass filter, as in most drives; no model."""
 
 from typing import NamedTuple
 
@@ -38,9 +38,9 @@ class FilteredState(NamedTuple):
 class FilteredDerivative(AbstractLinearFilter):
     """Backward difference through a first-order low-pass filter: `v' = ω (Δy/Δt − v)`, exact for irregular stamps.
 
-    It is the baseline of most drives, and the choice where there is no model and little computing power. The velocity
-    lags by about 1/ω, and a larger bandwidth trades this lag for noise. `PLL` has no lag at a steady speed, and
-    `JointKalman` is better where the noise and the usual accelerations are known.
+    It is the usual filter of drives, and the choice if there is no model and little computing power. The velocity lags
+    by about 1/ω, and a larger bandwidth trades this lag for noise. `PLL` has no lag at a steady speed, and
+    `JointKalman` is better if the noise and the usual accelerations are known.
 
     Attributes:
         bandwidth: Bandwidth ω of the filter [rad/s].
@@ -94,9 +94,9 @@ class FilteredDerivative(AbstractLinearFilter):
             The new state and the info.
         """
         age, (present, displacement) = state.age, self._displacement(state, y)
-        # A coordinate with age 0 has no new measurement; the divisor 1 only avoids 0/0.
+        # A coordinate with age 0 has no new measurement; the divisor 1 avoids 0/0.
         slope = displacement / jnp.where(age > 0, age, 1.0)
-        # The exact solution of v' = ω (slope − v) over the age; expm1 keeps the digits where ω age is small.
+        # The exact solution of v' = ω (slope − v) over the age; expm1 keeps the digits if ω · age is small.
         v = state.v + jnp.where(present, -jnp.expm1(-self.bandwidth * age) * (slope - state.v), 0.0)
         q = state.q + displacement
         new = FilteredState(q, v, jnp.where(present, 0.0, age))
@@ -114,7 +114,7 @@ class FilteredDerivative(AbstractLinearFilter):
     def weights(self, rate: float) -> Float[np.ndarray, "k"]:
         bandwidth = float(self.bandwidth)
         decay = np.exp(-bandwidth / rate)
-        # The series is cut after 12 time constants, when e⁻¹² remains, or after 2000 samples.
+        # The series is cut off after 12 time constants, when e⁻¹² remains, or after 2000 samples.
         difference = (1 - decay) * decay ** np.arange(min(2000, int(12 * rate / bandwidth) + 2)) * rate
-        # A slope enters the newer position with its weight, and the older one with minus its weight.
+        # A slope contributes to the newer position with its weight, and to the older one with the negative weight.
         return np.append(difference, 0.0) - np.append(0.0, difference)

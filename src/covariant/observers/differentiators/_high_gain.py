@@ -20,8 +20,8 @@ class HighGain(AbstractTrackingLoop, AbstractLinearFilter):
     It is `q̂' = v̂ + 3ω e`, `v̂' = â + 3ω² e`, `â' = ω³ e`, `e = y − q̂`, with three poles at −ω, sampled with three poles
     at exp(−ω dt).
 
-    Use it without a model where speeds change; it has no lag at a steady acceleration. It amplifies noise more than
-    `PLL` at the same bandwidth.
+    Use it without a model if speeds change; it has no lag at a steady acceleration. It amplifies noise more than `PLL`
+    at the same bandwidth.
 
     Attributes:
         bandwidth: Bandwidth ω [rad/s]; 1/ε of the papers.

@@ -1,4 +1,4 @@
-"""Linear filters that use no model: their weights, from which they are tuned without being run."""
+"""Defines linear filters without a model by their weights, from which they are tuned without being run."""
 
 import abc
 from typing import NamedTuple
@@ -10,11 +10,11 @@ from covariant._typing import Code, Vector
 from covariant.observers.base import AbstractObserver
 
 MOST_WEIGHTS = 8192
-"""Largest number of weights: samples after which the memory of a recursive filter is cut off."""
+"""Largest number of weights: the memory of a recursive filter is cut off after this many samples."""
 
 
 class FilterInfo(NamedTuple):
-    """Diagnostics of a step of a filter that uses no model.
+    """Diagnostics of a step of a filter without a model.
 
     Attributes:
         innovation: Measured minus extrapolated position (n,) [rad or m], 0 where it is missing.
@@ -35,7 +35,7 @@ class FilterInfo(NamedTuple):
 
 
 class AbstractLinearFilter(AbstractObserver):
-    """A filter of each coordinate by itself, whose velocity is a weighted sum of the positions measured so far.
+    """A filter that treats each coordinate separately; its velocity is a weighted sum of the positions so far.
 
     A subclass adds `weights` to the algorithm of an observer, so that `calibration` can compute the error of its
     velocity without running it.
@@ -65,17 +65,17 @@ class AbstractLinearFilter(AbstractObserver):
 
 
 def response(step: Float[np.ndarray, "k k"], gain: Float[np.ndarray, "k"]) -> Float[np.ndarray, "w"]:
-    """Weights of a recursive filter: those by which it forms its velocity x₁ from the measurements y.
+    """Weights of a recursive filter, with which the measurements y enter its velocity x₁.
 
-    The filter is `x ← step x; x ← x + gain (y − x₀)`, and its weights are its impulse response, cut off where the
-    slowest pole has decayed to 1e-10, or at `MOST_WEIGHTS`.
+    The filter is `x ← step x; x ← x + gain (y − x₀)`. Its weights are its impulse response, cut off when the slowest
+    pole has decayed to 1e-10, or at `MOST_WEIGHTS`.
     """
     closed_loop = step - np.outer(gain, step[0])
-    # At least 1e-300, so that its logarithm is finite for a filter whose poles are all zero.
+    # At least 1e-300, so that the logarithm is finite if all poles are zero.
     slowest = max(np.abs(np.linalg.eigvals(closed_loop)).max(), 1e-300)
     count = MOST_WEIGHTS if slowest >= 1 else int(np.clip(np.log(1e-10) / np.log(slowest), 4, MOST_WEIGHTS))
     columns = gain[:, None]
-    # By doubling: a power of the loop takes the first k responses to the next k.
+    # By doubling: a power of the loop maps the first k responses to the next k.
     while columns.shape[1] < count:
         columns = np.concatenate([columns, closed_loop @ columns], axis=1)
         closed_loop = closed_loop @ closed_loop

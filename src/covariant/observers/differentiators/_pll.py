@@ -1,4 +1,4 @@
-"""Phase-locked loop: the α-β tracking loop by which drives obtain the velocity of a resolver or an encoder.
+"""Phase-locked loop: the α-β tracking loop with which drives obtain the velocity of a resolver or an encoder.
 
 Source: Gardner 2005, Phaselock Techniques, the second-order type-II loop; Kalata 1984 for its samples.
 """
@@ -20,8 +20,8 @@ class PLL(AbstractTrackingLoop, AbstractLinearFilter):
 
     It is `q̂' = v̂ + 2ζω(y − q̂)`, `v̂' = ω²(y − q̂)`, sampled with the poles of this law.
 
-    It is the α-β tracking loop of drives. At a steady acceleration a the velocity lags by `2ζ a/ω`. Use `HighGain`
-    where speeds change often, and `FilteredDerivative` where the least work counts.
+    It is the α-β tracking loop of drives. At a steady acceleration a the velocity lags by `2ζ a/ω`. Use `HighGain` if
+    speeds change often, and `FilteredDerivative` if the least work matters.
 
     Attributes:
         bandwidth: Natural frequency ω [rad/s].

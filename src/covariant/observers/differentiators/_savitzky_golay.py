@@ -1,4 +1,4 @@
-"""Causal Savitzky–Golay filter: the slope, at the last sample, of a polynomial fitted to the latest ones. No model.
+"""Causal Savitzky–Golay filter: the slope at the last sample of a polynomial fitted to the latest samples; no model.
 
 Source: Savitzky & Golay 1964, Analytical Chemistry 36(8), one-sided; solved again in each step, for irregular stamps.
 """
@@ -44,9 +44,9 @@ class WindowState(NamedTuple):
 class SavitzkyGolay(AbstractLinearFilter):
     """Value and slope, at the last sample, of the least-squares polynomial over a window of samples.
 
-    It forgets a sample completely once that sample has left the window. A longer window reduces the noise of the slope
-    as its length to the power −3/2, and biases motions that are no polynomial of this order within it. It stores
-    `window` samples for each coordinate; a recursive filter such as `JointKalman` needs less memory.
+    A sample that has left the window has no influence any more. A longer window reduces the noise of the slope as its
+    length to the power −3/2, and biases motions that are not polynomials of this order within it. It stores `window`
+    samples for each coordinate; a recursive filter such as `JointKalman` needs less memory.
 
     Attributes:
         window: Number of samples k in the window.
@@ -95,7 +95,7 @@ class SavitzkyGolay(AbstractLinearFilter):
         Returns:
             The state dt later, before a measurement.
         """
-        # The newest sample counts as missing until `correct` enters it; for dt = 0 there is no new sample.
+        # The newest sample counts as missing until `correct` enters it; dt = 0 adds no sample.
         age = jnp.where(dt > 0, jnp.append(state.age[1:] + dt, 0.0), state.age)
         samples = jnp.where(dt > 0, jnp.concatenate([state.y[1:], jnp.full_like(state.y[:1], jnp.nan)]), state.y)
         return WindowState(age, samples, state.q + dt * state.v, state.v)
@@ -112,7 +112,7 @@ class SavitzkyGolay(AbstractLinearFilter):
             The new state and the info.
         """
         difference = wrap(self.circles, y - state.q)
-        # Take the turn nearest to the expected angle, so that the window has no jumps by 2π.
+        # The turn nearest to the expected angle is used, so that the window has no jumps by 2π.
         samples = jnp.concatenate([state.y[:-1], (state.q + difference)[None]])
         q, v = self._fit(state.age, samples, state.q, state.v)
         info = FilterInfo(self.innovation(state, u, y), outcome(q, v, y))
@@ -135,11 +135,11 @@ class SavitzkyGolay(AbstractLinearFilter):
         return np.linalg.pinv(np.vander(ages, self.order + 1, increasing=True))[1]
 
     def _fit(self, age, samples, expected: Vector, v: Vector) -> tuple[Vector, Vector]:
-        """Value and slope at age zero; a weak prior (expected, v) decides only if there are too few samples."""
+        """Value and slope at age zero; a weak prior (expected, v) matters only if there are too few samples."""
         span = jnp.maximum(age[0], jnp.finfo(age.dtype).tiny)
-        # Ages in units of the window; otherwise the powers would differ by orders of magnitude.
+        # Ages are in units of the window; otherwise the powers would differ by orders of magnitude.
         powers = jnp.stack([(-age / span) ** k for k in range(self.order + 1)], axis=1)
-        # The prior is negligible against squares of order 1 in a window with samples, and regularises one without.
+        # The prior is negligible against squares of order 1 in a window with samples, and regularises an empty one.
         prior = 1e-9 * jnp.eye(self.order + 1, dtype=samples.dtype)
 
         def fit(column, start, slope):

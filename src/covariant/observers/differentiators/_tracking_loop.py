@@ -1,8 +1,8 @@
-"""Tracking loops: position, velocity and perhaps acceleration, carried on as a polynomial and corrected at samples.
+"""Tracking loops: extrapolate position, velocity and perhaps acceleration as a polynomial, and correct at samples.
 
-A loop of k integrators is written in continuous time by its poles λ. Between samples the error of the extrapolation
-obeys the integrators alone, and the correction at a sample is the one that gives the sampled loop the poles exp(λ dt):
-exact for a motion that is a polynomial of degree k − 1, at irregular stamps too, and stable for every dt.
+A loop of k integrators is specified in continuous time by its poles λ. Between samples the error of the extrapolation
+obeys the integrators alone. The correction at a sample is chosen such that the sampled loop has the poles exp(λ dt). It
+is exact for motions that are polynomials of degree k − 1, also at irregular stamps, and stable for every dt.
 
 Source: Kalata 1984, The tracking index, IEEE TAES 20(2); Brookner 1998, Tracking and Kalman Filtering Made Easy,
 for three equal poles.
@@ -24,7 +24,7 @@ from covariant.observers.base import AbstractObserver, outcome
 from covariant.observers.differentiators._model_free import FilterInfo, response
 
 Gains = Callable[[Vector, Vector], Array]
-"""`(dt, error) -> (k, n)`: factors of the error (n,) of the extrapolated position, dt [s] (n,) after the last
+"""`(dt, error) -> (k, n)`: factors of the error (n,) of the extrapolated position, a time dt [s] (n,) after the last
 measurement, in the correction of position, velocity and so on."""
 
 
@@ -84,7 +84,7 @@ class AbstractTrackingLoop(AbstractObserver):
 
     def correct(self, state: LoopState, u: Float[Array, "m"], y: Vector) -> tuple[LoopState, FilterInfo]:
         """Correct each measured coordinate by its gains times its innovation."""
-        # A coordinate measured at this very stamp is not measured anew: its gains would divide by zero.
+        # A coordinate that was measured at this same stamp is not measured anew: its gains would divide by zero.
         present, error = ~jnp.isnan(y) & (state.age > 0), self.innovation(state, u, y)
         x = state.x + self.gains(jnp.where(present, state.age, 1.0), error) * error[None]
         return LoopState(x, jnp.where(present, 0.0, state.age)), FilterInfo(error, outcome(x[0], x[1], y))
@@ -122,6 +122,6 @@ def triple_pole(decay: Vector, dt: Vector) -> Float[Array, "3 n"]:
 
     They are `1 − p³`, `3(1 − p)²(1 + p)/2dt` and `(1 − p)³/dt²`.
     """
-    # 1 − p by expm1, and 1 − p³ as its multiple, lose no digits for a small decay.
+    # Computing 1 − p by expm1, and 1 − p³ as its multiple, loses no digits for a small decay.
     p, complement = jnp.exp(-decay), -jnp.expm1(-decay)
     return jnp.stack([complement * (1 + p + p**2), 1.5 * complement**2 * (1 + p) / dt, complement**3 / dt**2])

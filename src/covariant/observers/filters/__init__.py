@@ -1,4 +1,4 @@
-"""Kalman filters and smoothers: gains that follow the covariance."""
+"""Kalman filters and smoothers, whose gains follow from a covariance."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Extended Kalman filter, the standard choice in practice, with its error in the frame of the space.
+"""Extended Kalman filter, the standard choice in practice, with the error expressed in the frame of the space.
 
-In coordinates it is the usual filter on (q, v); on SO(3) the multiplicative one with momentum dynamics; on SE(3) the
-left-invariant one.
+In coordinates it is the usual filter on (q, v); on SO(3) it is the multiplicative filter with momentum dynamics; on
+SE(3) it is the left-invariant filter.
 
 Source: Gelb 1974, Applied Optimal Estimation, section 6.1; Joseph form of the covariance update. Lefferts, Markley &
 Shuster 1982 for the multiplicative error; Barrau & Bonnabel 2017, section 3, for the left-invariant one; Bar-Shalom,
@@ -45,8 +45,8 @@ class EKFState(NamedTuple):
         t: Time [s] of the estimate.
         cov: Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)`.
         gate: Memory of the gate.
-        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
-        noise_scale: Size of what the filter does not know, and its sensitivities; None where it is not adaptive.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None if none is stored.
+        noise_scale: Learnt size of the unknown noise, and its sensitivities; None if the filter is not adaptive.
 
     Example:
         >>> import numpy as np
@@ -72,12 +72,12 @@ class EKFInfo(NamedTuple):
         innovation: Difference (n,) from the predicted configuration to the measurement, 0 where it is missing.
         distance: Length of the innovation in the metric.
         innovation_cov: Predicted covariance (n, n) of the innovation.
-        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. Where the model is right, it is
+        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. If the model is right, it is
             χ²-distributed with as many degrees of freedom as there are measured components.
         velocity_std: Standard deviations (n,) of the velocity after the correction.
         result: A `covariant.signals.StepCode` code.
-        noise_scale: Variance of what the filter does not know, relative to that which it was built with; 1 where it is
-            not adaptive.
+        noise_scale: Learnt variance of the unknown noise, relative to the initial setting; 1 if the filter is not
+            adaptive.
 
     Example:
         >>> import numpy as np
@@ -101,10 +101,10 @@ class EKFInfo(NamedTuple):
 class EKF(AbstractMechanicalFilter):
     """Extended Kalman filter whose Jacobians are those of the integrated model, by automatic differentiation.
 
-    It is the standard choice where the noise is known and the first velocity is not. Its gain follows from the
-    covariances, so that it adapts to gaps and to the sampling rate. It is cheaper than `UKF`, and in coordinates its
-    result depends on the chart. `IntrinsicKalman` does not depend on it, and also estimates forces, biases and
-    parameters. `StateEKF` is the filter of a model in state-space form.
+    It is the standard choice if the noise is known and the initial velocity is not. Its gain follows from the
+    covariances, so it adapts to gaps and to the sampling rate. It is cheaper than `UKF`; in coordinates its result
+    depends on the chart. `IntrinsicKalman` does not depend on the chart, and also estimates forces, biases and
+    parameters. `StateEKF` is the filter for a model in state-space form.
 
     Attributes:
         model: Mechanical system, in coordinates or on a Lie group.
@@ -112,11 +112,11 @@ class EKF(AbstractMechanicalFilter):
             [(rad/s²)² s, or (m/s²)² s].
         measurement_cov: Covariance (n, n) of `local(q, y)` of one sample [rad² or m²].
         initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s], one for all
-            components or one for each (n,); 1 by default. The gate takes it for the usual speed.
-        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
-        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
-        adaptive: Whether the filter learns the size of what it does not know from its innovations: `process_cov` is
-            then the least that it assumes, and where the log shows more, the band widens. False by default.
+            components or one for each (n,); 1 by default. The gate uses it as the usual speed.
+        substeps: Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need (offline).
+        gate: Gate that refuses outliers; None refuses nothing. See `Gate`.
+        adaptive: Whether the filter learns the size of the unknown noise from its innovations: `process_cov` is then a
+            lower bound, and the covariance grows if the log shows more. False by default.
 
     Raises:
         ValueError: A covariance or the standard deviation is not finite.
@@ -158,7 +158,7 @@ class EKF(AbstractMechanicalFilter):
         def propagated_error(error):
             start = self.model.manifold.retract(state.q, error[:n])
             end = predict(self.model, state.t, start, state.v + error[n:], u, dt, self.substeps)
-            # Zero in value, for the end is compared with itself; its derivative is the displacement in the frame.
+            # Its value is zero, since the end is compared with itself; its derivative is the displacement in the frame.
             apart = self.model.manifold.local(jax.lax.stop_gradient(end.q), end.q)
             return jnp.concatenate([apart, end.v]), end
 
@@ -188,18 +188,18 @@ class EKF(AbstractMechanicalFilter):
     def _used(self, state: EKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
         n = state.v.shape[0]
         present = jnp.diag(used.astype(state.v.dtype))
-        # The noise of an entry that is not used must not affect the others, even where the two are correlated.
+        # The noise of an unused entry must not affect the others, even if the two are correlated.
         apart = ~(used[:, None] & used[None, :]) & ~jnp.eye(n, dtype=bool)
         measurement_cov = jnp.where(apart, 0.0, self.measurement_cov)
         output = jnp.concatenate([present, jnp.zeros_like(present)], axis=1)
-        # Both covariances are symmetric, so that (S⁻¹ H P)ᵀ is the gain P Hᵀ S⁻¹.
+        # Both covariances are symmetric, so (S⁻¹ H P)ᵀ is the gain P Hᵀ S⁻¹.
         gain = solve(output @ state.cov @ output.T + measurement_cov, output @ state.cov).T
         error = gain @ expected.innovation
         remaining = jnp.eye(2 * n, dtype=error.dtype) - gain @ output
-        # Joseph form: a sum of squares, so that rounding does not make it indefinite.
+        # Joseph form: a sum of squares, which rounding cannot make indefinite.
         cov = remaining @ state.cov @ remaining.T + gain @ measurement_cov @ gain.T
         moved, reset = self.moved(state, error)
-        return Used(moved._replace(cov=(cov + cov.T) / 2), error, reset)  # rounding leaves it slightly unsymmetric
+        return Used(moved._replace(cov=(cov + cov.T) / 2), error, reset)  # rounding makes it slightly asymmetric
 
     def moved(self, state: EKFState, error: Float[Array, "two_n"]) -> Moved:
         return moved(self.model, state, error)

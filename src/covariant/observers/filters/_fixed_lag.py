@@ -1,7 +1,7 @@
-"""Fixed-lag smoother, sample by sample: the estimate `lag` samples ago, from all samples up to now.
+"""Fixed-lag smoother, sample by sample: estimates the state `lag` samples ago, from all samples up to now.
 
-Buffers hold the states of the filter, and the maps of its error back over each step, for the last `lag` samples. Each
-sample adds an entry. The recursion of the smoother then goes back through the buffers to the oldest entry: it applies
+Buffers store, for the last `lag` samples, the states of the filter and the maps of its error back over each step. Each
+sample adds an entry. The recursion of the smoother then runs back through the buffers to the oldest entry: it applies
 the same maps of the error, in the same order, as `smooth` with the same lag.
 
 Source: Moore 1973, Discrete-time fixed-lag smoothing algorithms, Automatica 9(2), for lags in a stream; for the rest
@@ -30,14 +30,14 @@ from covariant.observers.filters._smoother import (
 from scalargraph.errors import InputError
 
 OF_NOW = ("gate", "last_input", "readings", "sensor_gates")
-"""Fields of the state of a filter that only its next step needs; the buffers leave them out."""
+"""Fields of the state of a filter that only its next step needs; buffers do not store them."""
 
 
 class Prediction(NamedTuple):
     """A prediction that no measurement has corrected yet.
 
     Attributes:
-        before: State of the filter before the prediction, without the fields that buffers leave out.
+        before: State of the filter before the prediction, without the fields that buffers do not store.
         root: Square root S (N, N) of the covariance of that state.
         carried: ΦS (N, N), with the transition matrix Φ of the error over the prediction.
     """
@@ -104,14 +104,14 @@ class FixedLagWindow(NamedTuple):
 class FixedLag(AbstractWrapper):
     """A filter whose estimates come `lag` samples late and use the samples since.
 
-    `estimate` belongs to the time `state.t[0]`, `lag` samples before the last one. It is what `smooth` with this lag
-    returns for that row, and the info has its standard deviations and slow states. Innovation and result are those of
-    the last sample. During the first `lag` samples, the estimate is that of the first one. `window` returns the
-    estimates of all samples since, for the end of a stream or a display. A step costs `lag` steps of the smoother and
-    one of the filter.
+    `estimate` belongs to the time `state.t[0]`, `lag` samples before the last one. It equals the result of `smooth`
+    with this lag for that row, and the info has its standard deviations and slow states. Innovation and result are
+    those of the last sample. During the first `lag` samples, the estimate is that of the first one. `window` returns
+    the estimates of all samples since, for the end of a stream or a display. A step costs `lag` steps of the smoother
+    and one of the filter.
 
-    Use it where a delay of some samples is no harm, as in monitoring or a display: the errors are clearly smaller than
-    those of the filter. `smooth` is for logs that are complete.
+    Use it if a delay of some samples is acceptable, as in monitoring or a display: its errors are clearly smaller than
+    those of the filter. For complete logs use `smooth`.
 
     Args:
         observer: A filter with a covariance and a gate: `IntrinsicKalman`, `EKF`, `UKF`, `JointKalman` or `StateEKF`.
@@ -166,7 +166,7 @@ class FixedLag(AbstractWrapper):
         first = self.observer.init(y, t)
         last_input = getattr(first, "last_input", None)
         root = self.observer.root(first)
-        # Nothing happened before the first sample, so these steps leave the error unchanged.
+        # Nothing happened before the first sample, so the steps in the buffers leave the error unchanged.
         nothing = Backward(jnp.zeros_like(root[0]), jnp.eye(len(root), dtype=root.dtype), jnp.zeros_like(root))
         times = jnp.full(self.lag + 1, jnp.asarray(t, root.dtype))
         oldest = _without(first, OF_NOW)

@@ -1,4 +1,4 @@
-"""A step of a motion and of slow states, with its derivative in all of them."""
+"""Integrates a motion and slow states over one step, with derivatives with respect to all of them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -53,7 +53,7 @@ def flow_with_slope(
     if not manifold.commuting:
         slope, end = jax.jacfwd(displaced, has_aux=True)(none)
         return end, slope
-    # In coordinates the equation of variation beside that of motion is less work.
+    # In coordinates, integrating the variational equation with the equation of motion takes less work.
     mean, end_slow = states.advanced(slow, h)
     of_mean, of_slow = jax.jacfwd(lambda error: states.advanced(slow + error[2 * n :], h))(none)
     axes = jnp.concatenate([jnp.eye(2 * n, len(none), dtype=none.dtype), of_mean])
@@ -81,7 +81,7 @@ def inverse(unipotent: Float[Array, "two_n two_n"]) -> Float[Array, "two_n two_n
 
 
 def with_part_across(space: AbstractSpace, q: Array, root: Float[Array, "N N"], n: int) -> Float[Array, "N K"]:
-    """A root of a covariance of (ε, ν, slow) at q; on a leaf with as much across it, where it is zero."""
+    """A root of a covariance of (ε, ν, slow) at q; on a leaf, where it is zero along normals, with a part added."""
     if not space.manifold.redundant:
         return root
     axes = jnp.eye(n, dtype=root.dtype)

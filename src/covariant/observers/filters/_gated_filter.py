@@ -1,11 +1,10 @@
-"""Filters with a covariance: expected measurement, gate, correction and new start, in the same order for all of them.
+"""Defines filters with a covariance and a gate: expected measurement, gate, correction, restart, always in this order.
 
-A correction computes the expected measurement and its covariance, lets the gate judge the innovation, uses what passes,
-starts anew where the gate has refused for too long, and reports. A filter supplies these parts; the order is here.
-
-The same parts show a smoother what a step did to the error (N,): `carried` where the prediction takes a square root of
-its covariance, `corrected` the correction and the reset. `root`, `with_root`, `moved` and `deviations` read and write a
-state by its error, whatever its fields are.
+A correction computes the expected measurement and its covariance, lets the gate judge the innovation, uses the entries
+that pass, restarts if the gate has refused for too long, and reports. A filter supplies these parts; their order is
+defined here. The same parts show a smoother the effect of a step on the error (N,): `carried` for the prediction,
+applied to a square root of the covariance, and `corrected` for the correction and the reset. `root`, `with_root`,
+`moved` and `deviations` read and write a state by its error, whatever fields it has.
 """
 
 import abc
@@ -37,13 +36,13 @@ class Expectation(NamedTuple):
     """A measurement together with a filter's prediction of it.
 
     Attributes:
-        y: The measurement, without the offset that the filter estimates it to have.
+        y: The measurement, without its estimated offset.
         innovation: Difference (n,) from the prediction to the measurement, 0 where it is missing.
         cov: Covariance (n, n) of the innovation, the noise of the measurement included.
         noise: Covariance (n, n) of that noise.
         present: Which entries (n,) are measured.
-        lost: Whether the estimate is too uncertain to be corrected, so that it starts anew regardless of the gate;
-            False by default.
+        lost: Whether the estimate is too uncertain to be corrected, so that it restarts regardless of the gate; False
+            by default.
         details: Intermediate results of the filter that `_used` needs; None by default.
     """
 
@@ -56,7 +55,7 @@ class Expectation(NamedTuple):
     details: Any = None
 
     def of(self, taken: Bool[Array, "n"]) -> "Expectation":
-        """The same of those entries (n,) of the measurement only that are `taken`; the others count as missing."""
+        """The same for the entries (n,) of the measurement that are `taken`; the others count as missing."""
         return self._replace(present=taken, innovation=jnp.where(taken, self.innovation, 0.0))
 
 
@@ -64,9 +63,9 @@ class Moved(NamedTuple):
     """A state after its estimate was moved by an error.
 
     Attributes:
-        state: The state at the moved estimate; its covariance is that of before.
-        reset: Derivative 𝒥 (N, N) of the error as it is seen from there in the error as it was seen before: the
-            covariance at the moved estimate is 𝒥P𝒥ᵀ.
+        state: The state at the moved estimate, with the covariance from before.
+        reset: Derivative 𝒥 (N, N) of the error as seen from the moved estimate, with respect to the error as seen
+            before: the covariance at the moved estimate is 𝒥P𝒥ᵀ.
     """
 
     state: Any
@@ -88,13 +87,13 @@ class Used(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """A correction as a smoother needs it.
+    """A correction in the form that a smoother needs.
 
     Attributes:
-        state: The corrected state, or the one of a new start.
+        state: The corrected state, or the state of a restart.
         info: The info.
-        used: The correction by what passed the gate.
-        restarted: Whether the estimate started anew, so that `used` was dropped.
+        used: The correction by the entries that passed the gate.
+        restarted: Whether the estimate restarted, so that `used` was dropped.
     """
 
     state: Any
@@ -106,8 +105,8 @@ class Corrected(NamedTuple):
 class AbstractGatedFilter(AbstractObserver):
     """A filter with a covariance and a gate.
 
-    Its field `gate` is a `Gate`, or None to use every measurement. Its state has the field `gate`, a `GateMemory`,
-    which its `_predicted` has to advance.
+    Its field `gate` is a `Gate`, or None to use every measurement. Its state also has a field `gate`, a `GateMemory`,
+    which `_predicted` must advance.
     """
 
     @final
@@ -117,7 +116,7 @@ class AbstractGatedFilter(AbstractObserver):
 
     @final
     def carried(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> tuple[Any, Float[Array, "N N"]]:
-        """Predict, and show where the transition Φ takes the square root S of the covariance before."""
+        """Predict, and return the product ΦS of the transition Φ with the square root S of the covariance before."""
         return self._predicted(state, u, dt, carry=True)
 
     @final
@@ -128,8 +127,8 @@ class AbstractGatedFilter(AbstractObserver):
 
     @final
     def corrected(self, state: Any, u: Float[Array, "m"], y: Array) -> Corrected:
-        """Correct as `correct` does, and show the correction and the reset."""
-        # A field `gate` of this class would come before those of a filter, which are its arguments in their order.
+        """Correct as `correct` does, and also return the correction and the reset."""
+        # If this class had a field `gate`, it would precede the fields of a filter and change the order of arguments.
         gate: Gate | None = self.gate  # pyright: ignore[reportAttributeAccessIssue]
         expected = self._expected(state, u, y)
         sample = Sample(expected.innovation, expected.cov, expected.noise, expected.present)
@@ -138,17 +137,17 @@ class AbstractGatedFilter(AbstractObserver):
         restart, used = verdict.restart | expected.lost, expected.present & ~verdict.far
         step = self._used(state, y, expected, used)
         corrected = step.state
-        # An outlier of another joint is no place to start from; an estimate that is lost tells no outliers.
+        # Never restart from the outlier of another joint. A lost estimate cannot classify outliers.
         memory, anew = verdict.memory, verdict.anew | expected.lost
         if gate is not None:
-            # A new start leaves nothing behind of what it takes.
+            # Nothing is left over of entries from which the estimate restarts.
             left = jnp.where(restart, 0.0, self._expected(corrected, u, y).innovation)
             memory = memory.used(anew, left)
         corrected = self._rescaled(state, step, restart, corrected._replace(gate=memory))
         velocity = verdict.velocity
-        if usual is not None:  # an estimate that is too uncertain tells nothing of its velocity but the mean
+        if usual is not None:  # of the velocity of an estimate that is too uncertain, only the mean is used
             velocity = velocity._replace(cov=jnp.where(expected.lost, usual, velocity.cov))
-        # Both branches are computed, so that the program has no branch.
+        # Both cases are computed, so that the program has no branch.
         fresh = self._started_anew(state, corrected, y, expected.of(anew), velocity)
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), fresh, corrected)
         result = self._result(state, new, y, expected, verdict._replace(restart=restart))
@@ -159,7 +158,7 @@ class AbstractGatedFilter(AbstractObserver):
         return self._expected(state, u, y).innovation
 
     def _rescaled(self, state: Any, step: Used, restart: Flag, corrected: Any) -> Any:
-        """The corrected state, with what a predicted state and its correction show of the size of the unknown."""
+        """The corrected state, with the noise size that prediction and correction suggest if the filter adapts."""
         return corrected
 
     @abc.abstractmethod
@@ -167,7 +166,7 @@ class AbstractGatedFilter(AbstractObserver):
         """Square root S (N, N) of the covariance S Sᵀ of the error of a state."""
 
     def regular_root(self, state: Any) -> Float[Array, "N K"]:
-        """A root of the covariance of a state, on a leaf with as much across it: of no effect, and regular."""
+        """A root of the covariance of a state; on a leaf a normal part makes it regular, without any effect."""
         return self.root(state)
 
     @abc.abstractmethod
@@ -184,12 +183,12 @@ class AbstractGatedFilter(AbstractObserver):
 
     @abc.abstractmethod
     def _predicted(self, state: Any, u: Float[Array, "m"], dt: Scalar, carry: bool) -> tuple[Any, Any]:
-        """The state after a prediction and, where `carry` asks for it, ΦS (N, N) as in `carried`; otherwise None."""
+        """The state after a prediction and, if `carry` is set, ΦS (N, N) as in `carried`; otherwise None."""
 
     @property
     @abc.abstractmethod
     def _manifold(self) -> AbstractManifold:
-        """Manifold of the measurements, which says which of their entries are measured together."""
+        """Manifold of the measurements; it says which of their entries are measured together."""
 
     @abc.abstractmethod
     def _expected(self, state: Any, u: Float[Array, "m"], y: Array) -> Expectation:
@@ -201,17 +200,17 @@ class AbstractGatedFilter(AbstractObserver):
 
     @abc.abstractmethod
     def _velocity(self, state: Any) -> Velocity:
-        """The predicted velocity; what its mean has no entries for, a state-space model, may return anything."""
+        """The predicted velocity; for a state-space model, whose mean contains no velocity, any value."""
 
     @abc.abstractmethod
     def _usual_velocity(self, state: Any) -> Matrix | None:
-        """Covariance (n, n) of the velocity at the start, about zero; None where the state has no velocity."""
+        """Covariance (n, n) of the velocity at the start, about zero; None if the state has no velocity."""
 
     @abc.abstractmethod
     def _started_anew(self, state: Any, corrected: Any, y: Array, expected: Expectation, velocity: Velocity) -> Any:
-        """The state of a new start from the entries of `expected.y` that are `expected.present`, with this velocity.
+        """The state after a restart from the entries of `expected.y` that are `expected.present`, with this velocity.
 
-        The other entries stay where they are predicted, as uncertain as there. The raw form of the measurement is y.
+        The other entries stay as predicted, with their uncertainty. The raw form of the measurement is y.
         """
 
     @abc.abstractmethod
@@ -242,7 +241,7 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
     def _rescaled(self, state: Any, step: Used, restart: Flag, corrected: Any) -> Any:
         if state.noise_scale is None:
             return corrected
-        # The covariance after the correction and before the reset.
+        # The covariance after the correction, but before the reset.
         after = solve_square(step.reset, self.root(step.state))
         scale = state.noise_scale.corrected(
             self.root(state), after, step.error, step.reset, restart, jnp.mean(state.gate.scale)
@@ -250,7 +249,7 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
         return corrected._replace(noise_scale=scale)
 
     def _start(self, state: Any, expected: Expectation) -> Array:
-        """The configuration of a new start: measured where entries of the measurement are present, else predicted."""
+        """The configuration of a restart: the measured entries, and the predicted ones in place of missing ones."""
         return start(self.model.manifold, state.q, expected.innovation, expected.y, expected.present)
 
     def _result(self, state: Any, new: Any, y: Array, expected: Expectation, verdict: Judged) -> Code:

@@ -1,4 +1,4 @@
-"""The intrinsic Kalman filter, with error and covariance in the parallel frame: it is the same in all coordinates.
+"""The intrinsic Kalman filter, with error and covariance in the parallel frame; it is the same in all coordinates.
 
 For a true motion (q, v) the error at the estimate is `ε = log_q̂ q` and `ν = Tv − v̂`, with T the parallel transport
 along the geodesic from q to q̂. The covariance P of (ε, ν) is a tensor at q̂. Two maps change it: the flow of the model,
@@ -80,11 +80,11 @@ class KalmanState(NamedTuple):
         root: Square root S (2n + k, 2n + k) of the covariance `S Sᵀ` of (ε, ν) in the parallel frame, followed by the
             slow states.
         gate: Memory of the gate.
-        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
-        readings: Last readings of encoders that count ticks; None where measurements have noise.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None if none is stored.
+        readings: Last readings of encoders that count ticks; None if measurements have noise.
         sensor_gates: Memories of the gates of further sensors, one each.
-        missing_input: Which inputs (m,) were missing over the last step; None where that makes no difference.
-        noise_scale: Size of what the filter does not know, and its sensitivities; None where it is not adaptive.
+        missing_input: Which inputs (m,) were missing over the last step; None if this makes no difference.
+        noise_scale: Learnt size of the unknown noise, and its sensitivities; None if the filter is not adaptive.
 
     Example:
         >>> import numpy as np
@@ -116,15 +116,15 @@ class KalmanInfo(NamedTuple):
             0 where it is missing.
         distance: Length of the innovation in the metric.
         innovation_cov: Predicted covariance (n, n) of the innovation.
-        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. Where the model is right, it is
+        nis: Normalised innovation squared, `rᵀS⁻¹r` of the measured components. If the model is right, it is
             χ²-distributed with as many degrees of freedom as there are measured components.
         velocity_std: Standard deviations (n,) of the velocity after the correction.
         slow: Estimated slow states (k,), in the order of the observer's `slow_names`.
         slow_std: Standard deviations (k,) of the slow states.
         result: A `covariant.signals.StepCode` code.
-        sensors: Diagnostics of further sensors; None where the filter has none.
-        noise_scale: Variance of what the filter does not know, relative to that which it was built with; 1 where it is
-            not adaptive.
+        sensors: Diagnostics of further sensors; None if the filter has none.
+        noise_scale: Learnt variance of the unknown noise, relative to the initial setting; 1 if the filter is not
+            adaptive.
 
     Example:
         >>> import numpy as np
@@ -154,7 +154,7 @@ class MeasuredOutput(NamedTuple):
     Attributes:
         y: The measurement with the estimated offset removed.
         noise: Covariance (n, n) of its noise in the frame at the estimate.
-        slope: Derivative (n, k) of the measurement in the slow states; None where there is no offset.
+        slope: Derivative (n, k) of the measurement with respect to the slow states; None without an offset.
     """
 
     y: Array
@@ -174,12 +174,12 @@ def as_quantum(value: Any) -> Any:
 class IntrinsicKalman(AbstractMechanicalFilter):
     """Kalman filter of a `MechanicalSystem` on any space, with error and covariance in the parallel frame.
 
-    Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
-    a variance in metric units, the same in every direction.
+    Each covariance is a matrix (n, n) in the frame, equal everywhere; a function of the configuration; or a number, a
+    variance in metric units that is equal in all directions.
 
-    After a gap so long that an angle may be anywhere, the filter restarts from the measured configuration and the
+    After a gap so long that an angle may have any value, the filter restarts from the measured configuration and the
     predicted velocity, and `result` is `RESTARTED`. Its slow states are then as uncertain as at the start. In other
-    coordinates, with noise that is the same tensor, the estimate is the same to the accuracy of the budget.
+    coordinates, with noise that is the same tensor, the estimate is the same up to the accuracy of the budget.
 
     It is the most accurate choice if the noise is known: for large initial errors, gaps and outliers, and for further
     sensors, external forces, biases and parameters. It costs more than observers with constant gains, and has no
@@ -191,7 +191,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         measurement_cov: Covariance of the noise of one sample [rad² or m²].
         initial_velocity_cov: Covariance of the initial velocity, whose mean is zero [(rad/s)² or (m/s)²].
         slow: Slow states that are estimated along with the motion, a `SlowVariables` or several: `external_force`,
-            `sensor_bias`, `uncertain_parameters`, or one that you define. A constant disturbance that is modelled so
+            `sensor_bias`, `uncertain_parameters`, or your own. A constant disturbance that is modelled so
             causes no bias if the measurements determine it. None by default.
         quantum: One tick of each encoder (n,), in coordinates [their unit]. A reading is then an interval, and a change
             of the reading means that an edge was passed; `measurement_cov` is the covariance of the positions of edges.
@@ -199,14 +199,14 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         sensors: Sensors in addition to the measured configuration, a `Sensor` or several, such as `gyro`. A measurement
             is then one vector: the entries of the configuration, followed by the readings, NaN for a missing one; see
             `Sensor`. None by default.
-        gate: Which measured configurations are refused as outliers; None refuses none. See `Gate`.
-        inputs: What inputs may have been while they were missing, a `MissingInputs`; None (default) takes the last one
-            as held, without a doubt.
+        gate: Gate that refuses measured configurations as outliers; None refuses nothing. See `Gate`.
+        inputs: Model of inputs while they are missing, a `MissingInputs`; None (default) holds the last input and
+            assumes it to be exact.
         budget: Work spent on geodesics, from the estimate to the measurement and along the correction.
-        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
-        adaptive: Whether the filter learns the size of what it does not know from its innovations: that of the forces
-            among `slow` that have a `time`, or of `process_cov` where there are none. What is given is then the least
-            that it assumes, and where the log shows more, the band widens. False by default.
+        substeps: Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need (offline).
+        adaptive: Whether the filter learns the size of the unknown noise from its innovations: that of the forces in
+            `slow` that have a `time`, or of `process_cov` if there are none. The settings are then lower bounds, and
+            the covariance grows if the log shows more. False by default.
 
     Raises:
         ValueError: A covariance is not valid, the measurement covariance is singular, the slow states do not
@@ -284,7 +284,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def velocity_std(self, state: KalmanState) -> Vector:
         """Standard deviations (n,) of the components of the velocity [rad/s or m/s] in a state.
 
-        They are of v − v̂, whose components are in the frames at two configurations, and not of ν.
+        They refer to v − v̂, whose components are in the frames at two configurations, and not to ν.
         """
         n = state.v.shape[0]
         root = apart(self.model.space, state.q, state.v)[n:] @ state.root[: 2 * n]
@@ -301,7 +301,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         count = self.substeps
         if count is None:
             count = needed_substeps(self.model, state.t, state.q, state.v, u, dt)
-        # The covariance is linearised at every Runge–Kutta step, not once over dt.
+        # The covariance is linearised at every Runge–Kutta step, instead of once over dt.
         h = dt / jnp.asarray(count, state.v.dtype)
         state = self._with_known_inputs(state, u, dt)
         start = state, state.root if carry else None
@@ -354,7 +354,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     ) -> KalmanState:
         q, n = self._start(state, expected), state.v.shape[0]
         present = self.model.manifold.told(q, expected.present)
-        # The measurement was corrected by the offset of the predicted slow states, so these states are kept.
+        # The measurement was corrected by the offset from the predicted slow states, so these states are kept.
         root = self._first_root(q, expected.present, velocity.cov, state.slow)
         present_rows = jnp.where(present[:, None], root[:n], 0.0)
         position = semidefinite_root(
@@ -380,7 +380,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         configuration, sensed = self._split(y)[0], expected.details[1]
         if sensed is None:
             return super()._result(state, new, configuration, expected, verdict)
-        # A step with readings only, between two measured configurations, lacks no measurement.
+        # A step with readings only, between two measured configurations, is not missing a measurement.
         between = sensed.read & jnp.all(self.model.manifold.missing(configuration))
         measured: Any = jnp.where(between, state.q, configuration)
         code = super()._result(state, new, measured, expected, verdict)
@@ -395,7 +395,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return self._slow_over(None, None)
 
     def _slow_over(self, missing: Bool[Array, "m"] | None, u: Vector | None) -> SlowStates:
-        """The slow states over a step with the inputs u, of which some are missing."""
+        """The slow states over a step with the inputs u, some of which are missing."""
         if self.inputs is None:
             return SlowStates(self.slow + self._sensors.slow)
         zeros = jnp.zeros_like(self.inputs.mean)
@@ -404,16 +404,16 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     @property
     def _inputs_at(self) -> slice:
-        """Where the states of missing inputs are among the slow states."""
+        """Positions of the states of missing inputs among the slow states."""
         first = sum(len(group.names) for group in self.slow)
         return slice(first, first + (0 if self.inputs is None else 2 * len(self.inputs.mean)))
 
     def _with_known_inputs(self, state: KalmanState, u: Float[Array, "m"], dt: Scalar) -> KalmanState:
-        """The state at the start of a step: which inputs are missing over it, and those that are known there."""
+        """The state at the start of a step, with the flags of missing inputs, and with the inputs known there."""
         if self.inputs is None or state.missing_input is None:
             return state
         missing, at = missing_now(self.inputs, state.missing_input, dt), self._inputs_at
-        # Before rows that are missing the input is known once more.
+        # At the start of a stretch of missing rows, the input is known for the last time.
         known = jnp.concatenate([missing & ~state.missing_input, jnp.zeros_like(missing)])
         deviation = jnp.concatenate([u - self.inputs.mean, jnp.zeros_like(u)]).astype(state.slow.dtype)
         slow = state.slow.at[at].set(jnp.where(known, deviation, state.slow[at]))
@@ -443,7 +443,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         return None if self.quantum is None else Readings(y, age)
 
     def _without_offset(self, y: Array, like: Vector, slow: SlowVector) -> Array:
-        """The configuration whose measurement is y."""
+        """The configuration of which y is the measurement, with the estimated offset removed."""
         return self.model.manifold.ambient.retract(y, -self._slow.offset(slow, like)) if self._slow.measured else y
 
     def _output(self, state: KalmanState, y: Array) -> MeasuredOutput:
@@ -452,7 +452,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
     def _slopes(self, q: Array, like: Vector, slow: SlowVector) -> tuple[Matrix, Float[Array, "n k"] | None]:
         """Noise (n, n) in the frame at q of a measurement without offset, and its slope (n, k) in the slow states."""
-        # The measurement is y = retract(retract(q, offset), w) with the noise w; its estimated offset is removed.
+        # With noise w, y = retract(retract(q, offset), w); the estimated offset is removed.
         if not self._slow.measured:
             return self._noise(q), None
         manifold, k = self.model.manifold.ambient, slow.shape[0]
@@ -468,12 +468,12 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def _posterior(
         self, state: KalmanState, output: MeasuredOutput, y: Array, straight: Vector, used: Array
     ) -> tuple[Array, Array]:
-        """Posterior mean (2n + k,) of the error after the sample, and the root of its covariance."""
+        """Posterior mean (2n + k,) of the error after the sample, and the square root of its covariance."""
         space, n = self.model.space, state.v.shape[0]
         if self.quantum is None or state.readings is None:
             gain, root = updated(state.root, output.projected(state.root, n), output.noise, used)
             return gain @ jnp.where(used, self._displacement(state, output.y, straight, used), 0.0), root
-        # Encoders count in coordinates: these rows map (ε, ν, slow) to differences of position and velocity there.
+        # Encoders measure coordinates: these rows map (ε, ν, slow) to position and velocity differences in them.
         rows = _with_slow(apart(space, state.q, state.v), state)
         position = rows[:n] if output.slope is None else rows[:n].at[:, 2 * n :].set(output.slope)
         moved = self.model.manifold.ambient.towards(state.readings.y, y)
@@ -488,14 +488,14 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             state.q, self.model.manifold.ambient.measured(state.q, y), straight, self.budget
         )
         reached = jnp.all(jnp.isfinite(geodesic.velocity)) & (geodesic.result != StepCode.NOT_CONVERGED)
-        # Without a converged geodesic the coordinate difference replaces it, which equals it to first order.
+        # If the geodesic has not converged, the coordinate difference, equal to first order, replaces it.
         return jnp.where(reached & jnp.all(used), geodesic.velocity, straight)
 
     def _runge_kutta_step(
         self, state: KalmanState, carried: Matrix | None, u: Float[Array, "m"], h: Scalar
     ) -> tuple[KalmanState, Matrix | None]:
-        """One Runge–Kutta step of the model and the covariance, and of a matrix `carried` that is multiplied by the
-        transition alone."""
+        """One Runge–Kutta step of model and covariance, and of a matrix `carried` that is only multiplied by the
+        transition."""
         space, manifold, n = self.model.space, self.model.manifold, state.v.shape[0]
         states, at = self._slow_over(state.missing_input, u), self._inputs_at
 
@@ -507,7 +507,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
 
         (q, v, slow), slope = flow_with_slope(manifold, model, acting, states, state[:4], h)
         start, end = jax.vmap(functools.partial(parallel, space))(jnp.stack([state.q, q]), jnp.stack([state.v, v]))
-        # From right to left: from the parallel frame to the frame at the start, the flow, and back at the end.
+        # From right to left: parallel frame to frame at the start, flow, frame to parallel frame at the end.
         transition = _with_slow(end, state) @ slope @ _with_slow(inverse(start), state)
         transition = space.between(state.q, q, transition)
         noise = white_acceleration(covariance_along(self.process_cov, space, q), h)
@@ -517,7 +517,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         unknown = jnp.asarray([not any(forces)] * (2 * n) + forces)[:, None]
         noise, scale = scaled(state.noise_scale, transition, noise, unknown)
         readings = state.readings and state.readings._replace(age=state.readings.age + h)
-        # Roots side by side have the sum of both covariances; the triangular factor is square again.
+        # Roots side by side give the sum of both covariances; their triangular factor is square again.
         root = triangular(jnp.concatenate([transition @ state.root, noise], axis=1))
         gate = state.gate.advanced(h)
         new = state._replace(
@@ -529,7 +529,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         """Move the estimate along the geodesic of an error, which transports the velocity.
 
         Args:
-            state: The state; its covariance stays as it is.
+            state: The state; its covariance is not changed.
             error: Error (2n + k,) by which the estimate is moved, in the parallel frame.
 
         Returns:
@@ -574,7 +574,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
             return motion_root
         slow_root = self._slow.first_root().astype(motion_root.dtype)
         root = diagonal(motion_root, slow_root)
-        # The estimate is the measurement minus its offset: an error of the offset enters it with the opposite sign.
+        # The estimate is the measurement minus its offset, so an error of the offset enters with the opposite sign.
         return root if slope is None else root.at[: len(velocity), 2 * len(velocity) :].set(shown(-slope @ slow_root))
 
 
@@ -584,8 +584,8 @@ def _with_slow(matrix: Array, state: KalmanState) -> Array:
 
 
 def _too_uncertain(manifold: AbstractManifold, cov: Matrix, noise: Matrix) -> Array:
-    """Whether an angle has so large an expected error, beyond what its noise explains, that linearisation fails."""
+    """Whether the expected error of an angle is so large, beyond its noise, that linearisation fails."""
     angles = sorted({i for rotation in manifold.rotations or () for i in rotation})
     variance = jnp.diag(cov)[jnp.array(angles, int)]
-    # The variance includes that of the noise, so the bound grows with it: a noisy sensor alone is no reason to restart.
+    # The variance includes the noise, so the bound grows with it: a noisy sensor alone must not cause a restart.
     return jnp.any(variance > jnp.maximum(FARTHEST_TURN**2, 9 * jnp.diag(noise)[jnp.array(angles, int)]))

@@ -1,11 +1,10 @@
-"""Kalman filter of every coordinate by itself, whose acceleration is Singer's coloured noise. It uses no model.
+"""Kalman filter for each coordinate separately, without a model: the acceleration is Singer's coloured noise.
 
     q' = v,   v' = a,   a' = −a/τ + w,   w white of the density 2σ²/τ:
 
-in the long run a has the standard deviation σ and the correlation time τ. For dt much shorter than τ this is white
-jerk; over a gap the acceleration decays, where under white jerk it would grow without bound. Of all linear filters it
-has the least error for such a motion. In units of σ and τ its only parameters are `θ = dt/τ` and the noise of a
-sample, `s/στ²`.
+In the long run, a has the standard deviation σ and the correlation time τ. For dt much shorter than τ this is white
+jerk. Over a gap the acceleration decays, while white jerk would let it grow without bound. For such a motion, no linear
+filter has a smaller error. In units of σ and τ its only parameters are `θ = dt/τ` and the noise `s/στ²` of a sample.
 
 Source: Singer 1970, Estimating optimal tracking filter performance for manned maneuvering targets, IEEE TAES 6(4);
 Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, chapter 6.
@@ -94,8 +93,8 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
 
     At the start the velocity is zero with the standard deviation στ, and the acceleration zero with σ.
 
-    Use it where there is no model, but the size and the duration of usual accelerations are known: it is the best
-    linear filter for these. It needs a matrix for each coordinate, where `PLL` needs two numbers.
+    Use it if there is no model, but the size and the duration of usual accelerations are known: it is the best linear
+    filter for these. It needs a matrix for each coordinate, while `PLL` needs two numbers.
 
     Attributes:
         motion_std: Standard deviation σ of the accelerations [rad/s² or m/s²].
@@ -103,7 +102,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         measurement_std: Standard deviation s of the noise of one sample [rad or m].
         circles: Indices of the coordinates that are angles on a full circle, which are followed modulo a turn; none by
             default.
-        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
+        gate: Gate that refuses outliers; None refuses nothing. See `Gate`.
 
     Raises:
         ValueError: A standard deviation or the correlation time is not positive and finite.
@@ -176,7 +175,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         present = ~jnp.isnan(y)
         innovation = wrap(self.circles, jnp.where(present, y - state.q, 0.0))
         unit = self._units[0].astype(y.dtype)
-        # The root is in units of στ², so that variances are in those of σ²τ⁴.
+        # The root is in units of στ², so variances are in units of σ²τ⁴.
         cov = jnp.diag(jnp.sum(state.root[:, 0] ** 2, axis=1) + self.noise**2) * unit**2 * self.motion_std**2
         noise = self.measurement_std**2 * jnp.eye(len(y), dtype=y.dtype)
         return Expectation(y, innovation, cov, noise, present)
@@ -206,7 +205,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
 
     def with_root(self, state: JointState, root: Float[Array, "three_n three_n"]) -> JointState:
         n, units = len(state.q), self.motion_std * self._units.astype(root.dtype)
-        # Joints are independent, so that the blocks between them are zero.
+        # Joints are independent, so the blocks between them are zero.
         apart = jax.vmap(lambda i: root.reshape(3, n, 3, n)[:, i, :, i])(jnp.arange(n))
         return state._replace(root=apart / units[None, :, None])
 
@@ -222,7 +221,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
     def _started_anew(
         self, state: JointState, corrected: JointState, y: Vector, expected: Expectation, velocity: Velocity
     ) -> JointState:
-        # What is not measured is left as predicted, since every coordinate has a filter of its own.
+        # Coordinates that are not measured stay as predicted, since every coordinate has its own filter.
         root = jnp.where(expected.present[:, None, None], self._first_root(velocity.cov), state.root)
         return corrected._replace(q=state.q + expected.innovation, v=velocity.mean, a=state.a, root=root)
 
@@ -255,7 +254,7 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         step, added = map(np.asarray, jax.jit(singer)(1 / (rate * time)))
         cov = _stationary(step, added, noise**2)
         gain = cov[:, 0] / (cov[0, 0] + noise**2)
-        return response(step, gain) / time  # of a velocity in units of στ from positions in units of στ²
+        return response(step, gain) / time  # converts from velocities in στ and positions in στ²
 
 
 TERMS = 25
@@ -273,10 +272,10 @@ def singer(theta: Scalar) -> tuple[Matrix, Matrix]:
     the covariance is twice the integral of the products of g, f and e⁻ˣ from 0 to θ, where `g' = f`, `f' = e⁻ˣ`.
     """
     large = theta > 1
-    small = jnp.where(large, 1.0, theta)  # where the closed forms would be differences of equal numbers
+    small = jnp.where(large, 1.0, theta)  # for small θ the closed forms would be differences of nearly equal numbers
     decay, f = jnp.exp(-theta), -jnp.expm1(-theta)
     g = jnp.where(large, theta - f, small**2 * _series(_POSITION, small))
-    # By parts: ∫f² = g − f²/2, 2∫gf = g², 2∫f e⁻ˣ = f² and ∫g e⁻ˣ = fg − ∫f².
+    # Integration by parts: ∫f² = g − f²/2, 2∫gf = g², 2∫f e⁻ˣ = f² and ∫g e⁻ˣ = fg − ∫f².
     ff = jnp.where(large, g - f**2 / 2, small**3 * _series(_VELOCITY_SQUARE, small))  # ∫f²
     gg = theta**3 / 3 - theta**2 + 2 * (1 - (1 + theta) * decay) + ff
     gg = jnp.where(large, gg, small**5 * _series(_POSITION_SQUARE, small))  # ∫g²
@@ -296,19 +295,19 @@ def _series(coefficients: list[float], x: Scalar) -> Scalar:
 def _stationary(step: np.ndarray, added: np.ndarray, noise: float) -> np.ndarray:
     """Stationary covariance (3, 3) before a measurement of the first component, with the variance `noise`.
 
-    By doubling: each pass takes twice as many samples at once (Anderson & Moore 1979, Optimal Filtering, section 6.7).
+    It doubles the number of samples in each pass (Anderson & Moore 1979, Optimal Filtering, section 6.7).
     """
     a, cov = step.T, added
     information = np.zeros_like(cov)
     information[0, 0] = 1 / noise
-    # After k passes 2ᵏ samples are in: 60 suffice for any filter whose memory ends.
+    # After k passes 2ᵏ samples are included; 60 passes suffice for any filter with a finite memory.
     for _ in range(60):
         solved = np.linalg.solve(np.eye(3) + information @ cov, np.concatenate([a, information], axis=1))
         increment = a.T @ cov @ solved[:, :3]
         information = information + a @ solved[:, 3:] @ a.T
         cov, previous = cov + increment, cov
         a = a @ solved[:, :3]
-        # The doubling converges quadratically: what changes below this is rounding.
+        # The doubling converges quadratically, so changes below this are rounding.
         if np.abs(cov - previous).max() <= 1e-14 * np.abs(cov).max():
             break
     return cov

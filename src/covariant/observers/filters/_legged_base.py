@@ -1,11 +1,12 @@
-"""Velocity of the base of a robot on legs: an IMU integrated, and feet that stand as anchors.
+"""Estimates the velocity of a legged robot's base, by integrating an IMU and using standing feet as fixed points.
 
-The IMU is the input of the prediction. The encoders say where each foot is in the axes of the base; as long as it
-stands, it is where the filter carried its anchor. In these axes the filter is linear but for the bias of the gyro, so
-that a wrong first attitude does no harm; position and heading, which nothing measures, are no states.
+The IMU is the input of the prediction. The encoders measure the position of each foot in the axes of the base. As long
+as a foot stands, it is at its anchor, a fixed point that the filter tracks. In these axes the filter is linear except
+for the gyro bias, so a wrong initial attitude does no harm; position and heading, which are not measured, are not
+states.
 
-What decides is the gate: a foot that is not on its anchor is refused, and *anchored anew at once* where the encoders
-say it is. So feet in the air need no flags. A gate that refuses and waits locks itself out.
+The gate is decisive: a foot that is not at its anchor is refused, and *anchored anew at once* at its measured position.
+So feet in the air need no flags. A gate that refuses and waits would refuse for ever.
 
 Source: Bloesch et al. 2012, State estimation for legged robots, RSS; Hartley, Ghaffari, Eustice & Grizzle 2020,
 Contact-aided invariant extended Kalman filtering for robot state estimation, IJRR 39(4).
@@ -27,11 +28,11 @@ from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import Record, StepCode
 
 THRESHOLD = 5.0
-"""Squared distance of a foot from its anchor, by its covariance, from which on it is anchored anew: χ² at 17 %."""
+"""Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew: χ² at 17 %."""
 FIRST = slice(6, 9)
 """Anchor of the first foot in a state."""
 PATIENCE = 0.5
-"""Time [s] without any foot on its anchor after which the estimate starts anew: longer than a jump."""
+"""Time [s] without any foot at its anchor after which the estimate restarts; it is longer than a jump."""
 
 
 class LeggedBaseState(NamedTuple):
@@ -41,8 +42,8 @@ class LeggedBaseState(NamedTuple):
         x: Velocity of the base, gravity, anchors of the feet, biases of gyro and accelerometer (n,), in its axes.
         t: Time [s].
         cov: Covariance (n, n).
-        turned: Rotation (F, 3, 3) of the link of each foot in the axes of the base when it was last read.
-        alone: Time [s] since a foot was on its anchor.
+        turned: Rotation (F, 3, 3) of each foot's link in the axes of the base at its last reading.
+        alone: Time [s] since a foot was last at its anchor.
         last_input: Last finite reading (6,) of the IMU.
 
     Example:
@@ -66,12 +67,12 @@ class LeggedBaseInfo(NamedTuple):
     """Diagnostics of a step of a `LeggedBase`.
 
     Attributes:
-        innovation: Smallest change (p,) of the joints that puts each foot on its anchor [rad or m]; 0 for feet that
+        innovation: Smallest change (p,) of the joints that puts each foot at its anchor [rad or m]; 0 for feet that
             were anchored anew, and for flags.
         distance: Square root of the sum of `squares`.
-        squares: Squared distance (F,) of each foot that stood from its anchor, by its covariance; 0 for others.
+        squares: Squared distance (F,) of each standing foot from its anchor, by its covariance; 0 for others.
         state_std: Standard deviations (n,) of the states.
-        standing: Which feet (F,) were on their anchors.
+        standing: Which feet (F,) were at their anchors.
         result: A `covariant.signals.StepCode` code.
 
     Example:
@@ -94,16 +95,16 @@ class LeggedBaseInfo(NamedTuple):
 class LeggedBase(AbstractObserver):
     """Velocity and attitude of the base of a robot on legs, from an IMU and the encoders of its legs.
 
-    Flags of contact are not needed, and neither are masses or torques: beside a usable accelerometer dynamics adds
-    nothing. Where a log has flags, 0 keeps a foot from being an anchor. A measurement is the positions of the joints,
-    followed by flags where the model has them. If encoders are late against the IMU, put it into a `Delayed`.
+    It needs no contact flags, masses or torques: with a usable accelerometer, the dynamics add no information. If a log
+    has flags, 0 prevents a foot from being an anchor. A measurement consists of the positions of the joints, followed
+    by flags if the model has them. If encoder readings are late relative to the IMU, wrap it in a `Delayed`.
 
     Attributes:
-        model: State-space model of the base, as the system `legged_base` makes it.
-        process_cov: Spectral density (n, n), diagonal: noise of the accelerometer [(m/s²)²/Hz], of the gyro times
+        model: State-space model of the base, from the system `legged_base`.
+        process_cov: Spectral density (n, n), diagonal: noise of the accelerometer [(m/s²)²/Hz], noise of the gyro times
             gravity squared, creep of the feet [m²/s], drift of the biases.
         measurement_cov: Covariance (p, p) of a reading of the joints [rad² or m²].
-        start: First estimate (n,), anchors left open.
+        start: First estimate (n,); its anchors are not used.
         start_cov: Its covariance (n, n).
         threshold: Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew.
 
@@ -155,7 +156,7 @@ class LeggedBase(AbstractObserver):
         """State at the first positions of the joints, with an anchor at each foot.
 
         Args:
-            y: Positions of the joints, all of them, and flags where the model has them.
+            y: Positions of all joints, and flags if the model has them.
             t: Time [s].
 
         Returns:
@@ -197,8 +198,8 @@ class LeggedBase(AbstractObserver):
         (by_state, by_input), x = jax.jacfwd(ahead, (0, 1), has_aux=True)(state.x, u)
         density = jnp.diag(jnp.asarray(self.process_cov, real))
         gravity = jnp.asarray(self.start, real)[3:6]
-        # Noise of the IMU enters where its readings do, that of the gyro in all vectors that turn with the base; its
-        # mean over dt has the variance of its density over dt.
+        # Accelerometer noise enters the velocity, gyro noise all vectors that turn with the base. The mean of noise
+        # over dt has the variance of its density divided by dt.
         imu = jnp.concatenate([density[3:6] / (gravity @ gravity), density[:3]])
         pushed = by_input * jnp.sqrt(imu)[None]
         spacing = jnp.where(dt > 0, dt, 1.0)
@@ -209,7 +210,7 @@ class LeggedBase(AbstractObserver):
     def correct(
         self, state: LeggedBaseState, u: Float[Array, "6"], y: Float[Array, "p"]
     ) -> tuple[LeggedBaseState, LeggedBaseInfo]:
-        """Compare each foot with its anchor, foot by foot; one that is off is anchored anew.
+        """Compare each foot with its anchor, one after the other; a foot that is off is anchored anew.
 
         Args:
             state: State that `predict` returned.
@@ -225,13 +226,13 @@ class LeggedBase(AbstractObserver):
         feet = len(places)
         down = ~(y[joints:] < ON_THE_GROUND) if len(y) > joints else jnp.ones(feet, bool)
         turned = jnp.where(read[:, None, None], turned, state.turned)
-        # A foot that rolls on the ground moves its centre by what its link has turned in the base; the turn of the
-        # base itself is in the prediction.
+        # The centre of a rolling foot moves by the rotation of its link relative to the base; the rotation of the base
+        # itself is part of the prediction.
         x = state.x
         moved = _turns(turned, state.turned)
         rolled = jnp.cross(moved, self._legs.up(x[3:6])[None])
         x = x.at[6:-6].add(rolled.ravel())
-        # Each turn handles the foot whose anchor comes first, and moves it behind the others.
+        # Each pass handles the foot whose anchor comes first, and moves this anchor behind the others.
         order = np.concatenate([np.arange(6), np.roll(np.arange(6, len(x) - 6), -3), np.arange(len(x) - 6, len(x))])
 
         def foot(carry: tuple[Array, Array], item: tuple[Array, ...]) -> Any:
@@ -242,7 +243,7 @@ class LeggedBase(AbstractObserver):
             square: Any = innovation @ solve(spread, innovation)
             stands = read & down & (square < jnp.asarray(self.threshold, real))
             gain = solve(spread, cov[FIRST]).T
-            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H takes three entries out.
+            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H selects three entries.
             once = cov - gain @ cov[FIRST]
             used, used_cov = self._on_sphere(x + gain @ innovation, once - (once[:, FIRST] - gain @ noise) @ gain.T)
             anew, anew_cov = x.at[FIRST].set(place), _with_block(cov, FIRST, noise)
@@ -261,7 +262,7 @@ class LeggedBase(AbstractObserver):
         result = jnp.where(lost, int(StepCode.RESTARTED), result)
         finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(cov))
         result = jnp.where(finite, result, int(StepCode.NOT_FINITE)).astype(jnp.int32)
-        # The least change of the joints of a foot that moves it by `off`.
+        # The smallest change of a foot's joints that moves it by `off`.
         each = jnp.stack([slopes[i].T @ solve(_regular(slopes[i]), off[i]) for i in range(feet)])
         innovation = jnp.concatenate([jnp.sum(each, axis=0), jnp.zeros(len(y) - joints, real)])
         std = jnp.sqrt(jnp.diag(new.cov))
@@ -270,43 +271,43 @@ class LeggedBase(AbstractObserver):
     def contact_forces(
         self, record: Record, torque: Float[np.ndarray, "T n"], cutoff: float = 100.0
     ) -> Float[np.ndarray, "T F 3"]:
-        """Forces of the ground on the feet along a log, for a look at contacts: no part of the estimate.
+        """Forces of the ground on the feet along a log, for the inspection of contacts; estimates do not use them.
 
-        The accelerometer holds gravity and the motion of the base, so that only masses and torques enter besides. What
-        joints lose in friction counts as force.
+        The accelerometer measures gravity and the motion of the base, so only masses and torques are needed besides.
+        Friction of the joints counts as force.
 
         Args:
-            record: A log of this observer, in rows that are evenly spaced.
+            record: A log of this observer, with evenly spaced rows.
             torque: Torques (T, n) of the joints, each from its row to the next [N m].
             cutoff: Cutoff [Hz] of the low-pass filter of the forces; joint rates are filtered at 40 % of it.
 
         Returns:
-            Force (T, F, 3) [N] on each foot in the axes of the base. Its part along minus the estimated gravity is the
-            load of the foot.
+            Force (T, F, 3) [N] on each foot in the axes of the base. Its component opposite to the estimated gravity is
+            the load of the foot.
         """
         t, u, y = (np.asarray(part, float) for part in (record.t, record.u, record.y))
         q, dt = y[:, : self._joints], float(np.median(np.diff(t)))
         difference = np.diff(q, axis=0, prepend=q[:1]) / dt
         rates = _low_pass(difference, 0.4 * cutoff * dt)
         accelerations = np.diff(difference, axis=0, prepend=difference[:1]) / dt
-        # What the IMU and the torques were from a row to the next is known at the next, as its positions are.
+        # IMU readings and torques between two rows belong to the later row, as the positions do.
         u, torque = (np.concatenate([part[:1], part[:-1]]) for part in (u, np.asarray(torque, float)))
         turning = np.diff(u[:, :3], axis=0, prepend=u[:1, :3]) / dt
         forces = jax.jit(jax.vmap(self._legs.forces))(q, rates, accelerations, u, turning, torque)
         return _low_pass(np.asarray(forces), cutoff * dt)
 
     def _read(self, y: Float[Array, "p"]) -> tuple[Array, Array, Array, Array]:
-        """Places and rotations of the feet, the covariance of the places, and their slopes by the joints."""
+        """Positions and rotations of the feet, the covariance of the positions, and their derivatives by the joints."""
         joints = self._joints
         q = jnp.where(jnp.isnan(y[:joints]), 0.0, y[:joints])
 
         places, turned, slopes = self._legs.feet(q)
         noise = jnp.asarray(self.measurement_cov, y.dtype)[:joints, :joints]
-        least = 1e-10 * jnp.eye(3, dtype=y.dtype)[None]  # straight legs show one direction poorly, and not exactly
+        least = 1e-10 * jnp.eye(3, dtype=y.dtype)[None]  # straight legs show one direction poorly; it stays regular
         return places, turned, slopes @ noise @ jnp.swapaxes(slopes, 1, 2) + least, slopes
 
     def _on_sphere(self, x: Vector, cov: Matrix) -> tuple[Vector, Matrix]:
-        """The state whose gravity has the magnitude that it has at the start, and a covariance across it only."""
+        """The state with gravity of its initial magnitude, and with a covariance only perpendicular to it."""
         start = jnp.asarray(self.start, x.dtype)[3:6]
         gravity = jnp.sqrt(start @ start / (x[3:6] @ x[3:6])) * x[3:6]
         across = jnp.eye(3, dtype=x.dtype) - jnp.outer(gravity, gravity) / (start @ start)
@@ -315,17 +316,17 @@ class LeggedBase(AbstractObserver):
 
 
 def _symmetric(cov: Matrix) -> Matrix:
-    """A symmetric matrix without its rounding; when lowered, half the work."""
+    """A symmetric matrix without rounding errors, which halves the work when it is lowered."""
     return jnp.where(np.tri(len(cov), dtype=bool).T, cov, cov.T)
 
 
 def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
-    """A covariance in which some entries have their own, and none with the others."""
+    """A covariance with a new block for some entries, uncorrelated with the others."""
     return cov.at[at].set(0.0).at[:, at].set(0.0).at[at, at].set(block)
 
 
 def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
-    """First-order low-pass filter along the first axis, for a cutoff in cycles a sample."""
+    """First-order low-pass filter along the first axis, with a cutoff in cycles per sample."""
     kept = math.exp(-2 * math.pi * cutoff)
 
     def step(y: Any, x: Any) -> Any:
@@ -335,12 +336,12 @@ def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
 
 
 def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:
-    """Product of a slope with its transpose, regular where a leg is straight."""
+    """Product of a slope with its transpose, made regular for a straight leg."""
     return slope @ slope.T + 1e-6 * jnp.eye(3, dtype=slope.dtype)
 
 
 def _turns(new: Float[Array, "F 3 3"], old: Float[Array, "F 3 3"]) -> Float[Array, "F 3"]:
-    """Small rotation vectors, in the axes of the base, that lead from old rotations to new ones."""
+    """Small rotation vectors, in the axes of the base, from old rotations to new ones."""
     change = jnp.sum(new[:, :, None, :] * old[:, None, :, :], axis=3)
     return (
         jnp.stack(
@@ -351,5 +352,5 @@ def _turns(new: Float[Array, "F 3 3"], old: Float[Array, "F 3 3"]) -> Float[Arra
 
 
 def legged_base(model: StateSpace, noise: StateNoise) -> LeggedBase:
-    """Observer of the base of a robot on legs."""
+    """Observer for the base of a legged robot."""
     return LeggedBase(model, noise.process_cov, noise.measurement_cov, noise.start, noise.start_cov)

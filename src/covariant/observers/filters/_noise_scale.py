@@ -1,17 +1,17 @@
-"""Size of what a filter does not know, learnt on line from its own innovations.
+"""Learns the size of a filter's unknown noise on line, from the filter's own innovations.
 
-The variance of the unknown, of forces that are forgotten or else of the process noise, is s times what the filter was
-built with, and s ≥ 1 follows the log. With D = ∂P/∂log s and d = ∂x̂/∂log s a row with the correction δ says by how much
-a larger s would have made its innovation likelier. In the basis of a root R of the predicted covariance, P⁻ = R Rᵀ,
-where e = R⁻¹δ, M = R⁻¹P⁺R⁻ᵀ, E = R⁻¹DR⁻ᵀ and c = R⁻¹d, the correlation of e with what older corrections changed has
+The variance of the unknown, of forgotten forces or else of the process noise, is s times the initial setting, and s ≥ 1
+is adapted to the log. With D = ∂P/∂log s and d = ∂x̂/∂log s, a row with the correction δ shows how much likelier a
+larger s would have made its innovation. In the basis of a root R of the predicted covariance, P⁻ = R Rᵀ, with
+e = R⁻¹δ, M = R⁻¹P⁺R⁻ᵀ, E = R⁻¹DR⁻ᵀ and c = R⁻¹d, the correlation of e with the effect of older corrections is
 
     g = eᵀc,   i = cᵀ(I − M)c,   E ← M E M,   c ← M(c + E e),
 
-whatever was measured: g is 0 on average where the gains are best, and its derivative in log s is −i. The part of the
-likelihood that sees the size of innovations, ½ tr((I − M)E) for each unit above 1, counts only where they are smaller
-than expected: noise of the readings that is larger than assumed must not raise the gains. A step of scoring,
-g/(1/`SPREAD` + i), changes log s. Where the model is right, s stays near 1; where it is wrong, the band widens and the
-gains rise, in the limit to those of a filter without a model.
+for any kind of measurement: g is 0 on average if the gains are optimal, and its derivative in log s is −i. The part of
+the likelihood that depends on the size of innovations, ½ tr((I − M)E) for each unit above 1, counts only if they are
+smaller than expected, because larger sensor noise than assumed must not raise the gains. A scoring step,
+g/(1/`SPREAD` + i), changes log s. If the model is right, s stays near 1; if it is wrong, the covariance and the gains
+grow, in the limit to those of a filter without a model.
 
 Source: Mehra 1970, On the identification of variances and adaptive Kalman filtering, IEEE TAC 15(2); Gupta & Mehra
 1974, Computational aspects of maximum likelihood estimation and reduction in sensitivity function calculations, IEEE
@@ -28,20 +28,20 @@ from covariant._linalg import lower_solve
 from covariant._typing import Flag, Matrix, Scalar, Vector
 
 SPREAD = 0.5
-"""Variance of log s that the rows in memory leave."""
+"""Prior variance of log s, relative to the rows in memory."""
 MEMORY = 20.0
-"""Information after which a change of log s is forgotten: that of 40 independent numbers that show nothing but s."""
+"""Information after which a change of log s is forgotten: that of 40 independent numbers that depend on s alone."""
 HELD = 2
-"""Latest rows whose corrections are not compared with an innovation: noise of neighbouring readings is correlated."""
+"""Number of latest rows whose corrections are not correlated with an innovation, as their noise may be correlated."""
 LARGEST = math.log(1e6)
-"""Largest log s, so that single precision can hold the covariance."""
+"""Largest log s, so that the covariance fits into single precision."""
 
 
 class NoiseScale(NamedTuple):
-    """The learnt size of what a filter does not know, with the sensitivities that it takes to learn it.
+    """The learnt size of a filter's unknown noise, with the sensitivities needed to learn it.
 
     Attributes:
-        log: Logarithm of s, the variance of the unknown over that which the filter was built with.
+        log: Logarithm of s, the variance of the unknown relative to the initial setting.
         cov: Derivative ∂P/∂log s (N, N) of the covariance of the error.
         estimates: Derivative (N, 1 + H) of the estimate: by corrections that are `HELD` rows old or older, then by each
             of the newer ones, the oldest first.
@@ -58,21 +58,21 @@ class NoiseScale(NamedTuple):
 
     @property
     def factor(self) -> Scalar:
-        """The variance s, relative to that which the filter was built with."""
+        """The variance s, relative to the initial setting."""
         return jnp.exp(self.log)
 
     def advanced(self, transition: Matrix, noise: Float[Array, "N m"]) -> "NoiseScale":
-        """The same after a prediction, in which the unknown adds noise with this root at its present size."""
+        """The scale after a prediction; the unknown adds noise with this root at its present size."""
         cov = transition @ self.cov @ transition.T + noise @ noise.T
         return self._replace(cov=cov, estimates=transition @ self.estimates)
 
     def corrected(
         self, root: Matrix, after: Matrix, correction: Vector, reset: Matrix, restart: Flag, size: Scalar
     ) -> "NoiseScale":
-        """The same after a correction.
+        """The scale after a correction.
 
-        The lower triangular `root` is that of the covariance before, `after` one of the covariance after the
-        correction and before the reset; `size` is the mean square of innovations relative to what is expected.
+        The lower triangular `root` is that of the covariance before; `after` is a root of the covariance after the
+        correction and before the reset; `size` is the mean square of innovations relative to the expected one.
         """
         k = root.shape[0]
         columns = jnp.concatenate([self.cov, after, correction[:, None], self.estimates], axis=1)
@@ -85,7 +85,7 @@ class NoiseScale(NamedTuple):
         score = e @ c + jnp.minimum(size - 1.0, 0.0) / 2 * (jnp.trace(share) - jnp.sum(kept * share))
         information = c @ (c - kept @ c)
         step = score / (1 / SPREAD + information)
-        # A step up is one of s and not of its logarithm: the square of an outlier would else count in full.
+        # An upward step applies to s instead of its logarithm; otherwise the square of an outlier would count in full.
         step = jnp.where(step > 0, jnp.log1p(jnp.maximum(step, 0.0)), step)
         log = jnp.clip((1 - jnp.minimum(information / MEMORY, 0.5)) * self.log + step, 0.0, LARGEST)
         into = reset @ root
@@ -93,7 +93,7 @@ class NoiseScale(NamedTuple):
         each = jnp.concatenate([each, (share @ e)[:, None]], axis=1)
         each = jnp.concatenate([each[:, :1] + each[:, 1:2], each[:, 2:]], axis=1)
         estimates = into @ (kept @ each)
-        # What starts anew depends on no noise of before.
+        # After a restart, nothing depends on earlier noise.
         gone = restart | ~jnp.isfinite(score)
         return NoiseScale(
             jnp.where(gone, self.log, log), jnp.where(gone, 0.0, (cov + cov.T) / 2), jnp.where(gone, 0.0, estimates)
@@ -103,7 +103,7 @@ class NoiseScale(NamedTuple):
 def scaled(
     scale: NoiseScale | None, transition: Matrix, noise: Float[Array, "N m"], unknown: Bool[Array, "N 1"] | bool = True
 ) -> tuple[Float[Array, "N m"], NoiseScale | None]:
-    """The root of the noise of a prediction at the learnt size of its `unknown` rows, and the scale after it."""
+    """The root of a prediction's noise, with its `unknown` rows at the learnt size, and the scale after it."""
     if scale is None:
         return noise, None
     noise = jnp.where(unknown, jnp.sqrt(scale.factor) * noise, noise)

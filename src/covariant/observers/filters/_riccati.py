@@ -1,4 +1,4 @@
-"""Observers of general nonlinear systems that correct through a contraction metric, which solves a Riccati equation.
+"""Observers of general nonlinear systems whose correction uses a contraction metric that solves a Riccati equation.
 
 Source: Sanfelice & Praly 2015, equations (3), (11) and (13)–(14).
 """
@@ -35,7 +35,7 @@ class Estimate(NamedTuple):
 
     Attributes:
         x: Estimated state (n,).
-        t: Time [s] that it belongs to.
+        t: Time [s] of the estimate.
         last_input: The last finite input (m,); None in continuous time.
         dt: Length [s] of the last prediction; None in continuous time.
 
@@ -57,11 +57,11 @@ class Riccati(AbstractFlowObserver):
     """Observer `x̂' = f(x̂) − 2 k_E P⁻¹ h_xᵀ R⁻¹ (h(x̂) − y)`, equation (11), with P a contraction metric at x̂.
 
     With sampled measurements the correction is implicit: it minimises `|x − x̂|²_P + 2 k_E dt |h + h_x (x − x̂) − y|²`,
-    so no gain makes it unstable, and for dt → 0 it is the differential equation. Where the metric is not positive
+    so no gain makes it unstable, and for dt → 0 it becomes the differential equation. If the metric is not positive
     definite, as outside the grid of a field, the model runs without correction and `result` says `OUT_OF_DOMAIN`.
 
-    Its gain depends on the estimate alone. The gain of `StateEKF` depends on all earlier estimates. Take the metric
-    from `metrics.RiccatiMetric`, `metrics.load_metric` or `metrics.high_gain`.
+    Its gain depends on the present estimate only, while the gain of `StateEKF` depends on all earlier ones. Take the
+    metric from `metrics.RiccatiMetric`, `metrics.load_metric` or `metrics.high_gain`.
 
     Attributes:
         model: The system, with n states and p outputs.
@@ -102,7 +102,7 @@ class Riccati(AbstractFlowObserver):
         """State at the first estimate `start`.
 
         Args:
-            y: First measurement (p,), of which only the precision counts.
+            y: First measurement (p,); only its precision is used.
             t: Its time stamp [s], 0 by default.
 
         Returns:
@@ -128,7 +128,7 @@ class Riccati(AbstractFlowObserver):
         return state._replace(x=x, t=state.t + dt, dt=dt)
 
     def correct(self, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> tuple[Estimate, Info]:
-        """Correct a predicted state by the implicit formula; an output that is missing is left out.
+        """Correct a predicted state by the implicit formula; a missing output is left out.
 
         Args:
             state: State that `predict` returned, whose `dt` [s] weights the correction.
@@ -148,7 +148,7 @@ class Riccati(AbstractFlowObserver):
 
     def _metric(self, t: Scalar, x: Vector, u: Array) -> Matrix:
         if isinstance(self.metric, RiccatiMetric) and self.model.inputs:
-            # The characteristic, which runs backwards in time, is computed with the present input.
+            # The characteristic, which runs backward in time, is computed with the present input.
             return eqx.tree_at(lambda m: m.u, self.metric, u, is_leaf=lambda leaf: leaf is None)(x)
         return with_time(self.metric)(t, x)
 
@@ -159,7 +159,7 @@ class InformationState(NamedTuple):
     Attributes:
         x: Estimated state (n,).
         information: Its information matrix P (n, n), the inverse of its covariance.
-        t: Time [s] that they belong to.
+        t: Time [s] of the estimate.
         last_input: The last finite input (m,); None in continuous time.
         dt: Length [s] of the last prediction; None in continuous time.
 
@@ -181,8 +181,8 @@ class InformationState(NamedTuple):
 class InformationEKF(AbstractFlowObserver):
     """Extended Kalman filter in information form, equations (13)–(14): P is integrated along the estimate itself.
 
-    Its P measures how certain the estimate is, which a constant field cannot; but nothing bounds P unless the estimate
-    stays close to the state.
+    Its P measures how certain the estimate is, which a constant field cannot. However, P is bounded only if the
+    estimate stays close to the state.
 
     Attributes:
         model: The system, with n states and p outputs.
@@ -216,7 +216,7 @@ class InformationEKF(AbstractFlowObserver):
         """State at the first estimate `start` and its information matrix.
 
         Args:
-            y: First measurement (p,), of which only the precision counts.
+            y: First measurement (p,); only its precision is used.
             t: Its time stamp [s], 0 by default.
 
         Returns:
@@ -249,7 +249,7 @@ class InformationEKF(AbstractFlowObserver):
     def correct(
         self, state: InformationState, u: Float[Array, "m"], y: Float[Array, "p"]
     ) -> tuple[InformationState, Info]:
-        """Correct a predicted state and add the information of the measured outputs; one that is missing is left out.
+        """Correct a predicted state, and add the information of the measured outputs; a missing one is left out.
 
         Args:
             state: State that `predict` returned, whose `dt` [s] weights the correction.
@@ -263,13 +263,13 @@ class InformationEKF(AbstractFlowObserver):
         (x, p, t), dt = state[:3], step_length(state)
         output = _output(self.model, self.equation.measurement_cov, t, x, u, y)
         corrected, info = _correct(x, p, dt, output)
-        # A sample stands for a measurement in continuous time over dt, whose information is dt h_xᵀ R⁻¹ h_x.
+        # A sample represents a continuous measurement over dt, whose information is dt h_xᵀ R⁻¹ h_x.
         return state._replace(x=corrected, information=p + dt * output.jacobian.T @ output.jacobian), info
 
     def needed_substeps(self, state: InformationState, u: Array, dt: Scalar) -> Code:
         """Number of Runge–Kutta steps that keep h·rate ≤ 1.
 
-        To first order changes of P decay at sums of two eigenvalues of `A + QP`.
+        To first order, changes of P decay at sums of two eigenvalues of `A + QP`.
 
         Args:
             state: State of this filter.
@@ -282,7 +282,7 @@ class InformationEKF(AbstractFlowObserver):
         power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
         q = self.equation.noise(state.x)
         power = power if q is None else power + q @ state.information
-        # The norm of the 8th power, to the power ⅛, bounds the spectral radius closely from above; its factor 2 is for
+        # The norm of the 8th power, to the power ⅛, is a close upper bound of the spectral radius; the factor 2 is for
         # sums of two eigenvalues.
         for _ in range(3):
             power = power @ power
@@ -294,18 +294,18 @@ class InformationEKF(AbstractFlowObserver):
         a = jax.jacfwd(self.model.f, 1)(t, x, u)
         q = self.equation.noise(x)
         loss = self.equation.rate * p + (0.0 if q is None else p @ q @ p)
-        # P is an inverse covariance: from C' = AC + CAᵀ + Q follows P' = −P C' P.
+        # P is an inverse covariance: C' = AC + CAᵀ + Q implies P' = −P C' P.
         return -p @ a - a.T @ p - loss
 
 
 def _is_metric(p: Matrix) -> Flag:
-    """Whether p is positive definite; where it is not, or not finite, there is no correction."""
-    # All pivots of the elimination are positive exactly where p is positive definite; NaN compares as false.
+    """Whether p is positive definite; if it is not, or not finite, there is no correction."""
+    # p is positive definite if and only if all pivots of the elimination are positive; NaN compares as false.
     return jnp.all(pivots(p) > 0)
 
 
 class _Output(NamedTuple):
-    """An output compared with its measurement, whitened with zeros for the entries that are missing.
+    """An output compared with its measurement, whitened, with zeros for missing entries.
 
     Attributes:
         innovation: `y − h` (p,), not whitened, with zeros where missing.
@@ -323,14 +323,14 @@ class _Output(NamedTuple):
 def _output(
     model: StateSpace, measurement_cov: Float[Array, "p p"] | None, t, x: Vector, u: Array, y: Array
 ) -> _Output:
-    """The output of the model at x beside the measurement y, NaN where missing."""
+    """The output of the model at x, compared with the measurement y, NaN where missing."""
     missing = jnp.isnan(y)
     error = model.output_error(model.h(t, x, u), y)
     jacobian: Array = jax.jacfwd(model.h, 1)(t, x, u)
     output_jacobian: Array = jnp.where(missing[:, None], 0.0, jacobian)
     if measurement_cov is None:
         return _Output(-error, missing, output_jacobian, error)
-    # The noise of a missing output must not affect the others, even where the two are correlated.
+    # The noise of a missing output must not affect the others, even if the two are correlated.
     uncoupled = (missing[:, None] | missing[None, :]) & ~jnp.eye(y.shape[0], dtype=bool)
     cov = jnp.where(uncoupled, 0.0, jnp.asarray(measurement_cov, x.dtype))
     whitened = half_solve(cov, jnp.concatenate([output_jacobian, error[:, None]], axis=1))
@@ -340,7 +340,7 @@ def _output(
 def _correct(x: Vector, p: Matrix, weight: Number, output: _Output) -> tuple[Vector, Info]:
     """Correct by y: `x − (P + w h_xᵀ R⁻¹ h_x)⁻¹ w h_xᵀ R⁻¹ (h − y)`, with w the `weight`."""
     jacobian = output.jacobian
-    # The least of |δ|_P² + w |h − y + h_x δ|²: positive definite with P, whatever rank h_x has.
+    # The minimum of |δ|_P² + w |h − y + h_x δ|²; the matrix is positive definite if P is, for any rank of h_x.
     correction = solve(p + weight * jacobian.T @ jacobian, weight * jacobian.T @ output.error)
     positive = _is_metric(p)
     correction = jnp.where(positive, correction, 0.0)
@@ -354,7 +354,7 @@ def _correct(x: Vector, p: Matrix, weight: Number, output: _Output) -> tuple[Vec
             jnp.where(positive, int(StepCode.OK), int(StepCode.OUT_OF_DOMAIN)),
         ),
     )
-    # A product with zero is not zero where p is not finite: p is replaced first.
+    # Zero times infinity is NaN, so entries of p that are not finite are replaced first.
     square = jnp.where(positive, correction @ jnp.where(jnp.isfinite(p), p, 0.0) @ correction, 0.0)
     distance = jnp.sqrt(jnp.maximum(square, 0.0))
     return corrected, Info(output.innovation, distance, result.astype(jnp.int32))

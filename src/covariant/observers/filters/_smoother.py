@@ -1,20 +1,20 @@
-"""The smoother: estimates of a log afterwards, from all of its rows and not only from those before.
+"""Smooths a log: estimates the state at each row from all rows, not only from the earlier ones.
 
-A filter runs over the log. Then the error that it made at each row is estimated, from the last row back, by what each
-step did to the error. With the covariance P, the transition Φ, the predicted covariance P⁻, the correction δ and the
-reset 𝒥,
+A filter runs over the log. Then the error that it made at each row is estimated, from the last row backward, from the
+effect of each step on the error. With the covariance P, the transition Φ, the predicted covariance P⁻, the correction δ
+and the reset 𝒥,
 
     C = P Φᵀ(P⁻)⁻¹,   d ← C(δ + 𝒥⁻¹d),   Pˢ ← P + C(𝒥⁻¹Pˢ𝒥⁻ᵀ − P⁻)Cᵀ,
 
-from d = 0 and Pˢ = P at the last row. This is an affine map with noise; C is 0 where the filter started anew. The
-estimate moves by d as a correction moves it, and Pˢ with it. All of it is in the frame of the filter: the smoother of a
-filter that does not depend on coordinates does not depend on them either.
+from d = 0 and Pˢ = P at the last row. This is an affine map with noise; C is 0 where the filter restarted. The estimate
+is moved by d, together with Pˢ, as a correction would move it. All of this happens in the frame of the filter, so the
+smoother of a filter that does not depend on coordinates does not depend on them either.
 
-With a lag of L rows each row is estimated from the L rows after it, by the same recursion from d = 0 there.
+With a lag of L rows, each row is estimated from the L rows after it, by the same recursion, starting there from d = 0.
 
-Steps are stored for one block of rows at a time. A first pass stores the state of the filter before each block, and the
-blocks are run through again from there, the last one first; only d and Pˢ go from one to the one before it. With a lag
-the blocks follow one another in time, and there is one pass.
+Steps are stored for one block of rows at a time. A first pass stores the filter's state before each block. The blocks
+are then run through again, the last one first; only d and Pˢ pass from one to the one before it. With a lag, blocks are
+processed in the order of time, in one pass.
 
 Source: Rauch, Tung & Striebel 1965, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3(8);
 Särkkä 2008, Unscented Rauch–Tung–Striebel smoother, IEEE TAC 53(3), for transitions by statistical linearisation;
@@ -46,22 +46,22 @@ from covariant.signals import Record, Run, StepCode
 from scalargraph.errors import InputError
 
 FARTHEST = 1e3
-"""Size of smoothed estimates, relative to those of the filter, from which a covariance was singular up to rounding."""
+"""Size of smoothed estimates, relative to the filter's, above which a covariance was singular up to rounding."""
 BLOCK = 4096
-"""Rows whose steps are held in memory at once; a longer log is run through twice, the second time from its end."""
+"""Number of rows whose steps are in memory at once; a longer log is run through twice, the second time from its end."""
 
 
 class Smoothed(NamedTuple):
-    """A smoothed log, and the run of the filter beside it.
+    """A smoothed log, together with the run of the filter.
 
     Attributes:
         run: Stamps, smoothed estimates, and the info of the filter with the standard deviations and the slow states of
             the smoother.
         filtered: The run of the filter.
-        std: Standard deviations (T, N) of the smoothed estimates, of the error of the filter: positions and velocities
-            in the frame, then slow states; of a `JointKalman` positions, velocities, accelerations; of a state-space
+        std: Standard deviations (T, N) of the smoothed estimates, for the error of the filter: positions and velocities
+            in the frame, then slow states; for a `JointKalman` positions, velocities, accelerations; for a state-space
             model its states.
-        root: Square roots (T, N, N) of the covariances of the same; None where they are not kept.
+        root: Square roots (T, N, N) of the covariances of the same quantities; None if they are not stored.
 
     Example:
         >>> import numpy as np
@@ -82,7 +82,7 @@ class Smoothed(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a step of a filter did to its error (N,).
+    """Effect of a filter step on the error (N,) of the filter.
 
     Attributes:
         root: Square root S (N, N) of the covariance before the step.
@@ -90,7 +90,7 @@ class Step(NamedTuple):
         predicted: Square root (N, N) of the predicted covariance P⁻.
         error: Correction δ (N,).
         reset: Reset 𝒥 (N, N).
-        restarted: Whether nothing from after the step says anything of the error before it.
+        restarted: Whether later rows contain no information on the error before the step.
     """
 
     root: Matrix
@@ -102,7 +102,7 @@ class Step(NamedTuple):
 
 
 class StepInfo(NamedTuple):
-    """Info of a step of a `Recorder`: that of the filter, and what the step did to the error."""
+    """Info of a step of a `Recorder`: the info of the filter, and the effect of the step on the error."""
 
     info: Any
     step: Step
@@ -110,7 +110,7 @@ class StepInfo(NamedTuple):
 
 
 class Backward(NamedTuple):
-    """The error before a step, given the error d after it: `shift + gain d`, and Gaussian noise.
+    """The error before a step, given the error d after it: `shift + gain d`, plus Gaussian noise.
 
     Attributes:
         shift: Cδ (N,).
@@ -131,7 +131,7 @@ class Smoothing(NamedTuple):
 
 
 class Recorder(AbstractWrapper):
-    """A filter whose estimates are its states, and whose infos say what each step did to the error."""
+    """A filter whose estimates are its states, and whose infos describe the effect of each step on the error."""
 
     observer: AbstractGatedFilter
 
@@ -145,10 +145,10 @@ class Recorder(AbstractWrapper):
         return self.observer.correct(state, u, y)
 
     def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, StepInfo]:
-        """Prediction and correction of the filter, with what they did to the error."""
+        """Predict and correct with the filter, and record the effect on the error."""
         predicted, carried = self.observer.carried(state, u, dt)
         new, info, step = recorded(self.observer, self.observer.root(state), carried, predicted, u, y)
-        # A step of no length is the first row, or one that lengthens the last block: it is no step.
+        # A step of zero length is the first row, or padding of the last block; it does not count as a step.
         return new, StepInfo(info, step._replace(restarted=step.restarted | (dt == 0)), info.result)
 
     def lost(self, state: Any, info: StepInfo) -> Flag:
@@ -166,9 +166,9 @@ def recorded(
     u: Float[Array, "m"],
     y: Inexact[Array, "*n"],
 ) -> tuple[Any, Any, Step]:
-    """Correct a predicted state, and record what prediction and correction did to the error."""
+    """Correct a predicted state, and record the effect of prediction and correction on the error."""
     new, info, used, restarted = observer.corrected(predicted, u, y)
-    # An estimate that left the finite numbers says nothing of those before.
+    # An estimate that is not finite contains no information on earlier ones.
     restarted = restarted | (info.result == int(StepCode.NOT_FINITE))
     step = Step(
         root, carried, triangular_with_rank(observer.regular_root(predicted)), used.error, used.reset, restarted
@@ -179,26 +179,25 @@ def recorded(
 def smooth(
     observer: AbstractObserver, record: Record, lag: int | None = None, keep: Collection[str] | None = None
 ) -> Smoothed:
-    """Run a filter over a record, and estimate its states again from the rows after each.
+    """Run a filter over a record, and estimate each of its states again with the rows after it.
 
-    Missing measurements, gaps, slow states, encoder ticks and refused outliers need nothing more. Where the filter
-    starts anew, the rows before are estimated without those after.
+    Missing measurements, gaps, slow states, encoder ticks and refused outliers need no special treatment. If the filter
+    restarts, the rows before are estimated without those after.
 
     Args:
         observer: A filter with a covariance and a gate: `IntrinsicKalman`, `EKF`, `UKF`, `JointKalman` or `StateEKF`.
-        record: A log, whose input in a row acts from its stamp to the next.
-        lag: Number of rows after each row from which it is estimated; all (default) where it is None, and the filter
-            itself where it is 0.
+        record: A log; the input of a row acts from its stamp to the next.
+        lag: Number of later rows from which each row is estimated; None (default) for all, 0 for the filter itself.
         keep: Names of the fields of the infos to store, as for `run`, and `"root"` for the square roots of all
-            covariances, which take the most memory; all where it is None.
+            covariances, which take the most memory; None for all.
 
     Returns:
-        The smoothed run, the run of the filter, and the covariances. Besides these, memory is taken for the steps of
+        The smoothed run, the run of the filter, and the covariances. In addition, memory is needed for the steps of
         `BLOCK` rows and of the lag.
 
     Raises:
-        ValueError: From `Record.check`; an observer of another kind, a negative lag, or a covariance that is singular
-            but for rounding where that shows in the estimates.
+        ValueError: From `Record.check`; or the observer is of another kind, the lag is negative, or a covariance is
+            singular up to rounding and this affects the estimates.
 
     Example:
         >>> import numpy as np
@@ -239,13 +238,13 @@ def smoothed(
     lag: int | None = None,
     keep: Collection[str] | None = None,
 ) -> Smoothed:
-    """Smooth arrays that need no check, such as those of many runs at once under `jax.vmap`; see `smooth`."""
+    """Smooth arrays without checks, such as those of many runs at once under `jax.vmap`; see `smooth`."""
     count = len(t)
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
     blocks = -(-count // BLOCK)
     size = _rounded_up(-(-count // blocks))
-    # The rows added at the end are no steps: nothing of this reaches a row of the log.
+    # The rows added at the end are not steps, and do not affect any row of the log.
     rows, state, later = _begin_smoothing(observer, *_lengthened((t, u, y), blocks * size + ahead - count))
     fields = None if keep is None else frozenset(keep)
 
@@ -267,7 +266,7 @@ def smoothed(
 
 
 def _join_blocks(parts: list[Any], count: int) -> Any:
-    """The first `count` rows of all blocks; `parts` is emptied, so that hardly anything is in memory twice."""
+    """The first `count` rows of all blocks; `parts` is emptied on the way, to save memory."""
     tree = jax.tree.structure(parts[0])
     pieces = [list(each) for each in zip(*map(jax.tree.leaves, parts), strict=True)]
     parts.clear()
@@ -279,19 +278,19 @@ def _join_blocks(parts: list[Any], count: int) -> Any:
 
 
 def _rounded_up(count: int) -> int:
-    """A number of rows that few programs serve: four to an octave."""
+    """A number of rows, rounded up such that few programs are needed: four per octave."""
     step = 2 ** max(count.bit_length() - 3, 0)
     return -(-count // step) * step
 
 
 def _lengthened(arrays: tuple[Array, ...], more: int) -> tuple[Array, ...]:
-    """Arrays with the last entry of each as many times more."""
+    """Arrays extended by this number of copies of their last entry."""
     return tuple(jnp.concatenate([a, jnp.broadcast_to(a[-1:], (more, *a.shape[1:]))]) for a in arrays)
 
 
-@eqx.filter_jit  # one program in place of some twenty small ones
+@eqx.filter_jit  # one program instead of about twenty small ones
 def _begin_smoothing(observer: AbstractGatedFilter, t: Array, u: Array, y: Array) -> tuple[Rows, Any, Smoothing]:
-    """The rows of a record, the state at the first, and as much knowledge of the error after the last."""
+    """The rows of a record, the state at the first row, and the knowledge of the error after the last row."""
     state = observer.init(y[0], t[0])
     root = observer.root(state)
     return Rows.of(t, u, y), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
@@ -299,7 +298,7 @@ def _begin_smoothing(observer: AbstractGatedFilter, t: Array, u: Array, y: Array
 
 @functools.partial(jax.jit, static_argnames="count")
 def _part(rows: Rows, first: int | Int[Array, ""], count: int) -> Rows:
-    # A slice at a place that is an argument is compiled once for all blocks.
+    # The start of the slice is an argument, so that one compilation serves all blocks.
     return Rows(*(jax.lax.dynamic_slice_in_dim(a, first, count) for a in rows))
 
 
@@ -317,10 +316,10 @@ def _block(
     lag: int | None,
     keep: frozenset[str] | None,
 ) -> tuple[tuple, Smoothing, Any]:
-    """Smoothed rows of a block, what is known of the error at its first row, and the state at its last row.
+    """Smoothed rows of a block, the knowledge of the error at its first row, and the state at its last row.
 
-    The rows are those of the block and, of the rows after it, those that it depends on directly. What is known of the
-    first row of the next block is `later`, which a lag does not need.
+    The rows are those of the block and the later ones on which it depends directly. `later` is the knowledge of the
+    error at the first row of the next block; it is not needed with a lag.
     """
     states, recorded = scan(Recorder(observer), state, rows)[1]
     steps = recorded.step
@@ -344,7 +343,7 @@ def _block(
 
     estimate, deviations, std, root = jax.vmap(moved)(states, smoothed)
     info = jax.tree.map(lambda a: a[:size], recorded.info)._replace(result=recorded.result[:size])
-    info = info._replace(**jax.vmap(observer.deviations)(states))  # of the first row, which is no step
+    info = info._replace(**jax.vmap(observer.deviations)(states))  # also for the first row, which is not a step
     new_info = info._replace(**deviations)
     root = root if keep is None or "root" in keep else None
     part = estimate, kept(new_info, keep), std, root, jax.vmap(observer.estimate)(states), kept(info, keep)
@@ -352,9 +351,9 @@ def _block(
 
 
 def _smooth_with_lag(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -> Smoothing:
-    """What is known of the errors of the first `size` rows, from `lag` rows after each.
+    """The knowledge of the errors of the first `size` rows, each from the `lag` rows after it.
 
-    Map k leads from row k + 1 to row k, and root k is that of row k.
+    Map k leads from row k + 1 to row k, and root k belongs to row k.
     """
 
     def part(tree, first):
@@ -368,26 +367,26 @@ def _smooth_with_lag(roots: Float[Array, "M N N"], maps: Backward, size: int, la
 
 
 def smoothed_state(observer: AbstractGatedFilter, state: Any, smoothing: Smoothing) -> tuple[Any, Matrix]:
-    """The state of a filter moved to the smoothed estimate, as a correction moves it."""
+    """The state of a filter, moved to the smoothed estimate as a correction would move it."""
     new, reset = observer.moved(state, smoothing.error)
     root = reset @ smoothing.root
     return observer.with_root(new, root), root
 
 
 def backward_map(step: Step) -> Backward:
-    """What a step says of the error before it, given the error after it."""
+    """The error before a step, given the error after it."""
     n = len(step.error)
-    # With P⁻ = L Lᵀ and M = L⁻¹ΦS: C = S Mᵀ L⁻¹, and P − CP⁻Cᵀ = S(I − MᵀM)Sᵀ, which no difference of covariances is.
+    # With P⁻ = L Lᵀ, M = L⁻¹ΦS: C = S Mᵀ L⁻¹ and P − CP⁻Cᵀ = S(I − MᵀM)Sᵀ, which avoids a difference of covariances.
     ratio = lower_solve(step.predicted, step.carried)
     gain = step.root @ upper_solve(step.predicted, ratio).T
     noise = step.root @ semidefinite_root(jnp.eye(n, dtype=ratio.dtype) - ratio.T @ ratio)
-    # Columns of 𝒥ᵀ x = Cᵀ are the rows of C𝒥⁻¹.
+    # The columns of the solution of 𝒥ᵀ x = Cᵀ are the rows of C𝒥⁻¹.
     through = Backward(gain @ step.error, solve_square(step.reset.T, gain.T).T, noise)
     nothing = Backward(jnp.zeros_like(step.error), jnp.zeros_like(gain), step.root)
     return jax.tree.map(lambda a, b: jnp.where(step.restarted, a, b), nothing, through)
 
 
 def error_before(after: Smoothing, step: Backward) -> Smoothing:
-    """What is known of the error before a step."""
+    """The knowledge of the error before a step, from that after it."""
     root = triangular(jnp.concatenate([step.noise, step.gain @ after.root], axis=1))
     return Smoothing(step.shift + step.gain @ after.error, root)

@@ -38,7 +38,7 @@ class StateEKFState(NamedTuple):
         t: Time [s] of the estimate.
         cov: Covariance (n, n) of the estimate.
         gate: Memory of the gate.
-        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None if none is stored.
 
     Example:
         >>> import jax
@@ -91,8 +91,8 @@ class StateEKF(AbstractGatedFilter):
     """Extended Kalman filter of `x' = f(t, x, u)`, `y = h(t, x, u)`, linearised along the integrated model.
 
     It is the default filter of state-space models, and reports how certain each state is. It needs a first estimate
-    with its covariance, and is reliable only while the error stays small enough for a linearisation. Use `Contracting`
-    or `Riccati` where convergence should follow from a metric, and `EKF` or `IntrinsicKalman` for a mechanical system.
+    with its covariance, and is reliable only while errors are small enough for a linearisation. Use `Contracting` or
+    `Riccati` if convergence should follow from a metric, and `EKF` or `IntrinsicKalman` for a mechanical system.
 
     Attributes:
         model: State-space model with n states, m inputs and p outputs.
@@ -100,8 +100,8 @@ class StateEKF(AbstractGatedFilter):
         measurement_cov: Covariance (p, p) of one sample of the outputs [(unit of y)²].
         start: First estimate (n,), before the first measurement.
         start_cov: Covariance (n, n) of the first estimate [(unit of x)²].
-        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the model need (offline).
-        gate: Which outputs are refused as outliers; None refuses none. See `Gate`.
+        substeps: Runge–Kutta steps in each sample; None (default) uses as many as dt and the model need (offline).
+        gate: Gate that refuses outputs as outliers; None refuses nothing. See `Gate`.
 
     Raises:
         ValueError: A covariance or the start is not finite.
@@ -162,7 +162,7 @@ class StateEKF(AbstractGatedFilter):
             return x_new, x_new
 
         transition, x = jax.jacfwd(ahead, has_aux=True)(state.x)
-        # Simpson's rule for what white noise adds, with the mean of both ends for the transition over half the step.
+        # Simpson's rule for the contribution of white noise; the mean of both ends is the transition over half a step.
         half = (jnp.eye(len(x), dtype=x.dtype) + transition) / 2
         density = jnp.asarray(self.process_cov, x.dtype)
         added = density + 4 * half @ density @ half.T + transition @ density @ transition.T
@@ -183,7 +183,7 @@ class StateEKF(AbstractGatedFilter):
         return Expectation(y, innovation, slope @ state.cov @ slope.T + noise, noise, ~jnp.isnan(y), details=slope)
 
     def _velocity(self, state: StateEKFState) -> Velocity:
-        return Velocity(jnp.zeros_like(state.gate.left), jnp.zeros((0, 0)))  # outputs show no velocity of the state
+        return Velocity(jnp.zeros_like(state.gate.left), jnp.zeros((0, 0)))  # outputs do not show a velocity
 
     def _usual_velocity(self, state: StateEKFState) -> None:
         return None
@@ -191,12 +191,12 @@ class StateEKF(AbstractGatedFilter):
     def _used(self, state: StateEKFState, y: Float[Array, "p"], expected: Expectation, used: Bool[Array, "p"]) -> Used:
         x, noise = state.x, expected.noise
         slope: Array = expected.details
-        # The noise of an output that is not used must not affect the others, even where the two are correlated.
+        # The noise of an unused output must not affect the others, even if the two are correlated.
         noise = jnp.where(used[:, None] & used[None, :], noise, jnp.eye(len(y), dtype=x.dtype))
         output: Array = jnp.where(used[:, None], slope, 0.0)
         gain = solve(output @ state.cov @ output.T + noise, output @ state.cov).T
         remaining = jnp.eye(len(x), dtype=x.dtype) - gain @ output
-        # Joseph form: a sum of squares, so that rounding does not make it indefinite.
+        # Joseph form: a sum of squares, which rounding cannot make indefinite.
         cov = remaining @ state.cov @ remaining.T + gain @ noise @ gain.T
         error = gain @ jnp.where(used, expected.innovation, 0.0)
         moved, reset = self.moved(state, error)
@@ -222,7 +222,7 @@ class StateEKF(AbstractGatedFilter):
         expected: Expectation,
         velocity: Velocity,
     ) -> StateEKFState:
-        # Outputs alone do not determine a state: the estimate stays, with the covariance of the start.
+        # Outputs alone do not determine a state, so the estimate stays, with its initial covariance.
         return corrected._replace(cov=jnp.asarray(self.start_cov, state.x.dtype))
 
     def _result(
@@ -240,16 +240,16 @@ class StateEKF(AbstractGatedFilter):
     def advance(
         self, state: StateEKFState, u: Float[Array, "m"], y: Float[Array, "p"], dt: Scalar
     ) -> tuple[StateEKFState, StateEKFInfo]:
-        """Prediction and correction, as those of every observer.
+        """Predict and correct, as every observer does.
 
         Args:
-            state: State after the sample before.
+            state: State after the previous sample.
             u: Input (m,), finite, constant over the step.
             y: Measured outputs (p,), NaN where missing.
             dt: Length of the step [s], finite and ≥ 0.
 
         Returns:
-            The new state and the info, whose `state_std` is that of the old state where dt is zero.
+            The new state and the info; if dt is zero, its `state_std` is that of the old state.
         """
         new, info = self.correct(self.predict(state, u, dt), u, y)
         before = self.deviations(state)["state_std"]  # a repeated stamp changes nothing
@@ -267,7 +267,7 @@ class StateEKF(AbstractGatedFilter):
             The number of steps of length h, with twice the bound on the largest eigenvalue at the start as the rate.
         """
         power = jax.jacfwd(self.model.f, 1)(state.t, state.x, u)
-        # The Frobenius norm of A⁸, to the power 1/8, bounds the spectral radius of A, and closely.
+        # The Frobenius norm of A⁸, to the power ⅛, is a close upper bound of the spectral radius of A.
         for _ in range(3):
             power = power @ power
         return steps_for(dt, 2 * jnp.sqrt(jnp.sum(power * power)) ** 0.125)

@@ -1,4 +1,4 @@
-"""Observers of a state-space model, built from its noise levels."""
+"""Builds observers of a state-space model from its noise levels."""
 
 from typing import NamedTuple
 
@@ -16,9 +16,9 @@ from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
 SETTLED = 0.1
-"""A past is long enough if its metric is within this affine-invariant distance of that of an infinite past."""
+"""Affine-invariant distance to the metric of an infinite past below which a past counts as long enough."""
 POINTS = 8
-"""Number of states around the first estimate at which the necessary length of the past is computed."""
+"""Number of states around the first estimate for which the necessary length of the past is computed."""
 FEWEST_STEPS, MOST_STEPS = 16, 256
 """Bounds on the number of Runge–Kutta steps along the past in every sample."""
 
@@ -26,9 +26,10 @@ FEWEST_STEPS, MOST_STEPS = 16, 256
 class StateNoise(NamedTuple):
     """Noise and initial uncertainty of a state-space model.
 
-    It is what the observers of the registry that fit a state-space model are tuned by. Choose `process_cov` by what the
-    model leaves out, for each state and second. It is a density and `measurement_cov` a variance of one sample:
-    `equation` does the conversion by the rate.
+    The registry's observers for state-space models are tuned by it. Choose `process_cov` by the errors of the model,
+    for
+    each state and per second. It is a density, while `measurement_cov` is the variance of one sample; `equation`
+    converts between them with the rate.
 
     Attributes:
         process_cov: Spectral density (n, n) of the white noise in f [(unit of x)²/s].
@@ -53,7 +54,7 @@ class StateNoise(NamedTuple):
 
     @property
     def equation(self) -> Equation:
-        """Riccati equation, in which samples are continuous white noise of density `measurement_cov / rate`."""
+        """Riccati equation, with samples treated as continuous white noise of density `measurement_cov / rate`."""
         return Equation(process_cov=self.process_cov, measurement_cov=self.measurement_cov / self.rate)
 
 
@@ -63,7 +64,7 @@ def covariance_ekf(model: StateSpace, noise: StateNoise) -> StateEKF:
 
 
 def information_ekf(model: StateSpace, noise: StateNoise) -> InformationEKF:
-    """Extended Kalman filter in information form, with measurements as in continuous time."""
+    """Extended Kalman filter in information form, with measurements treated as in continuous time."""
     return InformationEKF(model, noise.equation, noise.start, jnp.linalg.inv(noise.start_cov))
 
 
@@ -74,7 +75,7 @@ def riccati(model: StateSpace, noise: StateNoise) -> Riccati:
     """
     equation, first = noise.equation, jnp.linalg.inv(noise.start_cov)
     std = np.sqrt(np.diag(np.asarray(noise.start_cov)))
-    # A fixed seed: the same model and noise give the same observer.
+    # The seed is fixed, so that the same model and noise give the same observer.
     offsets = np.random.default_rng(0).uniform(-0.5, 0.5, (POINTS, len(std)))
     points = jnp.asarray(np.asarray(noise.start) + offsets * std)
     solve = jax.jit(jax.vmap(lambda x: metric_at(model, equation, x, start=first, tolerance=SETTLED)))
@@ -86,7 +87,7 @@ def riccati(model: StateSpace, noise: StateNoise) -> Riccati:
     length = float(np.max(np.asarray(metrics.horizon)[settled]))
     zero, u = jnp.zeros(()), jnp.zeros(model.inputs)
     fastest = np.abs(np.linalg.eigvals(np.asarray(jax.vmap(lambda x: model.jacobians(zero, x, u)[0])(points)))).max()
-    # A step h with h·|λ| ≤ 1/2 for the fastest eigenvalue λ of ∂f/∂x.
+    # The step h satisfies h·|λ| ≤ 1/2 for the fastest eigenvalue λ of ∂f/∂x.
     steps = int(np.clip(np.ceil(2 * length * fastest), FEWEST_STEPS, MOST_STEPS))
     metric = RiccatiMetric(model, equation, length, steps, first)
     return Riccati(model, metric, noise.start, 0.5, equation.measurement_cov)

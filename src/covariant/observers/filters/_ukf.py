@@ -1,12 +1,12 @@
 """Unscented Kalman filter: the model propagates sigma points, and no derivatives are needed.
 
-The error is that of the EKF, `(local(q̂, q), v − v̂)` in the frame of the space, so on a group the points are drawn
-around the estimate by its retraction. On a group the mean is computed to first order, in the frame at the propagated
-central point, and the deviations are then taken from the mean. The filter carries a square root of the covariance, and
-all weights of the covariance are positive, so that it never becomes indefinite.
+The error is the same as in the EKF, `(local(q̂, q), v − v̂)` in the frame of the space, so on a group the points are
+drawn around the estimate by its retraction. There the mean is computed to first order, in the frame at the propagated
+central point, and deviations are then taken from the mean. The filter stores a square root of the covariance, and all
+weights of the covariance are positive, so it never becomes indefinite.
 
-A measured configuration is linear in that error, `local(q̂, y)`, and the unscented transform is exact for a linear map:
-the correction is that of the Kalman filter, and needs no points.
+A measured configuration is linear in that error, `local(q̂, y)`, and the unscented transform is exact for linear maps.
+So the correction is that of the Kalman filter, and needs no points.
 
 Source: Julier & Uhlmann 2004, Unscented filtering and nonlinear estimation, Proc. IEEE 92(3), for the scaled set;
 Brossard, Barrau & Bonnabel 2020, A code for unscented Kalman filtering on manifolds, ICRA; van der Merwe & Wan 2001,
@@ -57,8 +57,8 @@ class UKFState(NamedTuple):
         t: Time [s] of the estimate.
         root: Square root S (2n, 2n) of the covariance `S Sᵀ` of the error `(local(q̂, q), v − v̂)`.
         gate: Memory of the gate.
-        last_input: Last finite input (m,), which replaces an input that is not finite; None where none is stored.
-        noise_scale: Size of what the filter does not know, and its sensitivities; None where it is not adaptive.
+        last_input: Last finite input (m,), which replaces an input that is not finite; None if none is stored.
+        noise_scale: Learnt size of the unknown noise, and its sensitivities; None if the filter is not adaptive.
 
     Example:
         >>> import numpy as np
@@ -80,25 +80,25 @@ class UKFState(NamedTuple):
 class UKF(AbstractMechanicalFilter):
     """Unscented Kalman filter with 4n + 1 sigma points, in square-root form.
 
-    Each covariance is a matrix (n, n) in the frame, the same everywhere; a function of the configuration; or a number,
-    a variance in metric units, the same in every direction.
+    Each covariance is a matrix (n, n) in the frame, equal everywhere; a function of the configuration; or a number, a
+    variance in metric units that is equal in all directions.
 
-    It uses no Jacobians of the model, and is better than `EKF` where the motion is strongly nonlinear between two
-    samples. Each step integrates the model 4n + 1 times, so it costs more.
+    It uses no Jacobians of the model, and is better than `EKF` if the motion between two samples is strongly nonlinear.
+    Each step integrates the model 4n + 1 times, so it costs more.
 
     Attributes:
         model: Mechanical system, in coordinates or on a Lie group.
         process_cov: Spectral density of the white acceleration noise [(rad/s²)² s, or (m/s²)² s].
         measurement_cov: Covariance of `local(q, y)` of one sample [rad² or m²].
         initial_velocity_std: Standard deviation of the initial velocity, whose mean is zero [rad/s or m/s], one for all
-            components or one for each (n,); 1 by default. The gate takes it for the usual speed.
-        substeps: Runge–Kutta steps in each sample; None (default) takes as many as dt and the friction need (offline).
+            components or one for each (n,); 1 by default. The gate uses it as the usual speed.
+        substeps: Runge–Kutta steps in each sample; None (default) uses as many as dt and the friction need (offline).
         spread: Distance of the sigma points from the mean, in units of √(2n) standard deviations: α of the scaled set,
-            whose other parameters are κ = 0 and β = 2. Points closer to the mean let terms beyond the quadratic ones
-            affect the covariance less; between 0.52 and 1.93 no weight of the covariance is negative. 0.6 by default.
-        gate: Which measurements are refused as outliers; None refuses none. See `Gate`.
-        adaptive: Whether the filter learns the size of what it does not know from its innovations: `process_cov` is
-            then the least that it assumes, and where the log shows more, the band widens. False by default.
+            whose other parameters are κ = 0 and β = 2. Closer points reduce the effect of terms beyond the quadratic
+            ones on the covariance; between 0.52 and 1.93 no weight of the covariance is negative. 0.6 by default.
+        gate: Gate that refuses outliers; None refuses nothing. See `Gate`.
+        adaptive: Whether the filter learns the size of the unknown noise from its innovations: `process_cov` is then a
+            lower bound, and the covariance grows if the log shows more. False by default.
 
     Raises:
         ValueError: A covariance is not valid, the measurement has no noise, or the spread is out of bounds.
@@ -158,15 +158,15 @@ class UKF(AbstractMechanicalFilter):
             return jax.vmap(lambda p, w: jnp.concatenate([manifold.local(q, p), w - v]))(*ends)
 
         first = Motion(ends.q[0], ends.v[0])
-        # These deviations are relative to the central point, so that its weight does not matter here.
+        # These deviations are relative to the central point, so its weight does not matter here.
         mean = jnp.sum(errors_from(*first), axis=0) / (2 * squared_radius)
         q, v = manifold.retract(first.q, mean[:n]), first.v + mean[n:]
         deviations = errors_from(q, v)
         centre = 4 - self.spread**-2 - self.spread**2  # λ/(L + λ) + 1 − α² + β
         columns = jnp.concatenate([centre**0.5 * deviations[:1], deviations[1:] / (2 * squared_radius) ** 0.5]).T
         noise = white_acceleration(covariance_at(self.process_cov, self.model.space, q), dt)
-        # The statistical linearisation of ΦS is half the difference of opposite points, over their distance from the
-        # mean: S times its transpose is the covariance of the points before and after, as with a transition matrix Φ.
+        # The statistical linearisation of ΦS is half the difference of opposite points, divided by their distance from
+        # the mean. S times its transpose is the covariance between the points before and after, as with a matrix Φ.
         plus, minus = jnp.split(deviations[1:], 2)
         carried = (plus - minus).T / (2 * squared_radius**0.5)
         noise, scale = scaled(state.noise_scale, upper_solve(state.root, carried.T).T, noise)

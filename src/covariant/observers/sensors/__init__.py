@@ -1,4 +1,4 @@
-"""Sensors, slow states and external forces."""
+"""Describes sensors, slow states and external forces, with which filters and observers are extended."""
 
 import lazy_loader
 

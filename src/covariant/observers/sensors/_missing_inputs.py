@@ -1,13 +1,13 @@
-"""Inputs that are missing for a while: a stationary process of second order, between the inputs that are known.
+"""Models inputs that are missing for a while as a stationary process of second order between known values.
 
 Each input is its mean and a process z that white noise drives,
 
     z'' + 2a z' + (a² + b²) z = w,   with the covariance   σ² e^{−as} (cos bs + (a/b) sin bs)   after the time s,
 
-which reaches from torques that swing (b² > 0) over smooth ones (b = 0) to rough ones (b² < 0, where cos and sin turn
-into cosh and sinh). While an input is known, z is what it says. From then on z returns to the mean as the covariance
-does, and its variance grows to σ². Over a hole such an input acts as an unknown force that stays for a while: the error
-of the velocity grows as t and more, and not as √t.
+which covers oscillating torques (b² > 0), smooth ones (b = 0) and rough ones (b² < 0; cos and sin become cosh and
+sinh). While an input is known, z is the known value. From then on z returns to the mean as the covariance does, and its
+variance grows to σ². Over a gap such an input acts like an unknown force that persists for a while: the error of the
+velocity grows at least as t, and not as √t.
 
 Source: Gelb 1974, Applied Optimal Estimation, section 2.2, for Gauss–Markov processes of second order.
 """
@@ -30,18 +30,18 @@ LEAST_SPLIT = 1e-3
 
 
 class MissingInputs(Functional):
-    """What inputs may be while they are missing, for the field `inputs` of an `IntrinsicKalman`.
+    """Model of inputs while they are missing, for the field `inputs` of an `IntrinsicKalman`.
 
-    An input is missing where it is NaN, and over a step that is longer than `hold`, for which rows are missing. The
-    filter is then uncertain by what the input could have been, where it would trust the last one without this. Use
-    `missing_inputs` of `covariant.calibration` to get the numbers from a log.
+    An input is missing if it is NaN, and over a step longer than `hold`, in which rows are missing. The filter then
+    includes the uncertainty of the input, while without this it would trust the last one. Use `missing_inputs` of
+    `covariant.calibration` to get the numbers from a log.
 
     Attributes:
         mean: Means (m,) of the inputs [their units].
         std: Standard deviations (m,) of the inputs.
-        decay: Rates a (m,) [1/s] at which they forget.
-        square: Squared angular frequencies b² (m,) [1/s²] at which they swing; negative, above −a², for rough inputs.
-        hold: Longest step [s] over which a known input is taken as held.
+        decay: Rates a (m,) [1/s] at which they return to the mean.
+        square: Squared angular frequencies b² (m,) [1/s²] of oscillation; negative, above −a², for rough inputs.
+        hold: Longest step [s] over which a known input counts as held.
 
     Raises:
         ValueError: A number is not finite, a decay or `hold` is not positive, or the process is not stationary.
@@ -73,12 +73,12 @@ class MissingInputs(Functional):
         check_positive("MissingInputs", **{"decay² + square": self.decay**2 + self.square})
 
     def transition(self, h: Number) -> Float[Array, "m 2 2"]:
-        """What is left of (z, z') of each input after a time h [s]."""
+        """Transition matrix of (z, z') of each input over a time h [s]."""
         a, square = self.decay, self.square
         least = (LEAST_SPLIT * a) ** 2
         b = jnp.sqrt(jnp.maximum(jnp.abs(square), least))
         swings, pace = square > 0, a**2 + jnp.where(square > 0, b**2, -(b**2))
-        # cosh and sinh with their decay, which alone would overflow.
+        # cosh and sinh include their decay, as they would overflow alone.
         up, down = jnp.exp(-(a - b) * h) / 2, jnp.exp(-(a + b) * h) / 2
         decayed = jnp.exp(-a * h)
         even = jnp.where(swings, decayed * jnp.cos(b * h), up + down)
@@ -92,13 +92,13 @@ class MissingInputs(Functional):
         return self.std * jnp.sqrt(self.decay**2 + self.square)
 
     def added_root(self, h: Number) -> Float[Array, "m 2 2"]:
-        """Lower triangular root of the covariance that (z, z') of each input gain in a time h [s]."""
+        """Lower triangular root of the covariance that is added to (z, z') of each input in a time h [s]."""
         left = self.transition(h)
         first, second = self.std**2, self.rate_std**2
         z = first - left[:, 0, 0] ** 2 * first - left[:, 0, 1] ** 2 * second
         cross = -(left[:, 0, 0] * left[:, 1, 0] * first + left[:, 0, 1] * left[:, 1, 1] * second)
         rate = second - left[:, 1, 0] ** 2 * first - left[:, 1, 1] ** 2 * second
-        # In a short time rounding leaves nothing of the first variance, which grows as h³.
+        # For short times, the first variance, which grows as h³, is lost in rounding.
         some = z > 1e-14 * first
         low = jnp.sqrt(jnp.where(some, z, 1.0))
         below = jnp.where(some, cross / low, 0.0)
@@ -113,7 +113,7 @@ class InputStates(NamedTuple):
     Attributes:
         inputs: The process.
         missing: Which inputs (m,) are missing.
-        u: The inputs (m,), where they are known.
+        u: The inputs (m,), as far as they are known.
     """
 
     inputs: MissingInputs
@@ -139,9 +139,9 @@ class InputStates(NamedTuple):
         return jnp.diag(jnp.concatenate([self.inputs.std, self.inputs.rate_std]))
 
     def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
-        """The expected states in the mean over a step, and at its end.
+        """The expected states: the mean over a step, and the values at its end.
 
-        A known input is that of the start of the step: at its end it is as old as the step is long.
+        A known input is known at the start of the step, so at the end it is as old as the step is long.
         """
         left = self.inputs.transition(h).astype(s.dtype)
         known = jnp.stack([self.u - self.inputs.mean, jnp.zeros_like(self.u)]).astype(s.dtype)
@@ -150,7 +150,7 @@ class InputStates(NamedTuple):
         return (s + end) / 2, end
 
     def spread(self, h: Scalar) -> Float[Array, "k k"]:
-        """Square root of the covariance that a step adds; of a known input the rate is not known."""
+        """Square root of the covariance that a step adds; the rate of a known input is not known."""
         m, left = len(self.u), self.inputs.transition(h)
         rate = jnp.where(self.missing, 0.0, self.inputs.rate_std)
         added = jnp.concatenate([self.inputs.added_root(h), left[:, :, 1:] * rate[:, None, None]], axis=2)
@@ -163,5 +163,5 @@ class InputStates(NamedTuple):
 
 
 def missing_now(inputs: MissingInputs, absent: Bool[Array, "m"], dt: Scalar) -> Bool[Array, "m"]:
-    """Which inputs are missing over a step: those that are absent, and all where rows are missing."""
+    """Which inputs are missing over a step: the absent ones, or all if rows are missing."""
     return absent | (dt > inputs.hold.astype(dt.dtype))

@@ -1,9 +1,8 @@
-"""The momentum observer, a baseline for external forces.
+"""Estimates external forces by the momentum observer, as a baseline.
 
-It takes a velocity as if it were measured, usually a filtered derivative of the positions, and a model as if it were
-exact. What the model does not explain of the motion is the force. It needs no acceleration: with
-`p = M v` the momentum changes by the forces of the model, by `Cᵀv`, which is `½∂<v, v>` in coordinates, and by the
-external force.
+It treats a velocity, usually a filtered derivative of the positions, as measured, and the model as exact. The force is
+the part of the motion that the model does not explain. No acceleration is needed: the momentum `p = M v` changes by the
+forces of the model, by `Cᵀv`, which is `½∂<v, v>` in coordinates, and by the external force.
 
 Source: De Luca & Mattone 2003, Actuator failure detection and isolation using generalized momenta, ICRA; Haddadin,
 De Luca & Albu-Schäffer 2017, Robot collisions: a survey, IEEE Transactions on Robotics 33(6), equation (27).
@@ -52,8 +51,9 @@ class ForceState(NamedTuple):
 class MomentumObserver(Functional):
     """The residual of the generalised momentum, `r = K (p − p₀ − ∫(F + Cᵀv + r) dt)`: the external force, late by 1/K.
 
-    The exact solution of `r' = K (f − r)` over each sample, with f the change of momentum per time that the forces F of
-    the model do not explain, by the trapezoidal rule. So it is stable for every gain and interval.
+    It is the exact solution of `r' = K (f − r)` over each sample; f is the change of momentum per time that the forces
+    F
+    of the model do not explain, by the trapezoidal rule. So it is stable for every gain and interval.
 
     Attributes:
         model: Mechanical system.
@@ -80,7 +80,7 @@ class MomentumObserver(Functional):
         check_positive("MomentumObserver", gain=self.gain)
 
     def init(self, q: Array, v: Vector, t: Number = 0.0) -> ForceState:
-        """State at the first sample, where no force is known yet.
+        """State at the first sample, at which no force is known yet.
 
         Args:
             q: Configuration.
@@ -95,11 +95,11 @@ class MomentumObserver(Functional):
     def step(self, state: ForceState, u: Float[Array, "m"], q: Array, v: Vector, dt: Scalar) -> ForceState:
         """State at the next sample.
 
-        The force stays unchanged if configuration or velocity of this sample or the one before, or the input, are not
-        finite. A sample that is not later than the one before changes nothing.
+        The force stays unchanged if the input, or configuration or velocity of this or the previous sample, is not
+        finite. A sample that is not later than the previous one changes nothing.
 
         Args:
-            state: State at the sample before.
+            state: State at the previous sample.
             u: Input (m,) that acted in between.
             q: Configuration at the next sample.
             v: Velocity (n,) there, in the frame.
@@ -109,7 +109,7 @@ class MomentumObserver(Functional):
             The state, with the force that is estimated there.
         """
         later = jnp.isfinite(dt) & (dt > 0)
-        # The divisor 1 only avoids 0/0: the state of such a step is not used.
+        # The divisor 1 avoids 0/0; the state of such a step is not used.
         new = self._advance(state, u, q, v, jnp.where(later, dt, 1.0))
         # Position and velocity are stored even if they are not finite: then the next sample leaves the force unchanged.
         new = new._replace(force=jnp.where(jnp.all(jnp.isfinite(new.force)), new.force, state.force))
@@ -124,7 +124,7 @@ class MomentumObserver(Functional):
         return ForceState(end, q, v, force)
 
     def _rate(self, t: Scalar, q: Array, v: Vector, u: Float[Array, "m"]) -> Vector:
-        """Rate (n,) of the momentum in the frame by all that the model knows."""
+        """Rate (n,) of the momentum in the frame, from everything that the model contains."""
         space = self.model.space
         force = applied_force(self.model, t, q, u) + resistance(self.model, t, q, v, u)
         # (∂_v M) v − M B(v, v) is Cᵀv in coordinates, and on a group also ad*_v M v, by which the frame turns.
@@ -141,9 +141,9 @@ def observed_forces(
 ) -> Float[Array, "_ n"]:
     """Run a momentum observer over estimated motions.
 
-    Use it as a baseline for contact or collision forces, with velocities from any estimator. It takes these velocities
-    and the model as exact, so their errors appear as forces. An `IntrinsicKalman` with an `external_force` estimates
-    motion and force together, and gives standard deviations.
+    Use it as a baseline for contact or collision forces, with velocities from any estimator. It treats velocities and
+    model as exact, so their errors appear as forces. An `IntrinsicKalman` with an `external_force` estimates motion and
+    force together, and gives standard deviations.
 
     Args:
         observer: The observer.
@@ -153,7 +153,7 @@ def observed_forces(
         v: Velocities (T, n), in the frame.
 
     Returns:
-        The forces (T, n); zero in the first row, where no motion is known yet.
+        The forces (T, n); zero in the first row, at which no motion is known yet.
 
     Raises:
         ValueError: The arrays do not have the same number of rows, or have none.
@@ -179,7 +179,7 @@ def observed_forces(
 
 
 def _check_stamps(t: np.ndarray) -> None:
-    """Check that stamps are finite, do not go back, and are not rounded together in the precision of JAX."""
+    """Check that stamps are finite, do not decrease, and stay distinct in the precision of JAX."""
     wrong = ~np.isfinite(t) | (np.diff(t, prepend=t[:1]) < 0)
     if wrong.any():
         k = int(wrong.argmax())

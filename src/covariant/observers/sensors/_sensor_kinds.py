@@ -1,8 +1,8 @@
-"""The kinds of sensors: encoders, tachometers, gyros, accelerometers, poses and positions of points on links.
+"""Defines the kinds of sensors: encoders, tachometers, gyros, accelerometers, poses and positions of points on links.
 
-A kind is a final class: the output of a sensor as a function of the motion, what a table of a model file describes, and
-what `check` has to know of its readings. The function before it makes a sensor of this kind, with noise and bias. Model
-files are checked without observers, so that the keys of each kind are in `models/files/_sensor_keys.py`.
+A kind is a final class with the output of a sensor as a function of the motion, the reading of its table in a model
+file, and the properties that `check` needs. The function before the class creates a sensor of this kind, with noise and
+bias. Model files are checked without observers, so the keys of each kind are in `models/files/_sensor_keys.py`.
 """
 
 import abc
@@ -30,15 +30,16 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 
 
 class Checks(NamedTuple):
-    """What `check` has to know of a kind of sensor, to compare its readings with the positions.
+    """Properties of a kind of sensor that `check` needs to compare its readings with the positions.
 
     Attributes:
         derivative: Which derivative of the configuration it reads.
-        coordinates: Whether it reads coordinates by name: then a scale of its readings may be a gear, its `reduction`.
-        vector: Whether its numbers are components of one vector, on which signs, orders and rotations are tried;
-            otherwise each has its own scale.
+        coordinates: Whether it reads coordinates by name; a scale of its readings may then be a gear, its `reduction`.
+        vector: Whether its numbers are components of one vector, for which signs, orders and rotations are tried;
+            otherwise each number has its own scale.
         own_axes: Whether a vector is in the axes of the sensor, which its table states, and not in those of the world.
-        offset: Whether a constant offset is a bias; of a sensor that feels gravity the constant part shows its axes.
+        offset: Whether a constant offset is a bias; for a sensor that measures gravity the constant part shows its
+        axes.
     """
 
     derivative: int = 0
@@ -60,16 +61,16 @@ class AbstractSensorKind(eqx.Module):
 
     @abc.abstractmethod
     def perturbed(self, reading: Vector, noise: Float[Array, "i"]) -> Vector:
-        """A reading (j,) whose innovation from the one given is the noise (i,)."""
+        """A reading (j,) whose innovation, relative to the reading passed, is the noise (i,)."""
 
     @classmethod
     @abc.abstractmethod
     def from_table(cls, name: str, file: ModelFile, table: Mapping[str, Any]) -> tuple[Sensor, str]:
-        """The sensor of a table of a model file, by the arguments of its function, and its SI unit, "" for unknown."""
+        """The sensor that a table of a model file describes, and the SI unit of its readings, "" if unknown."""
 
 
 class _AbstractNumbers(AbstractSensorKind):
-    """Readings that are numbers, each with its own noise and bias."""
+    """Sensors whose readings are numbers with independent noise and bias."""
 
     @abc.abstractmethod
     def value(self, now: Instant) -> Vector:
@@ -84,7 +85,7 @@ class _AbstractNumbers(AbstractSensorKind):
 
 
 class _AbstractComponents(_AbstractNumbers):
-    """Some entries of the configuration or of the velocity, times a reduction each."""
+    """Sensors of some entries of the configuration or of the velocity, each times a reduction."""
 
     field: ClassVar[str]
     places: tuple[int, ...] = eqx.field(static=True)
@@ -96,7 +97,7 @@ class _AbstractComponents(_AbstractNumbers):
 
 
 class _AbstractOnLink(AbstractSensorKind):
-    """Where a sensor is on a link: the frame of the link, the axes of the sensor in it, and its place there."""
+    """Sensors on a link: the link, the axes of the sensor in its frame, and the sensor's position there."""
 
     make: ClassVar[Callable[..., Sensor]]
     unit: ClassVar[str]
@@ -117,10 +118,10 @@ class _AbstractOnLink(AbstractSensorKind):
         return rotation @ self.axes.astype(q.dtype), rotation @ self.place.astype(q.dtype) + pose[:3, 3]
 
     def twist(self, q: Array, v: Vector) -> tuple[Array, Array]:
-        """Velocity (3,) of the place of the sensor, and angular velocity (3,), both in its axes."""
+        """Velocity (3,) of the sensor's position, and angular velocity (3,), both in the sensor's axes."""
         speed, spin = jnp.split(self.space.jacobian(q, self.link) @ v, 2)
         axes = self.axes.astype(q.dtype)
-        # x @ A is Aᵀ x: from the axes of the link to those of the sensor.
+        # x @ A is Aᵀ x: it converts from the axes of the link to those of the sensor.
         return (speed + jnp.cross(spin, self.place.astype(q.dtype))) @ axes, spin @ axes
 
 
@@ -136,16 +137,16 @@ def encoder(
 ) -> Sensor:
     """Positions of some coordinates, at the joint or, with a reduction, at the motor.
 
-    The measured configuration of a record needs no sensor. Add an encoder where a second one reads the same joint, such
-    as one at the motor side of a gear, or where some joints are read at another rate. A reading is `reduction` times
-    the coordinate, and `std` is in the unit of the reading. It is for systems in coordinates; use `pose_sensor` for the
+    The measured configuration of a record needs no sensor. Add an encoder if a second one reads the same joint, such as
+    one at the motor side of a gear, or if some joints are read at another rate. A reading is `reduction` times the
+    coordinate, and `std` is in the unit of the reading. It is for systems in coordinates; use `pose_sensor` for the
     pose of a link.
 
     Args:
         places: Indices (k,) of the coordinates.
-        std: Standard deviation of a reading, one number or (k,) [rad or m, of the motor where there is a reduction].
-        reduction: Turns of the motor for one of the joint, one number or (k,); 1 (default) at the joint.
-        period: Period of the readings, one number or (k,), as 2π where they are angles within a turn; 0 (default) for
+        std: Standard deviation of a reading, one number or (k,) [rad or m; at the motor if there is a reduction].
+        reduction: Turns of the motor per turn of the joint, one number or (k,); 1 (default) at the joint.
+        period: Period of the readings, one number or (k,), such as 2π for angles within a turn; 0 (default) for
             readings that count turns.
         name: Name of the sensor.
         bias_std: Standard deviation of a constant offset of the readings at the start, one number or (k,), which is
@@ -178,7 +179,7 @@ class Encoder(_AbstractComponents):
             raise InputError("an encoder is of coordinates, and the model is on a group; give a pose or a point")
         places, settings = _resolve_names(table, model.coordinates, file.columns.q)
         reduction = np.abs(np.broadcast_to(np.asarray(table.get("reduction", 1.0), float), len(places)))
-        # A reading at the joint is an angle within a turn; one behind a gear counts turns.
+        # A reading at the joint is an angle within a turn; a reading behind a gear counts turns.
         period = np.where(np.isin(places, model.circles) & (reduction == 1), 2 * np.pi, 0.0)
         unit = model.units[places[0]] if model.units else ""
         return encoder(places, name=name, period=period, **settings), unit
@@ -193,15 +194,15 @@ def tachometer(
     bias_std: Numbers | None = None,
     bias_drift: Numbers = 0.0,
 ) -> Sensor:
-    """Some components of the velocity: joint rates, and on a group the body's rates, as of a gyro on an aircraft.
+    """Some components of the velocity: joint rates or, on a group, body rates, as from a gyro on an aircraft.
 
-    A reading is direct knowledge of the velocity, and reduces lag and noise. Use `gyro` for a sensor that sits on a
-    link of a robot, and has axes of its own.
+    A reading contains the velocity directly, and reduces lag and noise. Use `gyro` for a sensor that is mounted on a
+    link of a robot and has its own axes.
 
     Args:
         places: Indices (k,) of the components, in the frame of the configuration space.
         std: Standard deviation of a reading, one number or (k,) [rad/s or m/s].
-        reduction: Factor of the readings, one number or (k,), as the reduction of a gear; 1 by default.
+        reduction: Factor of the readings, one number or (k,), such as the reduction of a gear; 1 by default.
         name: Name of the sensor.
         bias_std: Standard deviation of a constant offset at the start, one number or (k,), which is estimated; None
             (default) for none.
@@ -249,15 +250,15 @@ def gyro(
 ) -> Sensor:
     """Angular velocity of a link of a robot, in the axes of the sensor.
 
-    Use it on a robot, at any of its links. It shows a velocity without differentiation, and reduces the noise and lag
-    of velocities from positions alone. Give `bias_std` for a sensor of low cost, whose offset is then estimated. For a
-    body whose configuration is itself an attitude, use `tachometer`.
+    Use it on any link of a robot. It measures velocity without differentiation, and reduces the noise and lag of
+    velocities from positions alone. State `bias_std` for a low-cost sensor, whose offset is then estimated. For a body
+    whose configuration is itself an attitude, use `tachometer`.
 
     Args:
         space: The configuration space of the robot, `model.space`.
         link: Name of the link.
         std: Standard deviation of a reading, one number or (3,) [rad/s].
-        axes: Rotation (3, 3) from the axes of the sensor to those of the link; None (default) where they are the same.
+        axes: Rotation (3, 3) from the axes of the sensor to those of the link; None (default) if they are the same.
         name: Name of the sensor.
         bias_std: Standard deviation of a constant offset at the start, one number or (3,), which is estimated [rad/s];
             None (default) for none.
@@ -267,7 +268,7 @@ def gyro(
         The sensor, of three numbers.
 
     Raises:
-        ValueError: There is no such link, the axes are no rotation, or a number is out of its range.
+        ValueError: There is no such link, the axes are not a rotation, or a number is out of its range.
 
     Example:
         >>> from covariant import models, observers
@@ -299,10 +300,10 @@ def accelerometer(
     bias_std: Numbers | None = None,
     bias_drift: Numbers = 0.0,
 ) -> Sensor:
-    """Acceleration of a point on a link less gravity, in the axes of the sensor: what an accelerometer feels.
+    """Acceleration of a point on a link minus gravity, in the axes of the sensor: the specific force.
 
     The acceleration is that of the model with its estimated forces. White acceleration noise, `process_cov`, is not
-    part of it: describe unknown forces by `external_force`, and give a `std` that covers what is left.
+    part of it: describe unknown forces by `external_force`, and choose a `std` that covers the rest.
 
     At rest it reads gravity with the opposite sign, so a sensor whose z axis points up reads +9.81 m/s². Use it
     together with `gyro` for an inertial unit on a link.
@@ -311,7 +312,7 @@ def accelerometer(
         space: The configuration space of the robot, `model.space`.
         link: Name of the link.
         std: Standard deviation of a reading, one number or (3,) [m/s²].
-        axes: Rotation (3, 3) from the axes of the sensor to those of the link; None (default) where they are the same.
+        axes: Rotation (3, 3) from the axes of the sensor to those of the link; None (default) if they are the same.
         place: Place of the sensor in the frame of the link [m]; its origin by default.
         gravity: Gravity in the frame of the world [m/s²].
         name: Name of the sensor.
@@ -323,7 +324,7 @@ def accelerometer(
         The sensor, of three numbers.
 
     Raises:
-        ValueError: There is no such link, the axes are no rotation, or a number is out of its range.
+        ValueError: There is no such link, the axes are not a rotation, or a number is out of its range.
 
     Example:
         >>> import jax.numpy as jnp
@@ -347,7 +348,7 @@ class Accelerometer(_AbstractOnLink, _AbstractNumbers):
     def value(self, now: Instant) -> Vector:
         rates = self.space.manifold.tangent(now.q, now.v), now.acceleration()
         (speed, spin), (change, _) = jax.jvp(self.twist, (now.q, now.v), rates)
-        # The velocity in axes that turn changes by ω × v less than in the world.
+        # In rotating axes, the velocity changes by ω × v less than in the world.
         return change + jnp.cross(spin, speed) - self.gravity.astype(speed.dtype) @ self.pose(now.q)[0]
 
 
@@ -371,15 +372,15 @@ def pose_sensor(
         link: Name of the link.
         position_std: Standard deviation of a position, one number or (3,) [m].
         rotation_std: Standard deviation of a rotation vector, one number or (3,) [rad].
-        axes: Rotation (3, 3) from the axes of the markers to those of the link; None (default) where they are the same.
-        place: Their place in the frame of the link [m]; its origin by default.
+        axes: Rotation (3, 3) from the axes of the markers to those of the link; None (default) if they are the same.
+        place: Position of the markers in the frame of the link [m]; its origin by default.
         name: Name of the sensor.
 
     Returns:
-        The sensor. A reading with a number missing is missing as a whole.
+        The sensor. A reading with a missing number is missing as a whole.
 
     Raises:
-        ValueError: There is no such link, the axes are no rotation, or a number is out of its range.
+        ValueError: There is no such link, the axes are not a rotation, or a number is out of its range.
 
     Example:
         >>> from covariant import models, observers
@@ -423,8 +424,8 @@ def point_sensor(
 ) -> Sensor:
     """Position in the world of a point on a link of a robot, as from a marker or a tracker.
 
-    A reading is three numbers in metres, in the axes of the world. It shows no rotation of the link about the point:
-    use `pose_sensor` where the attitude is measured as well.
+    A reading is three numbers in metres, in the axes of the world. It does not show a rotation of the link about the
+    point; if the attitude is measured too, use `pose_sensor`.
 
     Args:
         space: The configuration space of the robot, `model.space`.
@@ -471,11 +472,11 @@ SENSOR_KINDS = {
         Point,
     )
 }
-"""The kinds of sensors of a model file, by what their tables call them."""
+"""The kinds of sensors of a model file, by their names in its tables."""
 
 
 def _resolve_names(table: Mapping[str, Any], *lists: Sequence[str]) -> tuple[list[int], dict[str, Any]]:
-    """Places of the names in `of` in the first list that has each, and the other settings of the table."""
+    """Indices of the names in `of`, each in the first list that has it, and the other settings of the table."""
     places = []
     for each in table["of"]:
         holding = [names for names in lists if each in names]
@@ -516,7 +517,7 @@ def _sensor(
     bias: tuple[Numbers | None, Numbers],
     period: tuple[float, ...] | None = None,
 ) -> Sensor:
-    """Sensor with independent noise, and the slow states of its bias where that has a standard deviation."""
+    """Sensor with independent noise and, if its bias has a standard deviation, slow states of this bias."""
     std, drift = bias
     slow = None
     if std is not None:

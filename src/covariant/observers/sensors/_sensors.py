@@ -1,12 +1,13 @@
-"""Sensors beside the measured configuration: any function of the motion, each with its own noise, gate and rate.
+"""Defines further sensors besides the measured configuration: functions of the motion, with their noise, gate and rate.
 
-A filter with sensors is corrected by all that a row holds: the configuration, and the readings of its sensors. What is
-not read in a row is NaN there, so that sensors of different rates share one log: its rows are all of their stamps. A
-measurement y is then one vector: the entries of the configuration, row by row on a group, and then the readings of each
-sensor, in the order in which the filter names them; `Sensors.joined` makes it.
+A filter with sensors is corrected by the whole content of a row: the configuration, and the readings of its sensors. A
+number that was not read in a row is NaN, so that sensors with different rates share one log, whose rows are the stamps
+of all of them. A measurement y is one vector: the entries of the configuration, on a group row by row, followed by the
+readings of each sensor, in the filter's order; `Sensors.joined` creates it.
 
-With the output h(q, v, u, s) the slope in the error of the filter is `H = [h_q  h_v  h_s] · (A ⊕ I)`, where A takes the
-error (ε, ν) in the parallel frame to differences in the frame, and h_q is the derivative along the frame.
+With the output h(q, v, u, s), the derivative with respect to the filter's error is `H = [h_q  h_v  h_s] · (A ⊕ I)`,
+where A converts the error (ε, ν) in the parallel frame to differences in the frame, and h_q is the derivative along
+the frame.
 """
 
 import functools
@@ -29,15 +30,15 @@ from covariant.observers.sensors._slow import SlowVariables, SlowVector
 from scalargraph.errors import InputError
 
 Readings = Float[Array, "K"]
-"""Readings of all sensors, one after the other; NaN where there is none."""
+"""Readings of all sensors, one after the other; NaN for missing ones."""
 
 
 class Instant(NamedTuple):
-    """The motion at one instant, of which the output of a sensor is a function.
+    """The motion at one instant, the first argument of a sensor's output function.
 
-    It is the first argument of the function of a `Sensor`; the second is the sensor's slow states. Write that function
-    in JAX, since filters differentiate it. Call `acceleration` only where the sensor feels it, because each call
-    evaluates the dynamics.
+    The second argument of the function of a `Sensor` is the sensor's slow states. Write that function in JAX, since
+    filters differentiate it. Call `acceleration` only if the sensor depends on it, because each call evaluates the
+    dynamics.
 
     Attributes:
         q: Configuration: coordinates (n,), or on a group a matrix (N, N).
@@ -82,18 +83,18 @@ class Sensor(Functional):
         name: Name of the sensor.
         h: Output `(now, s) -> (j,)`, the reading expected at an `Instant` with the sensor's own slow states s (k,).
         cov: Covariance (i, i) of the noise of the innovation: a matrix, variances, or one variance.
-        slow: Slow states of this sensor, such as its bias; None (default) where it has none, and s is empty.
-        difference: `(expected, reading) -> (i,)`, the innovation, where it is not `reading − expected`; None (default)
-            where it is.
-        period: Period of the readings (i,), as 2π for angles: a difference is taken modulo this; zero where there is
-            none. None (default) for no period at all.
-        numbers: Numbers j in a reading, where a `difference` makes more or fewer of them; None (default) for i of them.
-            Then one that is missing makes all of the reading missing.
-        gate: Which numbers are refused as outliers; None refuses none. See `Gate`; a sensor starts nothing anew, so
-            that readings refused for `patience` samples are used.
+        slow: Slow states of this sensor, such as its bias; None (default) if it has none, and s is empty.
+        difference: `(expected, reading) -> (i,)`, the innovation, if it is not `reading − expected`; None (default)
+            otherwise.
+        period: Period of the readings (i,), such as 2π for angles: differences are taken modulo the period; zero for a
+            number without one. None (default) for no period at all.
+        numbers: Number j of entries in a reading, if a `difference` changes their number; None (default) for i. If one
+            of them is missing, the whole reading is.
+        gate: Gate that refuses numbers as outliers; None refuses nothing. See `Gate`; a sensor causes no restart, so
+            readings that were refused for `patience` samples are used.
 
     Raises:
-        ValueError: The covariance is none or singular, a period does not fit it, or the name is empty.
+        ValueError: The covariance is invalid or singular, a period does not fit it, or the name is empty.
 
     Example:
         >>> import jax.numpy as jnp
@@ -152,7 +153,7 @@ class Sensor(Functional):
         return self.marked(~jnp.isnan(reading))
 
     def marked(self, flags: Bool[Array, "j"]) -> Bool[Array, "i"]:
-        """Flags (i,) of the innovation, from those (j,) of a reading; of one with a `difference`, all or none."""
+        """Flags (i,) of the innovation, from those (j,) of a reading; with a `difference`, all or none are set."""
         return flags if self.numbers is None else jnp.broadcast_to(jnp.all(flags), len(self.cov))
 
 
@@ -180,7 +181,7 @@ class Sensed(NamedTuple):
     """The readings of all sensors together with their prediction, before a correction.
 
     Attributes:
-        slope: Derivative (I, N) of the readings in the error of the filter.
+        slope: Derivative (I, N) of the readings with respect to the error of the filter.
         cov: Covariance (I, I) of their noise; sensors do not share any.
         info: Innovations, and which are to be used.
         refused: Whether the gate of a sensor refused a number.
@@ -196,7 +197,7 @@ class Sensed(NamedTuple):
     gates: tuple[GateMemory, ...]
 
     def posterior(self, error: Float[Array, "N"], root: Float[Array, "N N"]) -> tuple[Array, Array]:
-        """Mean error and square root of its covariance, after the readings too."""
+        """Mean error and square root of its covariance, after the readings."""
         gain, root = updated(root, self.slope @ root, self.cov, self.info.used)
         left = jnp.where(self.info.used, self.info.innovation - self.slope @ error, 0.0)
         return error + gain @ left, root
@@ -254,7 +255,7 @@ class Sensors(NamedTuple):
         return xnp.concatenate([configuration.reshape(*rows, -1), readings], axis=-1)
 
     def of(self, flags: Bool[Array, "K"]) -> Bool[Array, "I"]:
-        """Flags (I,) of the innovations of those readings (K,) that are flagged."""
+        """Flags (I,) of innovations whose readings (K,) are flagged."""
         parts = jnp.split(flags, np.cumsum([sensor.count for sensor in self.each])[:-1].tolist())
         return jnp.concatenate([sensor.marked(part) for sensor, part in zip(self.each, parts, strict=True)])
 
@@ -271,7 +272,7 @@ class Sensors(NamedTuple):
         readings: Readings,
         with_slow: Callable[[SlowVector], MechanicalSystem],
     ) -> Sensed:
-        """Compare readings with what the estimate predicts of them."""
+        """Compare readings with their prediction by the estimate."""
         n, first = state.v.shape[0], state.slow.shape[0] - sum(len(group.names) for group in self.slow)
         parts = jnp.split(readings, np.cumsum([sensor.count for sensor in self.each])[:-1].tolist())
 
@@ -306,7 +307,7 @@ class Sensors(NamedTuple):
             sample = Sample(innovation, total[block, block], cov[block, block], there)
             nothing = Velocity(jnp.zeros_like(innovation), jnp.zeros((0, 0)))
             verdict = judged(sensor.gate, Coordinates(), sample, memory, nothing, None)
-            # Readings that were refused for long are used: the sensor is not what is wrong.
+            # Readings that were refused for a long time are used: then the fault is not in the sensor.
             accepted = there & (~verdict.far | (memory.refused >= _patience(sensor)))
             innovations.append(innovation)
             used.append(accepted)

@@ -1,11 +1,11 @@
 """Slow states: quantities that change slowly or not at all, and are estimated along with the motion.
 
-An unknown force, the offset of an encoder, a payload, a level of friction: each of them enters the equations of motion
-or the measurement, by functions that a filter differentiates as it computes them. So one mechanism serves all.
+An unknown force, the offset of an encoder, a payload, or a level of friction enters the equations of motion or the
+measurement through functions that a filter differentiates. So one mechanism serves all of them.
 
-A state with a time constant τ is a first-order Gauss–Markov (Ornstein–Uhlenbeck) process: `s' = −(s − s₀)/τ + w`. What
-nothing shows any more is forgotten, and its uncertainty goes to what is usual, where a random walk would keep the one
-and lose the other.
+A state with a time constant τ is a first-order Gauss–Markov (Ornstein–Uhlenbeck) process: `s' = −(s − s₀)/τ + w`. If no
+measurement shows it any more, its value is forgotten and its uncertainty returns to the usual one; a random walk would
+keep its value, and its uncertainty would grow.
 
 Source: Friedland 1969, Treatment of bias in recursive filtering, IEEE TAC 14(4), for states that are constant;
 Pannocchia & Rawlings 2003, Disturbance models for offset-free model-predictive control, AIChE Journal 49(2), for
@@ -38,30 +38,30 @@ SlowVector = Float[Array, "k"]
 class SlowVariables(Functional):
     """A group of k slow states s: constants, random walks, or Gauss–Markov processes.
 
-    In the field `slow` of a filter at least one of `force`, `model` and `offset` is required; the slow states of a
-    `Sensor` need none.
+    In the field `slow` of a filter, at least one of `force`, `model` and `offset` is required; slow states of a
+    `Sensor` need none of them.
 
     Use it for a force or parameter of your own form. `external_force`, `sensor_bias`, `uncertain_parameters` and
-    `wrench` build the usual ones. A slow state that no measurement reveals keeps its first uncertainty: look at its
+    `wrench` build the usual ones. A slow state that no measurement shows keeps its initial uncertainty: check its
     standard deviation.
 
     Attributes:
         names: Names (k) of the states in estimates and reports.
         first: Values (k,) at the start.
         first_cov: Covariance (k, k) of these values.
-        walk_cov: Spectral density (k, k) of the random walk, the variance that is added in a second; 0 for constants.
-            With a `time` τ, `walk_cov τ/2` is the covariance that the states have in the long run.
-        force: `(q, v, s) -> (n,)`, a generalised force that acts besides those of the model, a covector in the frame.
-        model: `s -> MechanicalSystem`, the model with these states as parameters, which replaces that of the filter.
+        walk_cov: Spectral density (k, k) of the random walk, the variance that is added per second; 0 for constants.
+            With a `time` τ, the states have the covariance `walk_cov τ/2` in the long run.
+        force: `(q, v, s) -> (n,)`, a generalised force in addition to those of the model, a covector in the frame.
+        model: `s -> MechanicalSystem`, the model with these states as parameters, which replaces the filter's model.
         offset: `s -> (n,)`, the offset of measured configurations: `y = retract(q, offset)`. In coordinates it is
             added, on a group it is a displacement in the body frame.
-        values: `s -> (k,)`, the values that are reported, where they are not s itself.
-        time: Time constant τ [s], after which 1/e is left of the difference to `first`; None (default) for states that
+        values: `s -> (k,)`, the values that are reported, if they are not s itself.
+        time: Time constant τ [s], after which 1/e of the difference to `first` is left; None (default) for states that
             do not return.
 
     Raises:
-        ValueError: A matrix is no covariance, a time is not positive and finite, a shape does not fit the names, or two
-            names are equal.
+        ValueError: A matrix is not a covariance, a time is not positive and finite, a shape does not fit the names, or
+            two names are equal.
 
     Example:
         >>> import numpy as np
@@ -101,7 +101,7 @@ class SlowVariables(Functional):
         return semidefinite_root(self.first_cov)
 
     def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
-        """The expected states in the mean over a step, and at its end."""
+        """The expected states: the mean over a step, and the values at its end."""
         if self.time is None:
             return s, s
         first = self.first.astype(s.dtype)
@@ -142,7 +142,7 @@ class SlowStates(NamedTuple):
 
     @property
     def forgotten_forces(self) -> list[bool]:
-        """Which states (k) are forces that are forgotten, whose usual size a filter can learn."""
+        """Which states (k) are forces with a time constant, whose usual size a filter can learn."""
         forces = [group.force is not None and group.time is not None for group in self.groups]
         return [force for force, group in zip(forces, self.groups, strict=True) for _ in group.names]
 
@@ -164,9 +164,9 @@ class SlowStates(NamedTuple):
         return functools.reduce(diagonal, [group.spread(h) for group in self.groups])
 
     def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
-        """The expected states in the mean over a step, and at its end.
+        """The expected states: the mean over a step, and the values at its end.
 
-        Those with a time constant τ return towards their first values, by the factor `exp(−h/τ)`, and by
+        States with a time constant τ return towards their first values, by the factor `exp(−h/τ)` at the end and
         `τ/h (1 − exp(−h/τ))` in the mean; the others stay.
         """
         pairs = [group.advanced(part, h) for group, part in zip(self.groups, self.parts(s), strict=True)]
@@ -174,19 +174,19 @@ class SlowStates(NamedTuple):
         return means, ends
 
     def parts(self, s: SlowVector) -> list[Array]:
-        """Split of the states into those of each group."""
+        """The states split into those of each group."""
         ends = np.cumsum([len(group.names) for group in self.groups])
         return jnp.split(s, ends[:-1].tolist()) if self.groups else []
 
     def in_model(self, model: MechanicalSystem, s: SlowVector) -> MechanicalSystem:
         """Model with these states in it, and their forces added to its dissipation."""
         pairs = list(zip(self.groups, self.parts(s), strict=True))
-        # The model first, since forces are added to the dissipation of the one that takes its place.
+        # The model comes first, since forces are added to the dissipation of the model that replaces it.
         for group, part in pairs:
             model = model if group.model is None else group.model(part)
         forces = [(group.force, part) for group, part in pairs if group.force is not None]
 
-        # The dissipation is the force that may depend on the velocity, and on position and time as well.
+        # Dissipation is the force that may depend on velocity, position and time.
         def dissipation(t, q, v, u):
             return resistance(model, t, q, v, u) + sum(force(q, v, part) for force, part in forces)
 
@@ -198,7 +198,7 @@ class SlowStates(NamedTuple):
         return sum((group.offset(part) for group, part in pairs if group.offset is not None), jnp.zeros_like(like))
 
     def values(self, s: SlowVector) -> SlowVector:
-        """Values that are reported, by `SlowVariables.values` where a group has it."""
+        """Values that are reported, by `SlowVariables.values` if a group has it."""
         pairs = zip(self.groups, self.parts(s), strict=True)
         return jnp.concatenate(
             [s[:0], *(part if group.values is None else group.values(part) for group, part in pairs)]
@@ -238,15 +238,15 @@ def external_force(
     std: Numbers | None = None,
     time: Number | None = None,
 ) -> SlowVariables:
-    """A generalised force that the model does not contain, such as a push, a disturbance, or friction that is wrong.
+    """A generalised force that the model does not contain, such as a push, a disturbance, or wrong friction.
 
-    With `std` and `time` it is a Gauss–Markov process, which pushes that end and errors of friction resemble: through a
-    gap in the log the estimate returns to zero. With a `density` it is a random walk from zero, which suits a load that
-    stays; through a gap its estimate stays, and its uncertainty grows without a bound.
+    With `std` and `time` it is a Gauss–Markov process, which resembles pushes that end and errors of friction: through
+    a gap in the log the estimate returns to zero. With a `density` it is a random walk from zero, which suits a
+    persistent load; through a gap its estimate stays, and its uncertainty grows without bound.
 
     Args:
-        density: Spectral density (n, n) of the walk [N²/s or (N m)²/s]. At the start the covariance of the force is
-            that of the walk after one second.
+        density: Spectral density (n, n) of the walk [N²/s or (N m)²/s]. At the start, the force has the covariance of
+            the walk after one second.
         name: Name of the states, followed by the number of the component; "external_force" by default.
         std: Usual size (n,) of each component, its standard deviation in the long run and at the start [N or N m].
         time: Time constant τ [s] after which a force is forgotten.
@@ -255,8 +255,8 @@ def external_force(
         A group of n states, the components of the force in the frame [N or N m].
 
     Raises:
-        ValueError: The density is no covariance matrix, a number is not positive, or it is neither a density alone nor
-            `std` and `time` together.
+        ValueError: The density is not a covariance matrix, a number is not positive, or the arguments are neither a
+            density alone nor `std` and `time` together.
 
     Example:
         >>> import numpy as np
@@ -280,19 +280,19 @@ def external_force(
 def forgotten_force(
     names: tuple[str, ...], stds: np.ndarray, time: Number, force: Callable[..., Vector]
 ) -> SlowVariables:
-    """A force whose independent components are as uncertain at the start as in the long run, and are forgotten."""
+    """A force with independent components that starts with its long-run uncertainty and is forgotten over time."""
     cov = jnp.diag(jnp.asarray(stds**2))
-    # Stationary: density · τ/2 is the covariance in the long run.
+    # The process is stationary: density · τ/2 is its covariance in the long run.
     return SlowVariables(names, jnp.zeros(len(stds)), cov, 2 / time * cov, force=force, time=time)
 
 
 def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> SlowVariables:
-    """An offset of each measured position, or in the body frame of a measured configuration on a group.
+    """An offset of each measured position; on a group, an offset of the measured configuration in the body frame.
 
-    Positions alone do not show a constant offset: gravity does, or another force that depends on the position. Where
+    Positions alone do not show a constant offset, but gravity does, or another force that depends on the position. If
     nothing does, the estimate stays as uncertain as at the start.
 
-    Use it for an encoder whose zero is not exact. For a sensor beside the positions give its `bias_std` instead.
+    Use it for an encoder whose zero is not exact. For a further sensor set its `bias_std` instead.
 
     Args:
         std: Standard deviations (n,) of the offsets at the start [rad or m]; zero for a position without an offset,
@@ -318,7 +318,7 @@ def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> SlowV
     biased = np.flatnonzero(stds > 0)
     if not biased.size:
         raise InputError("sensor_bias: all of std are zero; give that of a position that may be off")
-    # Numbered by position, counted from 1, so that a name says which position it belongs to.
+    # Names contain the number of the position, counted from 1.
     names = tuple(f"{name}{i + 1}" for i in biased)
     covs = jnp.diag(jnp.asarray(stds[biased] ** 2)), jnp.diag(jnp.asarray(drifts[biased] ** 2))
     return SlowVariables(
@@ -331,9 +331,9 @@ def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> 
 
     Parameters that the model refuses when they are negative stay positive.
 
-    Use it to estimate a parameter together with the motion, while a machine runs. `covariant.fit` is the better choice
-    for a parameter that stays constant, since it uses complete logs. The motion must excite the parameter: a mass on a
-    level track at constant speed leaves it unchanged.
+    Use it to estimate a parameter together with the motion, while a machine runs. For a constant parameter,
+    `covariant.fit` is the better choice, since it uses complete logs. The motion must excite the parameter: a mass on a
+    level track at constant speed leaves it undetermined.
 
     Args:
         family: The model with p open parameters, from `models.family`.
@@ -346,7 +346,7 @@ def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> 
         A group of p states, whose reported values are the parameters in their units.
 
     Raises:
-        ValueError: A number is not finite and ≥ 0, or a parameter is the lag of the inputs, which is none of the
+        ValueError: A number is not finite and ≥ 0, or a parameter is the lag of the inputs, which is not part of the
             equations of motion.
 
     Example:
@@ -366,7 +366,7 @@ def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> 
     def model(z):
         return family.make(parameters(z))[0]
 
-    # The states are relative changes, so that both covariances are relative too.
+    # The states are relative changes, so both covariances are relative too.
     covs = jnp.diag(jnp.asarray(stds**2)), jnp.diag(jnp.asarray(drifts**2))
     return SlowVariables(family.names, jnp.zeros(p), *covs, model=model, values=parameters)
 
@@ -380,12 +380,12 @@ def _along(s, axes):
 
 
 def _relative(positive: tuple[bool, ...]) -> Callable[..., Array]:
-    """Parameters (p,) as a function of relative changes z (p,), which are those of logarithms for positive ones."""
+    """Parameters (p,) as a function of relative changes z (p,); for positive parameters z is a change of logarithm."""
     logarithmic = np.asarray(positive)
 
     def parameters(z, first):
         size = jnp.where(first == 0, 1.0, jnp.abs(first)).astype(first.dtype)
-        # The inner `where` keeps exp from overflowing in entries that do not use it: their derivative would be NaN.
+        # The inner `where` keeps exp from overflowing in entries that do not use it, whose derivative would be NaN.
         return jnp.where(logarithmic, first * jnp.exp(jnp.asarray(jnp.where(logarithmic, z, 0.0))), first + size * z)
 
     return parameters

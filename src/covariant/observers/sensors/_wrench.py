@@ -1,8 +1,8 @@
-"""Forces and torques on the links of a robot, as slow states of a filter.
+"""Represents forces and torques on the links of a robot as slow states of a filter.
 
-What pushes a link acts on the joints by the transpose of its Jacobian. The filter estimates the force on the link and
-not the torques of the joints, so that joints that cannot feel a component leave it as uncertain as it was at first: no
-Jacobian is inverted, near singular poses either.
+A force on a link acts on the joints through the transpose of its Jacobian. The filter estimates the force on the link,
+and not the torques of the joints. If no joint can feel a component, its uncertainty stays as it was at first: no
+Jacobian is inverted, even near singular poses.
 """
 
 import equinox as eqx
@@ -34,10 +34,10 @@ class _OnLink(eqx.Module):
     def __call__(self, q: Array, v: Vector, s: Float[Array, "k"]) -> Vector:
         force, torque = jnp.split(self.axes.astype(s.dtype) @ s, 2)
         if self.frame == "world":
-            # f @ R is Rᵀ f: from the axes of the world to those of the link.
+            # f @ R is Rᵀ f: it converts from the axes of the world to those of the link.
             rotation = self.space.pose(q, self.link)[:3, :3]
             force, torque = force @ rotation, torque @ rotation
-        # The power f·(v + ω × p) + τ·ω of a force at p is that of (f, τ + p × f) at the origin.
+        # A force at p has the power f·(v + ω × p) + τ·ω, like (f, τ + p × f) at the origin.
         torque = torque + jnp.cross(self.point.astype(s.dtype), force)
         return self.space.jacobian(q, self.link).T @ jnp.concatenate([force, torque])
 
@@ -53,20 +53,20 @@ def wrench(
     frame: str = "link",
     point: Numbers = (0.0, 0.0, 0.0),
 ) -> SlowVariables:
-    """A force and a torque that act on a link of a robot from outside, and that are forgotten: a push, a contact.
+    """An external force and torque on a link of a robot that are forgotten over time, such as a push or a contact.
 
-    Each component is a Gauss–Markov process about zero. Beside it give an `external_force` of the size of what the
-    model does not know of the joints, such as their friction: all that is wrong with it would be taken for a push.
+    Each component is a Gauss–Markov process about zero. Combine it with an `external_force` of the size of the model's
+    errors in the joints, such as friction; otherwise every such error would appear as a push.
 
     Args:
         space: The configuration space of the robot, `model.space`.
         link: Name of the link.
         force_std: Usual size of the force [N], one number or (3,); zero for a component that does not act.
         torque_std: Usual size of the torque [N m], one number or (3,); zero (default) for none.
-        time: Time constant τ [s] after which it is forgotten.
-        name: Ending of the names of the states, by default the name of the link: `fx_hand` … `tz_hand`.
+        time: Time constant τ [s] with which it is forgotten.
+        name: Suffix of the names of the states, by default the name of the link: `fx_hand` … `tz_hand`.
         frame: Axes of the components, those of the "link" (default) or of the "world".
-        point: Where the force acts, in the frame of the link [m]; its origin by default. Torques are about this point.
+        point: Point at which the force acts, in the frame of the link [m]; its origin by default. Torques are about it.
 
     Returns:
         A group with a state for each component whose usual size is positive [N and N m].

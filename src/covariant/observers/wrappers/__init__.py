@@ -1,4 +1,4 @@
-"""Wrappers: an observer with an outlier gate, with a delay, or with velocity sensors."""
+"""Wrappers that extend an observer, by an outlier gate, delays, late inputs, contacts, or velocity sensors."""
 
 import lazy_loader
 

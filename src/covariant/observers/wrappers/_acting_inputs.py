@@ -1,4 +1,4 @@
-"""Inputs that act later than they are sent: an observer that stores past inputs in its state.
+"""Wraps an observer for inputs that act later than they are sent, by storing past inputs in its state.
 
 A step from t to t + dt needs the mean of the input that acts in it. With a delay d, that is the mean of the input that
 was sent from t − d to t + dt − d. It follows from the last rows of the input, each held from its stamp to the next. The

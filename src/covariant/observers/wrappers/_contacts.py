@@ -1,14 +1,14 @@
-"""Observers of machines with feet, through touch-downs and lift-offs at known times.
+"""Wraps observers of machines with feet, for touch-downs and lift-offs at known times.
 
-While feet stay where they are, the configurations are a leaf of the whole space. At a touch-down the velocity across
-the leaf is lost: `v⁺ = P v⁻`. For the errors ξ and ζ of position and velocity in a parallel frame, measured on the leaf
-after it, n being the velocity that is lost,
+While feet stay in place, the configurations form a leaf of the whole space. At a touch-down the velocity normal to the
+leaf is lost: `v⁺ = P v⁻`. Let ξ and ζ be the errors of position and velocity in a parallel frame, measured on the leaf
+after the event, and n the velocity that is lost. Then
 
     touch-down  ξ⁺ = P ξ,  ζ⁺ = P ζ + S_n P ξ
     lift-off    ξ⁺ = ξ,    ζ⁺ = ζ + II(ξ, v)
 
 with the second fundamental form II of the leaf, `Leaf.second_form`, and `<S_n a, b> = <II(a, b), n>`. The estimate
-takes the same jump as the motion, and the covariance of a filter its derivative.
+makes the same jump as the motion, and the covariance of a filter is transformed by its derivative.
 """
 
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ class ContactsState(NamedTuple):
     Attributes:
         inner: State of the inner observer.
         down: Which feet are on the ground (k,).
-        spots: Where they landed (k, d) [m]; of those in the air, where they are.
+        spots: Where they landed (k, d) [m]; for feet in the air, their present positions.
         last_input: The last finite input (m,), with the contacts in its last entries.
 
     Example:
@@ -57,24 +57,24 @@ class ContactsState(NamedTuple):
 
 
 class Contacts(AbstractWrapper):
-    """An observer of a machine with feet, through touch-downs and lift-offs that the input tells.
+    """An observer of a machine with feet, for touch-downs and lift-offs that the input announces.
 
-    The last inputs of a model with `feet` are their contacts. In a step whose contacts differ from those of the step
-    before, the estimate first takes the jump of the motion: where feet land, the velocity against the ground is lost in
-    a plastic impact. While they stay, the estimate moves with them where they were measured last before. Without
-    this an observer has a velocity error as large as the lost velocity, for about three time constants after each
-    step.
+    The last inputs of a model with `feet` are their contacts. If the contacts of a step differ from those of the
+    previous step, the estimate first makes the jump of the motion: where feet land, their velocity relative to the
+    ground is lost in a plastic impact. While feet stand, they are fixed where they were last measured. Without this, an
+    observer would have a velocity error as large as the lost velocity, for about three time constants after each
+    landing.
 
-    The contacts are taken as known, and the feet as points that do not slip. A contact that is known late costs an
-    error that grows with the delay; see the page *A leg that lands*. On the ground some positions suffice, since the
-    feet tell the rest.
+    Contacts are treated as known, and feet as points that do not slip. A contact that is known late causes an error
+    that grows with the delay; see the page *A leg that lands*. On the ground some positions suffice, since the feet
+    determine the others.
 
     Attributes:
         observer: An observer with constant gains, or an `IntrinsicKalman`, of a model with `feet`.
 
     Raises:
-        ValueError: The model of the observer has no feet, or the observer is another filter, whose covariance knows no
-            leaf.
+        ValueError: The model of the observer has no feet, or the observer is another filter, whose covariance does not
+            support a leaf.
 
     Example:
         A mass falls for 0.2 s onto the ground, where it stays:
@@ -131,7 +131,7 @@ class Contacts(AbstractWrapper):
 
     def correct(self, state: ContactsState, u: Float[Array, "m"], y: Array) -> tuple[ContactsState, Any]:
         inner, info = self._now(state).correct(state.inner, u, y)
-        # A filter knows better than one noisy sample where it is; constant gains may still be far off.
+        # A filter's estimate is better than one noisy sample, while constant gains may still be far off.
         q = inner.q if self._filters else self.model.manifold.measured(inner.q, self.configuration(y))
         spots = jnp.where(state.down[:, None], state.spots, self._feet(q))
         return state._replace(inner=inner, spots=spots), info
@@ -144,11 +144,11 @@ class Contacts(AbstractWrapper):
         return self.model.feet(q)
 
     def _now(self, state: ContactsState) -> Any:
-        """The inner observer, of the model with the feet of a state on the ground."""
+        """The inner observer for the model with the present feet on the ground."""
         return eqx.tree_at(lambda o: o.model, self.observer, standing(self.model, state.down, state.spots))
 
     def _jumped(self, before: ContactsState, after: ContactsState) -> Any:
-        """The state of the inner observer after the contacts have changed."""
+        """The state of the inner observer after a change of contacts."""
         leaf, inner = self._now(after).model.space, before.inner
         q, v = leaf.impact(inner.q, inner.v)
         jumped = inner._replace(q=q, v=v)

@@ -1,16 +1,15 @@
-"""Sensors with delays: readings count at the times at which they were true, and the estimate is for now.
+"""Wraps observers for delayed sensors: readings count at the times at which they were true, the estimate is for now.
 
-Coordinate i of the sample with the stamp t was true at t − d_i. The state is stored at t − max d, before which nothing
-can arrive any more; later readings wait in a buffer. A sample is inserted into the buffer at its true times, the buffer
-is run through again in their order, and the model predicts from the last of them to the stamp, input by input.
+Coordinate i of the sample with the stamp t was true at t − d_i. The state is stored at t − max d, before which no
+reading can arrive any more; later readings wait in a buffer. A sample is inserted into the buffer at its true times,
+the inner observer runs through the buffer again in order, and the model predicts from the last reading to the stamp,
+input by input. If the coordinates of a configuration have different delays, no single sample determines the
+configuration at t − max d. Until every first reading is that old, each step restarts from the latest readings, with the
+uncertainty of `init`; then the readings on both sides of that time are interpolated to the first state.
 
-No single sample tells where the system was at t − max d if the coordinates of a configuration have different delays.
-Until every first reading is that old, each step starts anew from the latest readings, with the uncertainty of `init`;
-then the readings on both sides of that time, interpolated, are the first state.
-
-A step therefore costs one step of the inner observer for each reading that is not older than the latest sensor, and one
-prediction for each row of the least delay. With one delay for all coordinates nothing waits in the buffer: a step costs
-one step and as many predictions as there are rows in the delay.
+A step therefore costs one step of the inner observer for each reading that is newer than the slowest sensor's, and one
+prediction for each row of the shortest delay. With one delay for all coordinates nothing waits in the buffer: a step
+costs one step, and as many predictions as there are rows in the delay.
 
 Source: Bar-Shalom 2002, Update with out-of-sequence measurements in tracking: exact solution, IEEE Transactions on
 Aerospace and Electronic Systems 38(3), which shortens this for linear systems; Larsen, Andersen, Ravn & Poulsen 1998,
@@ -45,14 +44,14 @@ class DelayedState(NamedTuple):
     Attributes:
         now: State of the inner observer now.
         t: Time now [s].
-        known: State of the inner observer `age_of_known` ago, which no reading will change any more.
+        known: State of the inner observer `age_of_known` ago, which no later reading can change.
         age_of_known: Age of `known` [s].
         age: Ages (L,) [s] of the readings since, the oldest first.
         y: These readings (L, *n); NaN where a coordinate was not read then.
         stamp: Ages (M,) [s] of the last stamps, the oldest first.
         u: Inputs (M, m) that acted up to each of these stamps.
-        start_age: Ages (K,) [s] of the readings in `start_y`; infinite once there is a first state from the readings of
-            several samples. Empty if one sample tells the first configuration.
+        start_age: Ages (K,) [s] of the readings in `start_y`; infinite once a first state exists that combines several
+            samples. Empty if a single sample determines the first configuration.
         start_y: Last reading (K,) of each entry of a measurement that was true before the first state.
         last_input: The last finite input (m,), or None for an inner observer that stores none.
 
@@ -79,27 +78,27 @@ class DelayedState(NamedTuple):
 
 
 class Delayed(AbstractWrapper):
-    """Any observer, for sensors whose readings are late.
+    """Any observer, for sensors whose readings arrive late.
 
-    Between two readings the mean of the inputs over that time acts. Where samples come faster than `rate`, the buffers
-    reach back too short a time: a reading that is older is left out, and `result` says `TOO_LATE`. The info is that of
-    the newest reading of a sample, with the innovations of all its readings. Its standard deviations, forces and other
-    slow states are those of the estimate now. Without delays and lateness it is the observer itself, to the last bit.
+    Between two readings, the mean of the inputs over that time acts. If samples come faster than `rate`, the buffers
+    are too short: readings that are older are left out, and `result` says `TOO_LATE`. The info is that of the newest
+    reading of a sample, with the innovations of all its readings. Its standard deviations, forces and other slow states
+    are those of the present estimate. Without delays and lateness it equals the inner observer, to the last bit.
 
-    Use it where a camera or a slow bus delivers measurements late. A delay that is known and left out makes the
-    estimate late by as much, and in a loop unstable. It stores the past for as long as the delays, and repeats the
-    steps since then.
+    Use it if a camera or a slow bus delivers measurements late. A known delay that is ignored makes the estimate late
+    by as much, and a control loop unstable. It stores the past for the length of the delays, and repeats the steps
+    since then.
 
     Args:
         observer: Observer to which the readings are passed, in the order of the times at which they were true.
         delay: Delay [s]: coordinate i of a sample with the stamp t was true at t − delay[i]. One number for all
             coordinates, as it must be on a group, or (n,).
-        rate: Largest number of samples in a second [Hz], from which the length of the buffers follows.
-        lateness: Time [s] by which a sample may arrive later than its delay says, 0 by default; see `late`.
+        rate: Largest number of samples per second [Hz], which determines the length of the buffers.
+        lateness: Time [s] by which a sample may arrive even later than its delay, 0 by default; see `late`.
 
     Raises:
-        ValueError: A delay or the lateness is not finite and ≥ 0, the rate is not positive and finite, or what the
-            observer reports is about its own steps, as a proved bound is.
+        ValueError: A delay or the lateness is not finite and ≥ 0, the rate is not positive and finite, or the reports
+            of the observer concern its own steps, such as a proved bound.
 
     Example:
         A ramp of slope 2/s, read 0.1 s late: the estimate is for now all the same.
@@ -135,7 +134,7 @@ class Delayed(AbstractWrapper):
         self.groups = tuple(tuple(np.flatnonzero(delays == d).tolist()) for d in np.unique(delays))
         self.length = _rows(delays.max() + lateness, rate) + 1
         waits = [_rows(delays.max() + lateness - d, rate) for d in np.unique(delays)]
-        # One more, since irregular stamps may put one more into the same time; what never waits needs no place.
+        # One more, since irregular stamps may add one in the same time; readings that never wait need no place.
         self.waiting = sum(rows + 1 for rows in waits if rows)
         self.ahead = _rows(delays.min(), rate)
 
@@ -160,7 +159,7 @@ class Delayed(AbstractWrapper):
             )
         now = self.observer.init(y, t)
         real = jnp.real(y).dtype
-        # The configuration starts the estimate, at the time at which the latest of it was true: not sensors beside it.
+        # The estimate starts at the time of the latest entry of the configuration; further sensors do not matter.
         of_configuration = self.delay if len(self.delay) == 1 else self.observer.configuration(self.delay)
         longest = jnp.max(of_configuration).astype(real)
         t = jnp.asarray(t, real)
@@ -185,9 +184,9 @@ class Delayed(AbstractWrapper):
         return self.observer.estimate(state.now)
 
     def predict(self, state: DelayedState, u: Float[Array, "m"], dt: Scalar) -> DelayedState:
-        """Move the time of the state and the ages of all readings dt later; `correct` runs the inner observer.
+        """Move the time of the state and the ages of all readings by dt; `correct` then runs the inner observer.
 
-        With delays, `estimate` is for the time before until the state is corrected.
+        With delays, `estimate` refers to the time before this step until the state is corrected.
 
         Args:
             state: State after the previous sample.
@@ -199,7 +198,7 @@ class Delayed(AbstractWrapper):
         """
         if self._no_delay:
             return state._replace(now=self.observer.predict(state.now, u, dt), t=state.t + dt)
-        # An observer that stores no input has no model and uses none; its log need not have inputs.
+        # An observer that stores no input has no model and uses none; its log may lack inputs.
         inputs = state.u.shape[1]
         acting = u[:inputs].astype(state.u.dtype) if u.size else jnp.zeros(inputs, state.u.dtype)
         return state._replace(
@@ -229,11 +228,11 @@ class Delayed(AbstractWrapper):
 
     @property
     def _no_delay(self) -> bool:
-        """Whether nothing is ever late: then it is the inner observer itself, to the last bit."""
+        """Whether nothing is ever late, so that the result equals the inner observer, to the last bit."""
         return self.length == 1
 
     def late(self, state: DelayedState, y: Inexact[Array, "*n"], t: Number) -> tuple[DelayedState, Any]:
-        """Process a sample that arrives after later ones; its coordinate i was true at t − delay[i].
+        """Process a sample that arrives after later samples; its coordinate i was true at t − delay[i].
 
         Args:
             state: State of this observer.
@@ -241,9 +240,9 @@ class Delayed(AbstractWrapper):
             t: Time stamp of the sample [s], at most the time of the state.
 
         Returns:
-            The new state, with the estimate for the same time as before, and the info. A reading that is more than
-            `lateness` later than its delay is left out, and `result` says `TOO_LATE`; for a time t that is later than
-            that of the state or not finite, `result` says `STEP_REFUSED`.
+            The new state, with the estimate for the same time as before, and the info. A reading that arrives more than
+            `lateness` after its delay is left out, and `result` says `TOO_LATE`. If t is later than the state or not
+            finite, `result` says `STEP_REFUSED`.
         """
         sample_age = state.t - jnp.asarray(t, state.t.dtype)
         in_past = sample_age > -SAME_TIME
@@ -263,16 +262,16 @@ class Delayed(AbstractWrapper):
 
     @property
     def _positions(self) -> np.ndarray:
-        """Indices of the positions among the entries of a measurement whose entries have delays of their own."""
+        """Indices of the positions among the entries of a measurement whose entries have different delays."""
         return np.ravel(self.observer.configuration(np.arange(sum(map(len, self.groups)))))
 
     @property
     def _gathers_start(self) -> bool:
-        """Whether positions have different delays, so that no sample tells all of them at one time."""
+        """Whether positions have different delays, so that no single sample determines all of them at one time."""
         return len(self.groups) > 1 and sum(bool({*self._positions} & {*group}) for group in self.groups) > 1
 
     def _gather_start(self, state: DelayedState, inserted: "_Inserted") -> tuple[DelayedState, "_Inserted"]:
-        """The state with a first `known`, as soon as the first reading of each position is as old as the latest one."""
+        """The state with its first `known`, once the first reading of each position is old enough."""
         age, readings, positions = inserted.age, inserted.readings, self._positions
         longest = jnp.max(self.delay[positions]).astype(age.dtype)
         before = age >= longest - SAME_TIME
@@ -281,7 +280,7 @@ class Delayed(AbstractWrapper):
         nothing = jnp.zeros_like(start_age), jnp.full_like(start_y, jnp.nan)
         later_age, later = _choose_readings(age, readings, ~before, nothing, last=False)
         older = self.observer.init(start_y, state.t - longest)
-        # The observer knows where an angle wraps; the change is 0 where no reading follows.
+        # The observer wraps angles; the change is 0 if no later reading exists.
         change = self.observer.innovation(older, state.u[-1], later)
         share = ((start_age - longest) / (start_age - later_age))[positions]
         change = jnp.where(start_age[positions] > longest, share * change, 0.0)
@@ -297,7 +296,7 @@ class Delayed(AbstractWrapper):
     def _start_anew(
         self, state: DelayedState, y: Array, age: Array, readings: Array, current: Array, too_late: Array
     ) -> tuple[DelayedState, Any]:
-        """The state at rest at the latest readings: those that were true at one time are not known yet."""
+        """The state at rest at the latest readings, used until readings for a common time are available."""
         _, latest = _choose_readings(age, readings, jnp.isfinite(age), (state.start_age, state.start_y))
         nothing = jnp.full(y.shape, jnp.nan, y.dtype)
         rest = self.observer.init(latest, state.t)
@@ -311,10 +310,10 @@ class Delayed(AbstractWrapper):
     def _run_on(
         self, state: DelayedState, y: Array, age: Array, readings: Array, current: Array, too_late: Array
     ) -> tuple[DelayedState, Any]:
-        """The state after the readings in the buffer, from the one that no reading will change any more."""
-        # Less SAME_TIME, so that rounding does not leave a reading at the horizon unsettled.
+        """The state after the readings in the buffer, starting from the last one that no reading can change."""
+        # SAME_TIME is subtracted, so that rounding does not leave a reading at the horizon unsettled.
         horizon = jnp.max(self.delay) + self.lateness - SAME_TIME
-        # Of more readings than wait in the buffer, the oldest are settled.
+        # If there are more readings than the buffer holds, the oldest ones are settled.
         settled = (age >= horizon.astype(age.dtype)) | (jnp.arange(len(age)) < len(age) - self.waiting)
         before = jnp.minimum(jnp.concatenate([state.age_of_known[None], age[:-1]]), state.age_of_known)
         row_u = jax.vmap(lambda a, b: _mean_input(state, a, b))(before, age)
@@ -325,25 +324,25 @@ class Delayed(AbstractWrapper):
         carry = self._to_now(carry, state, y)
         result = jnp.where(too_late, jnp.maximum(carry.info.result, int(StepCode.TOO_LATE)), carry.info.result)
         info = carry.info._replace(result=result, **carry.of_now)
-        # The sample added rows; as many of the oldest, or empty ones, leave.
+        # The sample added rows, so as many of the oldest or empty ones are removed.
         recent = slice(len(age) - self.waiting, None)
         age = jnp.where(settled, jnp.inf, age)
         new = state._replace(now=carry.state, known=carry.known, age_of_known=carry.age_of_known)
         return new._replace(age=age[recent], y=readings[recent]), info
 
     def _to_now(self, carry: "_Replay", state: DelayedState, y: Array) -> "_Replay":
-        """From the last reading the model runs on, input by input, to the stamp."""
+        """Predict with the model from the last reading to the stamp, input by input."""
         if not self.ahead:
             return carry
         ages, inputs = state.stamp[-self.ahead :], state.u[-self.ahead :]
-        # Where samples come faster than `rate`, the first of these predictions covers those that are left out.
+        # If samples come faster than `rate`, the first of these predictions covers the inputs that were left out.
         inputs = jnp.concatenate([_mean_input(state, carry.age, ages[0])[None], inputs[1:]])
 
         def predicted(carry, item):
             age, u = item
             new, info = self.observer.advance(carry.state, u, jnp.full(y.shape, jnp.nan, y.dtype), carry.age - age)
             code = jnp.asarray(info.result, carry.info.result.dtype)
-            # That nothing is measured here is no fault.
+            # The missing measurement here is not a fault.
             worse = jnp.where(code == int(StepCode.NOT_FINITE), jnp.maximum(carry.info.result, code), carry.info.result)
             return carry._replace(state=new, age=age, info=carry.info._replace(result=worse), of_now=_of_now(info))
 
@@ -353,9 +352,9 @@ class Delayed(AbstractWrapper):
         return jax.lax.scan(turn, carry, (ages, inputs))[0]
 
     def _insert(self, state: DelayedState, y: Array, sample_age: Scalar) -> "_Inserted":
-        """Insert a sample into the buffer, the oldest reading first; empty entries have the age ∞ and come before it.
+        """Insert a sample into the buffer, the oldest reading first; empty entries have age ∞ and come before it.
 
-        Coordinates that were true at the time of a reading already there complete it.
+        Coordinates that were true at the time of a reading in the buffer are added to it.
         """
         age, readings, too_late = state.age, state.y, jnp.asarray(False)
         shape = (1,) if len(self.delay) == 1 else y.shape
@@ -368,7 +367,7 @@ class Delayed(AbstractWrapper):
             same_time = (distance <= SAME_TIME) & (distance == jnp.min(distance, initial=jnp.inf))
             completes = jnp.any(same_time)
             too_old = (at > jnp.minimum(state.age_of_known, state.stamp[0])) & ~completes
-            # What was true before the start tells nothing, and is not late: nothing has left the buffer yet.
+            # A reading from before the start has no use, but is not late either: nothing has left the buffer yet.
             lost = too_old & (jnp.isfinite(state.stamp[0]) | (sample_age > 0))
             too_late = too_late | (lost & jnp.any(jnp.isfinite(part)))
             fill = _with_axes(same_time, readings) & jnp.isfinite(part)[None]
@@ -380,7 +379,7 @@ class Delayed(AbstractWrapper):
         return _Inserted(age, readings, current, too_late)
 
     def _scan_reading(self, carry: "_Replay", item):
-        """One reading processed; nothing where the entry is empty."""
+        """Process one reading; an empty entry has no effect."""
         return jax.lax.cond(jnp.isfinite(item[0]), self._read, lambda carry, item: carry, carry, item), None
 
     def _read(self, carry: "_Replay", item) -> "_Replay":
@@ -389,13 +388,13 @@ class Delayed(AbstractWrapper):
         known, age_of_known = jax.tree.map(
             lambda new, old: jnp.where(settled, new, old), (state, age), (carry.known, carry.age_of_known)
         )
-        # Coordinates that are read at other times are not missing: only what the sample itself lacks is.
+        # Only entries that the sample itself lacks count as missing, and not those that are read at other times.
         complete = ~jnp.any(jnp.isnan(y) & _with_axes(current, y))
         code = jnp.where(complete & (info.result == int(StepCode.COASTED)), int(StepCode.OK), info.result)
         counts = jnp.any(current) | (code == int(StepCode.NOT_FINITE))
         before = carry.info.result
         result = jnp.where(counts, jnp.maximum(before, jnp.asarray(code, before.dtype)), before)
-        # One flag for all where there is one delay; else one for each entry of a measurement.
+        # With one delay there is one flag for all, otherwise one for each entry of a measurement.
         positions = current if len(current) == 1 else self.observer.configuration(current)
         innovation = jnp.where(positions, info.innovation, carry.info.innovation)
         newest = jax.tree.map(lambda new, old: jnp.where(jnp.any(current), new, old), info, carry.info)
@@ -410,7 +409,7 @@ class Delayed(AbstractWrapper):
 
 
 class _Inserted(NamedTuple):
-    """The buffer with a sample: ages and readings, which entries are the sample's, whether one of them was too old."""
+    """The buffer with a sample: ages, readings, flags of the sample's entries, and whether one of them was too old."""
 
     age: Array
     readings: Array
@@ -419,9 +418,9 @@ class _Inserted(NamedTuple):
 
 
 class _Replay(NamedTuple):
-    """What goes from reading to reading: the inner state and its age, the last settled ones, the info of the sample.
+    """Data passed from reading to reading: inner state and age, those of the last settled reading, the sample's info.
 
-    `of_now` is what the info says of the last estimate.
+    `of_now` is the part of the info that describes the last estimate.
     """
 
     state: Any
@@ -433,21 +432,21 @@ class _Replay(NamedTuple):
 
 
 def _of_now(info: Any) -> dict[str, Any]:
-    """What an info says of the estimate, and not of a reading; it changes with every prediction."""
+    """The fields of an info that describe the estimate, not a reading; they change with every prediction."""
     return {name: getattr(info, name) for name in OF_ESTIMATE if getattr(info, name, None) is not None}
 
 
 def _rows(time: float, rate: float) -> int:
-    """Most samples in a time [s]; 1e-9 keeps rounding from adding one where time times rate is a whole number."""
+    """Most samples in a time [s]; 1e-9 compensates rounding if time times rate is a whole number."""
     return math.ceil(time * rate - 1e-9)
 
 
 def _choose_readings(
     age: Float[Array, "L"], y: Array, wanted: Bool[Array, "L"], default: tuple[Array, Array], last: bool = True
 ) -> tuple[Array, Array]:
-    """Age and value of each entry in the last, or the first, of the wanted rows that have it."""
+    """Age and value of each entry in the last, or the first, of the wanted rows that contain it."""
     there = (wanted & jnp.isfinite(age))[:, None] & jnp.isfinite(y)
-    # Rows from 1, in the order in which they are preferred, and 0 for those without the entry.
+    # Rows are numbered from 1 in the order of preference; 0 marks rows without the entry.
     order = np.arange(1.0, len(age) + 1)[:, None]
     rank = jnp.where(there, order if last else order[::-1], 0.0)
     best = jnp.max(rank, axis=0, initial=0.0)
@@ -457,9 +456,9 @@ def _choose_readings(
 
 
 def _insert_row(rows: Array, row: Array, older: Bool[Array, "L"]) -> Array:
-    """The rows with another one behind those that are `older`, which come first."""
+    """The rows with another row inserted behind those that are `older`, which come first."""
     stays = _with_axes(jnp.pad(older, (0, 1)), rows)
-    # The first place is free for a row that is older than all others.
+    # The first place is for a row that is older than all others.
     follows = _with_axes(jnp.pad(older, (1, 0), constant_values=True), rows)
     kept, moved = (jnp.concatenate(pair) for pair in ((rows, row[None]), (row[None], rows)))
     return jnp.where(stays, kept, jnp.where(follows, row[None], moved))
@@ -471,7 +470,7 @@ def _with_axes(flags: Bool[Array, "k"], like: Array) -> Array:
 
 
 def _mean_input(state: DelayedState, start: Scalar, end: Scalar) -> Float[Array, "m"]:
-    """Mean of the inputs that acted from the age `start` to the age `end`; before the first, the first acts."""
+    """Mean of the inputs that acted from the age `start` to the age `end`; the first input also acts before it."""
     since = jnp.concatenate([jnp.full(1, jnp.inf, state.stamp.dtype), state.stamp[:-1]])
     acted = jnp.maximum(jnp.minimum(start, since) - jnp.maximum(end, state.stamp), 0.0)
     total = jnp.sum(acted)

@@ -1,21 +1,21 @@
-"""A gate for observers that have no covariance: constant gains, and filters without a model.
+"""Adds a gate to observers without a covariance: those with constant gains, and filters without a model.
 
-With constant gains, an observer may start far from the truth, and its innovations are then large for a while, without
-any outlier. So the gate must not judge the innovations alone. With the innovation r before a correction and `e` the
-error that the previous correction left behind, both from the estimate to the measurement,
+An observer with constant gains may start far from the truth, and its innovations are then large for a while although
+there are no outliers. So the gate must not use the innovations alone. Let r be the innovation before a correction and
+`e` the error that the previous correction left, both from the estimate to the measurement. Then
 
     d = r − e
 
-is the new information of this measurement: noise, and the error of the velocity times the step, for any gains and any
-size of the error. It is refused if neither the noise s of a sample nor a velocity explains it:
-`d² > 2(ks)² + (cS dt)²`. Here k is the deviations of the gate, S is the usual speed of the motion, and c is 4 at the
-start and falls to 2 once smaller d have been seen. An outlier that passes is no more than a velocity of cS over one
-step.
+is the new information in this measurement: it consists of noise, and of the velocity error times the step, for any
+gains and any size of the error. The measurement is refused if neither the noise s of a sample nor a velocity explains
+it: `d² > 2(ks)² + (cS dt)²`. Here k is the threshold of the gate in deviations, S is the usual speed of the motion, and
+c is 4 at the start and falls to 2 once smaller d have been seen. An outlier that passes has at most the effect of a
+velocity cS over one step.
 
-Readings that are refused one after the other and show a credible velocity, of less than cS with c = 4, give the state
-that velocity at the third of them; see `Gate`. If measurements agree with each other but not with the estimate, as
-after an observer has lost a spinning body, d stays large: once its square is more than that of a velocity error of 2S
-on average, the estimate is `ASTRAY`.
+Consecutive refused readings that show a credible velocity, below cS with c = 4, give the state that velocity at the
+third of them; see `Gate`. If measurements agree with each other but not with the estimate, for example because the
+observer has lost a spinning body, d stays large. When its mean square exceeds that of a velocity error of 2S, the
+estimate is `ASTRAY`.
 
 Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
 """
@@ -53,7 +53,7 @@ class GatedState(NamedTuple):
 
     Attributes:
         inner: State of the observer behind the gate.
-        t: Time [s] that it belongs to.
+        t: Time [s] of the state.
         gate: Memory of the gate.
         slip: Average (n,) of d², relative to its threshold for `ASTRAY`.
         last_input: The last finite input (m,).
@@ -78,13 +78,13 @@ class GatedState(NamedTuple):
 
 
 class Gated(AbstractObserver):
-    """An observer behind a gate for its measurements, which also reports a wrong velocity.
+    """An observer with a gate for its measurements, which also reports a wrong velocity.
 
-    A measurement that is refused counts as missing, and `result` says `OUTLIER`. After `gate.patience` of them in a row
-    the estimate starts anew from the measured configuration, and `result` says `RESTARTED`; a velocity that the state
-    of the observer holds as `v` is kept, unless it is not credible. Refused readings that show a credible velocity
-    start the estimate anew at once, with that velocity in its `v`. If the measurements show a velocity error of more
-    than twice the usual velocity, `result` says `ASTRAY`.
+    A refused measurement counts as missing, and `result` says `OUTLIER`. After `gate.patience` consecutive refusals the
+    estimate restarts from the measured configuration, and `result` says `RESTARTED`; the velocity `v` in the observer's
+    state is kept, unless it is not credible. Refused readings that show a credible velocity restart the estimate at
+    once, with that velocity as its `v`. If the measurements show a velocity error of more than twice the usual
+    velocity, `result` says `ASTRAY`.
 
     Attributes:
         observer: Observer of a mechanical system, or filter of its coordinates. Its state is `state.inner`.
@@ -94,8 +94,8 @@ class Gated(AbstractObserver):
         gate: The gate, by default `Gate()`.
 
     Raises:
-        ValueError: `noise` or `speed` is not positive and finite, or what the observer reports is about its own steps,
-            as a proved bound is: bound the gated observer instead.
+        ValueError: `noise` or `speed` is not positive and finite, or the reports of the observer concern its own steps,
+            such as a proved bound: bound the gated observer instead.
 
     Example:
         >>> import jax
@@ -151,13 +151,13 @@ class Gated(AbstractObserver):
             y: Measurement, NaN where missing.
 
         Returns:
-            The corrected state, or the one of a new start, and the info of the inner observer, with the innovation
+            The corrected state, or the state of a restart, and the info of the inner observer, with the innovation
             before the gate and the result code of gate and observer.
         """
         manifold = self.model.manifold
         present, innovation = ~manifold.missing(y), self.innovation(state, u, y)
         verdict = self._judge(state, innovation, present)
-        # A state without a velocity follows readings that show one by its ordinary correction.
+        # A state without a velocity follows readings that show one through its ordinary correction.
         outlying = verdict.far if self._holds_velocity(state) else verdict.far & ~verdict.moved
         inner, info = self.observer.correct(state.inner, u, self._without(y, outlying))
         used = present & ~outlying
@@ -169,7 +169,7 @@ class Gated(AbstractObserver):
         memory = verdict.memory.used(used, manifold.ambient.towards(motion.q, y))
         new = state._replace(inner=inner, gate=memory, slip=slip)
         restarted = self._restarted(state, motion, verdict, y)
-        # A restart keeps a scale above 1; a smaller one would make the gate too narrow.
+        # A restart keeps a scale above 1; a smaller scale would make the gate too narrow.
         restarted = restarted._replace(gate=restarted.gate._replace(scale=jnp.maximum(memory.scale, 1.0)))
         new = jax.tree.map(lambda a, b: jnp.where(restart, a, b), restarted, new)
         astray = jnp.any(slip > 1).astype(jnp.int32) * int(StepCode.ASTRAY)
@@ -189,11 +189,11 @@ class Gated(AbstractObserver):
         """The gate's verdict on whether noise and velocity explain d; see the head of this file."""
         dt, rate = step_length(state), CREDIBLE / self.gate.deviations * self.speed
         expected = 2 * self.noise**2 + (rate * dt) ** 2
-        # A velocity error acts over a gap without readings and widens the gate; refused readings do not widen it.
+        # A velocity error acts over a gap without readings, and so widens the gate; refused readings do not.
         least = (2 * self.noise**2 + (rate * (state.gate.idle - dt / 2)) ** 2) / expected
         cov, noise, usual = (self._diagonal(square, innovation) for square in (expected, self.noise**2, self.speed**2))
         predicted = Velocity(self.model.motion(self.observer.estimate(state.inner)).v, usual)
-        # d has the error that the last used reading left subtracted already, so `left` is zero here.
+        # In d, the error left by the last used reading is already subtracted, so `left` is zero here.
         sample = Sample(innovation - state.gate.left, cov, noise, present)
         memory = state.gate._replace(left=jnp.zeros_like(innovation))
         verdict = self.gate.judge(self.model.manifold, sample, memory, predicted, usual, least)
@@ -203,7 +203,7 @@ class Gated(AbstractObserver):
         return jnp.diag(jnp.broadcast_to(variances, like.shape).astype(like.dtype))
 
     def _without(self, y: Array, outlying: Bool[Array, "n"]) -> Array:
-        """The measurement with NaN in refused entries, or in all entries of one that is not in coordinates."""
+        """The measurement with NaN in refused entries; on a group, in all entries if one is refused."""
         return jnp.where(outlying if self.model.manifold.commuting else jnp.any(outlying), jnp.nan, y)
 
     def _holds_velocity(self, state: GatedState) -> bool:
@@ -218,11 +218,11 @@ class Gated(AbstractObserver):
             return restarted
         v = verdict.velocity.mean
         credible = jnp.all(jnp.abs(v) <= CREDIBLE * self.speed)
-        # A force that the observer has learnt acts on.
+        # A force that the observer has learnt continues to act.
         learnt = {"force": state.inner.force} if "force" in state.inner._fields else {}
         return restarted._replace(inner=restarted.inner._replace(v=jnp.where(credible, v, 0.0), **learnt))
 
 
 def without_last_input(state: Any) -> Any:
-    """State of the inner observer without a field for the last input: it gets valid inputs only."""
+    """State of the inner observer without a field for the last input, since it receives only valid inputs."""
     return state._replace(last_input=None) if "last_input" in state._fields else state

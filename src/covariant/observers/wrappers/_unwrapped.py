@@ -1,4 +1,4 @@
-"""Readings that repeat after a period, as of an encoder of a single turn behind a gear."""
+"""Unwraps readings that repeat after a period, such as those of a single-turn encoder behind a gear."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,11 +13,11 @@ from scalargraph.errors import InputError
 
 
 class Unwrapped(AbstractWrapper):
-    """An observer of coordinates whose readings repeat after a period: the one nearest to the prediction counts.
+    """An observer of coordinates whose readings repeat after a period: the value nearest to the prediction is used.
 
-    Use it for an encoder that starts anew where the coordinate goes on, as on a motor behind a gear. Angles on a full
-    circle need none, since every observer takes the short way around. The prediction must be less than half a period
-    off, also after a hole in the readings. The first reading is taken as it is.
+    Use it for an encoder whose reading starts again while the coordinate continues, as on a motor behind a gear. Angles
+    on a full circle do not need it, since every observer takes the short way around. The prediction error must be less
+    than half a period, also after a gap in the readings. The first reading is used unchanged.
 
     Args:
         observer: Observer to which the readings are passed.
@@ -60,7 +60,7 @@ class Unwrapped(AbstractWrapper):
         return self.observer.innovation(state, u, self._nearest(state, y))
 
     def _nearest(self, state: Any, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
-        """The measurement whose coordinates are the values nearest to the estimate of those that read the same."""
+        """The measurement in which each coordinate is shifted by whole periods to the value nearest to the estimate."""
         q = self.observer.estimate(state)[: len(self.period)]
         moved = [y[i] + p * jnp.round((q[i] - y[i]) / p) if p else y[i] for i, p in enumerate(self.period)]
         return jnp.concatenate([jnp.stack(moved), y[len(self.period) :]])

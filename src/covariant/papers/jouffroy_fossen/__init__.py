@@ -1,4 +1,4 @@
-"""Jouffroy & Fossen 2004, reproduced: the ship, counter-examples to the print, ODIN with output feedback, Theorem 3."""
+"""Reproduces Jouffroy & Fossen 2004: the ship, counter-examples to the print, ODIN with output feedback, Theorem 3."""
 
 import lazy_loader
 

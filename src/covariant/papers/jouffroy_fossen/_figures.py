@@ -1,4 +1,4 @@
-"""Figures of the reproduction of Jouffroy & Fossen 2004."""
+"""Draws the figures of the reproduction of Jouffroy & Fossen 2004."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from covariant.papers.jouffroy_fossen._sea import GAPS, SETTLED, Sea, sea, sea_e
 
 
 def draw(path: Path) -> tuple[Path, Path]:
-    """Draw ODIN under output feedback with either K2, and with the suffix `_sea` three estimators of a ship's velocity.
+    """Draw ODIN under output feedback with both K2 and, with the suffix `_sea`, three estimators of a ship's velocity.
 
     Args:
         path: File of the first figure.
@@ -21,7 +21,7 @@ def draw(path: Path) -> tuple[Path, Path]:
 
 
 def draw_odin(repaired: Loop, path: Path) -> Path:
-    """Draw the errors of ODIN's observer and of its tracking, with K2 as repaired and as printed.
+    """Draw the errors of ODIN's observer and of its tracking, with K2 repaired and as printed.
 
     Args:
         repaired: The closed loop with the repaired K2, as from `odin_loop`.

@@ -1,4 +1,4 @@
-"""ODIN under output feedback, section IV of Jouffroy & Fossen 2004: controller, observer, closed loop, and proof."""
+"""Reproduces ODIN under output feedback, section IV of Jouffroy & Fossen 2004: controller, observer, loop and proof."""
 
 import functools
 from typing import NamedTuple
@@ -119,7 +119,7 @@ def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop
     return Loop(np.asarray(t), tracking, observer)
 
 
-@functools.cache  # the same objects for the same numbers, so that compiled programs are reused
+@functools.cache  # the same object for equal arguments, so that compiled programs are reused
 def _parts(k2: tuple[tuple[float, ...], ...]) -> tuple[Backstepping, Contracting]:
     return odin_controller(), odin_observer(np.array(k2))
 
@@ -127,7 +127,7 @@ def _parts(k2: tuple[tuple[float, ...], ...]) -> tuple[Backstepping, Contracting
 def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: float = 0.5, spin: float = 0.3) -> Box:
     """Box of the observer's virtual system.
 
-    Position and yaw have no effect, and are fixed at zero; so are the input and the estimated position.
+    Position and yaw have no effect and are fixed at zero; so are the input and the estimated position.
 
     Args:
         pitch: Bound of the pitch [rad].
@@ -151,8 +151,8 @@ def odin_box(pitch: float = 0.7, roll: float = 0.7, rate: float = 0.2, speed: fl
 def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_000) -> Corners:
     """Prove that the repaired observer contracts, in the metric with the cross term.
 
-    Translation and rotation are independent blocks, proved separately. Velocities enter only through the slope 2|ν| of
-    the drag, so it suffices to consider velocities that are not negative; there the drag is a square, with a linear
+    Translation and rotation are independent blocks, which are proved separately. Velocities enter only through the
+    slope 2|ν| of the drag. So it suffices to consider velocities ≥ 0, for which the drag is a square with a linear
     slope.
 
     Args:
@@ -180,7 +180,7 @@ def odin_certificate(rate: float, domain: Box | None = None, boxes: int = 200_00
 
 
 def odin_sampled_rate(k2: np.ndarray = K2, cross: np.ndarray = CROSS, domain: Box | None = None) -> float:
-    """Least rate [1/s] in samples of the set; for K2 = I without a cross term it is at most 0 for any drag.
+    """Least rate [1/s] over samples of the set; for K2 = I without a cross term it is at most 0 for any drag.
 
     Args:
         k2: Gain K2 (6, 6) of the observer, by default the repaired one.
@@ -223,7 +223,7 @@ def tail_rate(t: np.ndarray, error: np.ndarray, floor: float = 1e-7) -> float:
     Returns:
         The rate [1/s].
     """
-    # `argmax` is 0 where the error never reaches the floor.
+    # `argmax` is 0 if the error never reaches the floor.
     end = int(np.argmax(error < floor)) or len(t)
     later = slice(end // 2, end)
     return -float(np.polyfit(t[later], np.log(error[later]), 1)[0])

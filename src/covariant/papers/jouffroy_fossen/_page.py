@@ -1,4 +1,4 @@
-"""Text and tables of the reproduction of Jouffroy & Fossen 2004."""
+"""Writes the text and tables of the reproduction of Jouffroy & Fossen 2004."""
 
 import math
 from pathlib import Path
@@ -52,7 +52,7 @@ def sea_rows(table: dict[str, dict[str, float]]) -> list[dict[str, str]]:
     """Rows of the table that compares the estimators at sea.
 
     Args:
-        table: As from `sea_table`, with the `cost` of a sample [µs] of each estimator.
+        table: As from `sea_table`, with each estimator's `cost` of a sample [µs].
 
     Returns:
         One row for each estimator.

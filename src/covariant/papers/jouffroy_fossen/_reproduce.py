@@ -1,4 +1,4 @@
-"""All numbers of the reproduction of Jouffroy & Fossen 2004, computed in stages."""
+"""Computes all numbers of the reproduction of Jouffroy & Fossen 2004, in stages."""
 
 import math
 import time
@@ -28,7 +28,7 @@ STAGES = 9
 
 
 def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str, Any]:
-    """Compute all numbers of the paper that are reproduced.
+    """Compute all reproduced numbers of the paper.
 
     Args:
         progress: Called with the name of each of `STAGES` stages.
@@ -75,7 +75,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     turning = somersault()
     results["somersault"] = {
         "largest_pitch": math.degrees(float(np.abs(turning["pitch"]).max())),
-        # Rising edges of "past 80°": each passage counts once.
+        # Rising edges of "past 80°" are counted, so each passage counts once.
         "times_past_80_degrees": int((np.diff((np.abs(turning["pitch"]) > math.radians(80.0)).astype(int)) == 1).sum()),
         "error_first": float(turning["error"][0]),
         "error_last": float(turning["error"][-1]),

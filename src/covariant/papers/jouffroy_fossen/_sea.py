@@ -1,4 +1,4 @@
-"""Dynamic positioning: a supply vessel in waves, and three estimators of its velocity compared on one log."""
+"""Simulates dynamic positioning of a supply vessel in waves, and compares three estimators of its velocity."""
 
 import functools
 import math
@@ -23,10 +23,10 @@ class Sea(NamedTuple):
     """A log of dynamic positioning: north, east and heading with noise, gaps and wave motion, and the truth.
 
     Attributes:
-        record: Commanded force (T, 3) [N, N m], measurement (T, 3) [m, rad] with NaN where there is none, and true
+        record: Commanded force (T, 3) [N, N m], measurement (T, 3) [m, rad] with NaN if it is missing, and true
             state.
         station: Model of the ship and its disturbances.
-        observers: Estimators that are compared, by their key in the results.
+        observers: The estimators that are compared, by their key in the results.
 
     Example:
         >>> import numpy as np
@@ -64,13 +64,13 @@ def sea(seed: int = 0) -> Sea:
     station = _station()
     random = np.random.default_rng(seed)
     t = np.arange(round(DURATION / STEP) + 1) * STEP
-    # A first-order process of time constant T has the variance q T/2, so that q = 2σ²/T; below as a density.
+    # A first-order process with time constant T has the variance q T/2, hence the density q = 2σ²/T.
     slow = np.array([3e4, 3e4, 1e6]) / math.sqrt(1000.0 / 2)  # N/√s and N m/√s: 30 kN and 1 MN m in the long run
     # White noise of density 1 that is constant over a step has the variance 1/step.
     noise = random.normal(size=(len(t), 6)) / math.sqrt(STEP) * np.concatenate([np.ones(3), slow])
     x, tau, y = (np.asarray(a) for a in _station_keeping(station, jnp.asarray(t), jnp.asarray(noise)))
     y = y + random.normal(size=y.shape) * np.array([GNSS, GNSS, COMPASS])
-    # GNSS has one sample a second, the compass one a step.
+    # GNSS has one sample per second, the compass one per step.
     missing = np.arange(len(t)) % round(1 / STEP) != 0
     for begin, end in GAPS:
         missing |= (t >= begin) & (t < end)
@@ -83,7 +83,7 @@ def sea(seed: int = 0) -> Sea:
     return Sea(Record(t, tau, y, x), station, observers)
 
 
-@functools.cache  # one object, so that compiled programs are reused
+@functools.cache  # the same object at each call, so that compiled programs are reused
 def _station() -> marine.Station:
     waves = marine.Waves((0.8, 0.8, 0.8), (0.1, 0.1, 0.1), (0.8, 0.8, math.radians(1.0)))
     return marine.Station(marine.supply_vessel(), waves, bias_time=1000.0)
@@ -113,12 +113,12 @@ def _station_keeping(station: marine.Station, t: Array, noise: Array):
 
 
 def passive_observer(station: marine.Station) -> PassiveShip:
-    """The passive observer as tuned for the log."""
+    """The passive observer, tuned for this log."""
     return PassiveShip(station, notch_gains(station, (0.1, 0.1, 0.2)), memory=2.0)
 
 
 def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
-    """Extended Kalman filter with the spectral densities of all noises of the log.
+    """Extended Kalman filter with the spectral densities of all noise sources of the log.
 
     Args:
         station: Model of the ship and its disturbances.
@@ -144,7 +144,7 @@ def sea_filter(station: marine.Station, y0: np.ndarray) -> InformationEKF:
         Equation(process_cov=jnp.diag(jnp.asarray(q)), measurement_cov=jnp.asarray(density)),
         start,
         jnp.diag(1 / jnp.asarray(variances)),
-        substeps=5,  # its information matrix changes fast with the waves; with a single step it is wrong by half
+        substeps=5,  # the waves change its information matrix fast; with a single step it would be wrong by half
     )
 
 
@@ -162,7 +162,7 @@ def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
     passive, kalman, filtered = (np.asarray(run(o, record).estimate) for o in log.observers.values())
     derived = filtered[:, 3:]
     heading = np.asarray(record.x)[:, 2]
-    # R(ψ)ᵀ turns velocities over ground into the frame of the ship, in which the others estimate.
+    # R(ψ)ᵀ converts velocities over ground to the frame of the ship, in which the other estimators work.
     turned = np.stack(
         [
             np.cos(heading) * derived[:, 0] + np.sin(heading) * derived[:, 1],
@@ -176,7 +176,7 @@ def sea_errors(log: Sea) -> dict[str, Float[np.ndarray, "T 3"]]:
 
 
 def sea_cost(log: Sea, samples: int = 1000) -> dict[str, float]:
-    """Time for each sample in the compiled loop on this machine, over the first samples of the log.
+    """Time per sample in the compiled loop on this machine, over the first samples of the log.
 
     Args:
         log: As from `sea`.

@@ -1,4 +1,4 @@
-"""Example 2 of Jouffroy & Fossen 2004: the ship with K2 as printed and as corrected, and its rate of convergence."""
+"""Reproduces example 2 of Jouffroy & Fossen 2004: the ship with K2 as printed and as corrected, and its convergence."""
 
 import functools
 from typing import Any
@@ -57,13 +57,13 @@ def ship_decay(duration: float = 600.0) -> dict[str, Any]:
     p1, p2 = np.asarray(gains.stiffness), np.asarray(gains.inertia)
     value = np.einsum("ti,ij,tj->t", error[:, :3], p1, error[:, :3]) / 2
     value = value + np.einsum("ti,ij,tj->t", error[:, 3:], p2, error[:, 3:]) / 2
-    # V is quadratic in the error, hence half its rate; the first fifth is left to the faster modes.
+    # V is quadratic in the error, hence the half; in the first fifth, faster modes still decay.
     fitted = -np.polyfit(np.asarray(t)[60:], np.log(value)[60:], 1)[0] / 2
     rates = {"rate": lyapunov_rate(station, gains), "printed": printed_rate(station, gains), "fitted": float(fitted)}
     return {"t": np.asarray(t), "lyapunov": value, **rates}
 
 
-@functools.cache  # one object, so that compiled programs are reused
+@functools.cache  # the same object at each call, so that compiled programs are reused
 def _moored_vessel() -> marine.Station:
     return marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])))
 

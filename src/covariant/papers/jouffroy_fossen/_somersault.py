@@ -1,4 +1,4 @@
-"""ODIN on SE(3), in addition to section IV of Jouffroy & Fossen 2004: there a pitch of 90° is not singular."""
+"""Simulates ODIN on SE(3), beyond section IV of Jouffroy & Fossen 2004: a pitch of 90° is not singular there."""
 
 import equinox as eqx
 import jax
@@ -24,15 +24,15 @@ def _somersault(t: Array):
 
     x, state = observe(system, observer, x0, start, t, torque, rtol=1e-9, atol=1e-12)
     error = jax.vmap(system.group.between)(x.q, state.q)
-    # −g₃₁ is the sine of the pitch of yaw, pitch and roll angles; rounding may lead it beyond ±1.
+    # −g₃₁ is the sine of the pitch in yaw-pitch-roll angles; rounding may take it beyond ±1.
     return jnp.arcsin(jnp.clip(-x.q[:, 2, 0], -1.0, 1.0)), jnp.concatenate([error, state.v - x.v], axis=1)
 
 
 def somersault(duration: float = 16.0) -> dict[str, np.ndarray]:
     """Simulate ODIN on SE(3), turned over its nose by a constant torque, with the intrinsic observer on the group.
 
-    Apart from the drag the error law is s² + 8s + 16; with s² + 2s + 1 the gains are too low for this speed, and an
-    error remains.
+    Apart from drag, the error law is s² + 8s + 16; with s² + 2s + 1 the gains are too low for this speed, and an error
+    remains.
 
     Args:
         duration: Length of the simulation [s].

@@ -1,4 +1,4 @@
-"""Theorem 2 of Jouffroy & Fossen 2004 as printed, and systems for which it is wrong."""
+"""Shows systems for which Theorem 2 of Jouffroy & Fossen 2004 is wrong as printed."""
 
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ class Scalar(NamedTuple):
 
     @property
     def printed(self) -> float:
-        """The printed Jacobian `a + bg − k` [1/s], "contracting" where it is negative."""
+        """The printed Jacobian `a + bg − k` [1/s]; if it is negative, the system is said to contract."""
         return self.a + self.b * self.g - self.k
 
     @property
@@ -68,7 +68,7 @@ class Scalar(NamedTuple):
         )
 
 
-# Printed and true rates are −9 and 1, −2.5 and 0.5, 4 and −1 [1/s]: of opposite signs in each pair.
+# The printed and the true rate have opposite signs in each pair: −9 and 1, −2.5 and 0.5, 4 and −1 [1/s].
 COUNTEREXAMPLES = {
     "called contracting, diverges": Scalar(1.0, 1.0, -10.0, 0.0),
     "called contracting, diverges slowly": Scalar(1.0, 1.0, -3.0, 0.5),

@@ -1,4 +1,4 @@
-"""Theorem 3 of Jouffroy & Fossen 2004 for ODIN: exponential stability of the controller with the observer."""
+"""Checks Theorem 3 of Jouffroy & Fossen 2004 for ODIN: exponential stability of the controller with the observer."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ def odin_cascade(
     Args:
         pitch: Bound of roll and pitch [rad].
         attempts: Number of random points at which the constants are sampled.
-        starts: Number of the worst of these from which a descent starts.
+        starts: Number of the worst of these points from which a descent starts.
         proved: Whether every constant is proved instead of sampled.
         units: Whether condition (72) is also tried in other units.
 

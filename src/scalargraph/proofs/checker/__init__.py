@@ -1,7 +1,7 @@
-"""An independent check, by Taylor models, of what branch and bound has proved in intervals.
+"""Checks independently, by Taylor models, what branch and bound has proved in intervals.
 
-To be independent it shares no bound of any operation with the prover, only the reader of jaxprs, which knows the forms
-of JAX's releases: it evaluates JAX's programs itself, and relies on IEEE `+ − × ÷ √` alone.
+The checker shares no bound of any operation with the prover, only the reader of jaxprs, which knows the forms of JAX's
+releases. It evaluates JAX's programs itself, and relies on IEEE `+ − × ÷ √` alone.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Positive definiteness of a matrix on boxes: the test of the checker, by Taylor models, with all rounding bounded."""
+"""Tests on boxes whether a matrix is positive definite: the checker's test, by Taylor models, with rounding bounded."""
 
 import itertools
 import math
@@ -13,15 +13,15 @@ from scalargraph.proofs.checker._taylor import ROUND, TINY, UndecidedError
 from scalargraph.proofs.checker._tree import SavedTree, halves
 
 CHUNK, MOST = 1024, 20_000
-"""Number of boxes evaluated at once, and largest number of further boxes waiting after halvings."""
+"""Number of boxes evaluated at once, and largest number of boxes that may be added to the list by halving."""
 TURN = 0.1
-"""Least share of the blame for open choices and remainders that each variable gets."""
+"""Weight that each variable gets in addition to its share of the blame for open choices and remainders."""
 
 
 def definite(
     matrix: np.ndarray, width: np.ndarray, kinks: np.ndarray, left: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """On which boxes a symmetric matrix is positive definite, and the variable to halve on the others.
+    """Return on which boxes a symmetric matrix is positive definite, and which variable to halve on the others.
 
     A matrix `Σ Sₘeₘ` with e₀ = 1 and all other |eₘ| ≤ 1 is positive definite if, for some C, the spectral radius of `E
     = |CᵀS₀C − I| + Σ|CᵀSₘC|` is below one, that is, if Ex < x for some positive x.
@@ -33,46 +33,46 @@ def definite(
         for m, t in itertools.chain(*(part.items() for part in entry.terms)):
             s[keys.index(m), :, i, j] = t
     with np.errstate(all="ignore"):
-        # C need not be exact, since E is computed for the C at hand; units that make the diagonal one keep it well
-        # scaled.
+        # C need not be exact, since E is computed for this very C; scaling to a unit diagonal keeps it well
+        # conditioned.
         unit = 1 / np.sqrt(np.diagonal(s[0], axis1=1, axis2=2))[:, :, None]
         scaled = unit * s[0] * unit.swapaxes(1, 2)
         values, vectors = np.linalg.eigh(np.where(np.isfinite(scaled), scaled, -np.eye(len(matrix))))
-        # C = U V |Λ|^−½ Vᵀ of the scaled middle. Many C take it to the identity; this one rotates least, and rotations
-        # add absolute values of the terms. A negative eigenvalue becomes −1: then E is large, and nothing is shown.
+        # C = U V |Λ|^−½ Vᵀ of the scaled middle. Many C turn it into the identity; this one rotates least, and
+        # rotations add absolute values of terms. A negative eigenvalue becomes −1: then E is large, nothing is shown.
         c = unit * (vectors / np.sqrt(np.maximum(abs(values), TINY))[:, None]) @ vectors.swapaxes(1, 2)
         ct = c.swapaxes(1, 2)
         turned = ct @ s @ c
         turned[0] -= np.eye(len(matrix))
-        # Outward: |Cᵀ| R |C| bounds what the radii add, and ROUND Σ|Sₘ| in it what rounding of the products CᵀSₘC
-        # adds.
+        # |Cᵀ| R |C| bounds the contribution of the radii, and the part with ROUND Σ|Sₘ| bounds the rounding of the
+        # products CᵀSₘC.
         rest = abs(ct) @ (radius + ROUND * abs(s).sum(0)) @ abs(c)
-        # ROUND covers the subtraction of the identity and the sums here: E is an upper bound.
+        # ROUND covers the subtraction of the identity and the sums here, so E is an upper bound.
         e = abs(turned).sum(0) + rest + ROUND
         x = np.ones((*e.shape[:2], 1))
         for _ in range(5):
             x = e @ x
-            # Any positive x proves the claim, so these roundings do not matter; ROUND keeps all entries positive.
+            # Any positive x proves the claim, so roundings of x do not matter; ROUND keeps all entries positive.
             x = x / x.max(1, keepdims=True) + ROUND
-        # The left side is rounded up, by more than its sums lose; NaN compares as false, so nothing follows from it.
+        # The left side is rounded up by more than the error of its sums. A comparison with NaN is false.
         good = (e @ x * (1 + ROUND) < x).all((1, 2))
 
     def by_variable(parts: Iterable[np.ndarray]) -> np.ndarray:
-        """Sums of what the terms contribute, over the terms of each variable (B, d)."""
+        """Sums of the contributions of terms, over all terms that contain each variable (B, d)."""
         named = list(zip(parts, keys, strict=True))
         return np.stack([sum((p for p, m in named if k in m), 0.0 * good) for k in range(width.shape[1])], 1)
 
-    # Sums may overflow; below, weights that are not finite are replaced.
+    # Sums may overflow; weights that are not finite are replaced below.
     with np.errstate(all="ignore"):
         weight = by_variable(abs(t).sum((1, 2)) for t in turned)
         outweighed = ~(rest.sum((1, 2)) <= weight.sum(1))[:, None]
         # Halving a variable does not reduce this blame: some box, however small, contains the kink, and entries without
-        # a bound have no size. So it counts for less the more often the variable was halved, and others get their turn.
-        # The same is done for remainders of high order, which belong to no variable.
+        # a bound have no size. Therefore the blame counts less the more often the variable was halved, so that other
+        # variables are halved too. Remainders of high order, which belong to no variable, are treated in the same way.
         blame = np.where(kinks.any(1, keepdims=True), kinks, weight)
         share = blame / np.maximum(blame.sum(1, keepdims=True), TINY)
         weight = np.where(outweighed, (share + TURN) * np.sqrt(left), weight)
-    # Where entries are not bounded at all, those variables are halved that they have terms in.
+    # If some entries have no bound at all, the variables in their terms are halved.
     unbounded = by_variable(np.asarray(1.0 * ~np.isfinite(t).all((1, 2))) for t in s) * np.sqrt(left)
     weight = np.where(np.isfinite(weight).all(1, keepdims=True), weight, unbounded)
     known = np.isfinite(weight).all(1, keepdims=True) & (weight > 0).any(1, keepdims=True)
@@ -82,13 +82,13 @@ def definite(
 def show_definite(
     matrix: TaylorEnclosure, low: np.ndarray, high: np.ndarray, depth: int, what: str, until: float = math.inf
 ) -> None:
-    """Show that `matrix + matrixᵀ` is positive definite on all boxes, which are halved where needed."""
+    """Show that `matrix + matrixᵀ` is positive definite on all boxes, which are halved if needed."""
     left, most, size = np.full(len(low), depth), len(low) + MOST, CHUNK
     whole = np.where(high > low, high - low, 1.0)
     while len(low):
         if time.monotonic() > until:
             raise TimeoutError(f"{what} is not settled yet")
-        # The last boxes first, with the halves among them: an operation on many boxes costs little more than on one.
+        # The last boxes come first, with their halves: an operation on many boxes costs little more than on one.
         (low, a), (high, b), (left, deep), (whole, first) = ((x[:-size], x[-size:]) for x in (low, high, left, whole))
         if len(low) > most or (deep < 0).any():
             k = deep.argmin()
@@ -100,7 +100,7 @@ def show_definite(
         except UndecidedError:
             good, axes = np.zeros(len(a), bool), (b - a).argmax(1)
             if len(a) > 1:
-                # A branch must be the same on all boxes of a lot: fewer boxes at once leave more of them decided.
+                # A branch must be the same on all boxes of a lot, which is likelier for fewer boxes.
                 size = len(a) // 2
                 pairs = (low, a), (high, b), (left, deep), (whole, first)
                 low, high, left, whole = (np.concatenate(pair) for pair in pairs)
@@ -124,9 +124,9 @@ def show_tree(
 ) -> None:
     """Show that `matrix + matrixᵀ` is positive definite on boxes of a saved tree, from larger ones down to its leaves.
 
-    If a box is shown, the boxes below it are not tried. The tree only says which boxes to try.
+    If a box is shown, the boxes below it are skipped. The tree only suggests which boxes to try.
     """
-    # Still larger boxes would not fill a chunk, and an operation on few boxes takes as long as one on many.
+    # Larger boxes would not fill a chunk, and an operation on few boxes takes as long as one on many.
     most = max(1, int(tree.leaves[numbers].sum()) // CHUNK)
     waiting, resisting = tree.boxes(numbers, low, high, most), []
     while most > 1 and len(waiting[0]):
@@ -137,7 +137,7 @@ def show_tree(
         try:
             enclosure = matrix(a, b)
             good = definite(enclosure + enclosure.T, b - a, matrix.kinks(), np.ones_like(a))[0]
-        except UndecidedError:  # a condition that is open here may be decided on the boxes below
+        except UndecidedError:  # a condition that is open here may be decided on smaller boxes
             good = np.zeros(len(a), bool)
         end = tree.leaves[numbers] == 1
         resisting.append((a[~good & end], b[~good & end]))
@@ -145,7 +145,7 @@ def show_tree(
         waiting = [np.concatenate(pair) for pair in zip(waiting, below, strict=True)]
         large = 2 * tree.leaves[numbers] > most
         if 3 * np.count_nonzero(good & large) < np.count_nonzero(large):
-            # Most boxes of this size fail: from here on the largest have half as many leaves.
+            # Most boxes of this size fail, so the next ones have at most half as many leaves.
             most //= 2
             waiting = tree.boxes(*waiting, most)
     low, high = (np.concatenate(parts) for parts in zip(waiting[1:], *resisting, strict=True))

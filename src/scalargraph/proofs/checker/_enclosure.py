@@ -1,4 +1,4 @@
-"""Enclosures of JAX functions over boxes by Taylor models: evaluates a jaxpr entry by entry, for arrays of boxes."""
+"""Encloses JAX functions over boxes by Taylor models: evaluates a jaxpr entry by entry, for arrays of boxes."""
 
 import functools
 import itertools
@@ -28,7 +28,7 @@ from scalargraph.proofs.checker._taylor import ROUND, Taylor, UndecidedError, cu
 
 
 def _refuse_shorter_types(eqn: JaxprEquation) -> None:
-    """Refuse results of a shorter type than the arguments, which are no function of real numbers."""
+    """Refuse results of a shorter type than the arguments, since rounding is not a function of real numbers."""
     if eqn.name == "reduce_precision":
         raise InputError("the model makes numbers shorter, by 'reduce_precision'")
     old, new = ([atom.aval.dtype for atom in atoms if is_real(atom)] for atoms in (eqn.invars, eqn.outvars))
@@ -60,10 +60,10 @@ class TaylorEnclosure:
         function: The function, from an array (d,) to an array.
         low: Lower corner (d,) of a box that contains all others; variables of zero width are fixed.
         high: Upper corner (d,).
-        slack: How far beyond its box z may be (d,).
-        watch: "" for the function itself. "defined" or "smooth" for a matrix (1, 1) instead, which is 1 on boxes where
-            everything that the function computes is defined, or defined without jumps, and not positive on others.
-            There its terms tell which variables widen the first number that is in question.
+        slack: By how much z may lie outside its box (d,).
+        watch: "" for the function itself. "defined" or "smooth" gives a matrix (1, 1) instead. It is 1 on boxes where
+            everything that the function computes is defined, or defined without jumps, and not positive on others;
+            there its terms show which variables widen the first number that is in doubt.
 
     Example:
         >>> import jax.numpy as jnp, numpy as np
@@ -92,7 +92,7 @@ class TaylorEnclosure:
         """The function over boxes."""
         forget()
         middle = low / 2 + high / 2
-        # Outward: the middle is rounded, so the larger side counts, rounded up; then |ε| ≤ 1 covers the whole box.
+        # The middle is rounded, so the larger side, rounded up, is the half width; then |ε| ≤ 1 covers the whole box.
         half = np.maximum(high - middle, middle - low) * (1 + ROUND)
         z = np.array([Taylor([{(): c}, {}, {}], slack) for c, slack in zip(middle.T, self.slack, strict=True)], object)
         for k in np.flatnonzero(self.free):
@@ -106,7 +106,7 @@ class TaylorEnclosure:
             return result if self.needs is None else np.array([[self._watched()]], object)
 
     def kinks(self) -> np.ndarray:
-        """How much each variable widens the differences that keep choices open on the last B boxes (B, d)."""
+        """How much each variable widens the differences that leave choices open on the last B boxes (B, d)."""
         result = np.zeros(self._blame.shape)
         for gap, is_open in open_choices:
             for part in gap.terms[1:]:
@@ -116,16 +116,16 @@ class TaylorEnclosure:
         return result.T
 
     def _watched(self) -> Taylor:
-        """1 on good boxes; on others 1 ± 2, by the variables to blame, or −1 where there are none."""
+        """1 on good boxes; on others 1 ± 2, split among the variables to blame, or −1 if there are none."""
         free = np.flatnonzero(self.free).tolist()
         shares = 2 * self._blame / np.where(self._good, 1.0, self._blame[free].sum(0)) * ~self._good
-        attributed = self._good | (shares[free].sum(0) > 1.5)  # False where sums overflow or nothing is to blame
+        attributed = self._good | (shares[free].sum(0) > 1.5)  # False if sums overflow or no variable is to blame
         return Taylor(
             [{(): np.where(attributed, 1.0, -1.0)}, {(k,): np.where(attributed, shares[k], 0.0) for k in free}, {}], 0.0
         )
 
     def _judge(self, holds: Any, *entries: Taylor) -> None:
-        """Record boxes on which a condition on some numbers does not hold, and what widens those of the first."""
+        """Record boxes on which a condition first fails, and how much each variable widens its numbers there."""
         lost = self._good & ~np.asarray(holds)
         if not lost.any():
             return
@@ -169,7 +169,7 @@ class TaylorEnclosure:
         if name == "integer_pow" and eqn.params["y"] < 0:
             need = nonzero
         if name == "convert_element_type" and "select_n" in (self.needs or {}) and not is_real(eqn.invars[0]):
-            need = settled  # a truth as a number is a choice between 0 and 1
+            need = settled  # a truth value as a number is a choice between 0 and 1
         if eqn.form is not None:  # the equations inside it are examined instead
             return
         for a, atom in zip(x, eqn.invars, strict=True):
@@ -209,7 +209,7 @@ class TaylorEnclosure:
             starts = itertools.accumulate((a.size * real for a, real in pairs), initial=0)
             places = [np.arange(k, k + a.size).reshape(a.shape) for k, a in zip(starts, x, strict=False)]
             operands = [jnp.asarray(k if real else a) for k, (a, real) in zip(places, pairs, strict=True)]
-            # JAX moves the numbers of the entries, integers that are exact in a double; the entries follow them.
+            # JAX moves the indices of the entries, integers that are exact in a double; the entries follow them.
             with jax.ensure_compile_time_eval():
                 out = eqn.primitive.bind(*operands, **eqn.params)
             self._places[key] = [np.asarray(o) for o in (out if eqn.primitive.multiple_results else [out])]

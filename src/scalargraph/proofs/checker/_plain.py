@@ -1,6 +1,6 @@
-"""The derivatives of the checker: JAX differentiates a function after its custom derivative rules are removed.
+"""Computes the checker's derivatives: JAX differentiates a function after its custom derivative rules are removed.
 
-The prover differentiates a graph, by `scalargraph`, so that an error in one of the two ways is detected.
+The prover differentiates a graph instead, by `scalargraph`, so that an error in one of the two methods is detected.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from scalargraph.proofs.checker._primitives import is_real, unrolled
 def plain(function: Callable) -> Callable:
     """The function without custom derivative rules and without `stop_gradient`, for JAX to differentiate.
 
-    In it |x|, min and max are choices, whose derivatives at a kink are those of both sides.
+    In it |x|, min and max are written as choices, so that at a kink both one-sided derivatives are considered.
     """
 
     def inlined(*x: Any) -> Any:
@@ -50,7 +50,7 @@ def along(function: Callable[[Any], Any], x: Any, direction: Any) -> tuple[Any, 
 
 
 CHOICES: dict[str, Callable] = {
-    # JAX has one derivative at a kink; a choice is open there for Taylor models, which then take the hull of both
+    # JAX has one derivative at a kink. A choice is open there for Taylor models, which then take the hull of both
     # sides.
     "abs": lambda a: jnp.where(a < 0, -a, a),
     "max": lambda a, b: jnp.where(a < b, b, a),

@@ -1,4 +1,4 @@
-"""JAX's primitives on arrays of Taylor models, and the conditions under which each is defined and does not jump."""
+"""Applies JAX's primitives to arrays of Taylor models, and tests whether each is defined and does not jump."""
 
 import functools
 import math
@@ -41,7 +41,7 @@ ENTRIES: dict[str, Callable] = {
     "rsqrt": lambda a: curve("inv", curve("sqrt", a)),
     "cos": lambda a: curve("sin", a + RIGHT),
     "tan": lambda a: curve("sin", a) / curve("sin", a + RIGHT),
-    # 1 − 2/(e²ᵃ + 1): one occurrence of a, so that its range is not widened as in a quotient of two exponentials.
+    # 1 − 2/(e²ᵃ + 1) contains a only once; a quotient of two exponentials would have a wider range.
     "tanh": lambda a: ONE - ONE / (HALF * (curve("exp", a + a) + ONE)),
     "logistic": lambda a: ONE / (ONE + curve("exp", -a)),
     "atan2": lambda y, x: (half := curve("atan", y / (x + curve("sqrt", x * x + y * y)))) + half,
@@ -64,22 +64,22 @@ ENTRIES: dict[str, Callable] = {
     "min": lambda a, b: choose(less(a, b), a, b),
     "clamp": lambda low, a, high: ENTRIES["min"](ENTRIES["max"](a, low), high),
     "abs": lambda a: choose(less(a, ZERO), -a, a),
-    # At zero the hull [−1, 1] holds both values and 0.
+    # At zero the hull [−1, 1] contains both values and 0.
     "sign": lambda a: choose(less(a, ZERO), -ONE, ONE),
-    # It differs from rounding to even half-way between integers alone: a jump, of which `_contains_no_integer`
-    # shows nothing.
+    # It differs from rounding to even only half-way between integers. This is a jump, for which
+    # `_contains_no_integer` is false.
     "round": lambda a: floor(a + HALF),
     "floor": floor,
     "is_finite": finite,
 }
 
 
-# Conditions under which a primitive is defined, and under which it does not jump.
+# Conditions under which a primitive is defined, and conditions under which it does not jump.
 
 
 def nonzero(a: Taylor) -> Any:
-    """Whether a number differs from zero on all of each box (B,)."""
-    # `away` is rounded up, so a strict comparison shows that zero lies outside the range; NaN shows nothing.
+    """Whether a number differs from zero on the whole of each box (B,)."""
+    # `away` is rounded up, so a strict comparison proves that zero lies outside the range; NaN compares as false.
     return abs(a.middle) > a.away
 
 
@@ -96,7 +96,7 @@ def _contains_no_integer(a: Taylor) -> Any:
 
 
 def settled(which: Any, *cases: Taylor) -> Any:
-    """Whether a truth is known, or the choice between two numbers that it makes does not jump."""
+    """Whether a truth value is known, or the choice by it between two numbers does not jump."""
     if isinstance(which, bool | np.bool_) or (len(cases) == 2 and continuous(which, *cases)):
         return True
     return abs(which.middle - 0.5) > which.away
@@ -117,7 +117,7 @@ STAYS: dict[str, Callable] = {
     "round": lambda a: _contains_no_integer(a + HALF),
     "select_n": settled,
 }
-"""Conditions under which each primitive is defined, and under which it does not jump; all others always are."""
+"""Conditions under which each primitive is defined, and does not jump; primitives without an entry need none."""
 
 
 # Operations on arrays of Taylor models.
@@ -164,7 +164,7 @@ def _broadcast(p: dict, x: np.ndarray) -> np.ndarray:
 
 
 def _scatter_add(p: dict, x: np.ndarray, indices: np.ndarray, updates: np.ndarray) -> np.ndarray:
-    """Entries of `updates` added to those of x at known places, to each place at most one."""
+    """x with entries of `updates` added at known places, at most one to each place."""
 
     def placed(numbers: np.ndarray) -> np.ndarray:
         with jax.ensure_compile_time_eval():
@@ -219,7 +219,7 @@ def unrolled(scan: Scan, x: list, run: Callable[[ClosedJaxpr, list], list], stac
     """The results of a scan, one turn after the other."""
     first, last = scan.fixed, scan.fixed + scan.carried
     carry, rows = x[first:last], []
-    # A reversed scan runs from the last row; its stacked results are in the order of the rows again.
+    # A reversed scan starts from the last row; its stacked results are in the order of the rows.
     order = range(scan.length)[:: -1 if scan.reverse else 1]
     for i in order:
         results = run(scan.body, [*x[:first], *carry, *(a[i] for a in x[last:])])

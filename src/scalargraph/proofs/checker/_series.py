@@ -1,4 +1,4 @@
-"""Taylor coefficients of a JAX function of one number, for bounds of remainders: by recurrences over its jaxpr."""
+"""Computes Taylor coefficients of a JAX function of one number, by recurrences on its jaxpr, to bound remainders."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -60,7 +60,7 @@ def _expand_body(body: ClosedJaxpr, arguments: Sequence) -> list:
 
 def _apply_primitive(eqn: Any, x: list, count: int) -> list[Coefficients]:
     """The coefficients of the results of a primitive."""
-    # Comparisons that depend on the number are refused, so that a choice is the same for all numbers.
+    # Comparisons that depend on the number are refused, so that every choice is the same for all numbers.
     if eqn.name in LINEAR:
         whole = [
             _all(a, count) if isinstance(a, list) or jnp.issubdtype(jnp.result_type(a), jnp.floating) else [a] * count
@@ -96,7 +96,7 @@ def _quotient(a: Coefficients, b: Coefficients) -> Coefficients:
 
 
 def _integral(start: Array, u: Coefficients, slope: Coefficients) -> Coefficients:
-    """The series of y(u), from its value and the series of dy/du, of one order less."""
+    """The series of y(u), from its first value and the series of dy/du, which is one order shorter."""
     higher = [_sum([j * u[j] * slope[k - j] for j in range(1, k + 1)]) / k for k in range(1, len(u))]
     return [start, *higher]
 
@@ -117,7 +117,7 @@ def _exponential(u: Coefficients) -> Coefficients:
 
 
 def _circle(u: Coefficients) -> tuple[Coefficients, Coefficients]:
-    """Sine and cosine."""
+    """The series of sine and cosine."""
     s, c = [jnp.sin(u[0])], [jnp.cos(u[0])]
     for k in range(1, len(u)):
         s.append(_sum([j * u[j] * c[k - j] for j in range(1, k + 1)]) / k)
@@ -131,7 +131,7 @@ def _one_plus_square(u: Coefficients) -> Coefficients:
 
 
 def _stumpff(k: int, u: Coefficients) -> Coefficients:
-    """By c_k' = (k c_(k+2) − c_(k+1))/2, one order less at each turn."""
+    """The series of c_k by c_k' = (k c_(k+2) − c_(k+1))/2, one order shorter in each recursion."""
     if len(u) == 1:
         return [stumpff(k, u[0])]
     first, second = (_stumpff(k + i, u[:-1]) for i in (1, 2))

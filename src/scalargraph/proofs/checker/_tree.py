@@ -1,4 +1,4 @@
-"""A saved tree of boxes, as the checker reads it: which boxes it has, and into which halves each is divided."""
+"""Reads a saved tree of boxes for the checker: the boxes it contains, and the halves into which each is divided."""
 
 import string
 from collections.abc import Sequence
@@ -9,15 +9,15 @@ import numpy as np
 from scalargraph.errors import InputError
 
 Boxes = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Numbers (m,) of boxes in a tree, with their lower and upper corners (m, d)."""
+"""Indices (m,) of boxes in a tree, with their lower and upper corners (m, d)."""
 
 
 def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both halves of boxes, lower before upper, along one axis each. Both include the middle, so that
+    """Both halves of boxes, the lower one first, along one axis for each box. Both include the middle, so that
     no point is lost.
     """
     rows = np.arange(len(low))
-    # Rounded, but the same number in both halves, so that together they still cover the box.
+    # The middle is rounded, but it is the same number in both halves, so that they still cover the box.
     middle = low[rows, axes] / 2 + high[rows, axes] / 2
     low, high = np.repeat(low, 2, 0), np.repeat(high, 2, 0)
     high[2 * rows, axes] = low[2 * rows + 1, axes] = middle
@@ -25,11 +25,11 @@ def halves(low: np.ndarray, high: np.ndarray, axes: np.ndarray) -> tuple[np.ndar
 
 
 class SavedTree(NamedTuple):
-    """The boxes of a saved tree, level by level: number 0 is the whole box.
+    """The boxes of a saved tree, level by level; box number 0 is the whole box.
 
     Attributes:
         axes: Variable across which each box is halved (N,); −1 for a leaf.
-        child: Number of the lower half of each box (N,); the upper half is the next one. Without meaning for a leaf.
+        child: Number of the lower half of each box (N,); the upper half is the next one. It has no meaning for a leaf.
         leaves: Number of leaves in each box (N,).
 
     Example:
@@ -48,7 +48,7 @@ class SavedTree(NamedTuple):
 
     @classmethod
     def read(cls, variables: int, levels: Sequence[str], what: str) -> "SavedTree":
-        """Read a tree over a number of variables, with the arguments of `leaves`."""
+        """Read a tree of boxes with this number of variables; `levels` and `what` as for `leaves`."""
         codes = np.full(256, -2)
         codes[[ord(letter) for letter in string.ascii_letters[:variables]]] = np.arange(variables)
         codes[ord(".")] = -1
@@ -101,7 +101,7 @@ def leaves(low: np.ndarray, high: np.ndarray, levels: Sequence[str], what: str) 
         Lower and upper corners (m, d) of the m leaves.
 
     Raises:
-        ValueError: The tree does not cover the box, or has another character, such as that of an open leaf.
+        ValueError: The tree does not cover the box, or has an invalid character, such as the mark of an open leaf.
 
     Example:
         >>> import numpy as np
