@@ -131,8 +131,6 @@ class Entry(NamedTuple):
         promises: Laws that the tests check in addition to those of every observer. "error law": to first order the
             error in a parallel frame obeys `ξ' = ζ − αξ`, `ζ' = −βξ` on every model that it fits; "coordinate-free":
             the estimate is the same in all coordinates, up to the accuracy of its geodesics. None by default.
-        has_gate: Whether it has a gate based on its covariance; other observers are wrapped in a `Gated`. False by
-            default.
 
     Example:
         >>> from covariant import models, observers
@@ -156,7 +154,6 @@ class Entry(NamedTuple):
     source: str
     fits: Callable[[Any], bool] = mechanical
     promises: tuple[Literal["error law", "coordinate-free"], ...] = ()
-    has_gate: bool = False
 
     def construct(self, model: Any, *numbers: Any) -> AbstractObserver:
         """The observer for a model; if the model has feet, wrapped in `Contacts`.
@@ -170,6 +167,11 @@ class Entry(NamedTuple):
         """
         observer = self.make(model, *numbers)
         return Contacts(observer) if self.knows_model and getattr(model, "feet", None) is not None else observer
+
+    @property
+    def has_gate(self) -> bool:
+        """Whether it has a gate of its own, based on its covariance; other observers are wrapped in a `Gated`."""
+        return "gate" in self.observer.__dataclass_fields__
 
     @property
     def knows_model(self) -> bool:
@@ -244,7 +246,6 @@ REGISTRY = (
         about="error and covariance in the parallel frame, with reset and gate; the same in all coordinates",
         when="known noise, large initial errors, gaps and outliers: the most accurate",
         source="Ge, van Goor & Mahony 2025, extended to second-order systems",
-        has_gate=True,
     ),
     Entry(
         name="ekf",
@@ -255,7 +256,6 @@ REGISTRY = (
         when="known noise, large initial uncertainty",
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
         fits=without_contacts,
-        has_gate=True,
     ),
     Entry(
         name="ukf",
@@ -266,7 +266,6 @@ REGISTRY = (
         when="known noise, strong nonlinearity between few samples",
         source="Julier & Uhlmann 2004; Brossard, Barrau & Bonnabel 2020",
         fits=without_contacts,
-        has_gate=True,
     ),
     Entry(
         name="filtered-derivative",
@@ -326,7 +325,6 @@ REGISTRY = (
         about="Kalman filter of every joint by itself, its acceleration coloured noise; knows no model",
         when="there is no model, but an idea of the motion: the best linear filter for it",
         source="Singer 1970; Bar-Shalom, Li & Kirubarajan 2001",
-        has_gate=True,
         fits=coordinates,
     ),
     Entry(
@@ -378,7 +376,6 @@ REGISTRY = (
         when="the velocity of a robot on legs, without flags of contact, masses or torques",
         source="Hartley, Ghaffari, Eustice & Grizzle 2020, in the axes of the base",
         fits=on_legs,
-        has_gate=True,
     ),
 )
 """The observers that the verbs know by name, with what each needs and when to choose it.
