@@ -6,7 +6,9 @@ negative curvature, which drives neighbouring motions apart. The intrinsic obser
 the gains ask for, with the double pole −0.7071 1/s. Without its curvature term it is no better than the model with
 output injection (the copy observer), and neither ever arrives.
 
-Scenario: Aghannan & Rouchon 2003, figure 4, without noise.
+Scenario: Aghannan & Rouchon 2003, figure 4, without noise. A second figure, `01_ball_and_beam_basin.png`, shows from
+which first errors three observers converge, for gains α = 2ω, β = ω²: below ω = 0.6 1/s the exact observer, with
+geodesics, may lock to a motion several metres off, where the one to first order in the error converges.
 
 Figure: after 30 s the error of the intrinsic observer is 7e-8, as the double pole of the theory asks; without the
 curvature term it is 56, for the copy 10.
@@ -20,6 +22,7 @@ import numpy as np
 
 from covariant.models import ball_and_beam
 from covariant.observers import Intrinsic, ModelCopy
+from covariant.papers import aghannan_rouchon as paper
 from covariant.report import PALETTE, new_figure, save_figure
 from covariant.simulation import observe
 
@@ -28,7 +31,7 @@ FIGURE = Path(__file__).parent / "out" / "01_ball_and_beam.png"
 COLORS = {
     "intrinsic": PALETTE.covariant,
     "intrinsic, curvature left out": PALETTE.sky,
-    "copy": PALETTE.purple,
+    "copy": PALETTE.amber,
 }
 
 alpha, beta = 2**0.5, 0.5  # double pole at −√½
@@ -80,3 +83,42 @@ velocity.legend(loc="upper right")
 error.legend(loc="upper left")
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)
+
+omegas = (2.0, 1.6, 1.2, 1.0, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3)
+scales = np.arange(1, 16) / 10
+low = 0.5
+figure, axes = new_figure(
+    1, 2, panel=(4.5, 3.6), titles=(f"Error at low gains, ω = {low} 1/s", "Initial errors that vanish"), sharex=False
+)
+error, basin = axes[0]
+t = np.linspace(0.0, 80.0, 81)
+for name, mark in (("exact", "o"), ("approximate", "s"), ("copy", "^")):
+    look = {"color": getattr(PALETTE, paper.COLORS[name]), "label": paper.LABELS[name]}
+    largest = []
+    for omega in omegas:
+        observer = paper.figure4_observers(2 * omega, omega**2)[name]
+        runs = paper.figure4_batch(observer, t, [(False, scale, 1e-6) for scale in scales])
+        vanishes = np.array([run.error[-1] < 0.01 for run in runs])
+        # Up to this one all of them vanish. Beyond, the basin may have islands.
+        count = int(np.argmin([*vanishes, False]))
+        largest.append(count / 10)
+        islands = scales[count:][vanishes[count:]]
+        basin.plot(np.full(len(islands), omega), islands, mark, markerfacecolor="none", color=look["color"])
+        print(
+            f"{name}, ω = {omega} 1/s: errors up to {largest[-1]} times that of figure 4 vanish", *islands, flush=True
+        )
+        if omega == low:
+            off = runs[9].error
+            error.semilogy(t, np.where(np.isfinite(off), off, np.nan), f"{mark}-", markevery=10, **look)
+    basin.plot(omegas, largest, f"{mark}-", color=look["color"])
+basin.plot([], [], "s", markerfacecolor="none", color=PALETTE.text, label="but a smaller one does not")
+for scale, text in ((1.0, "figure 4"), (scales[-1], "largest tried")):
+    basin.axhline(scale, linestyle=":", color=PALETTE.text)
+    basin.annotate(text, (2.0, scale + 0.01), ha="right", va="bottom", color=PALETTE.text)
+error.set(ylim=(1e-9, 1e5), xlabel="t [s]", ylabel="|(q̂ − q, v̂ − v)|")
+basin.set(
+    ylim=(-0.05, 1.65), xlabel="ω [1/s], for gains α = 2ω, β = ω²", ylabel="multiple of the initial error of figure 4"
+)
+error.legend(loc="lower left")
+basin.legend(loc="center right")
+save_figure(figure, FIGURE.with_stem(f"{FIGURE.stem}_basin"))

@@ -215,7 +215,7 @@ REGISTRY = (
         make=Geodesic,
         tuned_by="gains",
         about="geodesic error, parallel transport; the same in all coordinates",
-        when="large initial errors, low gain, curved charts",
+        when="large initial errors if the gain is not low; curved charts",
         source="Aghannan & Rouchon 2003, (2)",
         promises=("error law", "coordinate-free"),
     ),

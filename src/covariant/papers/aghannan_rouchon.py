@@ -58,20 +58,24 @@ class Trajectory(NamedTuple):
             return np.linalg.norm(self.estimate - self.x, axis=1)
 
 
-def figure4_observers() -> dict[str, AbstractFlowObserver]:
-    """Observers compared in figure 4, with the gains `ALPHA` and `BETA`.
+def figure4_observers(alpha: float = ALPHA, beta: float = BETA) -> dict[str, AbstractFlowObserver]:
+    """Observers compared in figure 4.
+
+    Args:
+        alpha: Gain α [1/s].
+        beta: Gain β [1/s²].
 
     Returns:
         The observers by their key in the results.
     """
     plant = _plant()
     return {
-        "exact": Geodesic(plant, ALPHA, BETA, Budget(steps=4)),
-        "approximate": Intrinsic(plant, ALPHA, BETA),
-        "corrected14": Intrinsic(plant, ALPHA, BETA, coefficients="estimated"),
-        "printed14": PrintedBallAndBeam(ALPHA, BETA),
-        "copy": ModelCopy(plant, ALPHA, BETA),
-        "no_curvature": Intrinsic(plant, ALPHA, BETA, curvature=False),
+        "exact": Geodesic(plant, alpha, beta, Budget(steps=4)),
+        "approximate": Intrinsic(plant, alpha, beta),
+        "corrected14": Intrinsic(plant, alpha, beta, coefficients="estimated"),
+        "printed14": PrintedBallAndBeam(alpha, beta),
+        "copy": ModelCopy(plant, alpha, beta),
+        "no_curvature": Intrinsic(plant, alpha, beta, curvature=False),
     }
 
 
