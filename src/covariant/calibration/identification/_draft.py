@@ -125,6 +125,12 @@ class Draft(NamedTuple):
     entries: Mapping[str, str] = MappingProxyType({})
 
     @property
+    def unused(self) -> tuple[list[str], list[str]]:
+        """Registers of a drive, and the other columns that are left out."""
+        registers = [name for names in self.registers.values() for name in names]
+        return registers, [name for name in self.left_out if name not in registers]
+
+    @property
     def units_of_positions(self) -> tuple[str, ...]:
         return self.units.get("q", ("rad",) * len(self.q))
 
