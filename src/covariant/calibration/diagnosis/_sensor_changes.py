@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant.calibration._least_squares import TIME_BLOCKS, weighted_least_squares
 from covariant.calibration.diagnosis._sensor_motion import Pair
 
 EARLIEST, LATEST, EVERY = -0.1, 0.3, 0.01
@@ -21,7 +22,6 @@ RIVAL, FLOOR = 1.5, 0.02
 """Ratio to the least unexplained fraction, and addition to it, up to which a simpler change is taken."""
 MARGIN = 4.0
 """Factor by which the unexplained fraction must fall for a change other than a delay."""
-BLOCKS = 30
 ROUNDS = 8
 RANK = 0.02
 """Least singular value of what the motion shows of three axes, as a fraction of the largest, that determines a turn."""
@@ -188,7 +188,7 @@ def _readings_and_predictions(data: _Data, change: Change, shifted: _Shifted) ->
 
 def _share(data: _Data, change: Change, shifted: _Shifted) -> float:
     """Unexplained fraction of the readings with the best scale of a change."""
-    if len(shifted.read) < 2 * BLOCKS:
+    if len(shifted.read) < 2 * TIME_BLOCKS:
         return 1.0
     read, predicted = _readings_and_predictions(data, change, shifted)
     product, squares, total = (read * predicted).sum(axis=0), (predicted**2).sum(axis=0), (read**2).sum(axis=0)
@@ -225,8 +225,8 @@ def _fit_change(
             columns += [np.broadcast_to(row, predicted.shape) for row in np.eye(k)]
         j = np.stack(columns, axis=2)
         left = shifted.read - scale * predicted - bias
-        weight = 1 / np.maximum(np.var(left, axis=0), data.pair.read_noise**2 + 1e-24)
-        step, cov = _least_squares(left, j, weight)
+        weight = np.diag(1 / np.maximum(np.var(left, axis=0), data.pair.read_noise**2 + 1e-24))
+        step, cov = weighted_least_squares(left, j, weight)
         delay += float(np.clip(step[0], -EVERY, EVERY))
         scale = scale + step[1 : 1 + len(groups)] @ groups
         if data.offset:
@@ -240,8 +240,8 @@ def _fit_change(
     # What feels gravity has its offset found with the scale as it should be: a constant hides either.
     left = _shift_pair(data, delay)
     left = left.read - left.predicted @ change.matrix.T
-    means = np.array([part.mean(axis=0) for part in np.array_split(left, BLOCKS)])
-    return scale, scale_std, delay, float(std[0]), left.mean(axis=0), means.std(axis=0) / np.sqrt(BLOCKS)
+    means = np.array([part.mean(axis=0) for part in np.array_split(left, TIME_BLOCKS)])
+    return scale, scale_std, delay, float(std[0]), left.mean(axis=0), means.std(axis=0) / np.sqrt(TIME_BLOCKS)
 
 
 def _first_scale(data: _Data, change: Change, delay: float, groups: np.ndarray) -> np.ndarray:
@@ -252,16 +252,3 @@ def _first_scale(data: _Data, change: Change, delay: float, groups: np.ndarray) 
         product, squares = ((group * each * predicted).sum() for each in (read, predicted))
         scale = np.where(group > 0, product / max(squares, 1e-300), scale)
     return scale
-
-
-def _least_squares(left: np.ndarray, j: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimiser of the weighted squares of `left − j θ`, with its covariance from sums over blocks (Liang & Zeger)."""
-    # Columns of unit length: delays and offsets are of other sizes.
-    size = np.sqrt(np.maximum(np.einsum("kip,i->p", j**2, weight), 1e-300))
-    j = j / size
-    inverse = np.linalg.pinv(np.einsum("kip,i,kiq->pq", j, weight, j), rcond=1e-10)
-    theta = inverse @ np.einsum("kip,i,ki->p", j, weight, left)
-    scores = np.einsum("kip,i,ki->kp", j, weight, left - j @ theta)
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
-    cov = inverse @ (sums.T @ sums) @ inverse * BLOCKS / (BLOCKS - 1)
-    return theta / size, cov / np.outer(size, size)
