@@ -6,7 +6,7 @@ eliminated block by block, so that the system to be solved has the size p. `scip
 Jacobian needs 2.5 to 5 times as long: for 12 shared unknowns and 31 blocks of 4, 53 evaluations in place of 21.
 
 Source: Marquardt 1963, and Madsen, Nielsen & Tingleff 2004, section 3.2, for steps; Huber 1981, Robust Statistics,
-sections 6.3 and 7.6, for weights and covariance; White 1982, and Liang & Zeger 1986, for the covariance from blocks.
+sections 6.3 and 7.6, for weights and covariance; White 1982 for the covariance from blocks.
 """
 
 from collections.abc import Callable
@@ -39,9 +39,6 @@ SMALL = 0.01
 ROUNDING = 1e-11
 """Information about a combination, relative to the greatest, that is nothing but rounding."""
 
-TIME_BLOCKS = 30
-"""Blocks of time over which scores are summed: within one, errors may be alike in any way."""
-
 NumpyArray = np.ndarray
 
 
@@ -65,23 +62,6 @@ def block_covariance(
     # Of B blocks as many are free as the fit leaves: the trace is the number of unknowns that the data determine.
     free = max(len(scores) - np.trace(inverse @ curvature), 1.0)
     return inverse @ (len(scores) / free * scores.T @ scores + prior) @ inverse
-
-
-def weighted_least_squares(
-    left: Float[NumpyArray, "K n"], columns: Float[NumpyArray, "K n p"], weight: Float[NumpyArray, "n n"]
-) -> tuple[Float[NumpyArray, "p"], Float[NumpyArray, "p p"]]:
-    """Minimiser θ of the weighted squares of `left − columns θ`, with its covariance from sums over blocks of rows."""
-    weighted = np.einsum("kip,ij->kjp", columns, weight)
-    # Columns of unit length: delays, scales and offsets are of other sizes.
-    size = np.sqrt(np.maximum(np.einsum("kjp,kjp->p", weighted, columns), 1e-300))
-    columns, weighted = columns / size, weighted / size
-    inverse = np.linalg.pinv(np.einsum("kjp,kjq->pq", weighted, columns), rcond=1e-10)
-    theta = inverse @ np.einsum("kjp,kj->p", weighted, left)
-    scores = np.einsum("kjp,kj->kp", weighted, left - columns @ theta)
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, TIME_BLOCKS)])
-    # B/(B − 1): the scores sum to zero over all blocks, which makes their squares too small by that.
-    cov = inverse @ (sums.T @ sums) @ inverse * TIME_BLOCKS / (TIME_BLOCKS - 1)
-    return theta / size, cov / np.outer(size, size)
 
 
 class Blocks(NamedTuple):

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration._least_squares import TIME_BLOCKS, weighted_least_squares
+from covariant.calibration.diagnosis._block_regression import weighted_least_squares
 from covariant.calibration.diagnosis._sensor_motion import Pair
+from covariant.calibration.diagnosis._suspicion import BLOCKS
 
 EARLIEST, LATEST, EVERY = -0.1, 0.3, 0.01
 """Range and step of the delays [s] that are tried before they are refined."""
@@ -188,7 +189,7 @@ def _readings_and_predictions(data: _Data, change: Change, shifted: _Shifted) ->
 
 def _share(data: _Data, change: Change, shifted: _Shifted) -> float:
     """Unexplained fraction of the readings with the best scale of a change."""
-    if len(shifted.read) < 2 * TIME_BLOCKS:
+    if len(shifted.read) < 2 * BLOCKS:
         return 1.0
     read, predicted = _readings_and_predictions(data, change, shifted)
     product, squares, total = (read * predicted).sum(axis=0), (predicted**2).sum(axis=0), (read**2).sum(axis=0)
@@ -240,8 +241,8 @@ def _fit_change(
     # What feels gravity has its offset found with the scale as it should be: a constant hides either.
     left = _shift_pair(data, delay)
     left = left.read - left.predicted @ change.matrix.T
-    means = np.array([part.mean(axis=0) for part in np.array_split(left, TIME_BLOCKS)])
-    return scale, scale_std, delay, float(std[0]), left.mean(axis=0), means.std(axis=0) / np.sqrt(TIME_BLOCKS)
+    means = np.array([part.mean(axis=0) for part in np.array_split(left, BLOCKS)])
+    return scale, scale_std, delay, float(std[0]), left.mean(axis=0), means.std(axis=0) / np.sqrt(BLOCKS)
 
 
 def _first_scale(data: _Data, change: Change, delay: float, groups: np.ndarray) -> np.ndarray:

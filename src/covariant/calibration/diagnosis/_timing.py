@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration._least_squares import weighted_least_squares
+from covariant.calibration.diagnosis._block_regression import weighted_least_squares
 from covariant.calibration.diagnosis._case import Case, Residual, residual, smoothed, smoothed_residual
 from covariant.calibration.diagnosis._columns import input_line, plain_scale
 from covariant.calibration.diagnosis._finding import Finding, later_line
