@@ -13,17 +13,7 @@ from jaxtyping import Float
 
 from covariant import certificates, models
 from covariant._names import unknown
-from covariant.certificates import (
-    AbstractClaim,
-    Attempt,
-    Checked,
-    CheckerName,
-    ContractionCertificate,
-    Document,
-    LostRows,
-    Start,
-    check_interval,
-)
+from covariant.certificates import AbstractClaim, Attempt, Checked, ContractionCertificate, Document, Start
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, verdict
@@ -70,11 +60,11 @@ def certify(
     disturbance: Amounts = 0.0,
     interval: Sequence[float] | None = None,
     lost: int = 0,
-    lost_rows: LostRows = "empty",
+    lost_rows: certificates.LostRows = "empty",
     boxes: int = 200_000,
     seconds: float | None = None,
     processes: int = 1,
-    checker: CheckerName = "auto",
+    checker: certificates.CheckerName = "auto",
     find: str | None = None,
     runs: int = 10,
     overrides: Overrides = (),
@@ -256,9 +246,8 @@ class CertifyResult(AbstractResult):
             *(["  all of them are proved, and larger ones were not tried: give more runs"] if self._unlimited else []),
             "the domain of the proofs:",
         ]
-        for kind, name, unit, low, high in zip(
-            cert.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
-        ):
+        rows = zip(cert.kinds, domain.names, domain.units, domain.low, domain.high, strict=True)
+        for kind, name, unit, low, high in rows:
             low, high = low + 0.0, high + 0.0  # takes the sign from a zero
             ends = f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip()
             lines.append(ends + in_degrees(high, unit, low))
@@ -514,7 +503,7 @@ def _prove(
     if interval is not None:
         lost, lost_rows = settings["lost"], settings["lost_rows"]
         steps = lost + 1 if lost_rows == "missing" else 1
-        longest = steps * check_interval(interval, lost, lost_rows)[1]
+        longest = steps * certificates.check_interval(interval, lost, lost_rows)[1]
         observer = designed.with_substeps_for(settings["velocity"], longest)
     return certificates.certify(
         observer,
