@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from covariant import certificates, models
 from covariant._names import unknown
-from covariant.certificates import AbstractClaim, Attempt, Checked, ContractionCertificate, Document, Start
+from covariant.certificates import Attempt, CheckerName, ContractionCertificate, LostRows
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, verdict
@@ -60,11 +60,11 @@ def certify(
     disturbance: Amounts = 0.0,
     interval: Sequence[float] | None = None,
     lost: int = 0,
-    lost_rows: certificates.LostRows = "empty",
+    lost_rows: LostRows = "empty",
     boxes: int = 200_000,
     seconds: float | None = None,
     processes: int = 1,
-    checker: certificates.CheckerName = "auto",
+    checker: CheckerName = "auto",
     find: str | None = None,
     runs: int = 10,
     overrides: Overrides = (),
@@ -379,7 +379,7 @@ class CertificateCheckResult(AbstractResult):
 
     path: Path
     model: str | None
-    checked: Checked | None
+    checked: certificates.Checked | None
     balls: int
     note: str
 
@@ -411,7 +411,7 @@ class CertificateCheckResult(AbstractResult):
         return "\n".join([*lines, str(details.statement)])
 
 
-def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
+def _in_balls(document: certificates.Document, model: str | None) -> tuple[int, str]:
     """The number of leaves verified in ball arithmetic, also in words."""
     try:
         balls = certificates.check_sample(document, model=model).leaves
@@ -523,11 +523,11 @@ def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] |
     return np.array([[a, c], [c, b]])
 
 
-def _start(start: Start) -> dict[str, dict[str, float]]:
+def _start(start: certificates.Start) -> dict[str, dict[str, float]]:
     """The errors of a start by name, in radians and metres."""
     rows = zip(start.names, start.together.tolist(), start.alone.tolist(), start.farthest.tolist(), strict=True)
     return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
 
 
-def _undecided_claims(certificate: ContractionCertificate) -> list[AbstractClaim]:
+def _undecided_claims(certificate: ContractionCertificate) -> list[certificates.AbstractClaim]:
     return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
