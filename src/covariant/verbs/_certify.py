@@ -13,18 +13,7 @@ from jaxtyping import Float
 
 from covariant import certificates, models
 from covariant._names import unknown
-from covariant.certificates import (
-    AbstractClaim,
-    Attempt,
-    Checked,
-    CheckerName,
-    ContractionCertificate,
-    DistanceCertificate,
-    Document,
-    LostRows,
-    Start,
-    check_interval,
-)
+from covariant.certificates import Attempt, CheckerName, ContractionCertificate, DistanceCertificate, LostRows
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, verdict
@@ -318,9 +307,8 @@ class CertifyResult(AbstractResult):
             *(["  all of them are proved, and larger ones were not tried: give more runs"] if self._unlimited else []),
             "the domain of the proofs:",
         ]
-        for kind, name, unit, low, high in zip(
-            cert.kinds, domain.names, domain.units, domain.low, domain.high, strict=True
-        ):
+        rows = zip(cert.kinds, domain.names, domain.units, domain.low, domain.high, strict=True)
+        for kind, name, unit, low, high in rows:
             low, high = low + 0.0, high + 0.0  # takes the sign from a zero
             ends = f"  {low:.4g} ≤ {_KINDS[kind]} {name} ≤ {high:.4g} {unit}".rstrip()
             lines.append(ends + in_degrees(high, unit, low))
@@ -452,7 +440,7 @@ class CertificateCheckResult(AbstractResult):
 
     path: Path
     model: str | None
-    checked: Checked | None
+    checked: certificates.Checked | None
     balls: int
     note: str
 
@@ -484,7 +472,7 @@ class CertificateCheckResult(AbstractResult):
         return "\n".join([*lines, str(details.statement)])
 
 
-def _in_balls(document: Document, model: str | None) -> tuple[int, str]:
+def _in_balls(document: certificates.Document, model: str | None) -> tuple[int, str]:
     """The number of leaves verified in ball arithmetic, also in words."""
     try:
         balls = certificates.check_sample(document, model=model).leaves
@@ -576,7 +564,7 @@ def _prove(
     if interval is not None:
         lost, lost_rows = settings["lost"], settings["lost_rows"]
         steps = lost + 1 if lost_rows == "missing" else 1
-        longest = steps * check_interval(interval, lost, lost_rows)[1]
+        longest = steps * certificates.check_interval(interval, lost, lost_rows)[1]
         observer = designed.with_substeps_for(settings["velocity"], longest)
     return certificates.certify(
         observer,
@@ -596,11 +584,11 @@ def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] |
     return np.array([[a, c], [c, b]])
 
 
-def _start(start: Start) -> dict[str, dict[str, float]]:
+def _start(start: certificates.Start) -> dict[str, dict[str, float]]:
     """The errors of a start by name, in radians and metres."""
     rows = zip(start.names, start.together.tolist(), start.alone.tolist(), start.farthest.tolist(), strict=True)
     return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
 
 
-def _undecided_claims(certificate: ContractionCertificate) -> list[AbstractClaim]:
+def _undecided_claims(certificate: ContractionCertificate) -> list[certificates.AbstractClaim]:
     return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]

@@ -9,33 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from covariant import certificates, models
-from covariant.codegen import (
-    Facts,
-    Program,
-    check_export,
-    check_export_name,
-    check_wasm_compiler,
-    export_name,
-    export_texts,
-    fmu,
-    python_files,
-    ros_files,
-    vectors,
-    wasm_files,
-    write_fmu,
-    write_folder,
-)
+from covariant import certificates, codegen, models
 from covariant.models import Overrides
-from covariant.observers import (
-    REGISTRY,
-    SMOOTHED,
-    AbstractObserver,
-    Delayed,
-    FixedLag,
-    Gated,
-    Unwrapped,
-)
+from covariant.observers import REGISTRY, SMOOTHED, AbstractObserver, Delayed, FixedLag, Gated, Unwrapped
 from covariant.verbs.base.arguments import above_zero, gain_pair
 from covariant.verbs.base.design import Design, design
 from covariant.verbs.base.exported_program import exported_program, open_family
@@ -140,14 +116,14 @@ def export(
         options |= {"parameters": parameters, "certificate": certificate, "metric": metric, "fmi": fmi, "lag": lag}
         options |= {"step_per_sensor": step_per_sensor, "python": python, "wasm": wasm, "ros2": ros2}
         return write_robot(model, out, rate, overwrite, overrides, options | {"gate": not gate, "log": log})
-    check_export(out, overwrite)
+    codegen.check_export(out, overwrite)
     gains, unit = gain_pair(alpha, beta), out.suffix == ".fmu"
     packages = [name for name, wanted in (("python", python), ("wasm", wasm), ("ros2", ros2)) if wanted]
     _check(real, fmi, unit, step_per_sensor, packages)
     if name is not None:  # before the work
-        check_export_name(name, python or ros2, wasm)
+        codegen.check_export_name(name, python or ros2, wasm)
     if wasm:  # so that nobody waits for a design that then cannot be written
-        check_wasm_compiler()
+        codegen.check_wasm_compiler()
     progress("reading the model")
     label = models.spec_name(model)
     file, family, logged = _read(model, overrides, parameters, log)
@@ -171,7 +147,7 @@ def export(
     if proof is not None:
         whole, start, proved, unbounded = proof.bound(runs, whole, real)
         sentences += start
-    prefix = export_name(file.name, python or ros2, wasm) if name is None else name
+    prefix = codegen.export_name(file.name, python or ros2, wasm) if name is None else name
     progress(f"writing {prefix}")
     # Other observers have no parameters of the model.
     opened = family if _ENTRIES[designed.name].knows_model and not whole.fixed_numbers else None
@@ -180,7 +156,7 @@ def export(
     units = {**program.units, **designed.units}
     program = program._replace(signals=kind_of(file).signals(program.u, read), units=units)
     substeps = getattr(getattr(runs, "observer", runs), "substeps", None)
-    code = _Code(program, prefix, about + sentences, measured, Facts(rate, substeps, proved, refusals))
+    code = _Code(program, prefix, about + sentences, measured, codegen.Facts(rate, substeps, proved, refusals))
     files, lacks = _write_unit(code, out, fmi, overwrite) if unit else _write_folder(code, out, packages, overwrite)
     warnings = tuple(line for line in (assumed, unbounded, *lacks) if line)
     return ExportResult(label, designed.name, code.about, chosen, out, tuple(files), program, warnings, refusals)
@@ -221,7 +197,7 @@ class ExportResult(AbstractResult):
     design: str
     out: Path
     files: tuple[Path, ...]
-    program: Program
+    program: codegen.Program
     notes: tuple[str, ...]
     gate: str = ""
 
@@ -310,18 +286,18 @@ def _as_sent_and_read(
 class _Code(NamedTuple):
     """The graphs of an observer, the prefix of its names in C, a text on it, its self-test, and facts for its sheet."""
 
-    program: Program
+    program: codegen.Program
     prefix: str
     about: str
     measured: np.ndarray
-    facts: Facts
+    facts: codegen.Facts
 
 
 def _write_unit(code: _Code, out: Path, fmi: str | None, overwrite: bool) -> tuple[list[Path], list[str]]:
     """Write a unit for simulators; returns its path, and a sentence if it holds no binary."""
     version: Any = fmi or VERSIONS[0]
-    unit = fmu(code.program, code.prefix, code.about, code.facts.rate, code.measured[0], version)
-    write_fmu(unit, out, overwrite)
+    unit = codegen.fmu(code.program, code.prefix, code.about, code.facts.rate, code.measured[0], version)
+    codegen.write_fmu(unit, out, overwrite)
     missing = unit.without_binary
     return [out], [f"the unit holds sources and no binary: {missing}"] if missing else []
 
@@ -330,14 +306,14 @@ def _write_folder(code: _Code, out: Path, packages: Sequence[str], overwrite: bo
     """Write C and the packages around it; returns all paths, and a sentence if the Python package has no library."""
     program, prefix, about, measured, facts = code
     python, wasm, ros2 = (name in packages for name in ("python", "wasm", "ros2"))
-    run, lacks = vectors(program, measured, facts.rate), []
-    texts = export_texts(program, prefix, about, measured, facts, run, python, wasm, ros2)
-    more = python_files(program, texts, prefix, about, facts.rate) if python else {}
+    run, lacks = codegen.vectors(program, measured, facts.rate), []
+    texts = codegen.export_texts(program, prefix, about, measured, facts, run, python, wasm, ros2)
+    more = codegen.python_files(program, texts, prefix, about, facts.rate) if python else {}
     if python and not any(path.endswith(".whl") for path in more):
         lacks.append(f"the Python package holds sources and no library: {NO_COMPILER}")
-    more |= ros_files(program, texts, prefix, about, facts.rate) if ros2 else {}
-    more |= wasm_files(program, texts, prefix, about, facts.rate, run) if wasm else {}
-    return write_folder({**texts, **more}, out, overwrite), lacks
+    more |= codegen.ros_files(program, texts, prefix, about, facts.rate) if ros2 else {}
+    more |= codegen.wasm_files(program, texts, prefix, about, facts.rate, run) if wasm else {}
+    return codegen.write_folder({**texts, **more}, out, overwrite), lacks
 
 
 def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> FixedLag:

@@ -1,6 +1,5 @@
 """`init`: a first model file for a log, with the columns that its header names."""
 
-import json
 import re
 import textwrap
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from covariant.verbs.base.servo_draft import (
     loose_joints,
     match_joints,
     path_from,
+    quoted,
     register_lines,
     robot_lines,
     servo_lines,
@@ -161,18 +161,11 @@ class InitResult(AbstractResult):
         if self.draft.units:
             units = (f"{field}: " + ", ".join(dict.fromkeys(texts)) for field, texts in self.draft.units.items())
             lines.append(f"units {', '.join(units)}")
-        registers = [name for names in self.draft.registers.values() for name in names]
-        if registers:
-            current = ", ".join(self.draft.registers.get("current", ()))
-            how = (
-                f'; with a torque constant of 0.08 N m/A, [columns] u = {current}, [units] u = "0.08 N m"'
-                if current
-                else ""
-            )
-            lines.append(f"no torques, and left out: {', '.join(registers)}{how}")
-        others = [name for name in self.draft.left_out if name not in registers]
-        if others:
-            lines.append(f"left out: {', '.join(others)}")
+        registers, others = self.draft.unused
+        current = ", ".join(self.draft.registers.get("current", ()))
+        how = f'; with a torque constant of 0.08 N m/A, [columns] u = {current}, [units] u = "0.08 N m"'
+        lines += [f"no torques, and left out: {', '.join(registers)}{how if current else ''}"] if registers else []
+        lines += [f"left out: {', '.join(others)}"] if others else []
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])
         todo = "put first values of your machine into [parameters] of the model file"
@@ -232,8 +225,7 @@ def _module_name(stem: str) -> str:
 
 def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[str] = ()) -> str:
     """The text of the model file; `machine` are the lines of the system and its parameters."""
-    registers = {name for names in guess.registers.values() for name in names}
-    others = [name for name in guess.left_out if name not in registers]
+    _, others = guess.unused
     lines = [
         f"# Drafted from the log {name}: {guess.rows} rows at {guess.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content. Numbers with a comment `placeholder` are places to put yours, not measurements:",
@@ -244,7 +236,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         *machine,
         "",
         "[columns]",
-        f"t = {_quote_name(guess.t)}",
+        f"t = {quoted(guess.t)}",
         *_measured(guess),
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
         *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
@@ -380,7 +372,7 @@ def _equations(guess: Draft) -> str:
     n, m = len(guess.q), len(guess.u)
     trailing = "," if n == 1 else ""
     words = {
-        "POSITIONS": ", ".join(map(_quote_name, guess.plain_names)) + trailing,
+        "POSITIONS": ", ".join(map(quoted, guess.plain_names)) + trailing,
         "UNITS": ", ".join('"m"' if is_length else '"rad"' for is_length in guess.lengths) + trailing,
         "CIRCLES": tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
         "INPUTS": m,
@@ -423,7 +415,7 @@ def _units(guess: Draft) -> list[str]:
         return []
     lines = ["", "[units]"]
     for field, texts in guess.units.items():
-        written = _quote_name(texts[0]) if len(set(texts)) == 1 else _names(texts)
+        written = quoted(texts[0]) if len(set(texts)) == 1 else _names(texts)
         why = "guessed from the numbers: `covariant check` looks closer" if field in guess.guessed else "as stated"
         lines.append(f"{field} = {written}  # {why}")
     return lines
@@ -433,9 +425,5 @@ def _list(value: float, n: int) -> str:
     return str([value] * n)
 
 
-def _quote_name(name: str) -> str:
-    return json.dumps(name, ensure_ascii=False)
-
-
 def _names(names: Sequence[str]) -> str:
-    return "[" + ", ".join(map(_quote_name, names)) + "]"
+    return "[" + ", ".join(map(quoted, names)) + "]"

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant.calibration.diagnosis._block_regression import weighted_least_squares
 from covariant.calibration.diagnosis._sensor_motion import Pair
+from covariant.calibration.diagnosis._suspicion import BLOCKS
 
 EARLIEST, LATEST, EVERY = -0.1, 0.3, 0.01
 """Range and step of the delays [s] that are tried before they are refined."""
@@ -21,7 +23,6 @@ RIVAL, FLOOR = 1.5, 0.02
 """Ratio to the least unexplained fraction, and addition to it, up to which a simpler change is taken."""
 MARGIN = 4.0
 """Factor by which the unexplained fraction must fall for a change other than a delay."""
-BLOCKS = 30
 ROUNDS = 8
 RANK = 0.02
 """Least singular value of what the motion shows of three axes, as a fraction of the largest, that determines a turn."""
@@ -225,8 +226,8 @@ def _fit_change(
             columns += [np.broadcast_to(row, predicted.shape) for row in np.eye(k)]
         j = np.stack(columns, axis=2)
         left = shifted.read - scale * predicted - bias
-        weight = 1 / np.maximum(np.var(left, axis=0), data.pair.read_noise**2 + 1e-24)
-        step, cov = _least_squares(left, j, weight)
+        weight = np.diag(1 / np.maximum(np.var(left, axis=0), data.pair.read_noise**2 + 1e-24))
+        step, cov = weighted_least_squares(left, j, weight)
         delay += float(np.clip(step[0], -EVERY, EVERY))
         scale = scale + step[1 : 1 + len(groups)] @ groups
         if data.offset:
@@ -252,16 +253,3 @@ def _first_scale(data: _Data, change: Change, delay: float, groups: np.ndarray) 
         product, squares = ((group * each * predicted).sum() for each in (read, predicted))
         scale = np.where(group > 0, product / max(squares, 1e-300), scale)
     return scale
-
-
-def _least_squares(left: np.ndarray, j: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Minimiser of the weighted squares of `left − j θ`, with its covariance from sums over blocks (Liang & Zeger)."""
-    # Columns of unit length: delays and offsets are of other sizes.
-    size = np.sqrt(np.maximum(np.einsum("kip,i->p", j**2, weight), 1e-300))
-    j = j / size
-    inverse = np.linalg.pinv(np.einsum("kip,i,kiq->pq", j, weight, j), rcond=1e-10)
-    theta = inverse @ np.einsum("kip,i,ki->p", j, weight, left)
-    scores = np.einsum("kip,i,ki->kp", j, weight, left - j @ theta)
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
-    cov = inverse @ (sums.T @ sums) @ inverse * BLOCKS / (BLOCKS - 1)
-    return theta / size, cov / np.outer(size, size)

@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from covariant.calibration.diagnosis._block_regression import weighted_least_squares
 from covariant.calibration.diagnosis._case import Case, Residual, residual, smoothed, smoothed_residual
 from covariant.calibration.diagnosis._columns import input_line, plain_scale
 from covariant.calibration.diagnosis._finding import Finding, later_line
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import (
-    BLOCKS,
     Comparison,
     Suspicion,
     Unexplained,
@@ -392,7 +392,7 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
     free = np.eye(n + m) if m else np.linalg.qr(np.eye(n) - 1 / n)[0][:, : n - 1]
     if free.shape[1] == 0:
         return Fitted(np.zeros(n), np.ones(m), np.full((n + m, n + m), np.inf), np.zeros(m))
-    theta, cov, weight = _least_squares(left, columns @ free)
+    theta, cov, weight = _reweighted(left, columns @ free)
     theta, cov = free @ theta, free @ cov @ free.T
     return Fitted(theta[:n], 1 + theta[n:], cov, _gains(left, columns[..., n:], weight))
 
@@ -408,30 +408,18 @@ def shifted(log: Smooth, i: int, shift: float) -> Smooth:
     return log._replace(q=advanced(log.q), v=advanced(log.v), a=advanced(log.a))
 
 
-def _least_squares(left, columns):
+def _reweighted(left, columns):
     """Minimiser θ (p,) of the squares of `left + columns θ`, its covariance, and the weight (n, n) of the squares."""
     rest = left
     for _ in range(ROUNDS - 1):  # the weight is the inverse covariance of the final residual
-        rest = left + columns @ _solve_normal_equations(left, columns, _weight(rest))[0]
+        rest = left + columns @ weighted_least_squares(left, -columns, _weight(rest))[0]
     weight = _weight(rest)
-    theta, inverse, weighted = _solve_normal_equations(left, columns, weight)
-    scores = np.einsum("kjp,kj->kp", weighted, left + columns @ theta)
-    sums = np.array([part.sum(axis=0) for part in np.array_split(scores, BLOCKS)])
-    # B/(B − 1): the scores sum to zero over all blocks, which makes their squares too small by that.
-    return theta, inverse @ (sums.T @ sums) @ inverse * BLOCKS / (BLOCKS - 1), weight
+    return *weighted_least_squares(left, -columns, weight), weight
 
 
 def _weight(rest):
     # Pseudoinverse: coordinates whose residuals are proportional make the covariance singular.
     return np.linalg.pinv(rest.T @ rest / len(rest), rcond=1e-9)
-
-
-def _solve_normal_equations(left, columns, weight):
-    """θ, the inverse of the normal matrix, and the weighted columns."""
-    weighted = np.einsum("kip,ij->kjp", columns, weight)
-    inverse = np.linalg.pinv(np.einsum("kjp,kjq->pq", weighted, columns), rcond=1e-12)
-    # The minimiser of |left + columns θ|², hence the minus.
-    return -inverse @ np.einsum("kjp,kj->p", weighted, left), inverse, weighted
 
 
 def _gains(left, scales, weight):
@@ -446,5 +434,5 @@ def _gains(left, scales, weight):
 
 def _squares(left, columns, weight):
     """Weighted sum of squares that remains with the best multiples of the columns."""
-    rest = left + columns @ _solve_normal_equations(left, columns, weight)[0] if columns.shape[2] else left
+    rest = left - columns @ weighted_least_squares(left, columns, weight)[0] if columns.shape[2] else left
     return np.einsum("ki,ij,kj->", rest, weight, rest)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods, without_full_turns
-from covariant.calibration.identification._roles import REGISTERS, Columns, role
+from covariant.calibration.identification._roles import REGISTERS, LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
     find_inputs,
@@ -125,6 +125,12 @@ class Draft(NamedTuple):
     entries: Mapping[str, str] = MappingProxyType({})
 
     @property
+    def unused(self) -> tuple[list[str], list[str]]:
+        """Registers of a drive, and the other columns that are left out."""
+        registers = [name for names in self.registers.values() for name in names]
+        return registers, [name for name in self.left_out if name not in registers]
+
+    @property
     def units_of_positions(self) -> tuple[str, ...]:
         return self.units.get("q", ("rad",) * len(self.q))
 
@@ -198,12 +204,12 @@ def _read(
     stated: Mapping[str, str],
     units: Mapping[str, Sequence[str]],
     entries: Mapping[str, str],
-) -> Columns:
+) -> LogColumns:
     """The columns with their roles by name, of a log whose stamps rise from row to row."""
     fixed = [name for names in given.values() for name in names]
     # Units that the log states are written as in a name, so that one parser reads both.
     labels = {name: f"{name} [{stated[name]}]" if name in stated else name for name in columns}
-    log = Columns(columns, labels, {}, given, units, entries, "", np.empty(0))
+    log = LogColumns(columns, labels, {}, given, units, entries, "", np.empty(0))
     for name in fixed:
         if name not in columns:
             raise InputError(f"there is no column {name!r} of numbers{log.listed}")
@@ -225,7 +231,7 @@ def _read(
     return log
 
 
-def _positions_and_inputs(log: Columns) -> tuple[Columns, tuple[str, ...], Inputs]:
+def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...], Inputs]:
     """The columns with the units of stamps and positions that the user states, the positions, and the inputs."""
     q = log.given.get("q") or log.of("q")
     if not q:
@@ -251,7 +257,7 @@ def _positions_and_inputs(log: Columns) -> tuple[Columns, tuple[str, ...], Input
     return log, q, inputs
 
 
-def _labels(log: Columns, q: tuple[str, ...], inputs: Inputs) -> tuple[Columns, tuple[str, ...], bool]:
+def _labels(log: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[LogColumns, tuple[str, ...], bool]:
     """The columns with all units that are known, the velocities, and whether values show the unit of positions."""
     log = log.with_units("u", inputs.named or inputs.u)
     by_value = position_units(log, q, bool(inputs.named))
@@ -264,16 +270,16 @@ def _labels(log: Columns, q: tuple[str, ...], inputs: Inputs) -> tuple[Columns, 
     return log, v, bool(by_value)
 
 
-def _is_length(log: Columns, name: str) -> bool:
+def _is_length(log: LogColumns, name: str) -> bool:
     return unit_in_name(log.labels[name], ("m",)) is not None
 
 
-def _is_torque(log: Columns, name: str) -> bool:
+def _is_torque(log: LogColumns, name: str) -> bool:
     return unit_in_name(log.labels[name], ("N m",)) is not None
 
 
 def _roles_and_units(
-    log: Columns, q: tuple[str, ...], u: tuple[str, ...], v: tuple[str, ...], quaternion: tuple[str, ...] = ()
+    log: LogColumns, q: tuple[str, ...], u: tuple[str, ...], v: tuple[str, ...], quaternion: tuple[str, ...] = ()
 ) -> Draft:
     """A draft without its ticks, noise and servos."""
     t, logged, what = log.t, log.stack(q or quaternion), "an attitude" if quaternion else "a position"
@@ -287,7 +293,7 @@ def _roles_and_units(
     return Draft(t, q, u, v, left_out, rate, len(logged), lengths, None, 0.0, span, units, guessed, quaternion)
 
 
-def _with_servos(guess: Draft, log: Columns, inputs: Inputs) -> Draft:
+def _with_servos(guess: Draft, log: LogColumns, inputs: Inputs) -> Draft:
     """A draft with the commands of servos, and their switches, as its inputs."""
     units, factors = guess.units_of_positions, [unit_factor(text) for text in guess.units_of_positions]
     servos = servos_of(log, inputs, guess.q, units)
@@ -306,7 +312,7 @@ def _with_servos(guess: Draft, log: Columns, inputs: Inputs) -> Draft:
     )
 
 
-def _with_resolution(guess: Draft, log: Columns) -> Draft:
+def _with_resolution(guess: Draft, log: LogColumns) -> Draft:
     """A draft with the ticks, the periods and the noise of its positions."""
     logged, lengths, n = log.stack(guess.q), guess.lengths, len(guess.q)
     factors = [unit_factor(text) for text in guess.units_of_positions]
@@ -332,7 +338,7 @@ def _unit_of_step(t: Float[np.ndarray, "T"]) -> str:
     return next(unit for limit, unit in CLOCKS if np.median(np.diff(t)) < limit)
 
 
-def _refuse_unknown_units(log: Columns, fields: Mapping[str, Sequence[str]]) -> None:
+def _refuse_unknown_units(log: LogColumns, fields: Mapping[str, Sequence[str]]) -> None:
     """Raise `ValueError` for a column whose label states a unit that is none of its field."""
     for field, names in fields.items():
         for name in names:
@@ -342,7 +348,7 @@ def _refuse_unknown_units(log: Columns, fields: Mapping[str, Sequence[str]]) -> 
 
 
 def _units(
-    log: Columns, fields: Mapping[str, tuple[str, ...]], span: Float[np.ndarray, "n 2"]
+    log: LogColumns, fields: Mapping[str, tuple[str, ...]], span: Float[np.ndarray, "n 2"]
 ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
     """Units of the columns of each field, where they are not those of a model file, and the fields that were guessed.
 
@@ -365,7 +371,7 @@ def _units(
     return units, tuple(field for field in guessed if field in units)
 
 
-def _stamps(log: Columns) -> str:
+def _stamps(log: LogColumns) -> str:
     rising = [name for name, values in log.values.items() if np.isfinite(values).all() and (np.diff(values) > 0).all()]
     named = [name for name in rising if log.roles.get(name) == "t"]
     candidates = named or [name for name in rising if log.roles.get(name) == ""]
@@ -381,14 +387,14 @@ def _stamps(log: Columns) -> str:
     raise InputError(f'{what}; name the one of the stamps by `columns["t"]`{log.listed}')
 
 
-def _refuse_episodes(log: Columns, name: str) -> None:
+def _refuse_episodes(log: LogColumns, name: str) -> None:
     """Raise `ValueError` for stamps that start again with each episode."""
     fault = episodes_fault(log[name], log.values, log.values.__getitem__)
     if fault is not None:
         raise InputError(f"column {name!r} {fault}")
 
 
-def _one_family(key: str, names: Sequence[str], log: Columns) -> None:
+def _one_family(key: str, names: Sequence[str], log: LogColumns) -> None:
     """Raise `ValueError` where names such as q1, q2 and th1, th2 say that there are several kinds of them."""
     stems = {re.sub(r"[0-9]+", "#", name) for name in names}
     if key not in log.given and 1 < len(stems) < len(names):
@@ -442,7 +448,7 @@ def _tick(y: np.ndarray, rounding: Sequence[float]) -> float | None:
     return tick
 
 
-def _quaternion(log: Columns) -> tuple[str, ...]:
+def _quaternion(log: LogColumns) -> tuple[str, ...]:
     """Names of four columns that are a unit quaternion which moves, scalar first; none where no four are."""
     groups: dict[str, dict[str, str]] = {}
     for name in (each for each in log.roles if each != log.t):
@@ -471,7 +477,7 @@ def _quaternion(log: Columns) -> tuple[str, ...]:
     return ()
 
 
-def _draft_of_attitude(log: Columns, names: tuple[str, ...]) -> Draft:
+def _draft_of_attitude(log: LogColumns, names: tuple[str, ...]) -> Draft:
     """Roles of the columns of a log of a body that turns."""
     # A torque about each axis of the body, or none that is known.
     u = log.given.get("u") or log.of("u")

@@ -70,7 +70,7 @@ def role(name: str, entry: str = "") -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Columns:
+class LogColumns:
     """Columns of a log, and what is known of them before any is looked at.
 
     Attributes:
@@ -107,7 +107,7 @@ class Columns:
         """The unit that the label of a column states, if it is one of a field."""
         return unit_in_name(self.labels[name], MEANT[field])
 
-    def with_units(self, field: str, names: Sequence[str]) -> "Columns":
+    def with_units(self, field: str, names: Sequence[str]) -> "LogColumns":
         """The columns with the units that the user gives for these."""
         texts = self.units.get(field, ())
         if not texts or not names:
@@ -125,7 +125,7 @@ class Columns:
                 )
         return self.labelled(dict(zip(names, texts if len(texts) > 1 else [texts[0]] * len(names), strict=True)))
 
-    def labelled(self, units: Mapping[str, str]) -> "Columns":
+    def labelled(self, units: Mapping[str, str]) -> "LogColumns":
         """The columns with units by name."""
         labels = {name: f"{name} [{unit}]" for name, unit in units.items()}
         return dataclasses.replace(self, labels={**self.labels, **labels})

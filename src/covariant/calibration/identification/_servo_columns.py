@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from covariant.calibration.identification._commands import LATE, TORQUES, Following, follows, pairs, pairs_by_name
-from covariant.calibration.identification._roles import Columns
+from covariant.calibration.identification._roles import LogColumns
 from covariant.logs import words_of
 from scalargraph.errors import InputError
 
@@ -41,7 +41,7 @@ class Inputs(NamedTuple):
         return self._replace(commands=commands, following=following)
 
 
-def find_inputs(columns: Columns, q: Sequence[str]) -> Inputs:
+def find_inputs(columns: LogColumns, q: Sequence[str]) -> Inputs:
     """Identify inputs by name and content."""
     if "u" in columns.given:
         return _given_inputs(columns, columns.given["u"], q)
@@ -59,7 +59,7 @@ def find_inputs(columns: Columns, q: Sequence[str]) -> Inputs:
     return Inputs((), paired, follow_fits, switches)
 
 
-def _given_inputs(columns: Columns, given: tuple[str, ...], q: Sequence[str]) -> Inputs:
+def _given_inputs(columns: LogColumns, given: tuple[str, ...], q: Sequence[str]) -> Inputs:
     """Inputs that the user names: commands if positions follow them or their names say so, otherwise torques."""
     named = [name for name in given if not words_of(name) & TORQUES and not columns.unit(name, "u")]
     paired = pairs(q, named)
@@ -71,7 +71,7 @@ def _given_inputs(columns: Columns, given: tuple[str, ...], q: Sequence[str]) ->
 
 
 def _without_commands(
-    columns: Columns, q: Sequence[str], paired: Sequence[str | None], follow_fits: Sequence[Following | None]
+    columns: LogColumns, q: Sequence[str], paired: Sequence[str | None], follow_fits: Sequence[Following | None]
 ) -> Inputs:
     """Torques, or else columns that positions follow closely although their names do not mark them as commands."""
     torques, named = columns.of("u"), columns.of("command")
@@ -93,7 +93,7 @@ def _without_commands(
 
 
 def _closest(
-    columns: Columns, q: Sequence[str], names: Sequence[str], counts: Callable[[Following], bool] = lambda _: True
+    columns: LogColumns, q: Sequence[str], names: Sequence[str], counts: Callable[[Following], bool] = lambda _: True
 ) -> tuple[tuple[str, ...], tuple[Following, ...]]:
     """The column that each position follows most closely, and how, of those positions for which one counts."""
     best: list[tuple[str, Following]] = []
@@ -111,21 +111,21 @@ def _is_named_command(label: str) -> bool:
     )
 
 
-def _switched_on(columns: Columns, switches: Sequence[str]) -> np.ndarray | None:
+def _switched_on(columns: LogColumns, switches: Sequence[str]) -> np.ndarray | None:
     """Rows (T,) in which all servos are switched on; None without switches, or if there is no such row."""
     on = np.all([columns[name] != 0 for name in switches], axis=0) if switches else None
     return on if on is not None and on.any() else None
 
 
 def _follow_all(
-    columns: Columns, q: Sequence[str], commands: Sequence[str | None], on: np.ndarray | None = None
+    columns: LogColumns, q: Sequence[str], commands: Sequence[str | None], on: np.ndarray | None = None
 ) -> tuple[Following | None, ...]:
     named = zip(q, commands, strict=True)
     return tuple(None if command is None else columns.follow(position, command, on) for position, command in named)
 
 
 def _by_content(
-    columns: Columns,
+    columns: LogColumns,
     q: Sequence[str],
     named: Sequence[str],
     paired: tuple[str | None, ...],
@@ -139,7 +139,7 @@ def _by_content(
     return paired, follow_fits
 
 
-def refuse_commands_among(columns: Columns, q: Sequence[str]) -> None:
+def refuse_commands_among(columns: LogColumns, q: Sequence[str]) -> None:
     """Raise `ValueError` if one of two positions follows the other; with more positions the names are unambiguous."""
     for name, other in (q, q[::-1]) if len(q) == 2 else ():
         fit = columns.follow(name, other)
@@ -150,7 +150,7 @@ def refuse_commands_among(columns: Columns, q: Sequence[str]) -> None:
             )
 
 
-def without_rates(columns: Columns, q: tuple[str, ...], inputs: Inputs) -> tuple[tuple[str, ...], Inputs]:
+def without_rates(columns: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[tuple[str, ...], Inputs]:
     """Positions and inputs without entries of a state that are velocities of servos and not positions."""
     paired = list(zip(q, inputs.commands, strict=False))
     driven = [name for name, command in paired if command is not None]
@@ -165,7 +165,7 @@ def without_rates(columns: Columns, q: tuple[str, ...], inputs: Inputs) -> tuple
     return q, inputs._replace(remarks=(*inputs.remarks, remark)) if passive and driven else inputs
 
 
-def switches_of(columns: Columns, names: Sequence[str], positions: Sequence[str]) -> tuple[str, ...]:
+def switches_of(columns: LogColumns, names: Sequence[str], positions: Sequence[str]) -> tuple[str, ...]:
     """The switch of each servo, from columns of 0 and 1; a single such column switches all servos."""
     used = [name for name in names if set(np.unique(columns[name][np.isfinite(columns[name])]).tolist()) == {0.0, 1.0}]
     if len(used) == 1:
@@ -174,7 +174,7 @@ def switches_of(columns: Columns, names: Sequence[str], positions: Sequence[str]
     return tuple(name for name in paired if name is not None) if None not in paired else ()
 
 
-def refuse_rows_of_several(columns: Columns) -> None:
+def refuse_rows_of_several(columns: LogColumns) -> None:
     """Raise `ValueError` for a log that has one row per motor in place of one column per motor."""
     for name, values in columns.values.items():
         if not re.fullmatch(r"(?:(?:motor|servo|joint|device|axis|dxl|node|can)_?)?ids?", name, re.IGNORECASE):
@@ -187,7 +187,7 @@ def refuse_rows_of_several(columns: Columns) -> None:
             )
 
 
-def refuse_poses(columns: Columns, q: Sequence[str]) -> None:
+def refuse_poses(columns: LogColumns, q: Sequence[str]) -> None:
     """Raise `ValueError` for a state whose entries are a point in space and not joints."""
     entries = columns.entries
     if {"x", "y", "z"} <= {entries.get(name, name).lower().rpartition("_")[2] for name in q}:

@@ -14,7 +14,7 @@ from covariant.calibration.identification._commands import (
     copied,
     follows,
 )
-from covariant.calibration.identification._roles import Columns
+from covariant.calibration.identification._roles import LogColumns
 from covariant.calibration.identification._servo_columns import Inputs
 from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, words_of
 from scalargraph.errors import InputError
@@ -58,7 +58,7 @@ class DraftedServo(NamedTuple):
     offset: float
 
 
-def position_units(columns: Columns, q: Sequence[str], servos: bool) -> dict[str, str]:
+def position_units(columns: LogColumns, q: Sequence[str], servos: bool) -> dict[str, str]:
     """Units of positions that state none: ticks, or degrees for servos; empty if the values decide neither.
 
     Raises `ValueError` if the values are ambiguous.
@@ -101,14 +101,14 @@ def position_units(columns: Columns, q: Sequence[str], servos: bool) -> dict[str
 
 
 def servos_of(
-    columns: Columns, inputs: Inputs, q: Sequence[str], q_units: Sequence[str]
+    columns: LogColumns, inputs: Inputs, q: Sequence[str], q_units: Sequence[str]
 ) -> tuple[DraftedServo | None, ...]:
     """The servo of each position with the unit of its command; raises `ValueError` for an ambiguous unit."""
     rows = zip(q, q_units, inputs.commands, inputs.following, strict=True)
     return tuple(None if sent is None else _servo(columns, name, text, sent, fit) for name, text, sent, fit in rows)
 
 
-def _servo(columns: Columns, position: str, text: str, command: str, fit: Following | None) -> DraftedServo:
+def _servo(columns: LogColumns, position: str, text: str, command: str, fit: Following | None) -> DraftedServo:
     """The servo of a position, which is logged in the unit `text`."""
     rows = copied(columns[position], columns[command])
     if rows is not None:
@@ -127,7 +127,7 @@ def _servo(columns: Columns, position: str, text: str, command: str, fit: Follow
     return DraftedServo(command, unit, fit.lag if fit.late > LAG_ERROR_RATIO else None, offset)
 
 
-def _unit_of_command(columns: Columns, position: str, text: str, command: str, fit: Following | None) -> float:
+def _unit_of_command(columns: LogColumns, position: str, text: str, command: str, fit: Following | None) -> float:
     """The angle [rad] of one of a command, by its label or by how far its position moves, which must fit either."""
     factor, named = unit_factor(text), columns.unit(command, "q")
     unknown = unknown_unit(columns.labels[command], MEANT["q"])
@@ -151,7 +151,7 @@ def _unit_of_command(columns: Columns, position: str, text: str, command: str, f
 
 
 def units_of_commands(
-    columns: Columns, servos: Sequence[DraftedServo | None], switches: int, of_positions: Sequence[str]
+    columns: LogColumns, servos: Sequence[DraftedServo | None], switches: int, of_positions: Sequence[str]
 ) -> dict[str, tuple[str, ...]]:
     """Units of the inputs; empty if all commands are in radians and no name states a unit; a switch has none."""
     texts, in_names = [], False
@@ -166,7 +166,7 @@ def units_of_commands(
 
 
 def plausible_rates(
-    columns: Columns, q: Sequence[str], factors: Sequence[float], v: tuple[str, ...]
+    columns: LogColumns, q: Sequence[str], factors: Sequence[float], v: tuple[str, ...]
 ) -> tuple[tuple[str, ...], list[str]]:
     """Velocity registers; none, and a remark, if the slopes of the positions contradict their unit."""
     for position, factor, name in zip(q, factors, v, strict=False):
@@ -184,7 +184,7 @@ def plausible_rates(
 
 
 def remarks_on(
-    columns: Columns,
+    columns: LogColumns,
     inputs: Inputs,
     servos: Sequence[DraftedServo | None],
     q: Sequence[str],

@@ -1,5 +1,6 @@
 """The part of a drafted model file on servos: the robot, a table for each servo, and comments on other columns."""
 
+import json
 import math
 import os
 import re
@@ -137,17 +138,17 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
     """Lines of the system and its parameters; `path` is the robot's path relative to the folder of the model file."""
     lines = ['system = "robot"', "", "[parameters]"]
     if joints.path:
-        lines += [f"path = {_quoted(path)}"]
+        lines += [f"path = {quoted(path)}"]
     else:
         lines += [
-            f"path = {_quoted(path)}  # each joint by itself, without weight: give the file of your robot",
+            f"path = {quoted(path)}  # each joint by itself, without weight: give the file of your robot",
             "# here, its joints in the order of columns.q, or draft anew with --set 'parameters.path=\"arm.urdf\"'",
         ]
     if joints.guess:
         lines += [f"# {line}" for line in _wrapped(joints.guess)]
     driven = [name for name, servo in zip(joints.names, draft.servos, strict=True) if servo is not None]
     if len(driven) < len(joints.names):
-        lines.append(f"actuated = [{', '.join(map(_quoted, driven))}]  # the others have no command")
+        lines.append(f"actuated = [{', '.join(map(quoted, driven))}]  # the others have no command")
     if joints.locked:
         lines.append(
             f"lock = {{ {', '.join(f'{_key(name)} = 0.0' for name in joints.locked)} }}  # no column was found"
@@ -161,9 +162,8 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
 
 def _centres(draft: Draft) -> list[float]:
     """Angle to add to each position [rad] so that the middle of a 4096-tick encoder is zero."""
-    units = draft.units.get("q", ("",) * len(draft.q))
-    ticks = [unit == "turn/4096" and low >= 0 for unit, (low, _) in zip(units, draft.span, strict=True)]
-    return [-math.pi if each else 0.0 for each in ticks]
+    ticks = zip(draft.units_of_positions, draft.span, strict=True)
+    return [-math.pi if unit == "turn/4096" and low >= 0 else 0.0 for unit, (low, _) in ticks]
 
 
 def servo_lines(draft: Draft, joints: Joints) -> list[str]:
@@ -215,8 +215,8 @@ def loose_joints(draft: Draft, joints: Joints) -> str:
         '<robot name="loose_joints">',
         '  <link name="base"/>',
     ]
-    units = draft.units.get("q", ("rad",) * len(draft.q))
-    for name, is_length, (low, high), unit in zip(joints.names, draft.lengths, draft.span, units, strict=True):
+    rows = zip(joints.names, draft.lengths, draft.span, draft.units_of_positions, strict=True)
+    for name, is_length, (low, high), unit in rows:
         ends = sorted(unit_factor(unit) * x for x in (low, high))
         margin = max(0.2 * (ends[1] - ends[0]), 0.1)
         kind = "prismatic" if is_length else "revolute"
@@ -243,11 +243,11 @@ def path_from(folder: Path, path: str) -> str:
 
 
 def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
 
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+def quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _wrapped(text: str) -> Sequence[str]:
