@@ -1,4 +1,4 @@
-"""The passive observer of ships: low-frequency motion, wave motion and slowly varying forces from position alone.
+"""Estimates low-frequency and wave motion and slowly varying forces of a ship from its position alone: the passive observer.
 
 Source: Fossen & Strand 1999, Passive nonlinear observer design for ships using Lyapunov methods, Automatica 35(1);
 Jouffroy & Fossen 2004, equations (43)–(60) with the signs of (54) and (59) corrected.
