@@ -1,4 +1,4 @@
-"""Observers as C99 for microcontrollers and controllers, with self-test and data sheet, and as units for simulators."""
+"""Exports observers as C99 with self-test and data sheet, for microcontrollers, and as units for simulators."""
 
 from scalargraph.rooms import attach
 

@@ -1,4 +1,4 @@
-"""The data sheet of an exported observer: the cost of a step, memory and limits, and the origin of the code."""
+"""Writes the data sheet of an exported observer: cost of a step, memory, limits, and origin of the code."""
 
 import hashlib
 import re
@@ -27,13 +27,13 @@ ARM = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 
 
 class Facts(NamedTuple):
-    """Facts for the data sheet that are not in the source.
+    """Facts of the data sheet that the source does not contain.
 
     Attributes:
         rate: Sampling rate [Hz] for which the observer was made.
-        substeps: Number of Runge–Kutta steps in each sample; None if there are none, or each step chooses it.
+        substeps: Number of Runge–Kutta steps in each sample; None if there are none, or if each step chooses it.
         certificate: Lines on the proved statements; may be empty.
-        gate: Sentences on which measurements are refused; may be empty.
+        gate: Sentences that say which measurements are refused; may be empty.
 
     Example:
         >>> from covariant.codegen import Facts
@@ -67,7 +67,7 @@ class Size(NamedTuple):
 
 
 def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> str:
-    """The data sheet of an observer as Markdown."""
+    """Write the data sheet of an observer as Markdown."""
     width = {"double": 8, "float": 4}[program.real]
     state = sum(leaf.size for leaf in (*program.state, *program.reported)) * width
     numbers = sum(np.size(value) for value in program.numbers.values())
@@ -113,7 +113,7 @@ def data_sheet(program: Program, source: Source, about: str, facts: Facts) -> st
 
 
 def digest(source: Source) -> str:
-    """SHA-256 of header and source, which hold model, observer and default numbers.
+    """SHA-256 of header and source, which contain model, observer and default numbers.
 
     Args:
         source: The C of the observer.
@@ -157,7 +157,7 @@ def _size(source: Source, compiler: str) -> Size | None:
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / f"{source.name}.h").write_text(source.header, encoding="utf-8")
         (Path(folder) / f"{source.name}.c").write_text(source.source, encoding="utf-8")
-        # -Os is usual for code in the flash of a microcontroller.
+        # -Os is the usual option for code in the flash of a microcontroller.
         command = [compiler, "-std=c99", "-Os", *flags, "-fstack-usage", "-c", f"{source.name}.c"]
         if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
             return None
@@ -167,23 +167,22 @@ def _size(source: Source, compiler: str) -> Size | None:
     # Berkeley format: text, data and bss come first.
     numbers = re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", printed.stdout, re.MULTILINE)
     label = f"{compiler} -Os{' for Cortex-M4F' if flags else ' of this machine'}"
-    # text and data: initialised data are in flash too, and are copied to memory at the start.
+    # The sum of text and data: initialised data are also in flash, and are copied to memory at the start.
     return Size(label, int(numbers[0][0]) + int(numbers[0][1]), stack) if numbers else None
 
 
 def _deepest(usage: str, name: str) -> int:
-    """The deepest stack [bytes] of a step, with the functions that it calls: of calls one after the other, the largest
-    counts."""
+    """The deepest stack [bytes] of a step with the functions that it calls; of successive calls the largest counts."""
     # A line of gcc -fstack-usage has three cells, separated by tabs: file:line:column:function, bytes, static or not.
     cells = [line.split("\t") for line in usage.splitlines()]
-    # Compilers name variants of a function with a dot.
+    # Compilers append a dot and a suffix to names of variants of a function.
     frames = {cell[0].rpartition(":")[2].partition(".")[0]: int(cell[1]) for cell in cells}
 
     def below(function: str) -> int:
         parts = [size for other, size in frames.items() if re.fullmatch(rf"{function}_(\d+|run)", other)]
         loops = {m.group(1) for other in frames if (m := re.match(rf"({function}_loop\d+)", other))}
         turns = [below(f"{loop}_turn") + frames.get(loop, 0) for loop in loops]
-        # Parts and loops of a function run one after the other, so only the deepest of each kind counts.
+        # Parts and loops of a function run one after another, so only the deepest of each kind counts.
         return frames.get(function, 0) + max(parts, default=0) + max(turns, default=0)
 
     return frames.get(f"{name}_step", 0) + below(f"{name}_core_step")

@@ -1,7 +1,7 @@
-"""An observer as a functional mock-up unit (FMU) for co-simulation, in FMI 3.0 or 2.0: description, sources, binary.
+"""Builds an observer as a functional mock-up unit (FMU) for co-simulation, in FMI 3.0 or 2.0.
 
-The measurement that a step from t to t + h gets is of the time t, as simulators set inputs: it corrects the estimate
-there. The outputs are the estimate predicted to t + h.
+A step from t to t + h uses the measurement at the time t, since simulators set inputs before a step, and corrects the
+estimate at t. The outputs are the estimate predicted to t + h.
 
 Source: Modelica Association 2022, Functional Mock-up Interface Specification 3.0, and 2.0.4 of the same year.
 """
@@ -42,7 +42,7 @@ SPELLINGS = {
     "3.0": {"FMI": "fmi3", "STATE": "State", "DE": "Deserialize", "BYTE": "uint8_t"},
     "2.0": {"FMI": "fmi2", "STATE": "state", "DE": "DeSerialize", "BYTE": "char"},
 }
-"""How functions that both versions have are spelled in each."""
+"""Spelling of functions that exist in both versions, for each version."""
 ABLE = ("canGetAndSet", "canSerialize")
 OUTCOME = {
     "name": "outcome",
@@ -51,9 +51,9 @@ OUTCOME = {
     "variability": "discrete",
 }
 DEVIATION_OF = {"velocity_std": "v", "state_std": "x"}
-"""Arrays of an estimate by those of their standard deviations."""
+"""Name of the estimated array for each array of standard deviations."""
 _TOKEN = "@TOKEN@"
-"""Stands for the token, which is a hash of the texts that have it."""
+"""Placeholder of the token, which is a hash of the texts that contain it."""
 
 
 class UnitVariable(NamedTuple):
@@ -65,7 +65,7 @@ class UnitVariable(NamedTuple):
         shape: Its shape.
         start: Its first values, row by row; empty for an output.
         about: A description; may be empty.
-        units: The unit of each entry, or one for all; "" for one that has none, and empty where they are not known.
+        units: The unit of each entry, or one for all; "" for an entry without a unit, and empty if units are not known.
 
     Example:
         >>> from covariant.codegen._fmu import UnitVariable
@@ -86,7 +86,7 @@ class UnitVariable(NamedTuple):
         return int(np.prod(self.shape, dtype=int))
 
     def unit(self, entry: int | None = None) -> str:
-        """The unit of an entry, or that of all of them, which is "" where they differ."""
+        """The unit of an entry, or the common unit of all entries, which is "" if they differ."""
         if entry is not None and len(self.units) == self.size:
             return self.units[entry]
         return self.units[0] if len(set(self.units)) == 1 and len(self.units) in (1, self.size) else ""
@@ -97,7 +97,7 @@ class Unit(NamedTuple):
 
     Attributes:
         files: Contents by their path in the unit.
-        without_binary: Why there is no binary among them; "" where there is one.
+        without_binary: Reason why there is no binary among them; "" if there is one.
 
     Example:
         >>> from covariant.codegen import Unit
@@ -110,24 +110,24 @@ class Unit(NamedTuple):
 
 
 def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, version: Version = "3.0") -> Unit:
-    """An observer as a unit for co-simulation, whose inputs are the measurement `y` and the input `u`.
+    """Build an observer as a unit for co-simulation, whose inputs are the measurement `y` and the input `u`.
 
-    Its parameters, the open numbers, are tunable, and have the units of the model. The binary is compiled for the
-    machine at hand, by the compiler that CC names, `cc`, or that of the package ziglang.
+    Its parameters are the open numbers; they are tunable, and have the units of the model. The binary is compiled for
+    this machine, by the compiler named in CC, by `cc`, or by the compiler of the package ziglang.
 
     Args:
         program: The observer as graphs.
         name: Prefix of all names in C, an identifier.
-        about: A line that says what the observer is, for comments and texts.
-        rate: Rate [Hz] that the unit suggests; any other will do.
-        y: Measurement from which it starts where the simulator sets none.
+        about: A line that describes the observer, for comments and texts.
+        rate: Rate [Hz] that the unit suggests; any other rate works too.
+        y: Measurement from which it starts if the simulator sets none.
         version: Version of FMI. 3.0 has arrays; in 2.0 each entry is a separate variable, such as `y[1]`.
 
     Returns:
-        The unit, without a binary where no compiler is there or FMI names no folder for the machine.
+        The unit, without a binary if there is no compiler or FMI defines no folder for the machine.
 
     Raises:
-        ValueError: The name is no identifier of C.
+        ValueError: The name is not an identifier of C.
         OSError: The compiler refuses the sources.
 
     Example:
@@ -139,7 +139,7 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
         >>> [path for path in unit.files if not path.startswith("binaries")]
         ['sources/speed.h', 'sources/speed.c', 'sources/speed_fmu.c', 'modelDescription.xml']
     """
-    # A comment of C ends at */, and one line must stay one.
+    # The characters */ would end a comment of C, and a line break would end the line.
     about = " ".join(about.replace("*/", "").split())
     source = write_source(program, name, about)
     variables = list(_variables(program, y))
@@ -152,7 +152,7 @@ def fmu(program: Program, name: str, about: str, rate: float, y: np.ndarray, ver
     }
     if version == "3.0":
         drafts["sources/buildDescription.xml"] = fill("covariant.codegen", "build.xml", words)
-    # A token by content, not at random: equal units are equal files, and description and binary fit together.
+    # The token depends on the content, so that equal units are equal files, and description and binary fit together.
     identifier = uuid.uuid5(uuid.NAMESPACE_OID, hashlib.sha256("".join(drafts.values()).encode()).hexdigest())
     files = {path: text.replace(_TOKEN, f"{{{identifier}}}").encode() for path, text in drafts.items()}
     place = PLACES.get((version, platform.system(), platform.machine()))
@@ -174,7 +174,7 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
     Args:
         unit: The unit.
         path: Path of the file, which ends in .fmu.
-        overwrite: Replace a file that is there. By default it is refused.
+        overwrite: Whether an existing file is replaced. By default it is refused.
 
     Raises:
         ValueError: There is such a file or folder already, or no parent folder.
@@ -202,7 +202,7 @@ def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
         yield UnitVariable("u", "input", (program.u,), (0.0,) * program.u, about, units("u"))
     for key, value in program.numbers.items():
         unit = program.units.get(key, "1")
-        # "kg, kg m^2" is that of numbers of several kinds.
+        # A unit such as "kg, kg m^2" belongs to numbers of several kinds.
         known = () if unit == "1" or "," in unit else (unit,)
         yield UnitVariable(
             f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()), "", known
@@ -222,7 +222,7 @@ def _signal_list(program: Program, array: str) -> str:
 
 
 def _unit_source(program: Program, words: Words, variables: Sequence[UnitVariable], version: Version) -> str:
-    """The C source of a unit, beside that of the observer."""
+    """The C source of a unit, in addition to the source of the observer."""
     parameters = [e for leaf in program.parameters for e in entries("params->", leaf)]
     shown = [e for leaf in program.output for e in entries("output->", leaf)]
     inputs = program.measurements + program.u
@@ -237,7 +237,7 @@ def _unit_source(program: Program, words: Words, variables: Sequence[UnitVariabl
         "VARIABLES": len(sizes),
         "FIRSTS": ", ".join(map(str, np.cumsum([0, *sizes])[:-1].tolist())),
         "SIZES": ", ".join(map(str, sizes)),
-        # Without parameters the structure has one unused member, which C demands, and m is not read.
+        # Without parameters the structure has one unused member, since C demands a member, and m is not read.
         "TAKEN": reads or ["    (void)m;", "    params->unused = 0;"],
         "SHOWN": [f"    m->numbers[{i}] = (double){e};" for i, e in enumerate(shown, outputs)],
         # `forget` sets all numbers to zero first.
@@ -252,11 +252,11 @@ def _unit_source(program: Program, words: Words, variables: Sequence[UnitVariabl
 
 
 def _refusing_function(kind: str, name: str, declared: str) -> str:
-    """A function that this unit does not have: it returns an error or, where nothing is asked for, none."""
+    """A function that this unit does not support: it returns an error, or no error if no values are requested."""
     types = [text.strip() for text in declared.split(",")]
     arguments = ", ".join(f"{text} a{i}".replace("* ", "*") for i, text in enumerate(types))
     ignored = "".join(f"    (void)a{i};\n" for i in range(len(types)))
-    # A function that asks for no values, n = 0, has nothing to refuse.
+    # A call that requests no values, n = 0, has nothing to refuse.
     asked = f"a{types.index('size_t')} == 0 ? OK : ERROR" if "size_t" in types else "ERROR"
     result = "NULL" if kind == "void *" else asked
     return f"EXPORT {kind}{name}({arguments})\n{{\n{ignored}    return {result};\n}}\n"
@@ -305,7 +305,7 @@ def _start(v: UnitVariable, unit: str, values: Sequence[float]) -> dict[str, str
 
 
 def _add_arrays(root: Element, variables: Sequence[UnitVariable]) -> None:
-    """Variables of FMI 3.0. References 0 and 1 are those of time and outcome, as `fmi3.c` has them."""
+    """Add the variables of FMI 3.0. References 0 and 1 are time and outcome, as in `fmi3.c`."""
     listed, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
     time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
     SubElement(listed, "Float64", time | {"unit": "s"})
@@ -321,7 +321,7 @@ def _add_arrays(root: Element, variables: Sequence[UnitVariable]) -> None:
 
 
 def _add_scalars(root: Element, variables: Sequence[UnitVariable]) -> None:
-    """Variables of FMI 2.0, one for each entry."""
+    """Add the variables of FMI 2.0, one for each entry."""
     listed, structure = SubElement(root, "ModelVariables"), SubElement(root, "ModelStructure")
     entries_of = [(v, k) for v in variables for k in range(v.size)]
     for reference, (v, k) in enumerate(entries_of):
@@ -330,7 +330,7 @@ def _add_scalars(root: Element, variables: Sequence[UnitVariable]) -> None:
         variable = SubElement(listed, "ScalarVariable", _attributes(v, f"{v.name}{place}", reference))
         SubElement(variable, "Real", _start(v, v.unit(k), v.start[k : k + 1]))
     SubElement(SubElement(listed, "ScalarVariable", OUTCOME, valueReference="0"), "Integer")
-    # An output is named by its place in the list, which counts from one.
+    # An output is referenced by its place in the list, counted from one.
     outputs = [k for k, (v, _) in enumerate(entries_of, start=1) if v.causality == "output"]
     for tag in ("Outputs", "InitialUnknowns"):
         unknowns = SubElement(structure, tag)

@@ -1,4 +1,4 @@
-"""Names of exports, which must not be reserved or in use in C, C++, JavaScript, Python, CMake or the file system.
+"""Checks names of exports, which must not be reserved or used in C, C++, JavaScript, Python, CMake or file systems.
 
 The name of an export is the prefix of all names in its C code. It is also a namespace of C++, an object of JavaScript,
 a module of Python, a target of CMake and part of the names of files.
@@ -21,7 +21,7 @@ _HEADERS = (
     "mqueue netdb poll pthread pwd regex sched search semaphore spawn strings syslog tar termios unistd utime values "
     "wordexp conio direct io process tchar windows"
 )
-"""Headers of C, POSIX and Windows, which the header of an export would hide if its folder is searched first."""
+"""Headers of C, POSIX and Windows, which the header of an export would hide if its folder were searched first."""
 _POSIX = (
     "accept access alarm bind brk chdir chmod close connect daylight dup environ execl execv fileno fork getopt getpid "
     "index ioctl kill link listen mkdir nice open optarg opterr optind optopt pause pipe poll popen random read recv "
@@ -49,15 +49,15 @@ _GLOBALS = (
     "open opener origin parent parseFloat parseInt performance personalbar print process prompt require screen scroll "
     "scrollbars self status statusbar stop structuredClone toolbar top window"
 )
-"""Properties of the global object of a page or of Node; some cannot be set, and setting `location` loads a page."""
+"""Properties of the global object of a page or of Node. Some cannot be set, and setting `location` loads a page."""
 _PACKAGES = "numpy covariant pip setuptools wheel"
-"""Packages that an exported one would hide: it needs numpy, and the others install it."""
+"""Packages that an exported package would hide: it needs numpy, and the others install it."""
 
 
 def check_export_name(name: str, python: bool = False, wasm: bool = False) -> None:
-    """Check that an export may have a name; raises `ValueError`.
+    """Check that an export may have a name; raises `ValueError` otherwise.
 
-    Modules of Python are refused only with `python`, and globals of JavaScript only with `wasm`.
+    Names of Python modules are refused only with `python`, and JavaScript globals only with `wasm`.
     """
     check_name(name)
     kinds = (

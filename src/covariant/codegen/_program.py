@@ -1,4 +1,4 @@
-"""An observer as graphs of scalars, with its numbers as arguments, from which code is written."""
+"""Traces an observer to graphs of scalars, with its numbers as arguments; code is written from these graphs."""
 
 import math
 import re
@@ -23,7 +23,7 @@ DTYPES = {"double": np.float64, "float": np.float32}
 
 BOUND = ("position_bound", "velocity_bound", "premise")
 REPORTED = ("innovation", "distance", "nis", "velocity_std", "state_std", "slow", "slow_std", *BOUND)
-"""Fields of an info that the code stores, beside the result code."""
+"""Fields of an info that the code stores, besides the result code."""
 GAIN_UNITS = {"alpha": "1/s", "beta": "1/s^2", "force_rate": "1/s"}
 """Units of the gains of observers of second order."""
 CONFIGURATION = "configuration"
@@ -36,7 +36,7 @@ class Recipe(NamedTuple):
     Attributes:
         make: Function `numbers -> observer`, which JAX can trace.
         numbers: The open numbers by name, with their values.
-        units: Units of those that have one, by name.
+        units: Units of the numbers that have one, by name.
 
     Example:
         >>> import numpy as np
@@ -58,7 +58,7 @@ class Member(NamedTuple):
     Attributes:
         name: Its name.
         shape: Its shape.
-        real: Whether it holds real numbers rather than counts or truth values.
+        real: Whether it contains real numbers, and not counts or truth values.
 
     Example:
         >>> from covariant.codegen._program import Member
@@ -77,15 +77,15 @@ class Member(NamedTuple):
 
     @property
     def last(self) -> "Member":
-        """The array of a state that holds this one of the info of the last step."""
+        """The array of a state that stores this array of the info of the last step."""
         return self._replace(name=f"last_{self.name}")
 
 
 class Signals(NamedTuple):
-    """Names of the numbers that an observer takes and gives, in their order, with units, for comments and texts.
+    """Names of the numbers that an observer takes and returns, in their order, with units, for comments and texts.
 
     Attributes:
-        y: A name for each number of a measurement, as "q1 [rad]", or one for all; empty where they are not known.
+        y: A name for each number of a measurement, as "q1 [rad]", or one for all; empty if they are not known.
         u: A name for each input.
         x: Names for each array of an estimate, as ("v", ("q1 [rad/s]",)).
 
@@ -101,25 +101,25 @@ class Signals(NamedTuple):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """A line for each array of which the names are known, that can stand in a comment of C or Python."""
+        """A line for each array whose names are known, for comments of C or Python."""
         named = (("y", self.y), ("u", self.u), *self.x)
         texts = (f"{array}: {', '.join(names)}" for array, names in named if names)
         return tuple(" ".join(text.replace("*/", "").replace("\\", "/").replace('"', "'").split()) for text in texts)
 
     def of(self, array: str) -> str:
-        """The names of an array, or "" where they are not known."""
+        """The names of an array, or "" if they are not known."""
         return next((line.partition(": ")[2] for line in self.lines if line.startswith(f"{array}: ")), "")
 
     def units(self, array: str) -> tuple[str, ...]:
-        """The unit of each number of an array, "" where it has none; empty where the names are not known."""
+        """The unit of each number of an array, "" if it has none; empty if the names are not known."""
         names = next((names for name, names in (("y", self.y), ("u", self.u), *self.x) if name == array), ())
         return tuple(name.rpartition(" [")[2][:-1] if name.endswith("]") else "" for name in names)
 
 
 class Program(NamedTuple):
-    """An observer as graphs of scalars. Counts and truth values of its state are real numbers in them.
+    """An observer as graphs of scalars, in which counts and truth values of its state are real numbers.
 
-    It is the form between an observer and its C, for tools that write another language. `write_source` generates C from
+    This form lies between an observer and its C, for tools that write another language. `write_source` generates C from
     it. Use `covariant.export` to get complete files with a self-test.
 
     Attributes:
@@ -127,7 +127,7 @@ class Program(NamedTuple):
         step: Graph of `(numbers, state, u, y, dt) -> (state, info)`.
         estimate: Graph of `(numbers, state) -> x`.
         numbers: The open numbers that any of the graphs uses, with their values.
-        given: All open numbers, which are arguments of the graphs.
+        given: All open numbers, which are the arguments of the graphs.
         values: Their values.
         state: Arrays of a state.
         info: Arrays of the diagnostics of a step.
@@ -135,14 +135,14 @@ class Program(NamedTuple):
         y: Shape of a measurement.
         u: Number of inputs.
         real: Type of the numbers, "double" or "float".
-        told_as: The info with the shapes and types that it has in JAX.
-        sensors: Name of each sensor beside the configuration, and how many numbers it has in a measurement.
+        told_as: The info, with its shapes and types in JAX.
+        sensors: Name of each sensor besides the configuration, and its count of numbers in a measurement.
         alone: Graphs of `(numbers, state, u, part, dt) -> (state, info)` of a step in which only one part of the
-            measurement was read, `CONFIGURATION` or a sensor, with its name; empty where they were not asked for.
+            measurement was read, by the name of the part, `CONFIGURATION` or a sensor; empty if not requested.
         signals: Names and units of measurement, input and estimate, for comments.
         units: Units of the open numbers that have one, by name.
-        largest: Largest magnitude of each number of a configuration at which an estimate can start.
-        input_at_end: Whether the input of a step is that of its end, and not of its begin.
+        largest: Largest magnitude of each number of a configuration from which an estimate can start.
+        input_at_end: Whether the input of a step is the input at its end instead of its begin.
 
     Example:
         >>> import numpy as np
@@ -175,13 +175,13 @@ class Program(NamedTuple):
 
     @property
     def parts(self) -> tuple[tuple[str, int], ...]:
-        """Parts of a measurement by name, with their numbers: the configuration, and each sensor."""
+        """Parts of a measurement by name, with their counts of numbers: the configuration, and each sensor."""
         rest = self.measurements - sum(count for _, count in self.sensors)
         return ((CONFIGURATION, rest), *self.sensors)
 
     @property
     def parts_text(self) -> str:
-        """What a measurement consists of, in order, for comments."""
+        """The parts of a measurement, in order, as a text for comments."""
         return ", then ".join(f"{count} of {part_text(name)}" for name, count in self.parts)
 
     @property
@@ -196,17 +196,17 @@ class Program(NamedTuple):
 
     @property
     def reported(self) -> list[Member]:
-        """The arrays of the info that are stored beside a state, `REPORTED` among them."""
+        """The arrays of the info that are stored with a state: those in `REPORTED`."""
         return [leaf for leaf in self.info if leaf.name in REPORTED and leaf.size]
 
     @property
     def told(self) -> list[Member]:
-        """Standard deviations, proved bounds and slow states, which belong to an estimate."""
+        """Standard deviations, proved bounds and slow states, which accompany an estimate."""
         return [leaf for leaf in self.reported if leaf.name in ("slow", *BOUND) or leaf.name.endswith("_std")]
 
     @property
     def stored(self) -> list[Member]:
-        """The arrays of a state as the code stores it, with what the last step reported."""
+        """The arrays of a state as the code stores it, including those reported by the last step."""
         return [*self.state, *(leaf.last for leaf in self.reported)]
 
     @property
@@ -216,20 +216,20 @@ class Program(NamedTuple):
 
 
 def part_text(part: str) -> str:
-    """A part of a measurement as in a sentence."""
+    """Describe a part of a measurement for use in a sentence."""
     return "the configuration" if part == CONFIGURATION else part
 
 
 def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> Recipe:
-    """The recipe in which all arrays of an observer and of its model are open.
+    """Build the recipe in which all arrays of an observer and of its model are open.
 
-    An array is called as in the source. Arrays of one name and equal values, such as a mass that the inertia and the
-    potential both use, are one number. Those of one name with different values get longer names, by where they are.
+    An array has the same name as in the source. Arrays of one name and equal values, such as a mass used by both
+    inertia and potential, become one number. Arrays of one name with different values get longer names, by their place.
 
     Args:
         observer: The observer, with the values of its numbers.
-        fixed: Patterns of names, such as `rotation` or `place*`, of arrays that become constants. Zeros among them cost
-            nothing in the code.
+        fixed: Patterns of names, such as `rotation` or `place*`, of arrays that become constants. Zeros in constants
+            cost nothing in the code.
 
     Example:
         >>> from covariant import codegen, observers
@@ -240,7 +240,7 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
     arrays = [np.asarray(leaf) for _, leaf in paths]
     names = _shortest_names([_path_keys(path) for path, _ in paths], arrays)
-    # A proved bound holds for these numbers only, so that all of them become constants.
+    # A proved bound holds only for these numbers, so all of them become constants.
     patterns = ("*",) if observer.fixed_numbers else fixed
     closed = [any(fnmatchcase(name, pattern) for pattern in patterns) for name in names]
     numbers = {name: a for name, a, fix in zip(names, arrays, closed, strict=True) if a.size and not fix}
@@ -254,17 +254,17 @@ def with_open_numbers(observer: AbstractObserver, fixed: Sequence[str] = ()) -> 
 
 
 def of_family(observer: AbstractObserver, family: Family) -> Recipe:
-    """The recipe in which the open numbers of a family of models, and those of the observer itself, are open.
+    """Build the recipe in which the open numbers of a family of models, and those of the observer itself, are open.
 
     Args:
-        observer: An observer of `family.file.model`, whose arrays it holds.
+        observer: An observer of `family.file.model`, which contains the arrays of that model.
         family: The models, with their open numbers.
 
     Returns:
-        The recipe. A name that both have is prefixed by `observer_` for that of the observer.
+        The recipe. If both have a number of the same name, that of the observer gets the prefix `observer_`.
 
     Raises:
-        ValueError: The observer is one of another model.
+        ValueError: The observer belongs to another model.
 
     Example:
         >>> from pathlib import Path
@@ -277,7 +277,7 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
         ['alpha', 'beta', 'mass']
     """
     model = family.file.model
-    # By identity: an observer of this model holds the very arrays of it.
+    # By identity, since an observer of this model contains the same array objects.
     index_in_model = {id(leaf): k for k, leaf in enumerate(jax.tree.leaves(model))}
     dynamic, static = eqx.partition(observer, eqx.is_inexact_array)
     paths, tree = jax.tree_util.tree_flatten_with_path(dynamic)
@@ -293,7 +293,7 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
         for base, ks in groups.items()
         for name, each in ([(base, ks)] if _whole(base, ks, family) else [(family.names[k], [k]) for k in ks])
     }
-    # Names of the file win: they are what its reader knows.
+    # Names of the file have priority, since its reader knows them.
     clash = sorted(set(names) & set(groups))
     renamed = {name: f"observer_{name}" for name in clash}
     names = [renamed.get(name, name) for name in names]
@@ -321,14 +321,14 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
 
 
 def _units(observer: AbstractObserver, paths: Sequence[tuple[Any, Any]]) -> list[str | None]:
-    """The units of arrays of an observer, as its model's parameters state them."""
+    """The units of arrays of an observer, as stated by the parameters of its model."""
     stated = jax.tree_util.tree_flatten_with_path(observer, is_leaf=lambda node: isinstance(node, Parameter))[0]
     units = {tuple(path): node.unit for path, node in stated if isinstance(node, Parameter)}
     return [units.get(tuple(path[:-1])) for path, _ in paths]
 
 
 def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
-    """Whether open numbers are all of a number or of a list in the file, and so are one array."""
+    """Whether open numbers form a complete number or list of the file, and so become one array."""
     value = family.document.get("parameters", {}).get(base)
     return not isinstance(value, list) or (np.ndim(value) == 1 and len(value) == len(ks))
 
@@ -340,7 +340,7 @@ class TracedProgram(NamedTuple):
         init: Traced function `(numbers, y, t) -> state`.
         step: Traced function `(numbers, state, u, y, dt) -> (state, info)`.
         estimate: Traced function `(numbers, state) -> x`.
-        estimated_as: The estimate with the shapes and types that it has in JAX.
+        estimated_as: The estimate, with its shapes and types in JAX.
 
     The other fields are those of `Program`.
 
@@ -373,10 +373,10 @@ class TracedProgram(NamedTuple):
     input_at_end: bool = False
 
     def lower(self, loops: bool = False) -> Program:
-        """The graphs of the observer.
+        """Write the graphs of the observer.
 
         Args:
-            loops: Whether loops are allowed whose length the numbers decide; as for `program`.
+            loops: Whether loops are allowed whose length depends on numbers; as for `program`.
 
         Raises:
             LoweringError: As for `program`.
@@ -405,20 +405,20 @@ def program(
 ) -> Program:
     """Trace an observer to graphs of scalars, from which code is written.
 
-    Use it for the steps before `write_source`, or to count operations. The observer needs a fixed amount of work: give
-    it `substeps`, and a `Budget` with a number of `newton` corrections. `real="float"` halves memory, and errors then
-    grow to about seven digits. `covariant.export` does all of this.
+    Use it for the steps before `write_source`, or to count operations. A step of the observer must have a fixed amount
+    of work: set its `substeps`, and a `Budget` with a number of `newton` corrections. `real="float"` halves the memory,
+    and limits the accuracy to about seven digits. `covariant.export` does all of this.
 
     Args:
         recipe: The observer and its open numbers.
-        y: A measured configuration, of which the shape counts.
-        inputs: Number of inputs m; by default that of the observer's model, or 0 where it has none.
+        y: A measured configuration, of which only the shape is used.
+        inputs: Number of inputs m; by default that of the observer's model, or 0 if it has none.
         real: Type in which the graphs compute, "double" or "float".
-        loops: Let a step take as long as its numbers ask for, as where friction decides the number of its substeps.
-        alone: Of a filter with sensors, add the steps in which only one of them, or the configuration, was read.
+        loops: Whether the length of a step may depend on numbers, as when friction decides the number of its substeps.
+        alone: For a filter with sensors, add the steps in which only one of them, or the configuration, was read.
 
     Raises:
-        LoweringError: A step has no graph of a fixed size, as where friction decides the number of its substeps
+        LoweringError: A step has no graph of a fixed size, for example since friction decides the number of substeps
             (`observers.with_fixed_substeps`), and `loops` are not allowed.
 
     Example:
@@ -434,14 +434,14 @@ def program(
 def trace_program(
     recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double", alone: bool = False
 ) -> TracedProgram:
-    """An observer traced by JAX, which takes a part of the time that its graphs take.
+    """Trace an observer by JAX, which takes only a part of the time needed for its graphs.
 
     Args:
         recipe: The observer and its open numbers.
-        y: A measured configuration, of which the shape counts.
-        inputs: Number of inputs m; by default that of the observer's model, or 0 where it has none.
+        y: A measured configuration, of which only the shape is used.
+        inputs: Number of inputs m; by default that of the observer's model, or 0 if it has none.
         real: Type in which the graphs compute, "double" or "float".
-        alone: Of a filter with sensors, add the steps in which only one of them, or the configuration, was read.
+        alone: For a filter with sensors, add the steps in which only one of them, or the configuration, was read.
 
     Returns:
         The traced functions; `lower` writes their graphs.
@@ -457,14 +457,14 @@ def trace_program(
     y = np.asarray(y, dtype)
     first = recipe.make(recipe.numbers)
     model: Any = getattr(first, "model", None)
-    # A filter without a model looks at no input.
+    # A filter without a model uses no input.
     n = first.configuration(y).shape[0]
     u = inputs if inputs is not None else input_count(model, n) if model is not None else 0
     open_numbers = {name: jax.ShapeDtypeStruct(np.shape(value), dtype) for name, value in recipe.numbers.items()}
     scalar, measured = jax.ShapeDtypeStruct((), dtype), jax.ShapeDtypeStruct(y.shape, dtype)
 
     def cast_observer(numbers):
-        # Cast after `make`, whose arithmetic may promote: all numbers of the code have one type.
+        # The cast comes after `make`, whose arithmetic may promote types: all numbers of the code have one type.
         return jax.tree.map(lambda a: a.astype(dtype) if eqx.is_inexact_array(a) else a, recipe.make(numbers))
 
     structures: dict[str, Any] = {}  # with the shapes and types that they have in JAX, recorded by tracing
@@ -490,8 +490,8 @@ def trace_program(
         observer = cast_observer(numbers)
         x: Any = observer.estimate(typed(state))
         structures["estimate"] = _kinds(x)
-        # The state x of a state-space model is one array; elsewhere an estimate is q and v in halves. With a lag it is
-        # that of a state in the state.
+        # The state x of a state-space model is one array; other estimates consist of q and v. With a lag, the estimate
+        # is that of the inner state.
         estimated: Any = getattr(state, "inner", state)
         estimated = getattr(estimated, "smoothed", estimated)
         if isinstance(x, tuple) or "x" in getattr(estimated, "_fields", ()):
@@ -508,7 +508,7 @@ def trace_program(
         for name, count in ((CONFIGURATION, y.size - sum(k for _, k in sensors)), *sensors):
 
             def step_alone(numbers, state, u, part, dt, at=at):
-                # What is not a number is a constant here, so that the graph loses all that is only for the rest.
+                # Parts that are not read are the constant NaN, so that the graph drops all that only serves them.
                 return step(numbers, state, u, jnp.full(y.shape, jnp.nan, dtype).at[at : at + part.size].set(part), dt)
 
             part = jax.ShapeDtypeStruct((count,), dtype)
@@ -559,7 +559,7 @@ def _reachable_nodes(lowered: Lowered):
 
 
 def _leaves(tree: Any) -> tuple[Member, ...]:
-    """The arrays of a pytree, in order; an array alone is called x."""
+    """The arrays of a pytree, in order; a single array is called x."""
     leaves = []
     for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         name = "_".join(_path_keys(path)) or "x"
@@ -574,14 +574,14 @@ def _path_keys(path: Sequence[Any]) -> list[str]:
 
 
 def _identifier(text: str) -> str:
-    """A name as one of C."""
+    """Convert a name to an identifier of C."""
     # ASCII: C99 compilers need not accept other letters in names.
     plain = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
     return f"n{plain}" if plain[:1].isdigit() else plain or "n"
 
 
 def _shortest_names(paths: Sequence[Sequence[str]], arrays: Sequence[np.ndarray]) -> list[str]:
-    """The shortest names by which arrays of different values differ."""
+    """The shortest names that distinguish arrays of different values."""
 
     def same(i: int, j: int) -> bool:
         return arrays[i].shape == arrays[j].shape and np.array_equal(arrays[i], arrays[j])

@@ -1,4 +1,4 @@
-"""Models, observers and closed loops as `control.NonlinearIOSystem` of the python-control package.
+"""Converts models, observers and closed loops to `control.NonlinearIOSystem` of the package python-control.
 
 Such a system takes and returns plain vectors, so the state of an observer, a pytree, is flattened into one vector.
 """
@@ -17,7 +17,7 @@ from covariant.observers import AbstractFlowObserver, continuous
 
 
 def plant(model: StateSpace, name: str = "plant") -> Any:
-    """A model as a `control.NonlinearIOSystem` from u to y.
+    """Convert a model to a `control.NonlinearIOSystem` from u to y.
 
     Args:
         model: The model.
@@ -36,7 +36,7 @@ def plant(model: StateSpace, name: str = "plant") -> Any:
         ...     assert codegen.plant(model).state_labels == ["q", "v"]
     """
     return _system(
-        # Lambdas, since `jax.jit` hashes a bound function, and a model whose parameters are a dictionary has no hash.
+        # Lambdas, since `jax.jit` hashes a bound method, and a model whose parameters are a dictionary has no hash.
         jax.jit(lambda t, x, u: model.f(t, x, u)),
         jax.jit(lambda t, x, u: model.h(t, x, u)),
         inputs=_inputs(model.inputs),
@@ -49,11 +49,11 @@ def plant(model: StateSpace, name: str = "plant") -> Any:
 def observer_system(
     observer: AbstractFlowObserver, model: StateSpace, y0: Any, t0: float = 0.0, name: str = "observer"
 ) -> Any:
-    """An observer as a `control.NonlinearIOSystem` from (u, y) to its estimate, to be interconnected with `plant`.
+    """Convert an observer to a `control.NonlinearIOSystem` from (u, y) to its estimate, to be connected with `plant`.
 
     Args:
         observer: The observer.
-        model: Model of the observer, which gives the names of the signals.
+        model: Model of the observer, which provides the names of the signals.
         y0: First measurement.
         t0: Its time [s].
         name: Name of the system, and prefix of its outputs.
@@ -107,11 +107,11 @@ def closed_loop(
     t0: float = 0.0,
     name: str = "loop",
 ) -> Any:
-    """Plant, observer and controller as one `control.NonlinearIOSystem` without inputs; its outputs are x, x̂ and u.
+    """Connect plant, observer and controller to a `control.NonlinearIOSystem` without inputs and with outputs x, x̂, u.
 
     Use it to examine a loop with tools of python-control, such as linearisation or simulation. Everything is in
-    continuous time, so it needs an observer that has a `flow`, such as `Contracting`. The measurement must not depend
-    on the input. Use `simulation.observe` for a simulation alone.
+    continuous time, so the observer must have a `flow`, such as `Contracting`. The measurement must not depend on the
+    input. For a simulation alone, use `simulation.observe`.
 
     Args:
         model: The plant.

@@ -1,4 +1,4 @@
-"""An exported observer as a Python package that needs NumPy alone: the C, compiled and loaded by ctypes, and a wheel.
+"""Packs an exported observer as a Python package that needs only NumPy: compiled C, loaded by ctypes, and a wheel.
 
 Sources: PEP 427 and PEP 425, wheels and the tags in their names.
 """
@@ -22,28 +22,28 @@ from scalargraph.files import zipped
 from scalargraph.template import Words, fill
 
 FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared")
-"""Flags of the compiler, for all processors of a kind: results are the same on all of them, but for `<math.h>`."""
+"""Flags of the compiler, for all processors of a kind: except for `<math.h>`, results are the same on all of them."""
 SUFFIXES = {"Darwin": ".dylib", "Windows": ".dll"}
-"""What the name of a library ends with, by system; `.so` on others."""
+"""Ending of the name of a library, by system; `.so` on all others."""
 LEAST_PYTHON = "3.9"
 
 
 def python_files(program: Program, texts: Mapping[str, str], name: str, about: str, rate: float) -> dict[str, bytes]:
-    """A Python package of an exported observer, compiled for the machine at hand, and a wheel of it.
+    """Build a Python package of an exported observer, compiled for this machine, and a wheel of it.
 
     Args:
         program: The observer as graphs.
         texts: Its header and source, as `export_texts` writes them.
         name: Prefix of all names in C, and name of the package.
-        about: A line that says what the observer is.
-        rate: Sampling rate [Hz] that it is made for.
+        about: A line that describes the observer.
+        rate: Sampling rate [Hz] for which it was made.
 
     Returns:
-        Contents by their path in the folder of the export. Without a C compiler there is neither a library nor a wheel,
-        and the package builds its library where there is one.
+        Contents by their path in the folder of the export. Without a C compiler there is neither a library nor a wheel;
+        the package then builds its library on a machine that has a compiler.
 
     Raises:
-        ValueError: The name is that of a module of Python, or not allowed for an export.
+        ValueError: The name belongs to a module of Python, or is not allowed for an export.
         OSError: The compiler refuses the sources.
 
     Example:
@@ -78,7 +78,7 @@ def python_files(program: Program, texts: Mapping[str, str], name: str, about: s
 
 
 def _platform() -> str:
-    """The tag of the machine at hand, whose compiler makes code for one architecture."""
+    """The tag of this machine; its compiler makes code for one architecture."""
     tag = sysconfig.get_platform().replace("universal2", platform.machine())
     return tag.replace("-", "_").replace(".", "_")
 
@@ -101,10 +101,10 @@ def _wheel(package: Mapping[str, bytes], name: str, about: str, version: str, ta
 def _words(program: Program, about: str, rate: float, token: str, version: str) -> Words:
     lines = [f"    {line}" for line in program.signals.lines]
     title = "Numbers in their order, in these units, whatever those of a log:"
-    # An estimate has standard deviations that a step reports as well; a run has them once.
+    # Some standard deviations are both in the estimate and in the report of a step; a run contains them once.
     columns = {leaf.name: leaf for leaf in [*program.output, *program.reported]}
     return {
-        # In a docstring between three quotes.
+        # It goes into a docstring between three quotes.
         "ABOUT": about.replace("\\", "/").replace('"', "'"),
         "TOKEN": token,
         "VERSION": version,

@@ -1,4 +1,4 @@
-"""An exported observer as two packages of ROS 2: a node in Python around its module, and one in C on rcl.
+"""Packs an exported observer as two packages of ROS 2: a node in Python around its module, and a node in C on rcl.
 
 Sources: REP 149, package.xml; the messages of sensor_msgs and diagnostic_msgs.
 """
@@ -17,9 +17,9 @@ from scalargraph.errors import InputError
 from scalargraph.template import Words, fill
 
 LONGEST_GAP, SET_BACK = 1.0, 5
-"""Gap [s] and number of late samples in a row after which the estimate starts anew, as in `engine.Stream`."""
+"""Gap [s] and number of late samples in a row after which the estimate restarts, as in `engine.Stream`."""
 POSITIVE = ("mass", "inertia", "length", "alpha", "beta", "noise", "speed")
-"""Numbers that stay above zero; a tenth and ten times of the exported ones are their range."""
+"""Numbers that stay above zero; their range is from a tenth to ten times the exported value."""
 DEPENDS = {
     "ament_python": (
         "exec",
@@ -30,21 +30,21 @@ DEPENDS = {
 
 
 def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str, rate: float) -> dict[str, bytes]:
-    """Two packages of ROS 2 around an exported observer of joints.
+    """Build two packages of ROS 2 around an exported observer of joints.
 
     Args:
         program: The observer as graphs.
         texts: Its header and source, as `export_texts` writes them.
         name: Prefix of all names in C, and name of the Python module.
-        about: A line that says what the observer is.
-        rate: Sampling rate [Hz] that it is made for.
+        about: A line that describes the observer.
+        rate: Sampling rate [Hz] for which it was made.
 
     Returns:
         Contents by their path in the folder of the export: `ros2/NAME_ros`, which pip and colcon build, and
         `ros2/NAME_ros_c`, which colcon builds.
 
     Raises:
-        ValueError: The observer reads something else than a position of each joint.
+        ValueError: The observer needs measurements other than one position of each joint.
         OSError: The compiler refuses the sources.
 
     Example:
@@ -120,7 +120,7 @@ def _words(program: Program, name: str, about: str, rate: float) -> Words:
 
 
 def _range(name: str, value: float) -> tuple[float, float]:
-    """The range that a number of the model may be set to at run time."""
+    """The range of values of a number of the model that may be set at run time."""
     if name.startswith(POSITIVE) and value > 0:
         return value / 10, value * 10
     reach = 10 * abs(value) if value and math.isfinite(value) else 10.0

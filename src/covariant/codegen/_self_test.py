@@ -1,4 +1,4 @@
-"""The self-test of an exported observer: a program that runs the test vectors and compares the results."""
+"""Writes the self-test of an exported observer: a program that runs the test vectors and compares the results."""
 
 import numpy as np
 
@@ -10,15 +10,15 @@ from scalargraph.template import Words, fill
 
 
 def write_test(program: Program, words: Words, vectors: Vectors) -> str:
-    """The C of the self-test, which needs <stdio.h> and <math.h> alone besides the export.
+    """Write the C of the self-test, which needs only <stdio.h> and <math.h> besides the export.
 
-    It prints the largest deviation as a fraction of the allowed one, and returns 0 where that is at most 1 and all
+    It prints the largest deviation as a fraction of the allowed one, and returns 0 if this is at most 1 and all
     outcomes are as expected.
     """
     outputs = [e for leaf in program.output for e in entries("output.", leaf)]
 
     def row(values: np.ndarray) -> str:
-        # C has no array of zero numbers.
+        # C does not allow an array of length zero.
         return ", ".join(c_number(float(v), program.real) for v in values) or c_number(0.0, program.real)
 
     def table(name: str, values: np.ndarray) -> list[str]:
@@ -39,8 +39,8 @@ def write_test(program: Program, words: Words, vectors: Vectors) -> str:
         "MEASURED_ROWS": table("measured", vectors.y),
         "MISSING": [missing],
         "EXPECTED": table("expected", vectors.expected),
-        # Allowed deviations are a multiple of those seen, since a compiler may fuse products and sums and round
-        # otherwise.
+        # Allowed deviations are a multiple of the observed ones, since a compiler may fuse products and sums, which
+        # changes their rounding.
         "ALLOWED": table("allowed", vectors.allowed),
         "OUTCOMES": ", ".join(map(str, vectors.result.tolist())),
         "READ": [f"        found[{i}] = {e};" for i, e in enumerate(outputs)],

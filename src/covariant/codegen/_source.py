@@ -1,7 +1,7 @@
-"""The header and the source of an exported observer.
+"""Writes the C header and the C source of an exported observer.
 
-All names begin with the name of the export. There is no memory management and no variable but constants; a state is a
-plain structure, so that a copy of it is a snapshot, and every function works on its arguments alone.
+All names begin with the name of the export. The code allocates no memory and has no global variables except constants.
+A state is a plain structure, so that a copy of it is a snapshot, and every function uses only its arguments.
 """
 
 import re
@@ -51,13 +51,13 @@ class Source(NamedTuple):
 def write_source(program: Program, name: str, about: str) -> Source:
     """Generate the header and the source of an observer, in C99.
 
-    Use it where the C goes into a build of your own. It allocates no memory and has no global variables.
-    `covariant.export` adds a self-test and a data sheet, and is the better start.
+    Use it to add the C to a build of your own. It allocates no memory and has no global variables.
+    `covariant.export` also adds a self-test and a data sheet, so begin with that.
 
     Args:
         program: The observer as graphs.
         name: Prefix of all names in C, an identifier.
-        about: A line that says what the observer is, for comments and texts.
+        about: A line that describes the observer, for comments and texts.
 
     Raises:
         ValueError: The name is not an identifier of C, or is reserved in C, C++, JavaScript or Python or by the
@@ -93,12 +93,12 @@ def entries(owner: str, leaf: Member) -> list[str]:
 
 
 def field(leaf: Member) -> str:
-    """The name of an array in C, with an underscore where it is a keyword or a macro."""
+    """The name of an array in C, with an underscore if it is a keyword or a macro."""
     return f"{leaf.name}_" if leaf.name in RESERVED else leaf.name
 
 
 def common_words(program: Program, name: str, about: str) -> Words:
-    """Texts that templates of several languages have in common."""
+    """Texts that are common to the templates of several languages."""
     return {
         "NAME": name,
         "UPPER": name.upper(),
@@ -140,7 +140,7 @@ def _header(program: Program, words: Words) -> str:
 
 
 def _part_steps(program: Program, words: Words, file: str) -> list[str]:
-    """Declarations or definitions of the steps in which only one part of a measurement was read."""
+    """Declarations or definitions of steps in which only one part of a measurement was read."""
     return [
         fill("covariant.codegen", file, words | {"STEP": step_of(part), "COUNT": count, "PART": part_text(part)})
         for part, count in (program.parts if program.alone else ())
@@ -158,7 +158,7 @@ def _init(program: Program, name: str) -> tuple[Lowered, Signature]:
 
 
 def step_of(part: str) -> str:
-    """Name of the step in which only one part of a measurement was read."""
+    """Name of a step in which only one part of a measurement was read."""
     return f"step_{re.sub(r'[^A-Za-z0-9_]', '_', part)}"
 
 
@@ -182,7 +182,7 @@ def _step(program: Program, name: str, step: Lowered, measured: int) -> tuple[Lo
 
 
 def _drop_unread_results(program: Program, step: Lowered) -> tuple[Lowered, list[Member]]:
-    """A step without the results that nothing reads."""
+    """A step without the results that are never read."""
     wanted = [*program.reported, *(leaf for leaf in program.info if leaf.name == "result")]
     count = sum(leaf.size for leaf in program.state)
     places, at, chosen = list(range(count)), count, []

@@ -1,4 +1,4 @@
-"""Test vectors of an exported observer: a run with faults, its estimates, and their allowed deviations."""
+"""Computes test vectors of an exported observer: a run with faults, its estimates, and their allowed deviations."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,19 +16,19 @@ ALLOWED = 10.0
 """Allowed deviation of an estimate, as a multiple of its deviation under random rounding."""
 ROWS = 40
 SWING, PERIODS = 0.2, 1.5
-"""Amplitude of the measured motion [rad or m], and how often it swings in a run."""
+"""Amplitude of the measured motion [rad or m], and its number of periods in a run."""
 LONG_GAP = 5.0
-"""A gap in the run, in sampling intervals."""
+"""Length of a gap in the run, in sampling intervals."""
 LAST_FAULT = 25
-"""The row of the gap, after all other faults."""
+"""The row of the gap, which comes after all other faults."""
 
 
 class Vectors(NamedTuple):
     """Test vectors: a run from the measurement `start`, in T rows, and its expected estimates.
 
     Attributes:
-        start: Measurement (k,) that starts it, at the time 0.
-        dt: Time [s] since the row before (T,).
+        start: Measurement (k,) from which it starts, at the time 0.
+        dt: Time [s] since the previous row (T,).
         u: Inputs (T, m).
         y: Measurements (T, k).
         missing: Mask (T, k) of missing numbers.
@@ -58,17 +58,17 @@ class Vectors(NamedTuple):
 
 
 def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
-    """Test vectors of an observer: a run with faults. Its rows are the same in every call.
+    """Compute the test vectors of an observer: a run with faults, whose rows are the same in every call.
 
-    Some measurements are missing, one is infinite, inputs are not finite, steps are zero, negative or long.
+    Some measurements are missing, one is infinite, some inputs are not finite, some steps are zero, negative or long.
 
     Args:
         program: The observer as graphs.
-        measured: Measurements (ROWS + 1, *n), the first of which starts it.
+        measured: Measurements (ROWS + 1, *n); the run starts from the first one.
         rate: Sampling rate [Hz]; intervals differ from it by up to a fifth.
 
     Returns:
-        The run; allowed deviations are `ALLOWED` times those under random rounding.
+        The run; allowed deviations are `ALLOWED` times the deviations under random rounding.
 
     Raises:
         ValueError: There are too few measurements for all the faults.
@@ -96,22 +96,22 @@ def vectors(program: Program, measured: np.ndarray, rate: float) -> Vectors:
     y[20, :1] = np.inf
     u = 0.3 * np.sin(np.arange(rows)[:, None] / 7 + np.arange(program.u))
     u[9, :1] = np.nan
-    # Rounded to the type of the code, so that C reads the same numbers as are followed here.
+    # Rounded to the type of the code, so that C reads exactly the numbers used here.
     dt, u = dt.astype(dtype).astype(float), u.astype(dtype).astype(float)
     lanes, codes = _run_with_roundings(program, start, np.where(missing, np.nan, y), u, dt)
-    # An infinite bound means that nothing is known, and is not compared.
+    # An infinite bound means that nothing is known, so it is not compared.
     lanes = np.where(np.isinf(lanes), np.nan, lanes)
     expected = lanes[:, :, 0]
     deviation = np.abs(lanes - expected[:, :, None]).max(axis=2)
-    # The last term covers underflow; one unit of the last digit counts where roundings change nothing.
+    # The last term covers underflow; one unit of the last digit is allowed even if roundings change nothing.
     allowed = ALLOWED * (deviation + UNITS[program.real] * np.abs(expected)) + 64 * np.finfo(dtype).tiny
-    # A code that differs between lanes depends on rounding, and may differ between machines.
+    # A code that differs between lanes depends on rounding, so it may differ between machines.
     result = np.where((codes == codes[:, :1]).all(axis=1), codes[:, 0], -1)
     return Vectors(start, dt, u, y, missing, expected, allowed, result.astype(int))
 
 
 def _run_with_roundings(program: Program, start, y, u, dt) -> tuple[np.ndarray, np.ndarray]:
-    """Estimates (T, j, LANES) and result codes (T, LANES) of a run under roundings at random."""
+    """Estimates (T, j, LANES) and result codes (T, LANES) of a run with random roundings."""
     domain = perturbed(UNITS[program.real], LANES)
     dtype = DTYPES[program.real]
     values = [float(v) for each in program.values for v in np.ravel(np.asarray(each, dtype))]

@@ -1,4 +1,4 @@
-"""An exported observer as WebAssembly, with a script that a page or Node loads."""
+"""Packs an exported observer as WebAssembly, with a script that a web page or Node loads."""
 
 import base64
 import json
@@ -28,7 +28,7 @@ FLAGS = (
     "-Wl,--no-entry",
     "-Wl,--strip-all",
 )
-"""Flags of the compiler: a module without `main`, which imports nothing."""
+"""Flags of the compiler, for a module without `main` that imports nothing."""
 ARRAYS = {"double": "Float64Array", "float": "Float32Array"}
 REMEDY = "install the packages clang, lld and wasi-libc of the system, or the extra wasm: pip install 'covariant[wasm]'"
 
@@ -36,22 +36,22 @@ REMEDY = "install the packages clang, lld and wasi-libc of the system, or the ex
 def wasm_files(
     program: Program, texts: Mapping[str, str], name: str, about: str, rate: float, run: Vectors
 ) -> dict[str, bytes]:
-    """An exported observer as WebAssembly, a script around it that holds it as well, and a self-test for Node.
+    """Build an exported observer as WebAssembly, a script that also contains it, and a self-test for Node.
 
     Args:
         program: The observer as graphs.
         texts: Its header and source, as `export_texts` writes them.
         name: Prefix of all names in C, and name of the script's object.
-        about: A line that says what the observer is.
-        rate: Sampling rate [Hz] that it is made for.
+        about: A line that describes the observer.
+        rate: Sampling rate [Hz] for which it was made.
         run: The run that the self-test follows.
 
     Returns:
         Contents by their path in the folder of the export.
 
     Raises:
-        ValueError: No compiler for WebAssembly is installed; it refuses the sources, and the message quotes it; or the
-            name is that of a global of JavaScript.
+        ValueError: No compiler for WebAssembly is installed; it refuses the sources, in which case the message quotes
+            it; or the name belongs to a global of JavaScript.
 
     Example:
         >>> import numpy as np
@@ -82,12 +82,12 @@ def wasm_files(
 
 
 def check_wasm_compiler() -> None:
-    """Compile an empty module; raises `ValueError` where no compiler for WebAssembly is installed that can."""
+    """Compile an empty module; raises `ValueError` if no installed compiler can compile to WebAssembly."""
     _compiled({"empty.c": "#include <math.h>\ndouble covariant_empty(double x) { return sin(x); }\n"})
 
 
 def _compiled(files: Mapping[str, str]) -> bytes:
-    """The module, by the first compiler that makes one."""
+    """The module, by the first compiler that succeeds."""
     clang, packaged = shutil.which("clang"), zig()
     commands = ([[clang]] if clang else []) + ([packaged] if packaged else [])
     if not commands:
@@ -129,5 +129,5 @@ def _rows(run: Vectors) -> Words:
         "ALLOWED": run.allowed,
         "OUTCOMES": run.result,
     }
-    # Python writes NaN and Infinity as JavaScript does; a line for each row.
+    # Python writes NaN and Infinity like JavaScript; each row gets a line.
     return {key: re.sub(r"\], \[", "],\n    [", json.dumps(table.tolist())) for key, table in tables.items()}

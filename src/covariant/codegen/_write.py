@@ -1,4 +1,4 @@
-"""An export as files in a folder."""
+"""Writes an export as files in a folder."""
 
 import os
 from collections.abc import Mapping
@@ -27,25 +27,25 @@ def export_texts(
     wasm: bool = False,
     ros2: bool = False,
 ) -> dict[str, str]:
-    """All files of an export: header, source, self-test, data sheet, build files and a README.
+    """Write the texts of all files of an export: header, source, self-test, data sheet, build files and a README.
 
-    The texts of source and self-test are the same on every machine; the data sheet names the sizes of its compilers.
+    Source and self-test are the same on every machine; the data sheet states sizes for the compilers of this machine.
 
     Args:
         program: The observer as graphs.
         name: Prefix of all names in C, an identifier.
-        about: A line that says what the observer is, for comments and texts.
-        measured: Measurements (ROWS + 1, *n) of the self-test, the first of which starts it.
-        facts: Further facts on the data sheet.
+        about: A line that describes the observer, for comments and texts.
+        measured: Measurements (ROWS + 1, *n) of the self-test, which starts from the first one.
+        facts: Further facts for the data sheet.
         run: The run that the self-test follows; by default it is computed from the measurements.
-        python, wasm, ros2: Whether the README lists the files of `python_files`, of `wasm_files`, of `ros_files`; by
+        python, wasm, ros2: Whether the README lists the files of `python_files`, `wasm_files` and `ros_files`; by
             default it does not.
 
     Returns:
         The texts by their path in the folder of the export.
 
     Raises:
-        ValueError: The name is no identifier of C.
+        ValueError: The name is not an identifier of C.
 
     Example:
         >>> import numpy as np
@@ -57,7 +57,7 @@ def export_texts(
         >>> list(texts)[:3], texts["DATASHEET.md"].splitlines()[0]
         (['speed.h', 'speed.c', 'test/speed_test.c'], '# Data sheet of speed')
     """
-    # A comment of C ends at */, and one line must stay one.
+    # The characters */ would end a comment of C, and a line break would end the line.
     about = " ".join(about.replace("*/", "").split())
     source = write_source(program, name, about)
     words = common_words(program, name, about)
@@ -89,11 +89,11 @@ _WASM = """| `NAME.wasm`, `NAME_wasm.c` | the observer as WebAssembly, and the C
 | `test/NAME_test.js` | its self-test: `node test/NAME_test.js` |"""
 _ROS = """| `ros2/PACKAGE` | ROS 2, a node in Python: `colcon build`, `ros2 launch PACKAGE NAME.launch.py` |
 | `ros2/PACKAGE_c` | ROS 2, a node in C on rcl: `colcon build`, `ros2 run PACKAGE_c observer` |"""
-"""Rows of the README on files that are written on demand."""
+"""Rows of the README for files that are written on demand."""
 
 
 def check_export(path: Path, overwrite: bool = False) -> None:
-    """Check that a folder, or a unit where the path ends in .fmu, may be written, before anything is computed.
+    """Check, before anything is computed, that a folder, or a unit if the path ends in .fmu, may be written.
 
     Args:
         path: The folder, or the file of the unit.
@@ -123,10 +123,10 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
 
     Args:
         files: Texts and other contents by their path in the folder.
-        folder: The folder, which is created where it is not there; its parent must exist.
-        overwrite: Replace files of a folder that is not empty, and leave its other files. All new files are written
-            before the first old one is replaced, so that a full disk leaves the old files intact. By default a folder
-            that is not empty is refused.
+        folder: The folder, which is created if it does not exist; its parent must exist.
+        overwrite: Whether files of a folder that is not empty are replaced; its other files are kept. All new files are
+            written before the first old one is replaced, so that a full disk leaves the old files intact. By default a
+            folder that is not empty is refused.
 
     Returns:
         The paths of the files.
@@ -154,6 +154,6 @@ def write_folder(files: Mapping[str, str | bytes], folder: Path, overwrite: bool
             for path, content in contents.items():
                 (fresh / path).parent.mkdir(parents=True, exist_ok=True)
                 (fresh / path).write_bytes(content)
-            # A rename is atomic: nobody sees the folder with a part of its files.
+            # A rename is atomic, so the folder never appears with only some of its files.
             os.rename(fresh, folder)
     return [folder / path for path in files]

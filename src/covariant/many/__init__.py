@@ -1,6 +1,6 @@
-"""Many logs and many runs: a verb over a list of logs, and studies that run an observer over a grid of cases.
+"""Runs verbs over many logs, and observers over a grid of simulated cases.
 
-A verb of `covariant.verbs` takes one log. Here `check`, `estimate` and `smooth` take a list of them as well.
+A verb of `covariant.verbs` takes one log. The verbs `check`, `estimate` and `smooth` here also take a list of logs.
 """
 
 from scalargraph.rooms import attach

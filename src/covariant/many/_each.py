@@ -1,4 +1,4 @@
-"""The verbs that take one log, or a list of logs."""
+"""Extends verbs of one log to lists of logs."""
 
 import functools
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""`over_logs`: a verb over many logs, each by itself: a row of a table for each, and a folder of estimates."""
+"""Calls a verb for each of many logs: a row of a table for each log, and a folder of estimates."""
 
 import contextlib
 import functools
@@ -31,19 +31,19 @@ from covariant.verbs.base.result import AbstractTable
 from scalargraph.errors import InputError, file_name, printable
 
 FILES = {"estimate": ".parquet", "check": "", "fit": ".toml", "smooth": "_smoothed.parquet"}
-"""End of the name of the file of each log, by the verb, so that verbs can share a folder; `check` has none."""
+"""Ending of the file name of each log, by verb, so that verbs can share a folder; `check` writes no file."""
 CHUNKS_A_WORKER = 16
-"""Chunks that a worker gets at least: what is lost when the run is killed, and what it waits for at the end."""
+"""Least number of chunks per worker: a killed run loses its current chunks, and at the end workers wait for one."""
 LEAST_COST = 2e6
-"""Bytes of logs that are a chunk at least."""
+"""Least size of a chunk of logs [bytes]."""
 ON_PAGE = 1000
-"""Rows of the page at most: a browser is slow with more."""
+"""Largest number of rows on the page, since long tables slow a browser down."""
 LINKED = "a link to a file that could not be used; give the file itself to see why"
-"""Why a log failed that is a link."""
+"""Reason for the failure of a log that is a link."""
 BUG = "traceback"
-"""Key of the traceback of a log that ended in an error which is no refusal."""
+"""Key of the traceback of a log that failed by a bug, and was not refused."""
 WRITE_EVERY = 1.0
-"""Seconds from one file of rows to the next: what is lost when the run is killed, and files are slow."""
+"""Seconds between two files of rows; files are slow, but a killed run loses the rows since the last one."""
 
 
 def over_logs(
@@ -57,31 +57,31 @@ def over_logs(
     progress: Progress = notebook_line,
     **settings: Any,
 ) -> "LogsResult":
-    """Call a verb for each of many logs, and look for logs that are unlike the others.
+    """Call a verb for each of many logs, and report the logs that differ from the others.
 
-    A log that cannot be used is a row that says why, and the others go on, as they do where a log ends in a bug, which
-    `bugs` of the result shows. With a folder `out` the results are written
-    as they come, and a run that was stopped or killed goes on when it is called again: what is there is found by the
-    content of log, model and settings, so that a log that has changed is computed anew.
+    A log that cannot be used becomes a row with the reason, and the others are processed nevertheless. So is a log that
+    ends in a bug; `bugs` of the result has the tracebacks. With a folder `out` the results are written as they come,
+    and a run that was stopped or killed continues when it is called again. It recognises finished logs by the content
+    of log, model and settings, so that a log that has changed is computed again.
 
     Args:
         verb: "estimate", "check", "fit" or "smooth".
         model: As for the verb.
         logs: Logs, each as for the verb.
         out: Folder for the table (such as `check.csv`), a page (`check.html`), and a file for each log: its estimates
-            (.parquet) or its fitted model file (.toml). The name of that file is in the table, and depends on where
-            the log is, from the folder, and on no other log.
-        workers: Processes; 1 by default. With 1, and for models or logs in memory, all is computed in this process.
+            (.parquet) or its fitted model file (.toml). The table contains the names of these files. Each depends on
+            the place of its log relative to the folder, and on no other log.
+        workers: Processes; 1 by default. With 1, or for models or logs in memory, all is computed in this process.
         scheduler: Address of a Dask scheduler, or a `distributed.Client`, whose workers compute; they need access to
             logs, model and folder.
         progress: Called with a description and the fraction of the work that is done.
         **settings: Other arguments of the verb, the same for all logs.
 
     Returns:
-        A table with a row for each log, and sentences on the logs that are unlike the others.
+        A table with a row for each log, and sentences on the logs that differ from the others.
 
     Raises:
-        ValueError: For an unknown verb, no logs, or workers that make no sense.
+        ValueError: The verb is unknown, there are no logs, or the number of workers is not possible.
 
     Example:
         >>> import covariant
@@ -116,7 +116,7 @@ def over_logs(
     rows = {} if table is None else _finished(cases, table)
     costs = {case.key: case.cost for case in cases}
     total, done, began = sum(costs.values()), sum(costs[key] for key in rows), time.monotonic()
-    # By key, as a log may be given twice; the largest first, so that no worker ends long after the others.
+    # By key, since a log may be given twice; the largest first, so that no worker ends long after the others.
     todo = sorted({case.key: case for case in cases if case.key not in rows}.values(), key=lambda case: -case.cost)
     most = max(LEAST_COST, (total - done) / (CHUNKS_A_WORKER * crew.size))
     begins = zip(itertools.accumulate((case.cost for case in todo), initial=0.0), todo, strict=False)
@@ -138,7 +138,7 @@ def over_logs(
             for chunk, result in results:
                 if isinstance(result, BrokenExecutor):
                     result = {case.key: {"failed": str(result)} for case in chunk}
-                # What failed is tried again: another run may find it otherwise, as after a full disk.
+                # Failed logs are tried again, since the cause may be gone, such as a full disk.
                 fresh |= {key: row for key, row in result.items() if "failed" not in row}
                 rows |= result
                 failed.update("failed" in row for row in result.values())
@@ -170,10 +170,10 @@ class _Case(NamedTuple):
     Attributes:
         log: The log.
         name: Its name.
-        key: Hash of all that its row depends on.
-        path: Its file to write.
+        key: Hash of everything on which its row depends.
+        path: File to write for it.
         cost: Its size [bytes].
-        linked: Whether it is reached by a link, below the folder that all logs have in common.
+        linked: Whether it is reached by a link, below the common folder of all logs.
     """
 
     log: Any
@@ -206,9 +206,9 @@ def _is_linked(log: Path, common: Path) -> bool:
 
 
 def _file_name(log: Path, folder: Path) -> str:
-    """Name of the file of a log in a folder, without its ending: that of the log, and a hash of its place."""
+    """File name of a log in a folder, without ending: the name of the log, and a hash of its place."""
     log = Path(os.path.abspath(log))
-    # From the folder, so that logs and folder that are moved together keep their names.
+    # Relative to the folder, so that the names stay the same if logs and folder are moved together.
     place = os.path.relpath(log, folder) if log.drive == folder.drive else str(log)
     return file_name(f"{log.parent.name}_{log.stem}_{content_hash(place)[:8]}")
 
@@ -220,7 +220,7 @@ def _content(log: Any) -> tuple[str, float]:
     digest, size, path = hashlib.sha256(), 1.0, Path(log)
     try:
         check_log(path)
-        # A folder that is no log may hold anything, and is not read.
+        # A folder that is not a log may contain anything, so it is not read.
         bag = sorted(path.iterdir()) if (path / "metadata.yaml").exists() else []
         for file in filter(Path.is_file, bag or [path]):
             with file.open("rb") as content:
@@ -232,7 +232,7 @@ def _content(log: Any) -> tuple[str, float]:
 
 
 def _finished(cases: Sequence[_Case], table: CaseTable) -> dict[str, dict[str, Any]]:
-    """Rows of the cases that are done, and whose files are there as they were written."""
+    """Rows of the cases that are finished and whose files exist unchanged."""
     rows = table.rows()
     there = {case.key: case.path for case in cases if case.key in rows}
     return {
@@ -241,12 +241,12 @@ def _finished(cases: Sequence[_Case], table: CaseTable) -> dict[str, dict[str, A
 
 
 def _saved(path: Path | None) -> int | None:
-    """When a file was written [ns]: not by a later run with another model or other settings."""
+    """When a file was written [ns], to notice that a later run with another model or settings replaced it."""
     return path.stat().st_mtime_ns if path is not None and path.exists() else None
 
 
 def _remove_earlier(path: Path | None) -> None:
-    """Remove the file of a log, from when the log or the model was another."""
+    """Remove the file of a log that was written for another content of log or model."""
     with contextlib.suppress(OSError):  # of a full or broken disk, which the row says
         if path is not None:
             path.unlink(missing_ok=True)
@@ -269,7 +269,7 @@ class _Work(NamedTuple):
         return rows
 
     def row(self, case: _Case) -> dict[str, Any]:
-        """Row of a log, or why it has none."""
+        """Row of a log, or the reason why it failed."""
         try:
             result = getattr(verbs, self.verb)(self.model, case.log, progress=lambda *_: None, **self.settings)
             row = result.row
@@ -282,7 +282,7 @@ class _Work(NamedTuple):
             refused = isinstance(error, InputError | OSError)
             kind = "" if refused else f"{type(error).__name__}: "
             reason = " ".join(f"{kind}{error}".split()).removeprefix(f"{case.name}: ") or type(error).__name__
-            # The reason may quote the file, and with a link that is one which is not meant to be shown with the logs.
+            # The reason may quote the file, and a link may lead to a file that must not be shown with the logs.
             row = {"failed": LINKED if case.linked else printable(reason, keep="")}
             return row if refused else row | {BUG: traceback.format_exc()}
         return row
@@ -290,14 +290,14 @@ class _Work(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class LogsResult(AbstractTable):
-    """A verb over many logs: a row for each, and sentences on those that are unlike the others.
+    """Result of a verb over many logs: a row for each, and sentences on the logs that differ from the others.
 
     Attributes:
         verb: The verb, such as "check".
         model_name: The model, by its path or name.
         each: Rows of the logs, each with the name of its log, in their order.
         out: Folder of the table, the page and the files of the logs, if they were written.
-        bugs: Tracebacks of the logs that ended in an error which is no refusal, by the name of the log.
+        bugs: Tracebacks of the logs that failed by a bug and were not refused, by the name of the log.
 
     Example:
         >>> import covariant
@@ -315,12 +315,12 @@ class LogsResult(AbstractTable):
 
     @property
     def failed(self) -> dict[str, str]:
-        """Why a log has no result, by its name."""
+        """Reason why a log has no result, by its name."""
         return {name: row["failed"] for name, row in self.each if "failed" in row}
 
     @property
     def wrong(self) -> bool:
-        """Whether a log failed, or is not what the model file says it is."""
+        """Whether a log failed, or contradicts the model file."""
         return bool(self.failed) or any(row.get("wrong") for _, row in self.each)
 
     @property
@@ -333,7 +333,7 @@ class LogsResult(AbstractTable):
 
     @property
     def _rows(self) -> list[dict[str, Any]]:
-        """The rows, each with the name of its log, and of its numbers that are odd."""
+        """The rows, each with the name of its log and of its unusual numbers."""
         odd = self._among.odd
         return [
             {
@@ -370,7 +370,7 @@ class LogsResult(AbstractTable):
 
     @property
     def _blocks(self) -> list[Any]:
-        # Those to look at first.
+        # The rows to look at first.
         rows = sorted(self._rows, key=lambda row: not ("failed" in row or row.get("wrong") or "odd" in row))
         more = [f"{len(rows) - ON_PAGE} more logs are in the table (.csv)."] if len(rows) > ON_PAGE else []
         return ["# Logs", rows[:ON_PAGE], *more]

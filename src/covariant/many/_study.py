@@ -1,4 +1,4 @@
-"""A study of many runs: what its file says, checked."""
+"""Reads and checks the file of a study of many runs."""
 
 import functools
 import itertools
@@ -53,42 +53,42 @@ KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "acceleration": (lambda value: _number(value, 0.0), "a standard deviation"),
     "set": (lambda value: isinstance(value, Mapping), "a table of keys of the model file"),
 }
-"""Keys of a study beside the tables of states: what each may be, and in words."""
+"""Keys of a study besides the tables of states, with a test of the value and its description."""
 TAKEN = ("observer", "converged", "not finite", "median error", "NEES", "NIS", "in band", "basin", "beyond it")
-"""Columns of the result, which no axis has the name of."""
+"""Columns of the result, whose names no axis may have."""
 NEEDED = ("model", "observers", "axes")
 OF_RUN = ("noise", "acceleration")
-"""What a run has of its own, beside its states."""
+"""Keys that belong to a run, besides its states."""
 STATES = ("start", "spread", "error")
 """Tables of a study with a number for each position and velocity."""
 OF_DESIGN = ("rate", "duration", "push")
-"""Keys of the study that a design may have of its own."""
+"""Keys of the study that may differ between designs."""
 ENDS = ("low", "high", "count")
-"""Keys of an axis of equal steps."""
+"""Keys of an axis with equal steps."""
 FEWEST_SAMPLES = 5
-"""The last fifth of a run, of which errors are told, has one sample at least."""
+"""Least number of samples, so that the last fifth of a run, whose errors are reported, has at least one."""
 MOST_SAMPLES, MOST_VALUES, MOST_DESIGNS, MOST_CASES = 10**6, 10**6, 10**4, 10**9
-"""Samples of a run, values of an axis, designs of an observer, and cases of a store, which has a file for 4096."""
+"""Limits on samples of a run, values of an axis, designs of an observer, and cases; a store has a file per 4096."""
 
 
 def of_run(key: str) -> bool:
-    """Whether a key is a number of a run, and not one that observers are designed with."""
+    """Whether a key is a number of a run, and not one for which observers are designed."""
     return key in OF_RUN or key.partition(".")[0] in STATES
 
 
 def designed_with(each: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the values of a design that are keys of the model file."""
+    """The values of a design that are keys of the model file."""
     return {key: value for key, value in each.items() if not (of_run(key) or key in OF_DESIGN)}
 
 
 class Axis(NamedTuple):
-    """What varies: its key and its values, tables of several keys among them."""
+    """An axis of the study: its key and its values, which may be tables of several keys."""
 
     key: str
     values: Sequence[Any]
 
     def keys_of(self, value: Any) -> list[str]:
-        """The keys that one of its values has."""
+        """The keys of one of its values."""
         return [key for key in value if key != "name"] if isinstance(value, dict) else [self.key]
 
     @property
@@ -98,17 +98,17 @@ class Axis(NamedTuple):
 
     @property
     def designs(self) -> bool:
-        """Whether its values are numbered, and observers designed for each."""
+        """Whether its values are numbered, and observers are designed for each."""
         return not (of_run(self.key) or self.key in ("draw", "error")) or isinstance(self.values[0], dict)
 
     @property
     def inner(self) -> bool:
-        """Whether a row of the result is of all its values."""
+        """Whether one row of the result summarises all its values."""
         return not self.designs and (self.key in ("draw", "error") or self.key.partition(".")[0] in STATES)
 
     @property
     def labels(self) -> list[Any]:
-        """Its values as the result names them."""
+        """Its values, as printed in the result."""
         if isinstance(self.values[0], dict):
             return [value.get("name", k + 1) for k, value in enumerate(self.values)]
         return [str(value) if isinstance(value, list) else value for value in self.values]
@@ -132,13 +132,13 @@ class Axis(NamedTuple):
 
 
 class Study(NamedTuple):
-    """A study as its file says it.
+    """A study, as read from its file.
 
     Attributes:
-        text: All of it as JSON.
+        text: The whole study as JSON.
         model: The model, as for `estimate`.
         observers: Names of the observers.
-        axes: What varies.
+        axes: The axes along which the runs vary.
     """
 
     text: str
@@ -177,7 +177,7 @@ class Study(NamedTuple):
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What every run has of its own, by key, if no axis says otherwise."""
+        """Numbers that belong to every run, by key, unless an axis varies them."""
         content = self.content
         tables = {f"{table}.{name}": v for table in STATES for name, v in content.get(table, {}).items()}
         return {key: content[key] for key in OF_RUN if key in content} | tables
@@ -257,7 +257,7 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
 
 
 def _values(name: str, key: str, given: Any) -> list[Any]:
-    """Values of an axis as a study gives them: a number of draws, equal steps, lists by key, or a list."""
+    """Values of an axis from the study: a number of draws, equal steps, lists by key, or a list."""
     values = given
     if key == "draw":
         if not isinstance(given, int) or isinstance(given, bool) or given < 2:
@@ -287,7 +287,7 @@ def _values(name: str, key: str, given: Any) -> list[Any]:
 
 
 def _refuse_twice(place: str, values: Sequence[Any]) -> None:
-    """Refuse a value that is there twice."""
+    """Refuse a value that occurs twice."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -321,7 +321,7 @@ def _equal_steps(name: str, key: str, ends: Mapping[str, Any]) -> list[float]:
 
 
 def _check(name: str, key: str, value: Any) -> None:
-    """Refuse a value that a key of a study cannot have; keys of the model file are checked with it."""
+    """Refuse an invalid value for a key of a study; keys of the model file are checked with that file."""
     table = key.partition(".")[0]
     if table == "spread":
         holds, what = KEYS["noise"]

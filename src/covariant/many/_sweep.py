@@ -1,4 +1,4 @@
-"""`sweep`: very many short runs of observers, over starts, noise, gains, rates and errors of the model."""
+"""Runs observers in very many short simulations, over starts, noise, gains, rates and errors of the model."""
 
 import functools
 import itertools
@@ -23,7 +23,7 @@ from covariant.verbs.base.result import AbstractTable
 from scalargraph.errors import InputError
 
 HEADINGS = {"nees": "NEES", "nis": "NIS", "band": "in band"}
-"""Columns of their means over the runs that converged."""
+"""Headings of columns with means over the runs that converged."""
 
 
 def sweep(
@@ -36,34 +36,34 @@ def sweep(
 ) -> "SweepResult":
     """Run observers over a table of cases: starts, noise, gains, rates and errors of the model.
 
-    A study is a small TOML file. Its table [axes] has what varies: `"start.q1"` and other initial positions and
-    velocities of the machine, `"error.q1"` and other first errors of the observers, `noise` of its positions, random
-    `acceleration` of the machine, the `rate` of the samples, `draw`, a number of random draws, and any key of the model
-    file, such as `"parameters.mass"` or `"uncertainty.acceleration"`, which is varied in the model of the observers
-    only; the machine keeps its own. Several of these may vary together, as lists by key. All combinations are run, by
-    compiled C if there is a compiler. A run that was stopped goes on when it is called again.
+    A study is a small TOML file. Its table [axes] contains the axes along which runs vary: `"start.q1"` and other
+    initial positions and velocities of the machine, `"error.q1"` and other initial errors of the observers, `noise` of
+    its positions, random `acceleration` of the machine, the `rate` of the samples, `draw` (a number of random draws),
+    and any key of the model file, such as `"parameters.mass"` or `"uncertainty.acceleration"`. Such a key varies only
+    in the model of the observers, not in the machine. Several keys may vary together, as lists by key. All combinations
+    are run, by compiled C if there is a compiler. A stopped run continues when it is called again.
 
-    The observers are those that the model file designs without a log. `estimate` takes the usual speed of each
+    The observers are those that the model file yields without a log. `estimate` takes the usual speed of each
     coordinate from the log if it is larger than `uncertainty.motion_acceleration` times `uncertainty.motion_time`; give
     these two keys in the table [set] to design for that speed here.
 
-    Use it for basins of attraction, for the consistency of a filter, and for what a gain costs at another rate.
+    Use it for basins of attraction, for the consistency of a filter, and for the effect of a gain at another rate.
 
     Args:
         study: The file of the study (.toml).
-        store: The store to write, or to go on with (.zarr).
+        store: The store (.zarr), which is written or continued.
         workers: Threads; as many as processors by default.
         scheduler: Address of a Dask scheduler, or a `distributed.Client`, whose workers compute.
         progress: Called with a description and the fraction of the runs that are done.
 
     Returns:
-        For each observer and each combination of what varies but starts, first errors and draws: how many runs end near
-        the truth, median error, and mean NEES and NIS of those; with an axis `error`, which multiplies the first error,
-        up to which multiple all runs end there.
+        For each observer and each combination of values, except starts, initial errors and draws: the number of runs
+        that end near the truth, the median error, and the mean NEES and NIS of these runs. With an axis `error`, which
+        multiplies the initial error, also the largest multiple up to which all runs end there.
 
     Raises:
-        ValueError: For a study that makes no sense or is too large, or a store of another one. One with another `below`
-            is the same study.
+        ValueError: The study is contradictory or too large, or the store belongs to another study. Studies that differ
+            only in `below` count as the same.
 
     Example:
         >>> from pathlib import Path
@@ -79,7 +79,7 @@ def sweep(
     check_output(out, ".zarr", store=True)
     plan = read_study(path)
     progress(f"{path.name}: {plan.grid.size} cases, {plan.steps:.2g} steps of observers; designing them")
-    # What counts as converged is asked of finished runs, and needs no new ones.
+    # Convergence is evaluated from finished runs, so a new threshold needs no new runs.
     content = {key: value for key, value in plan.content.items() if key != "below"}
     feedback = content.get("feedback", {"function": "", "folder": ""})
     code = code_hash(feedback["function"], Path(feedback["folder"]))
@@ -112,7 +112,7 @@ def sweep(
 
 
 def _basin(near: Any, scales: Axis) -> dict[str, Any]:
-    """The largest multiple of the first error up to which all runs converge, and how many larger ones converge too."""
+    """The largest multiple of the initial error up to which all runs converge, and how many larger ones do."""
     held = near.cumprod(scales.name)  # 1 up to the first that does not
     largest = (held * held[scales.name].copy(data=np.asarray(scales.values, float))).max(scales.name)
     return {"basin": largest, "beyond it": (near - held).sum(scales.name)}
@@ -120,7 +120,7 @@ def _basin(near: Any, scales: Axis) -> dict[str, Any]:
 
 @dataclass(frozen=True, repr=False)
 class SweepResult(AbstractTable):
-    """A finished sweep: a row for each observer and each combination of what varies but starts, first errors and draws.
+    """A finished sweep: a row for each observer and combination of values, except starts, initial errors and draws.
 
     Attributes:
         study: The file of the study.
@@ -160,12 +160,12 @@ class SweepResult(AbstractTable):
             near = (error < below) & finite
             parts = ({"converged": near.sum(inner) / count} if below < math.inf else {}) | {
                 "not finite": (~finite).sum(inner) / count,
-                # A quantile over chunks of a large store is one pass over each, in their order.
+                # A quantile over the chunks of a large store reads each of them once, in order.
                 "median error": error.chunk(dict.fromkeys(inner, -1)).quantile(0.5, inner) if inner else error,
             }
             for what, heading in HEADINGS.items():
                 if f"{plain(name)}_{what}" in stored:
-                    # A run that diverged would decide the mean alone.
+                    # A run that diverged would dominate the mean.
                     parts[heading] = stored[f"{plain(name)}_{what}"].where(near).mean(inner)
             if scales is not None:
                 parts |= _basin(near.all([each for each in inner if each != scales.name]), scales)

@@ -1,4 +1,4 @@
-"""The runs of a sweep: a machine and observers of it, compiled once for all cases."""
+"""Computes the runs of a sweep: a machine and its observers, compiled once for all cases."""
 
 import functools
 import json
@@ -23,27 +23,27 @@ from scalargraph.compiler import compiler
 from scalargraph.errors import InputError
 
 SETTLED = 0.8
-"""Part of a run after which errors count."""
+"""Fraction of a run after which errors count."""
 TOLD = {
     "error": "root mean square of the velocity errors",
     "nees": "mean NEES of each velocity",
     "band": "part of the velocities in the 95 % band",
     "nis": "mean NIS of each position",
 }
-"""What a run tells of an observer."""
+"""Quantities that a run reports for each observer."""
 BAND = 1.96
-"""Standard deviations in half of a 95 % band."""
+"""Half width of a 95 % band, in standard deviations."""
 FINE = 4
-"""Steps of the integration of the truth in an interval of the samples."""
+"""Integration steps of the truth per sampling interval."""
 
 
 @dataclass(frozen=True)
 class Runs:
-    """The function of a case: a text, so that a worker of a cluster compiles it for itself.
+    """The function that computes a case; its data is a text, so that a worker of a cluster compiles it for itself.
 
     Attributes:
         text: The study.
-        hashes: Of the files that it names, so that one that has changed is read anew.
+        hashes: Hashes of the files that it names, so that a changed file is read again.
     """
 
     text: str
@@ -53,7 +53,7 @@ class Runs:
         return _compiled(self).run(x)
 
     def variables(self) -> dict[str, Variable]:
-        """What a run gives for each observer."""
+        """The variables that a run returns for each observer."""
         made = _compiled(self)
         result = {}
         for name, family in made.families.items():
@@ -67,7 +67,7 @@ def plain(name: str) -> str:
 
 
 class _Family(NamedTuple):
-    """Observers of one name for all designs: a compiled step, and the numbers in which they differ."""
+    """Observers of one name for all designs: a compiled step, and the numbers that differ between designs."""
 
     step: Callable[..., Any]
     init: Callable[..., Any]
@@ -79,7 +79,7 @@ class _Machine(NamedTuple):
     """The truth, and observers of it, for any case.
 
     Attributes:
-        own: Numbers of a run by key: one for each design, or the axis that they vary on.
+        own: Numbers of a run by key: one for each design, or the axis along which they vary.
     """
 
     plan: Study
@@ -127,7 +127,7 @@ class _Machine(NamedTuple):
             def body(k, carry, family=family, numbers=numbers):
                 q, v, state, sums = carry
                 t = k.astype(float) * h
-                # White within a sample too, with the density that a filter without a correlation time believes in.
+                # White noise within a sample too, with the density that a filter without a correlation time assumes.
                 white = FINE**0.5 * random("acceleration", of_force, k, (FINE, n))
                 force = pushes(t, self.pushes[place]), white
                 noise = random("noise", of_noise, k + 1)
@@ -136,7 +136,7 @@ class _Machine(NamedTuple):
 
             q, v = manifold.retract(manifold.origin(), both[:n]), both[n:]
             y = manifold.ambient.retract(q, random("noise", of_noise, jnp.zeros((), int)) + off[:n])
-            # With a first error the observers know the velocity but for this; otherwise they start at rest.
+            # With an initial error the observers know the velocity up to this error; otherwise they start at rest.
             known = any(name.startswith("error.") for name in own)
             state = family.init(numbers, y, v + off[n:] if known else None)
             *_, sums = jax.lax.fori_loop(0, count, body, (q, v, state, jnp.zeros(1 + len(family.tells))))
@@ -194,7 +194,7 @@ def _compiled(runs: Runs) -> _Machine:
 
 
 def _load(model: str, fixed: Mapping[str, Any], changes: Mapping[str, Any], place: str) -> models.ModelFile:
-    """The model file with keys of a study; an error names the key, and what of a study may be meant."""
+    """The model file with the keys of a study; an error names the key, and similar keys of a study."""
     try:
         return models.load(model, {**fixed, **changes})
     except InputError:
@@ -233,8 +233,8 @@ def _inputs(content: Mapping[str, Any], model: Any, count: int, n: int) -> Calla
 def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noisy: bool) -> _Family:
     """Observers of one name.
 
-    The machine is `driven` where something else than its inputs acts on it. A filter says how large errors are only of
-    `noisy` readings.
+    The machine is `driven` if something other than its inputs acts on it. A filter estimates the size of errors only
+    for `noisy` readings.
     """
     leaves, trees = zip(*map(jax.tree.flatten, observers), strict=True)
     differ = [

@@ -1,4 +1,4 @@
-"""The registry of observers that `calibration` can tune, with one entry for each.
+"""Lists the observers that `calibration` can tune, with one entry for each.
 
 An observer is registered only here. `calibration.estimators` and `tuned_estimators`, the commands `estimate` and
 `compare`, the laws in `tests/laws` and the table in `docs/observers.md` read this list.

@@ -1,4 +1,4 @@
-"""What certificates are made of: statements, claims and their inequalities, observers as functions of a box, files."""
+"""Defines the parts of certificates: statements, claims and their inequalities, observers on a box, and files."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Assumptions of a certificate that are not checked by computation."""
+"""Lists the assumptions of a certificate that no computation checks."""
 
 ASSUMED = (
     "the true motion solves the model, keeps to the region of positions, and to the bounds of velocities, inputs and "
@@ -24,14 +24,14 @@ ASSUMED_WITH_SAMPLES = (
     "checker share, IEEE doubles in NumPy, + − × ÷ √ and products of matrices, and what is argued on paper: that the "
     "two inequalities compose, and contraction of Lipschitz maps",
 )
-"""The same for observers with sampled measurements."""
+"""The same lines for observers with sampled measurements."""
 PREDICTIONS = (
     "predictions solve the model exactly: errors of the Runge–Kutta steps are not covered. They may be proved for a "
     "fixed number of substeps, and where friction is steep, as atan(100 v), for many more of them and more boxes"
 )
-"""One more where the claim "prediction" does not bound them."""
+"""A further line if no claim "prediction" bounds the errors of predictions."""
 SMOOTH_FACTOR = (
     "corrections are those of first order in the missing acceleration: the division by 1 + s/18, and a restart where "
     "s > (π/2)², are not covered for errors of second order"
 )
-"""One more where the claim "missing" does not cover it."""
+"""A further line if no claim "missing" bounds the factor of the correction."""

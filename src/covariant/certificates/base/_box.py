@@ -1,4 +1,4 @@
-"""The box of a certificate: the order of its variables, and the bounds from which those of the force follow."""
+"""Defines the box of a certificate: the order of its variables, and the data from which force bounds are computed."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ STEPS = ("step", "inner_step")
 
 
 class Given(NamedTuple):
-    """Bounds from which those of the force and of the measurements follow.
+    """Bounds from which the bounds of the force and of the measurements follow.
 
     Attributes:
         positions: least and largest positions (2, p), on a group the entries of its matrices.
@@ -19,7 +19,7 @@ class Given(NamedTuple):
         times: first and last time (2,) [s].
         noise: bounds (n,) of the error of each measured position.
         disturbance: bounds (n,) of each component of a force that the model lacks.
-        slopes: bounds (n, n) of the derivatives of the force by the position; 0 where there is no noise.
+        slopes: bounds (n, n) of the derivatives of the force by the position; 0 without noise.
 
     Example:
         >>> import numpy as np
@@ -41,15 +41,15 @@ class Given(NamedTuple):
         """Convert the bounds to data for the file.
 
         Returns:
-            Lists of numbers by name; of positions and inputs the "low" and the "high" ends.
+            Lists of numbers by name; for positions and inputs the "low" and the "high" ends.
         """
         plain = {key: value.tolist() for key, value in self._asdict().items()}
         return plain | {key: dict(zip(("low", "high"), plain[key], strict=True)) for key in ("positions", "inputs")}
 
 
 def first_velocity(variables: int, n: int, sampled: bool = False) -> int:
-    """Return the place of the first velocity in the box, behind the variables of the configuration."""
-    # Without samples the coordinates are variables, but not on a group: velocities, errors and forces are 3n.
+    """Return the place of the first velocity in the box, after the variables of the configuration."""
+    # Without samples the coordinates are variables, except on a group; velocities, errors and forces take 3n places.
     return variables - (5 * n + 1) if sampled else n * (variables > 3 * n)
 
 

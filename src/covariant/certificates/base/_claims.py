@@ -1,8 +1,8 @@
-"""The kinds of claims in a proof of contraction: the numbers of each kind, its form in a file, and its text.
+"""Defines the kinds of claims in a proof of contraction, with the numbers, the file format and the text of each kind.
 
 The matrix of a claim, which must be positive definite on a box, is formed twice and independently: by the prover as a
 graph with its own derivatives (`FORMS`), and by the checker as a JAX function (`MATRICES`). Both are listed by kind.
-The consequences of all claims together are in `_radius_recursion` and in the checker.
+`_radius_recursion` and the checker draw the conclusions from all claims together.
 """
 
 import abc
@@ -30,7 +30,7 @@ class Setting(NamedTuple):
     """The problem of a certificate, which determines the boxes and the numbers of its claims.
 
     Attributes:
-        low, high: the box (d,), whose last variable is the age where measurements are sampled.
+        low, high: the box (d,); its last variable is the age if measurements are sampled.
         n: number of velocities.
         sampling: when measurements come; None in continuous time.
         given: the bounds of noise and forces.
@@ -46,11 +46,11 @@ class Setting(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """Quantities that the text of a claim names.
+    """Quantities that appear in the text of a claim.
 
     Attributes:
         rate: rate λ [1/s] of squared lengths.
-        radius: radius of the tube; 0 where there is none.
+        radius: radius of the tube; 0 if there is none.
         sampling: when measurements come; None in continuous time.
         entries: names (2n) of the entries of (error, velocity).
     """
@@ -63,14 +63,14 @@ class Terms(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class AbstractClaim(abc.ABC):
-    """One inequality of a certificate. The numbers of a kind are its further fields.
+    """One inequality of a certificate. Each kind adds its numbers as fields.
 
     A new kind needs a subclass here, listed in `CLAIMS` at its place in the file, a form for the prover, and a matrix
     for the checker. `read` and `document` follow from its fields.
 
     Attributes:
-        proof: the tree of boxes over which it was shown; `UNPROVED` for a claim of a file.
-        letters: the tree as a file states it, one string for each level.
+        proof: the tree of boxes over which it was shown; `UNPROVED` for a claim that was read from a file.
+        letters: the tree as stated in a file, one string for each level.
 
     Example:
         >>> import jax.numpy as jnp
@@ -88,7 +88,7 @@ class AbstractClaim(abc.ABC):
 
     kind: ClassVar[str]
     assumed_without: ClassVar[str] = ""
-    """Assumption of a certificate with samples that has no claim of this kind."""
+    """The assumption that a certificate with samples makes if it has no claim of this kind."""
 
     @classmethod
     @abc.abstractmethod
@@ -100,7 +100,7 @@ class AbstractClaim(abc.ABC):
         """Return what is assumed if this claim is a hypothesis.
 
         Args:
-            terms: the quantities that the text names.
+            terms: the quantities that appear in the text.
         """
 
     def margin(self, radius: float) -> float | None:
@@ -138,7 +138,7 @@ class AbstractClaim(abc.ABC):
         """Return this claim as a hypothesis of a statement.
 
         Args:
-            terms: the quantities that its text names.
+            terms: the quantities that appear in the text.
             evidence: "proved", or "claimed" by a file.
         """
         return Hypothesis(self.text(terms), evidence, self.proof.verdict, self.margin(terms.radius), self.proof.reason)
@@ -150,7 +150,7 @@ class AbstractClaim(abc.ABC):
 
     @property
     def open(self) -> bool:
-        """Whether some of its boxes are undecided."""
+        """Whether some boxes of the claim are undecided."""
         return any("?" in level for level in self.levels)
 
     def document(self) -> dict[str, Any]:
@@ -169,7 +169,7 @@ class AbstractClaim(abc.ABC):
 
         Args:
             field: the claim in the file.
-            index: number of claims of this kind before it, which its `row` must equal.
+            index: number of earlier claims of this kind, which must equal the `row` of this one.
             setting: the problem of the certificate.
 
         Raises:
@@ -199,7 +199,7 @@ class AbstractClaim(abc.ABC):
 
     @classmethod
     def _defaults(cls) -> dict[str, Any]:
-        """Values of the numbers that a file may leave out."""
+        """Default values of the numbers that a file may omit."""
         return {field.name: field.default for field in dataclasses.fields(cls) if field.default != dataclasses.MISSING}
 
 
@@ -249,10 +249,10 @@ class ReachClaim(AbstractClaim):
 
 @dataclasses.dataclass(frozen=True)
 class DisturbanceClaim(AbstractClaim):
-    """Errors of measurement and force, relative to their sizes and in the unit ball, add at most `√square` to the flow.
+    """Errors of measurement and force, scaled to the unit ball by their bounds, add at most `√square` to the flow.
 
     Attributes:
-        square: square of the bound on this addition; with samples, of the force alone.
+        square: square of the bound on this addition; with samples, on the addition by the force alone.
     """
 
     square: float
@@ -261,7 +261,7 @@ class DisturbanceClaim(AbstractClaim):
 
     @classmethod
     def count(cls, setting: Setting) -> tuple[int, int]:
-        # In continuous time noise requires this claim too; the checker decides whether it is missing.
+        # In continuous time noise requires this claim too; the checker reports it if it is missing.
         acts = int(setting.given.disturbance.any())
         return (0, 1) if setting.sampling is None else (acts, acts)
 
@@ -276,7 +276,7 @@ class CorrectionClaim(AbstractClaim):
 
     Attributes:
         row: number of samples lost before it.
-        squares: with noise, the largest addition of the error of each measured position to a squared length.
+        squares: with noise, for each measured position the largest amount that its error adds to a squared length.
     """
 
     row: int
@@ -302,7 +302,7 @@ class CorrectionClaim(AbstractClaim):
 
 @dataclasses.dataclass(frozen=True)
 class MissingClaim(AbstractClaim):
-    """The acceleration that a prediction lacks is less than `√square` times the position error.
+    """The acceleration that a prediction omits is less than `√square` times the position error.
 
     Attributes:
         square: square of the bound [1/s⁴].
@@ -317,7 +317,7 @@ class MissingClaim(AbstractClaim):
 
     @classmethod
     def count(cls, setting: Setting) -> tuple[int, int]:
-        # The claim bounds the factor in the correction; a correction of second order has no factor.
+        # The claim bounds the factor of the correction; a correction of second order has no factor.
         count = int(setting.sampling is not None and setting.order == 1)
         return count, count
 
@@ -331,14 +331,14 @@ class MissingClaim(AbstractClaim):
 
 @dataclasses.dataclass(frozen=True)
 class PredictionClaim(AbstractClaim):
-    """The k-th derivative of the defect of Runge–Kutta steps, over k!, is shorter than `√square`.
+    """The k-th derivative of the defect of Runge–Kutta steps, divided by k!, is shorter than `√square`.
 
     Hence the defect after a step of length s is at most `s^k √square`, and the step is off by `s^(k+1) √square/(k+1)`.
 
     Attributes:
         square: square of the bound.
-        order: k, from 0 to the order of the steps. Derivatives of steep friction are large, and one of low order may
-            have a bound when one of high order has none.
+        order: k, from 0 to the order of the steps. A low order helps with steep friction, whose high derivatives may
+            be too large for a bound.
     """
 
     square: float
@@ -356,11 +356,11 @@ class PredictionClaim(AbstractClaim):
         return "the defect of the Runge–Kutta steps of a prediction keeps its bound"
 
     def defect(self, longest: float) -> float:
-        """Compute how much steps of up to this length [s] add to a distance per second [1/s]."""
+        """Compute how much steps of at most this length [s] add to a distance per second [1/s]."""
         return longest**self.order * math.sqrt(self.square) / (self.order + 1)
 
     def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
-        # A prediction has two step lengths in place of errors, joint forces and slopes.
+        # A prediction has two step lengths as variables instead of errors, joint forces and slopes.
         assert sampling is not None
         places, longest = prediction_places(len(low), n), sampling.longest_step
         return np.append(low[places], [0.0, 0.0]), np.append(high[places], [longest, longest])
@@ -371,7 +371,7 @@ class PredictionClaim(AbstractClaim):
 
 @dataclasses.dataclass(frozen=True)
 class StartClaim(AbstractClaim):
-    """An error with components δ is at most `√(square Σ δ_i²/s_i)` long, with the squares s of the claims on reach.
+    """An error with components δ has at most the length `√(square Σ δ_i²/s_i)`, with s the squares of the reach claims.
 
     Attributes:
         square: the factor.
@@ -399,7 +399,7 @@ CLAIMS: dict[str, type[AbstractClaim]] = {
     "prediction": PredictionClaim,
     "start": StartClaim,
 }
-"""The kinds of claims, in the order in which a file has them."""
+"""The kinds of claims, in the order in which a file lists them."""
 
 AnyClaim = TypeVar("AnyClaim", bound=AbstractClaim)
 
@@ -415,7 +415,7 @@ def reach_squares(claims: Sequence[AbstractClaim]) -> Float[np.ndarray, "two_n"]
 
 
 def _at_ages(low: np.ndarray, high: np.ndarray, sampling: Sampling | None, lost: int) -> Ends:
-    """The box at the ages of a measurement after a number of lost samples."""
+    """The box for the ages of a measurement after a number of lost samples."""
     assert sampling is not None
     first, last = sampling.ages[lost]
     return np.append(low[:-1], first), np.append(high[:-1], last)

@@ -1,4 +1,4 @@
-"""Contraction of a flow `x' = f(t, x)` in a metric: the generalised Jacobian, and the rate at which lengths decrease.
+"""Computes how fast a flow `x' = f(t, x)` contracts in a metric, from its generalised Jacobian.
 
 A metric on states is represented as `M = ΘᵀNΘ`: a coframe Θ(t, x) with its inverse, and the Gram matrix N(t, x) of the
 frame. With N = I, contraction is condition (8) of Jouffroy & Fossen, on the generalised Jacobian; with Θ = I it is
@@ -30,7 +30,7 @@ class StateMetric(NamedTuple):
     """A metric `M = ΘᵀNΘ` on states x (n,), which may change with time.
 
     Attributes:
-        coframe: `(t, x) -> Θ (n, n)`, which gives the components of a variation δx in a moving frame.
+        coframe: `(t, x) -> Θ (n, n)`, which maps a variation δx to its components in a moving frame.
         frame: `(t, x) -> Θ⁻¹ (n, n)`; its columns are the vectors of that frame.
         gram: `(t, x) -> N (n, n)`, symmetric positive definite: the inner products of these vectors.
         lift: the metric on configurations of which this one is the lift by `tangent_metric`; None (default) otherwise.
@@ -110,7 +110,7 @@ def generalised_jacobian(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) 
 
 
 def contraction_matrix(flow: Flow, metric: StateMetric, t: Scalar, x: Vector) -> Matrix:
-    """Compute `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths in the frame, for both conditions (8) and (9).
+    """Compute `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths in the frame, for conditions (8) and (9).
 
     It is negative definite where the flow contracts; `Θᵀ(…)Θ = FᵀM + Ṁ + MF` does not depend on the frame.
 
@@ -159,8 +159,8 @@ def contraction_rate(
         x: state (n,).
 
     Returns:
-        λ [1/s], the rate of squared lengths: minus the largest eigenvalue of the left side relative to M; negative if
-        some length grows.
+        λ [1/s], the rate of squared lengths: the largest eigenvalue of the left side relative to M, with opposite sign;
+        it is negative if some length grows.
 
     Example:
         >>> import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The statement of a proof of contraction: its claim in words with all numbers, and its hypotheses."""
+"""Writes the statement of a proof of contraction: its claim in words with all numbers, and its hypotheses."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -53,7 +53,7 @@ def _converges(document: Document) -> str:
 
 
 def _samples(sampling: Sampling) -> str:
-    """When measurements come, in words."""
+    """Describe in words when measurements come."""
     shortest, longest = (exact(h) for h in sampling.interval)
     every = f"samples {shortest} s apart" if shortest == longest else f"samples {shortest} to {longest} s apart"
     if not sampling.lost:
@@ -113,7 +113,7 @@ def _assumptions(document: Document) -> Iterator[Hypothesis]:
 
 
 def _factor(document: Document, evidence: Evidence) -> Hypothesis:
-    """That the correction that runs, with its factor, is close to the one that is proved, and never restarts."""
+    """State that the correction that runs, with its factor, is close to the proved one, and never restarts."""
     loss = document.loss
     text = "the factor 1/(1 + s/18) of the correction that runs leaves a positive rate, and no sample restarts it"
     if loss.allowed(document.rate):
@@ -126,7 +126,7 @@ def _factor(document: Document, evidence: Evidence) -> Hypothesis:
 
 
 def _steps(document: Document, evidence: Evidence) -> Hypothesis:
-    """That the errors of the Runge–Kutta steps alone do not lead out of the tube."""
+    """State that errors of the Runge–Kutta steps alone do not lead out of the tube."""
     text = "the errors of the Runge–Kutta steps of predictions do not lead out of the tube"
     if document.drift < document.radius:
         return Hypothesis(
@@ -139,7 +139,7 @@ def _steps(document: Document, evidence: Evidence) -> Hypothesis:
 
 
 def _radius(document: Document, evidence: Evidence) -> Hypothesis:
-    """That the tube is there, and that noise does not lead out of it."""
+    """State that the tube exists, and that noise does not lead out of it."""
     if document.radius > document.steady:
         return Hypothesis(
             "the tube has a radius, and noise and unknown forces alone do not lead out of it",
@@ -151,7 +151,7 @@ def _radius(document: Document, evidence: Evidence) -> Hypothesis:
 
 
 def _description(facts: Resolved, radius: float) -> Iterator[str]:
-    """Lines from which the claim can be repeated."""
+    """Lines with all data that are needed to repeat the proof."""
     document, model = facts.document, facts.observer.model
     n, given = len(document.velocity), document.given
     fields, unit_of = observer_document(facts.observer), dict(zip(facts.domain.names, facts.domain.units, strict=True))

@@ -1,6 +1,6 @@
-"""The file format of certificates: its required content, read into checked numbers, and written.
+"""Reads and writes the files of certificates, and checks types and sizes of their content.
 
-Nothing in a file is trusted: whether its numbers make a proof is decided by `check`.
+A file is not trusted: `check` decides whether its numbers form a proof.
 """
 
 import dataclasses
@@ -52,17 +52,17 @@ class Document(NamedTuple):
 
     Attributes:
         file: name of the file, for messages.
-        recipe: {"system": name} or {"attribute": "module:attribute"}, and its "parameters". Names are not resolved yet.
-            None for a model that only this process knows.
+        recipe: {"system": name} or {"attribute": "module:attribute"}, and its "parameters". The names are not looked up
+            yet. None for a model that only this process knows.
         observer: "kind", "frame", "alpha" [1/s], "beta" [1/s²] and the options of that kind.
         q: the matrix (2, 2) of its metric.
         rate: rate λ [1/s] of squared lengths.
-        radius: radius of the tube in the metric; 0 where a claim is open.
+        radius: radius of the tube in the metric; 0 if a claim is open.
         velocity: bounds (n,) of the true velocities.
         given: bounds of positions, inputs, times, noise and disturbance.
         low, high: the box (d,) of all claims.
         claims: the claims, "contraction" first.
-        graph: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node follows its arguments.
+        graph: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node comes after its arguments.
         sampling: when measurements come, and the metric between them; None for an observer in continuous time.
 
     Example:
@@ -107,17 +107,17 @@ class Document(NamedTuple):
 
     @property
     def first_velocity(self) -> int:
-        """Place of the first velocity in the box, behind the variables of the configuration."""
+        """Place of the first velocity in the box, after the variables of the configuration."""
         return first_velocity(len(self.low), len(self.velocity), self.sampling is not None)
 
     @property
     def unit_reach(self) -> Float[np.ndarray, "n"]:
-        """Bounds (n,) of each position error, for a curve of unit length, as the claims on reach state them."""
+        """Bounds (n,) of each position error for a curve of unit length, from the claims on reach."""
         return unit_reach(reach_squares(self.claims))
 
     @property
     def loss(self) -> Loss:
-        """What the factor of the correction that runs takes from the rate; nothing where no claim bounds it."""
+        """Loss of rate by the factor of the correction that runs; zero if no claim bounds it."""
         return loss_of(self.sampling, self.q, self.rate, self.claims)
 
     @property
@@ -127,12 +127,12 @@ class Document(NamedTuple):
 
     @property
     def steady(self) -> float:
-        """The distance to which noise and disturbance alone may lead."""
+        """The largest distance that noise and disturbance alone can cause."""
         return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
 
     @property
     def drift(self) -> float:
-        """The distance to which errors of Runge–Kutta steps alone may lead; 0 where no claim bounds them."""
+        """The largest distance that errors of Runge–Kutta steps alone can cause; 0 if no claim bounds them."""
         return claimed_drift(self.sampling, self.q, self.rate, self.claims)
 
     def bounds(self, claim: AbstractClaim) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
@@ -145,10 +145,10 @@ class Document(NamedTuple):
 
 
 class Resolved(NamedTuple):
-    """A document with the observer that it is about.
+    """A document with the observer that it describes.
 
     Attributes:
-        document: the content of a file, or what a file would state.
+        document: the content of a file, or the content that a file would have.
         observer: the observer, with its model.
         about: observer and metric as functions of a box.
     """
@@ -163,7 +163,7 @@ class Resolved(NamedTuple):
         return Box(self.about.names, self.about.units, self.document.low, self.document.high)
 
     def stated(self) -> "Resolved":
-        """Take the trees of the file as proofs of its claims. They are stated, not verified."""
+        """Take the trees of the file as proofs of its claims, without verification."""
         claims = tuple(self._stated(claim) for claim in self.document.claims)
         return self._replace(document=self.document._replace(claims=claims))
 
@@ -178,17 +178,17 @@ class Resolved(NamedTuple):
 def parse(path: str | Path, content: bytes | None = None) -> Document:
     """Read a certificate file.
 
-    Only types, sizes and the digest are checked here; whether its numbers are a proof is decided by `check`.
+    Only types, sizes and the digest are checked here; `check` decides whether the numbers form a proof.
 
     Args:
         path: the file.
-        content: its bytes, where it has been read already.
+        content: its bytes, if it has already been read.
 
     Returns:
         The content, with checked types.
 
     Raises:
-        ValueError: the file cannot be read or is no certificate; the message is one line.
+        ValueError: the file cannot be read or is not a certificate; the message is one line.
 
     Example:
         >>> from covariant.certificates import parse
@@ -248,16 +248,16 @@ def write(path: str | Path, document: dict[str, Any], check: Callable[[Document]
     Args:
         path: the file.
         document: its content, as data for JSON.
-        check: called with the content as `parse` reads it; if it raises, nothing is written.
+        check: called with the content as `parse` reads it; if it raises, no file is written.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: `parse` would not read the content; nothing is written then.
+        ValueError: `parse` would reject the content; no file is written then.
     """
     try:
-        # What is written is parsed first, so that a file that was saved can always be read again.
+        # The content is parsed before it is written, so that a saved file can always be read again.
         content = json.dumps(document, indent=1, ensure_ascii=False).encode("utf-8")
         parsed = parse(path, content)
     except (TypeError, ValueError) as error:
@@ -314,7 +314,7 @@ def _observer(field: Field) -> dict[str, Any]:
 
 def _metric(field: Field) -> np.ndarray:
     q = np.stack([row.vector(2, 2) for row in field.rows(2, 2)])
-    # Fractions decide positive definiteness of these very doubles, without rounding in a b > c².
+    # Fractions decide positive definiteness of exactly these doubles; the comparison a b > c² is not rounded.
     (a, c), (d, b) = [[Fraction(number) for number in row] for row in q.tolist()]
     field.need(c == d and a > 0 and a * b > c * c, "a positive definite matrix [[a, c], [c, b]]")
     return q
@@ -352,12 +352,12 @@ def _sampling(field: Field) -> Sampling:
 
 
 def _claims(field: Field, setting: Setting) -> tuple[AbstractClaim, ...]:
-    """The claims kind by kind, each as often as it must be there, and those that may be there where they are."""
+    """The claims, kind by kind: the required number of each, and the optional ones that the file has."""
     counts = {name: kind.count(setting) for name, kind in CLAIMS.items()}
     least, most = (sum(each) for each in zip(*counts.values(), strict=True))
     rows = field.rows(1, most)
     optional = [row.value.get("kind") for row in rows[least:] if isinstance(row.value, dict)]
-    # Whether a kind is there is decided by its name; that it stands at its place is checked below.
+    # The name decides whether a kind is present; its place is checked below.
     numbers = {name: b if name in optional else a for name, (a, b) in counts.items()}
     order = [name for name, count in numbers.items() for _ in range(count)]
     rows[-1].need(len(rows) <= len(order), "the last claim")

@@ -1,4 +1,4 @@
-"""The effort of the proofs of one certificate: a number of boxes that all of them share."""
+"""Shares a number of boxes among the proofs of one certificate."""
 
 import dataclasses
 import functools
@@ -12,14 +12,14 @@ from scalargraph.proofs import Box, Form, Proof, prove
 
 @dataclasses.dataclass
 class Effort:
-    """Proofs over one region, which share a number of boxes.
+    """Proofs over one region that share a number of boxes.
 
     Attributes:
         domain: the region.
         boxes: number of boxes that are left.
         seconds: limit of time [s] of each proof, or None.
         processes: number of processes.
-        progress: called with what is proved, the share that is done, and the number of boxes; or None.
+        progress: called with the name of the proof, the share that is done, and the number of boxes; or None.
 
     Example:
         >>> import jax.numpy as jnp
@@ -63,7 +63,7 @@ class Effort:
         tries: int = 0,
         domain: Box | None = None,
     ) -> AnyClaim:
-        """Prove a claim, again with wider bounds where a point refutes it that was not sampled."""
+        """Prove a claim; if a point that was not sampled refutes it, try again with wider bounds."""
         claim = dataclasses.replace(claim, proof=self.prove(what, form(claim), domain))
         for _ in range(tries):
             if wider is None or claim.proof.counterexample is None:

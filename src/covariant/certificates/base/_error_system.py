@@ -1,4 +1,4 @@
-"""The system of a statement about contraction: a flow and a metric, as functions of variables in a box."""
+"""Defines the system of a statement about contraction: a flow and a metric as functions of variables in a box."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -24,16 +24,16 @@ class Point(NamedTuple):
     Attributes:
         flow: `(t, x (2n,)) -> x' (2n,)`, with the measurement held constant.
         metric: the metric on states.
-        x: the state (2n,) that belongs to z.
-        error_jacobian: `() -> (2n, 2n)`: changes of position error and velocity by the vectors of the metric's frame;
-            for intrinsic observers only.
+        x: the state (2n,) at z.
+        error_jacobian: `() -> (2n, 2n)`: changes of position error and velocity along the vectors of the metric's
+            frame; for intrinsic observers only.
         noise_jacobian: `() -> (n, n)`: change of the position error by an error of the measurement; for intrinsic
             observers only.
-        corrected: `x (2n,) -> x (2n,)`: the correction by a measurement, which is held constant; for observers with
-            samples only, as is `after`.
+        corrected: `x (2n,) -> x (2n,)`: the correction by a measurement, which is held constant; like `after`, only
+            for observers with samples.
         after: the metric on states right after a correction.
-        missing: `x (2n,) -> (n,)`: the acceleration that a prediction lacks, of observers with samples.
-        inertias: `x (2n,) -> (n, n), (n, n)`: the metric at the estimated and at the measured configuration, of
+        missing: `x (2n,) -> (n,)`: the acceleration that a prediction omits; for observers with samples.
+        inertias: `x (2n,) -> (n, n), (n, n)`: the metric at the estimated and at the measured configuration; for
             observers with samples.
     """
 
@@ -49,23 +49,23 @@ class Point(NamedTuple):
 
     @property
     def sampled(self) -> tuple[Callable[[Vector], Array], StateMetric]:
-        """The correction, and the metric after it, of an observer with samples."""
+        """The correction of an observer with samples, and the metric after it."""
         assert self.corrected is not None
         assert self.after is not None
         return self.corrected, self.after
 
 
 class ErrorSystem(NamedTuple):
-    """A dynamic system and a metric on a region, which is a box of variables: what a proof of contraction needs.
+    """A dynamic system and a metric on a box of variables, as needed for a proof of contraction.
 
     Attributes:
-        names: names of the variables (d). For an intrinsic observer these are, n each, the estimated position (not on a
-            group) and velocity, the error of the position, and the force on the system; where friction is a variable
-            too, also friction and its slopes.
+        names: names of the variables (d). For an intrinsic observer these are, n each: the estimated position (not on a
+            group), the estimated velocity, the error of the position, and the force on the system; then friction and
+            its slopes, if friction is a variable too.
         units: their units.
         at: `z (d,) -> Point`: flow, metric and state at a point z of the box.
-        at_rest: the same with a constant measurement, where `at` lets one change with time; None where it does not.
-            Each instant is then the first instant at another z. Nothing else may depend on time.
+        at_rest: the same with a constant measurement, if `at` allows one that changes with time; otherwise None. Each
+            instant is then the first instant at another z. Nothing else may depend on time.
         has_samples: whether measurements are sampled, so that points have a correction.
 
     Example:
@@ -89,27 +89,27 @@ class ErrorSystem(NamedTuple):
         Args:
             n: number of velocities.
         """
-        # Behind them are three kinds of forces and slopes, and the age.
+        # After them come three kinds of forces and slopes, and the age.
         first = len(self.names) - 4 * n - 1
         return range(first, first + n)
 
 
 def entries_read(function, *arguments: Array) -> set[int]:
-    """Determine on which entries of its arguments a function depends."""
+    """Determine the entries of its arguments on which a function depends."""
     return inputs_of(lower(function, *arguments, real=True))
 
 
 def inputs_of(lowered: Lowered) -> set[int]:
-    """Determine which of its inputs the graph of a real function reads, in values or in conditions."""
+    """Determine the inputs that the graph of a real function reads, in values or in conditions."""
     assert lowered.conditions is not None
-    # What a condition depends on is read as well: such an entry may decide where the function is defined.
+    # Inputs of conditions count as read, since they may decide where the function is defined.
     graphs = lowered.graph, lowered.conditions.graph
     return {int(node.value or 0) for graph in graphs for node in graph.nodes if node.op == "input"}
 
 
 def need_steady(what: str, error_system: ErrorSystem, domain: Box) -> None:
     """Check that flow and metric do not depend on time."""
-    # At the golden section of every variable no term vanishes by chance, as it may in the middle.
+    # The golden section of every interval is used: at a midpoint, terms could vanish by symmetry.
     point = (error_system.at_rest or error_system.at)(jnp.asarray(0.618 * domain.low + 0.382 * domain.high))
     x, metric = point.x, point.metric
 
@@ -125,7 +125,7 @@ def need_steady(what: str, error_system: ErrorSystem, domain: Box) -> None:
 
 
 def values(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
-    """Collect the functions from which, with their derivatives, all claims are made."""
+    """Collect the functions from which all claims are formed, with their derivatives."""
 
     def at(t, x, z):
         point = error_system.at(z)
@@ -137,7 +137,7 @@ def values(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tupl
 
 
 def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector], tuple[Array, ...]]:
-    """Collect the functions from which, with their derivatives, claims about the correction are made."""
+    """Collect the functions from which claims about the correction are formed, with their derivatives."""
 
     def at(t, x, z):
         point = error_system.at(z)
@@ -151,7 +151,7 @@ def corrections(error_system: ErrorSystem) -> Callable[[Scalar, Vector, Vector],
 
 
 def value_graph(about: ErrorSystem) -> dict[str, list]:
-    """Convert the functions that the claims depend on to a graph of scalars, for readers without JAX."""
+    """Convert the functions on which the claims depend to a graph of scalars, for readers without JAX."""
     d = len(about.names)
     states = jax.eval_shape(lambda z: about.at(z).x, jnp.zeros(d)).shape[0]
     sampled = about.has_samples

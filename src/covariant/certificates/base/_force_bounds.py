@@ -1,4 +1,4 @@
-"""Bounds of the force on a mechanical system, and of its derivatives by the position, by interval arithmetic."""
+"""Bounds the force on a mechanical system, and its derivatives by the position, by interval arithmetic."""
 
 import functools
 
@@ -22,7 +22,7 @@ def force_bounds(
 
     Args:
         model: the mechanical system.
-        places: box of positions, on a group of the entries of its matrices.
+        places: box of positions, on a group a box of the entries of its matrices.
         inputs: least and largest inputs (2, m).
         times: first and last time [s].
 
@@ -45,7 +45,7 @@ def force_bounds(
     force = functools.partial(applied_force, model)
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), real=True)
     assert lowered.conditions is not None
-    # Conditions on smoothness are dropped: the bound of a force that jumps is a bound all the same.
+    # Conditions on smoothness are dropped, since the bound is also valid for a force that jumps.
     defined = lowered.conditions._replace(
         conditions=tuple(c for c in lowered.conditions.conditions if c.kind in ("true", "finite"))
     )
@@ -71,12 +71,12 @@ def force_slopes(
 
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), jnp.zeros(n), real=True)
     assert lowered.conditions is not None
-    # The step from the position is fixed at 0; it is there so that derivatives by it can be bounded.
+    # The step from the position is fixed at 0; it only serves to bound derivatives by it.
     whole = region.with_fixed(np.zeros(n))
     _need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
     steps = range(len(region.low), len(whole.low))
     enclosure = enclose(expand(lowered._replace(conditions=None), steps, 1), whole.low[None], whole.high[None])
-    # The derivatives are listed step by step; transposed, the rows are those of the force.
+    # The derivatives are listed step by step; after transposition, each row belongs to one force.
     bounds = np.maximum(np.abs(enclosure.low), np.abs(enclosure.high))[0, n:].reshape(n, n).T
     if not np.isfinite(bounds).all():
         raise InputError(f"the slope of the model's force has no bound over {places}; make the box smaller")
@@ -84,7 +84,7 @@ def force_slopes(
 
 
 def force_reads_time(model: MechanicalSystem, n: int) -> bool:
-    """Test whether `force − grad U`, or where it is defined, depends on time."""
+    """Test whether `force − grad U`, or the set on which it is defined, depends on time."""
     q = jnp.zeros(configuration_shape(model, n))
     read = entries_read(functools.partial(applied_force, model), jnp.zeros(()), q, jnp.zeros(input_count(model, n)))
     return 0 in read

@@ -1,4 +1,4 @@
-"""The inequalities to be proved of a system: symmetric matrices that must be positive definite on its region."""
+"""Builds the inequalities of a proof: symmetric matrices that must be positive definite on a region."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -23,11 +23,11 @@ from scalargraph.proofs import Form, as_form, derivative_form
 
 @check_numbers
 def contraction(error_system: ErrorSystem, rate: Finite) -> Form:
-    """Build the matrix `−(F_ΘᵀN + Ṅ + N F_Θ) − rate N`, whose positive definiteness is contraction.
+    """Build the matrix `−(F_ΘᵀN + Ṅ + N F_Θ) − rate N`; the system contracts if it is positive definite.
 
-    Use it with `proofs.prove` for a proof by hand, where neither `certify` nor `cascade` fits. Everywhere that the
+    Use it with `proofs.prove` for a proof by hand if neither `certify` nor `cascade` fits. At all points where the
     matrix is positive definite, squared lengths of small errors in the metric N decrease at least at `rate`, and
-    lengths at half of it. The distance of any two solutions does so where the region is convex in this metric.
+    lengths at half of it. So does the distance of any two solutions if the region is convex in this metric.
 
     Args:
         error_system: the system, as from `error_system` or `virtual`.
@@ -51,7 +51,7 @@ def contraction(error_system: ErrorSystem, rate: Finite) -> Form:
 
 
 def length_change(error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array]) -> Form:
-    """Build the form of a formula of Θ, of N and of `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths."""
+    """Build the form of an expression in Θ, N and `F_ΘᵀN + Ṅ + N F_Θ`, the rate of change of squared lengths."""
 
     def whole(coframe, gram, change, jacobian):
         return formula(coframe, gram, lengths(gram, change, jacobian))
@@ -60,12 +60,12 @@ def length_change(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
 
 
 def in_frame_along(error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array]) -> Form:
-    """Build the form of a formula of Θ, N, Ṅ and `F_Θ = (Θ̇ + Θ ∂f/∂x)Θ⁻¹`, with rates of change along the flow."""
+    """Build the form of an expression in Θ, N, Ṅ and `F_Θ = (Θ̇ + Θ ∂f/∂x)Θ⁻¹`, with rates of change along the flow."""
 
     def parts(derivatives, nodes, count):
         flow, coframe, frame, gram, *_ = nodes
         state = range(1, count + 1)
-        # The derivative along the flow: time runs at rate 1, the state at x'; z is constant.
+        # The derivative along the flow: time has the rate 1, the state has x', and z is constant.
         along = {0: derivatives.graph.constant(1.0), **dict(zip(state, flow.tolist(), strict=True))}
         return (
             coframe,
@@ -85,7 +85,7 @@ def in_frame_along(error_system: ErrorSystem, formula: Callable[[Array, Array, A
 def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
     """Build the matrix `square N − r rᵀ`, where r is one row of the Jacobian of (error, velocity).
 
-    It is positive definite where a curve of length ℓ changes that entry of (error, velocity) by less than `ℓ √square`.
+    If it is positive definite, a curve of length ℓ changes this entry of (error, velocity) by less than `ℓ √square`.
     """
 
     def matrix(z):
@@ -107,8 +107,8 @@ def squared_widths(error_system: ErrorSystem, z: Vector) -> Float[Array, "two_n"
 def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n"], square: float) -> Form:
     """Build the matrix `square I − BᵀMB`, with B the Jacobian of the flow in errors of measurement and force.
 
-    It is positive definite where errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change the flow by a vector
-    shorter than `√square`.
+    If it is positive definite, errors `δ = sizes w` with |w| ≤ 1 (in the Euclidean norm) change the flow by a vector
+    that is shorter than `√square`.
     """
     n = len(sizes) // 2
 
@@ -119,7 +119,7 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
         return coframe, gram, noise, derivatives.each(flow, range(start, start + 2 * n))
 
     def formula(coframe, gram, noise, change):
-        # The metric is given by Θ and N, M = ΘᵀNΘ, hence the coframe before the columns of B.
+        # The metric is M = ΘᵀNΘ, so the coframe Θ multiplies the columns of B.
         b = jnp.concatenate([change[:, :n] @ noise, change[:, n:]], axis=1) * jnp.asarray(sizes)[None]
         return square * jnp.eye(2 * n) - (coframe @ b).T @ gram @ (coframe @ b)
 
@@ -131,13 +131,13 @@ def correction(
 ) -> Form:
     """Build the matrix `N_h − JᵀN_0J`, with J the Jacobian of the correction by a measurement of age h in the frames.
 
-    It is positive definite where the correction shortens all curves, from the metric M_h before it to M_0 after it.
-    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`: where it is positive definite, a curve of length ℓ
+    If it is positive definite, the correction shortens all curves, from the metric M_h before it to M_0 after it.
+    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`: if this is positive definite, a curve of length ℓ
     between the truth and an estimate has at most the length `√(ℓ² + ΣΓ)` after a correction by an erroneous
     measurement.
 
-    The inequality is one for Lipschitz corrections too: −JᵀN_0J is concave in J, so that it holds for the means of
-    Jacobians by which chords change, as in `derivative_form`.
+    The inequality also covers Lipschitz corrections: −JᵀN_0J is concave in J, so it holds for the mean Jacobians that
+    give the change of chords, as in `derivative_form`.
 
     Args:
         error_system: the system, as from `sampled_system`.
@@ -159,9 +159,9 @@ def correction(
 
 
 def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array], Array]) -> Form:
-    """Build the form of a formula of N_h before a correction C, of N_0 after it, and of J.
+    """Build the form of an expression in N_h before a correction C, N_0 after it, and J.
 
-    In the frames J = Θ_0(C x) (∂C/∂x) Θ_h(x)⁻¹, while the measurement is held constant.
+    In the frames J = Θ_0(C x) (∂C/∂x) Θ_h(x)⁻¹, with the measurement held constant.
     """
 
     def parts(derivatives, nodes, count):
@@ -175,12 +175,12 @@ def at_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Ar
 
 
 def at_noisy_correction(error_system: ErrorSystem, formula: Callable[[Array, Array, Array, Array], Array]) -> Form:
-    """Build the form of a formula of N_h, N_0, J, as in `at_correction`, and of `B = Θ_0(C x) ∂C/∂y`."""
+    """Build the form of an expression in N_h, N_0, J, as in `at_correction`, and `B = Θ_0(C x) ∂C/∂y`."""
 
     def parts(derivatives, nodes, count):
         new, coframe, after, frame, before, *_ = nodes
         n = count // 2
-        # The measurement is the estimated position less its error, both of which are variables in z.
+        # The measurement is the estimated position minus its error, and both are variables in z.
         errors = derivatives.each(new, range(1 + count + 2 * n, 1 + count + 3 * n))
         return coframe, after, derivatives.each(new, range(1, 1 + count)), errors, frame, before
 
@@ -196,7 +196,7 @@ def joint_force_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "n"], 
 
     def parts(derivatives, nodes, count):
         flow, coframe, _, gram, *_ = nodes
-        # The joint force follows estimate, velocity, position error and input force in z.
+        # In z the joint force comes after estimate, velocity, position error and input force.
         return coframe, gram, derivatives.each(flow, range(1 + count + 4 * n, 1 + count + 5 * n))
 
     def formula(coframe, gram, change):
@@ -209,8 +209,8 @@ def joint_force_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "n"], 
 def start_bound(error_system: ErrorSystem, squares: Float[np.ndarray, "two_n"], square: float) -> Form:
     """Build the matrix `square diag(1/squares) − M`, with M the metric in coordinates, right after a measurement.
 
-    Where it is positive definite everywhere, an error with the components δ_i is at most `√(square Σ δ_i²/squares_i)`
-    long.
+    If it is positive definite everywhere, an error with the components δ_i has at most the length
+    `√(square Σ δ_i²/squares_i)`.
     """
 
     def matrix(z):
@@ -222,11 +222,11 @@ def start_bound(error_system: ErrorSystem, squares: Float[np.ndarray, "two_n"], 
 
 
 def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach: Float[np.ndarray, "n"]) -> Form:
-    """Build the matrix of what bounds the acceleration that a prediction lacks, in three blocks (n, n).
+    """Build a matrix of three blocks (n, n) that bounds the acceleration omitted by a prediction.
 
-    With D the derivative of the missing acceleration by the position error e, at a constant estimate, the blocks are
+    With D the derivative of the omitted acceleration by the position error e, at a constant estimate, the blocks are
     `square g(q) − Dᵀg(q)D`, `4 g(q) − g(q − e)` and `limit²/n I − W g(q) W`, W = diag(reach). Where they are positive
-    definite, the missing acceleration is shorter than `√square |e|`, lengths of vectors at most double over an error,
+    definite, the omitted acceleration is shorter than `√square |e|`, lengths of vectors at most double over an error,
     and a curve of length ℓ, which changes e by at most `ℓ reach`, makes |e| at most `ℓ limit`.
     """
     n = len(reach)
@@ -252,4 +252,4 @@ FORMS: dict[str, Callable[[Resolved, Any], Form]] = {
     "missing": lambda of, claim: missing_bound(of.about, claim.square, claim.limit, of.document.unit_reach),
     "start": lambda of, claim: start_bound(of.about, reach_squares(of.document.claims), claim.square),
 }
-"""What is to be proved for each kind of claim of a document."""
+"""The matrix to be proved positive definite, for each kind of claim of a document."""

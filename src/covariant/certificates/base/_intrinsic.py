@@ -1,12 +1,12 @@
-"""An intrinsic observer on a region, as the system of proofs: its flow and metric as functions of variables in a box.
+"""Describes an intrinsic observer as the system of a proof: flow and metric as functions of variables in a box.
 
-The variables are the estimate, the error of its position, and the force on the system. Nothing else enters: the source
+The variables are the estimate, the error of its position, and the force on the system. They are sufficient: the source
 `S = g⁻¹ f` at the measured position is a known function of the force f, whatever the input, potential and time that
-cause it. On a group the estimated configuration does not enter either, by symmetry; a model whose friction breaks this
-symmetry is refused.
+cause it. On a group, symmetry makes the estimated configuration irrelevant too; models whose friction breaks this
+symmetry are refused.
 
-Friction in joints may be two further variables for each joint, its force and its slope, in place of the function. Every
-flow with a friction within these bounds is then covered, so that no box has to resolve how steep it is near rest.
+The friction of a joint may be replaced by two further variables, its force and its slope. The proof then covers every
+friction within these bounds, so that no box has to resolve how steep it is near rest.
 """
 
 import dataclasses
@@ -36,20 +36,20 @@ OBSERVERS: dict[str, dict[str, Any]] = {
     "intrinsic": {"order": (1, 2), "coefficients": ("measured", "estimated"), "curvature": bool},
     "geodesic": {"curvature": bool},
 }
-"""The fields of each kind of observer beside the gains, with their possible values."""
+"""The fields of each kind of observer besides the gains, with their possible values."""
 OBSERVER_KINDS = {"intrinsic": Intrinsic, "geodesic": Geodesic}
-"""The observers that there are certificates for, by their name in a file."""
+"""The observers for which certificates exist, by their name in a file."""
 
 
 @check_numbers
 def error_system(observer: Intrinsics, q: Annotated[TwoByTwo, FINITE], joint_friction: bool = False) -> ErrorSystem:
-    """Describe an intrinsic observer on any region, with a metric on states, for `contraction`, `prove` and `falsify`.
+    """Describe an intrinsic observer on any region, and a metric on states, for `contraction`, `prove` and `falsify`.
 
     Args:
-        observer: an `Intrinsic` or a `Geodesic` (in coordinates), no subclass.
-        q: matrix Q (2, 2) that makes the metric on states from that of the model, as from `lyapunov`.
-        joint_friction: whether friction and its slopes are variables too, independent of the velocity. It then has to
-            act in each joint by its own velocity, in coordinates.
+        observer: an `Intrinsic` or a `Geodesic` (in coordinates), but no subclass.
+        q: matrix Q (2, 2) that turns the metric of the model into the metric on states, as from `lyapunov`.
+        joint_friction: whether friction and its slopes are variables too, independent of the velocity. Friction must
+            then act separately in each joint, by its own velocity, in coordinates.
 
     Returns:
         Flow and metric as functions of estimate, error and force, and with `joint_friction` of friction and its slopes.
@@ -66,7 +66,7 @@ def error_system(observer: Intrinsics, q: Annotated[TwoByTwo, FINITE], joint_fri
         >>> system.names
         ('q', 'v_q', 'e_q', 'f_q')
     """
-    # The flow is written anew for the proof, from the equations of these two classes. A subclass may run another one.
+    # The flow is formulated anew for the proof, from the equations of these two classes; a subclass may run another.
     if type(observer) not in (Intrinsic, Geodesic):
         raise TypeError(
             f"certificates are about the flows of Intrinsic and Geodesic themselves; got {type(observer).__name__}, "
@@ -88,7 +88,7 @@ def error_system(observer: Intrinsics, q: Annotated[TwoByTwo, FINITE], joint_fri
 
 
 def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
-    """Return the shape of a configuration: (n,) coordinates, or that of a matrix of the group."""
+    """Return the shape of a configuration: (n,) for coordinates, or the shape of a matrix of the group."""
     return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
 
 
@@ -106,11 +106,11 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo, joint_friction: bool) -> 
         def friction(place, v):
             if not joint_friction:
                 return friction_of(model, place, v)
-            # Its value at this velocity, with any slope that it has within its bounds.
+            # The value of friction at this velocity, with any slope within its bounds.
             value, drag = joints
             return value - drag * (v - velocity)
 
-        # Force and potential are left out: the force is a variable of the box, which enters as the input.
+        # Force and potential are left out, since the force is a variable of the box and enters as the input.
         bare = with_model(observer, MechanicalSystem(model.space, None, None, friction))
 
         def flow(t, x):
@@ -149,12 +149,12 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
     def each(linear, dtype):
         return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
 
-    # Around an estimate the chart is that of the retraction, with coordinates θ; everything is evaluated at θ = 0.
+    # The chart around an estimate is the retraction, with coordinates θ; everything is evaluated at θ = 0.
     def frames(x, sign):
         theta, v = jnp.split(x, 2)
         body = each(functools.partial(manifold.frame_velocity, origin, theta), x.dtype)
         turn = each(lambda e: space.connection(origin, e, v), x.dtype)
-        # [[E, 0], [ΓE, I]]⁻¹ = [[E⁻¹, 0], [−Γ, I]], with E the body velocity of a rate of θ.
+        # [[E, 0], [ΓE, I]]⁻¹ = [[E⁻¹, 0], [−Γ, I]]; E maps the rate of θ to the body velocity.
         lower = turn @ body if sign > 0 else -turn
         upper = body if sign > 0 else each(functools.partial(manifold.local_rate, origin, theta), x.dtype)
         return jnp.block([[upper, jnp.zeros((n, n), x.dtype)], [lower, jnp.eye(n, dtype=x.dtype)]])
@@ -169,7 +169,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
 
         def flow(t, x):
             theta, v = jnp.split(x, 2)
-            # log(exp(−θ) exp(−e)) to first order in θ, without a logarithm, whose computation branches on matrix
+            # log(exp(−θ) exp(−e)) to first order in θ, without computing a logarithm, which branches on matrix
             # entries. It is an identity for errors whose logarithm is unique.
             correction = -error - manifold.local_rate(origin, error, theta)
             at = manifold.origin(z.dtype)
@@ -215,13 +215,13 @@ def dimension(model: MechanicalSystem) -> int:
 
 
 def friction_of(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
-    """Evaluate the dissipation (n,) of a model in which it depends on neither time nor input."""
+    """Evaluate the dissipation (n,) of a model whose dissipation depends on neither time nor input."""
     n = v.shape[0]
     return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
 
 
 def need_steady_friction(model: MechanicalSystem) -> None:
-    """Check that the dissipation depends on neither time nor input, which are no variables of a region."""
+    """Check that the dissipation depends on neither time nor input, since these are not variables of a region."""
     if not model.dissipation_is_driven:
         return
     q = jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
@@ -246,12 +246,12 @@ def need_steady_friction(model: MechanicalSystem) -> None:
 
 
 def any_configuration(model: MechanicalSystem) -> Array:
-    """Return a configuration, for what does not depend on it."""
+    """Return a configuration, for quantities that do not depend on it."""
     return jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
 
 
 def need_joint_friction(model: MechanicalSystem) -> None:
-    """Check that friction acts in each joint, or about each axis of a body, by its own velocity."""
+    """Check that friction acts separately in each joint, or about each axis of a body, by its own velocity."""
     n = dimension(model) if model.manifold.commuting else len(model.velocities)
     q = any_configuration(model)
     friction = functools.partial(friction_of, model)
@@ -271,7 +271,7 @@ def need_joint_friction(model: MechanicalSystem) -> None:
 def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
     """Check that the shortest path to the measurement is unique for errors up to a bound.
 
-    Errors must be below half a turn, in each circle, and in each rotation at the farthest corner of the box.
+    Errors must be below half a turn: in each circle, and in each rotation at the farthest corner of the box.
     """
     if isinstance(observer, Geodesic):
         raise InputError(
@@ -284,7 +284,7 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
             f"how far the logarithm of {type(model.manifold).__name__} is unique is not known; no proof there"
         )
     for turn in model.manifold.rotations:
-        # The factors cover the rounding of norm and π: the comparison is on the safe side.
+        # The factors cover the rounding of the norm and of π, so that the comparison is on the safe side.
         farthest = math.sqrt(math.fsum(float(error[i]) ** 2 for i in turn)) * (1 + 1e-12)
         if not farthest < math.pi * (1 - 1e-12):
             names = model.coordinates or model.velocities

@@ -1,4 +1,4 @@
-"""Bounds of the effect of any bounded noise, from a rate of contraction.
+"""Bounds the effect of any bounded noise, from a rate of contraction.
 
 Source: Lohmiller & Slotine 1998, section 3.7 (robustness). For white noise see `calibration.predict_errors`.
 """
@@ -16,11 +16,11 @@ from scalargraph.errors import InputError
 
 @check_numbers
 def steady_distance(rate: Positive, disturbance: NotNegative) -> float:
-    """Compute the largest final distance between solutions of a contracting flow and of a disturbed one: `2 D / λ`.
+    """Compute the largest final distance between solutions of a contracting flow and a disturbed one: `2 D / λ`.
 
     Args:
         rate: rate λ [1/s] of squared lengths, positive.
-        disturbance: D, the largest length in the metric of the disturbance that is added to x'.
+        disturbance: D, the largest length, in the metric, of the disturbance that is added to x'.
 
     Returns:
         The distance, in the metric.
@@ -45,10 +45,10 @@ def noise_disturbance(
     noise: NotNegative,
     slope: NotNegative,
 ) -> float:
-    """Compute the length, in the metric of q, of the term that a measurement error adds to the observer's flow.
+    """Compute the length, in the metric of q, of the term by which a measurement error changes the observer's flow.
 
     To first order an error b adds `αb` to q̂' and `βb` to ∇v̂, a vector of length `|b| √½(aα² + 2cαβ + bβ²)`. Since
-    force and curvature are evaluated at the measured position, the error adds up to `slope |b|` more to ∇v̂.
+    force and curvature are evaluated at the measured position, the error also adds up to `slope |b|` to ∇v̂.
 
     Args:
         alpha: gain α [1/s].
@@ -70,7 +70,7 @@ def noise_disturbance(
         0.5
     """
     q, gains = check_q("noise_disturbance", q), np.array([alpha, beta])
-    # The squared length of a vector v is ½ vᵀQv: here for (α, β), and with ½b for the change of ∇v̂ alone.
+    # The squared length of a vector v is ½ vᵀQv, here for the vector (α, β), and for the change of ∇v̂ alone.
     return noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2))
 
 
@@ -83,9 +83,9 @@ def error_bounds(
     noise: NotNegative,
     slope: NotNegative,
 ) -> tuple[float, float]:
-    """Bound the steady errors |ξ| and |ζ| for measurement errors no longer than `noise`.
+    """Bound the steady errors |ξ| and |ζ| for measurement errors of at most the length `noise`.
 
-    They follow from `steady_distance`: a state at distance d has `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`. They hold
+    The bounds follow from `steady_distance`: at a distance d, `|ξ| ≤ d √2(Q⁻¹)₁₁` and `|ζ| ≤ d √2(Q⁻¹)₂₂`. They hold
     to first order in the error; `certify(noise=...)` proves a bound for all errors of that size, and computes the slope
     itself.
 
@@ -95,15 +95,15 @@ def error_bounds(
         q: matrix Q (2, 2) of the metric.
         rate: rate λ [1/s] of squared lengths, at most `rate_of(alpha, beta, q)`.
         noise: largest length of the measurement error, in the metric on configurations.
-        slope: an upper bound [1/s²] of `‖∇S‖ + ‖R(·, v)v‖`, of the gradient of the acceleration at rest and the
-            curvature at the largest speed. For a spring it is k/m; it is 0 only without force and curvature.
+        slope: an upper bound [1/s²] of `‖∇S‖ + ‖R(·, v)v‖`: the gradient of the acceleration at rest plus the
+            curvature term at the largest speed. For a spring it is k/m; it is 0 only without force and curvature.
 
     Returns:
-        Bounds of |ξ| and |ζ|, in units of the metric on configurations, and these per second.
+        Bounds of |ξ| and |ζ|, in units of the metric on configurations, and in these units per second.
 
     Raises:
-        ValueError: a slope or a noise that is not a finite number ≥ 0; a rate that is not positive or larger than that
-            of the gains in this metric; a q that is not symmetric positive definite.
+        ValueError: a slope or a noise that is not a finite number ≥ 0; a rate that is not positive, or larger than the
+            rate of the gains in this metric; a q that is not symmetric positive definite.
 
     Example:
         >>> from covariant.certificates import error_bounds, lyapunov
@@ -112,7 +112,7 @@ def error_bounds(
         True
     """
     fastest = rate_of(alpha, beta, q)
-    # The tolerance accepts a rate that `rate_of` returned, in spite of rounding.
+    # The tolerance accepts a rate that `rate_of` returned, despite rounding.
     if rate > fastest * (1 + 1e-9):
         raise InputError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
     distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))

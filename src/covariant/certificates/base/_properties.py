@@ -1,8 +1,8 @@
-"""Properties of a model that a proof relies on, verified on the graphs of its functions and not read from a class.
+"""Verifies properties of a model on which a proof relies, from the graphs of its functions and not from its class.
 
-No graph of a single function shows that the retraction, the logarithm and the frame of a manifold belong together. The
-tests of this library verify these laws for its own manifolds, and other manifolds are refused. Spaces, forces and
-frictions may be of any class, since their graphs show what they depend on.
+No graph of a single function shows that the retraction, the logarithm and the frame of a manifold are consistent. The
+tests of this library verify this for its own manifolds; other manifolds are refused. Spaces, forces and frictions may
+be of any class, since their graphs show their dependences.
 """
 
 import functools
@@ -29,11 +29,11 @@ OF_SPACES = {
 }
 """Operations of a space that observers and proofs use, with the number of vectors that each takes."""
 IDENTITIES = "restored", "restored_momentum", "between"
-"""Operations that change nothing where no loop is closed; the flow of a proof is without them."""
+"""Operations that change nothing in systems without loops; the flow of a proof omits them."""
 
 
 def need_no_loops(what: str, space: AbstractSpace) -> None:
-    """Refuse the leaf of a machine with closed loops: in a box of its coordinates nearly every loop is open."""
+    """Refuse the leaf of a machine with closed loops, since nearly all points in a box of coordinates open loops."""
     parts = jax.tree.leaves(space, is_leaf=lambda part: isinstance(part, Leaf))
     if any(isinstance(part, Leaf) for part in parts):
         raise InputError(
@@ -43,7 +43,7 @@ def need_no_loops(what: str, space: AbstractSpace) -> None:
 
 
 def need_known(model: MechanicalSystem) -> None:
-    """Refuse systems and manifolds of other classes than those of this library, and circles that are not periodic."""
+    """Refuse systems and manifolds of foreign classes, and circles that are not periodic."""
     if type(model) not in MODELS:
         raise InputError(
             "certificates are about a MechanicalSystem, a Lagrangian or a GroupSystem itself; got "
@@ -72,7 +72,7 @@ def _all_factors(manifold: AbstractManifold) -> Iterator[AbstractManifold]:
 
 
 def lower_model(model: MechanicalSystem, n: int) -> Iterator[tuple[str, Lowered]]:
-    """Yield the name and graph of each function of a model, of time, configuration, velocity, input and vectors."""
+    """Yield the name and graph of each function of a model, in time, configuration, velocity, input and vectors."""
     q = jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
     space, v = model.space, model.manifold.zero(q)
     example = jnp.zeros(()), q, v, jnp.zeros(input_count(model, v.size)), v, v, v
@@ -98,10 +98,10 @@ def _need_periodic(model: MechanicalSystem) -> None:
     for name, lowered in lower_model(model, len(model.coordinates)):
         assert lowered.conditions is not None
         graph, conditions, _ = lowered.conditions
-        # Conditions "finite" concern numbers that folding dropped. A turn does not change them.
+        # Conditions of kind "finite" concern numbers that constant folding dropped; a turn does not change them.
         defined = [condition.node for condition in conditions if condition.kind != "finite"]
         for circle in model.circles:
-            # The inputs of the graphs are the time, and then the coordinates.
+            # The inputs of the graphs are time and then the coordinates.
             turns, turns_of_conditions = _count_turns(lowered.graph, 1 + circle), _count_turns(graph, 1 + circle)
             if any(turns[i] != 0 for i in lowered.outputs) or any(turns_of_conditions[i] != 0 for i in defined):
                 raise InputError(
@@ -112,7 +112,7 @@ def _need_periodic(model: MechanicalSystem) -> None:
 
 
 def _count_turns(graph: Graph, place: int) -> list[float]:
-    """Count exactly by how many turns each node grows in one turn of an input; NaN for nodes where it is unknown."""
+    """Count exactly by how many turns each node grows if an input grows by one turn; NaN for nodes where unknown."""
     turns: list[float] = []
     for node in graph.nodes:
         read = [turns[i] for i in node.arguments]

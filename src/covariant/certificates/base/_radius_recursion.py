@@ -1,24 +1,25 @@
-"""How far an estimate may be off from sample to sample, under errors of measurement and unknown forces: a recursion.
+"""Bounds the error of an estimate from sample to sample by a recursion, under measurement errors and unknown forces.
 
-Let r be the distance after a measurement. Between samples lengths shrink at the rate μ and an unknown force adds at
-most W to them in a second, so that at the age h of the measurement the distance is at most
+Let r be the distance after a measurement. Between samples lengths shrink at the rate μ, and an unknown force adds at
+most W per second. The distance at the age h of the measurement is therefore at most
 
     a = e^(−μh) r + (1 − e^(−μh)) W/μ + hE
 
-with E for the errors of the prediction's Runge–Kutta steps. By the claim "prediction" of order k, the defect
+where E covers the errors of the prediction's Runge–Kutta steps. By the claim "prediction" of order k, the defect
 after a step of length s is at most s^k √square, and its integral over the step at most s^(k+1) √square/(k+1). Hence
 `E = σ^k √square/(k+1)` with the longest step σ.
-The correction by a measurement with an error then leads to at most `√(a² + G) + hD(a + β)`: G is proved with the
-correction, as the sum of the diagonal of Γ, and the last term is what the factor 1/(1 + s/18) of the correction that
-runs changes, see `Loss`. There |ξ| is at most `limit (a + β)`: a position error within `reach a` is at most `limit a`
-long, and so the errors b of the measurement are at most `limit β` long, with β² the mean of (b_i/reach_i)².
+The correction by a measurement with an error then leads to at most `√(a² + G) + hD(a + β)`. G is proved with the
+correction, as the sum of the diagonal of Γ. The last term accounts for the factor 1/(1 + s/18) of the correction that
+runs, see `Loss`. There |ξ| is at most `limit (a + β)`: a position error within `reach a` has at most the length
+`limit a`, and so the errors b of the measurement have at most `limit β`, with β² the mean of (b_i/reach_i)².
 
-Why G adds: truth x and estimate are joined by a curve γ(s), 0 ≤ s ≤ 1, of constant speed a. The curve C(γ(s); q + s b),
-with q the true position, joins x, a fixed point of the exact correction, with the new estimate. Its speed is
+Why G is added: a curve γ(s), 0 ≤ s ≤ 1, of constant speed a joins truth x and estimate. The curve C(γ(s); q + s b),
+where q is the true position, joins x, a fixed point of the exact correction, with the new estimate. Its speed is
 `|J γ' + B b|`, whose square is at most `a² + Σ Γ_i b_i²` where `[J B]ᵀM_0[J B] ≤ diag(M_h, Γ)`. Likewise for W: along
 solutions under the force `u + (1 − s) w` speeds obey `|γ'|' ≤ −μ|γ'| + |B w|`.
 
-Source: Lohmiller & Slotine 1998, section 3.7, for W; G is an S-procedure on the linear map of a variation and an error.
+Source: Lohmiller & Slotine 1998, section 3.7, for W; G is an S-procedure for the linear map of a variation and an
+error.
 """
 
 import math
@@ -41,9 +42,9 @@ from covariant.certificates.base._sampling import Loss, Sampling, unit_reach
 from covariant.certificates.base._tangent_metric import TwoByTwo
 
 ROUND = 1e-12
-"""Relative margin that covers the rounding of the formulas here."""
+"""Relative margin for the rounding of the formulas here."""
 BISECTIONS = 100
-"""Number of halvings in which the steady radius is found."""
+"""Number of bisections in the computation of the steady radius."""
 
 
 class Recursion(NamedTuple):
@@ -52,7 +53,7 @@ class Recursion(NamedTuple):
     Attributes:
         decay: μ [1/s].
         force: W [1/s].
-        noise: G, for each number of samples lost before a measurement (p,).
+        noise: G, for each number of samples (p,) lost before a measurement.
         change: D [1/s].
         steps: E [1/s].
         error: β.
@@ -78,14 +79,14 @@ class Recursion(NamedTuple):
     def of(
         cls, sampling: Sampling, q: TwoByTwo, rate: float, given: Given | None, claims: Sequence[AbstractClaim]
     ) -> "Recursion":
-        """Collect the numbers from what is proved."""
+        """Collect the numbers from the proved claims."""
         noise, force = (np.zeros(1),) * 2 if given is None else (given.noise, given.disturbance)
         missing = select(claims, MissingClaim)
         loss = Loss(0.0, 0.0) if not missing else Loss.of(sampling, q, rate, missing[0].square, missing[0].limit)
         reach = unit_reach(reach_squares(claims))
         error = math.sqrt(float(np.mean((noise / reach) ** 2))) if missing else 0.0
         steps = next((c.defect(sampling.longest_step) for c in select(claims, PredictionClaim)), 0.0)
-        # Forces within their bounds lie in a ball of radius √count relative to these.
+        # Forces within their bounds lie in a ball of radius √count, relative to the bounds.
         square = next((c.square for c in select(claims, DisturbanceClaim)), 0.0)
         return cls(
             rate / 2,
@@ -103,11 +104,11 @@ class Recursion(NamedTuple):
         return (shrunk * radius + added + age * self.steps) * (1 + ROUND)
 
     def largest(self, radius: float) -> float:
-        """Bound the distances after a correction, at all ages that occur, for distances up to a radius before."""
+        """Bound the distances after a correction, at all possible ages, if the distance before was at most a radius."""
 
         def corrected(added: float, age: float) -> float:
-            # With `radius` in place of a in the last term this is convex in the age: a is convex and enters through an
-            # increasing convex function. So the ends of an interval of ages bound it.
+            # With `radius` in place of a in the last term, the bound is convex in the age, since a is convex and enters
+            # through an increasing convex function. So its maximum lies at an end of the interval of ages.
             part = self.change * age * (radius + self.error)
             return (math.sqrt(self.predicted(radius, age) ** 2 + added) + part) * (1 + ROUND)
 
@@ -115,25 +116,25 @@ class Recursion(NamedTuple):
         return max(corrected(added, age) for added, both in ends for age in both)
 
     def keeps(self, radius: float) -> bool:
-        """Whether distances up to a radius stay so, between samples and at them."""
+        """Whether distances up to a radius stay below it, between samples and at them."""
         # Between samples the bound is convex in the age, so that it is largest at an end.
         oldest = float(np.max(self.ages))
         return self.predicted(radius, oldest) < radius and self.largest(radius) < radius
 
     @property
     def disturbed(self) -> bool:
-        """Whether anything is added at all."""
+        """Whether noise, forces or step errors add anything."""
         return self.force > 0 or self.steps > 0 or any(self.noise)
 
     @property
     def steady(self) -> float:
-        """The distance that remains in the end, at most; 0 where nothing is added, ∞ where nothing bounds it.
+        """An upper bound of the distance that remains in the end; 0 without disturbances, ∞ if nothing bounds it.
 
-        The recursion falls short of it at the rate of the certificate: its slope in r is at most `e^(−μh) + hD`.
+        The recursion converges to below it at the rate of the certificate: its slope in r is at most `e^(−μh) + hD`.
         """
         if not self.disturbed:
             return 0.0
-        # Distances where the recursion does not grow: the upper end of a bisection always satisfies this.
+        # The recursion does not grow at such distances; the upper end of the bisection always has this property.
         high = 1.0
         while not self.keeps(high):
             high *= 2

@@ -1,4 +1,4 @@
-"""Comparison of the recipe that a statement prints with the model that the statement is about."""
+"""Compares the recipe that a statement prints with the model of the statement."""
 
 from typing import Any
 
@@ -19,8 +19,8 @@ NAMES = "coordinates", "units", "velocities", "velocity_units", "inputs", "circl
 def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | None) -> None:
     """Check that a recipe builds this model: equal parameters, names and units, and equal graphs of the functions.
 
-    A statement prints the recipe, and a proof reads the model. The name of the recipe does not matter. Code that a
-    recipe names is run only if `models.recipe` has run it in this process.
+    A statement prints the recipe, while a proof reads the model. The name of the recipe does not matter. Code named by
+    a recipe is run only if `models.recipe` has run it in this process.
     """
     if recipe is None:
         return
@@ -41,7 +41,7 @@ def check_recipe(model: MechanicalSystem | StateSpace, recipe: dict[str, Any] | 
 
 
 def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, Any], finished: bool) -> None:
-    """Check that a model which replaces the one of a recipe has the numbers of the recipe."""
+    """Check that a model that replaces the model of a recipe has the numbers of the recipe."""
     if "system" in recipe:
         check_recipe(model, recipe)
     stated = getattr(model, "parameters", {})
@@ -57,15 +57,15 @@ def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, An
 def check_observer(document: Document, observer: Intrinsics) -> None:
     """Check that a certificate is about a given observer.
 
-    Use it before you publish a certificate with an observer that was designed again, such as one that is exported. The
-    gains must agree to the last digit, and the recipe of the certificate must build the observer's model.
+    Use it before you publish a certificate together with an observer that was designed again, such as an exported one.
+    The gains must agree to the last digit, and the recipe of the certificate must build the observer's model.
 
     Args:
         document: the content of the certificate, as from `parse`.
         observer: the observer, with its model and gains.
 
     Raises:
-        ValueError: the certificate is about another observer; the message names the file and what differs.
+        ValueError: the certificate is about another observer; the message names the file and the difference.
 
     Example:
         >>> import numpy as np
@@ -99,7 +99,7 @@ def check_observer(document: Document, observer: Intrinsics) -> None:
 
 
 def is_same_observer(observer: Any, certified: Any) -> bool:
-    """Whether an observer has the kind, gains, options, substeps and model of a certified one."""
+    """Whether an observer has the same kind, gains, options, substeps and model as a certified one."""
     return observer is certified or (
         type(observer) is type(certified)
         and observer_document(observer) == observer_document(certified)
@@ -109,7 +109,7 @@ def is_same_observer(observer: Any, certified: Any) -> bool:
 
 
 def _describe_difference(model: Any, rebuilt: Any) -> str:
-    """Describe the first difference of two models; empty for equal models."""
+    """Describe the first difference between two models; empty for equal models."""
     if type(rebuilt) is not type(model) or type(rebuilt.space) is not type(model.space):
         kinds = (f"{type(each).__name__} on {type(getattr(each, 'space', each)).__name__}" for each in (rebuilt, model))
         return "it builds a {}, and the observer has a {}".format(*kinds)

@@ -1,4 +1,4 @@
-"""The region of a certificate: the caller's bounds of positions, inputs and times, checked."""
+"""Checks the region of a certificate: the caller's bounds of positions, inputs and times."""
 
 import itertools
 import math
@@ -21,11 +21,11 @@ SPEED = POSITIVE._replace(
     words="be a positive, finite bound",
     why="No contraction holds at all speeds and errors, so there is no certificate without such a bound",
 )
-"""Bounds without which there is no certificate."""
+"""Bounds that every certificate needs."""
 
 
 def amount(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """Convert one bound, or one each, to `n` of them."""
+    """Convert one bound for all, or a bound for each, to `n` bounds."""
     amounts = np.broadcast_to(np.asarray(value, float), (n,)) if np.ndim(value) == 0 else np.asarray(value, float)
     if amounts.shape != (n,):
         raise InputError(f"certify: {name} needs one number, or {n} of them; got {amounts.size}")
@@ -85,7 +85,7 @@ def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
 
 
 def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
-    """First and last time; if the force does not depend on time, one instant represents all."""
+    """First and last time; a single instant if the force does not depend on time."""
     if times is None:
         if force_reads_time(model, n):
             raise InputError(

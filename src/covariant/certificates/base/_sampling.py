@@ -1,4 +1,4 @@
-"""When measurements come, the metric between them, and what the correction that runs takes of its rate."""
+"""Defines the times of measurements, the metric between them, and the loss of rate by the correction that runs."""
 
 import math
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 
 class Sampling(NamedTuple):
-    """When measurements come, and the metric between them.
+    """The times of measurements, and the metric between them.
 
     Attributes:
         interval: shortest and longest time (2,) between two samples [s].
@@ -17,8 +17,8 @@ class Sampling(NamedTuple):
         slopes: R_1, R_2, … (k, 2, 2) of the metric; R_0 is the matrix Q of the certificate.
         shear: whether the frame of the metric is sheared with the age of the measurement.
         substeps: number of Runge–Kutta steps in a prediction; None if the observer chooses it.
-        missing_rows: whether the rows of lost samples may be missing, so that one prediction covers all of them. By
-            default each lost sample is a row without a measurement, and so a separate prediction.
+        missing_rows: whether rows of lost samples may be absent, so that one prediction covers all of them. By default
+            each lost sample is a row without a measurement, and so a separate prediction.
 
     Example:
         >>> import numpy as np
@@ -39,7 +39,7 @@ class Sampling(NamedTuple):
     def ages(self) -> Float[np.ndarray, "p 2"]:
         """Least and largest age (p + 1, 2) [s] of a measurement, for each number of samples lost before it."""
         counts = np.arange(1.0, self.lost + 2)[:, None]
-        # Rounded outward, since a product may round inward; that by 1 is exact.
+        # Rounded outward, since a product may round inward; the product by 1 is exact.
         return np.where(counts > 1, np.nextafter(counts * self.interval, [0.0, np.inf]), self.interval)
 
     @property
@@ -49,7 +49,7 @@ class Sampling(NamedTuple):
 
     @property
     def longest_step(self) -> float:
-        """Length of the longest Runge–Kutta step [s], rounded up; only where their number is known."""
+        """Length of the longest Runge–Kutta step [s], rounded up; only if the number of steps is known."""
         assert self.substeps is not None
         return float(np.nextafter(self.longest_prediction / self.substeps, np.inf))
 
@@ -83,13 +83,13 @@ class Sampling(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """What the correction that runs loses against the one of first order in the missing acceleration.
+    """Loss of the correction that runs, compared with the correction of first order in the missing acceleration.
 
-    It divides the missing acceleration by 1 + s/18, s = |missing| h²/|ξ|, and restarts where s exceeds (π/2)².
+    It divides the missing acceleration by 1 + s/18, s = |missing| h²/|ξ|, and restarts if s exceeds (π/2)².
 
     Attributes:
         rate: largest loss of the decay rate [1/s] of distances.
-        restart: largest s, as a fraction of that of a restart.
+        restart: largest s, as a fraction of the value that causes a restart.
         change: D [1/s], see `of`.
 
     Example:
@@ -106,20 +106,21 @@ class Loss(NamedTuple):
     def of(cls, sampling: Sampling, q: Float[np.ndarray, "2 2"], rate: float, square: float, limit: float) -> "Loss":
         """Compute the loss from the claim "missing".
 
-        With |missing| ≤ N|ξ|, N² = `square`, and |ξ| ≤ `limit` r for a tube of radius r, s is at most S = Nh². A step
-        changes the velocity by κ s/(18 + s) |missing| less, with κ ≤ h, which has at most the length `h D r`,
-        D = S/(18 + S) N `limit` 2 √(½ R_0[1, 1]); the 2 bounds how much longer a vector may be at the new position.
-        From `e^(−μh) + hD ≤ e^(−(μ − D e^(μh))h)` the loss is D e^(μh), at the oldest age.
+        With |missing| ≤ N|ξ|, N² = `square`, and |ξ| ≤ `limit` r for a tube of radius r, s is at most S = Nh². In a
+        step the factor reduces the change of velocity by κ s/(18 + s) |missing|, with κ ≤ h, of at most the length
+        `h D r`, D = S/(18 + S) N `limit` 2 √(½ R_0[1, 1]); the 2 bounds how much longer a vector may be at the new
+        position.
+        Since `e^(−μh) + hD ≤ e^(−(μ − D e^(μh))h)`, the loss is D e^(μh), at the oldest age.
         """
         stiffness, oldest = math.sqrt(square), sampling.oldest
         s = stiffness * oldest**2
         change = s / (18 + s) * stiffness * limit * 2 * math.sqrt(q[1, 1] / 2)
-        # The factors cover rounding, also that of (π/2)² in the step that runs.
+        # The factors cover rounding, including that of (π/2)² in the step that runs.
         loss = change * math.exp(rate / 2 * oldest) * (1 + 1e-9)
         return cls(loss, s / (math.pi / 2) ** 2 * (1 + 1e-6), change * (1 + 1e-9))
 
     def allowed(self, rate: float) -> bool:
-        """Whether a rate λ [1/s] is left, and nothing restarts."""
+        """Whether a positive part of a rate λ [1/s] remains, and no correction restarts."""
         return self.rate < rate / 2 and self.restart < 1
 
 

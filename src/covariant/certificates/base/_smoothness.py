@@ -1,4 +1,4 @@
-"""Smoothness of a function, read from its graph."""
+"""Proves from the graph of a function that it has no jumps."""
 
 from collections.abc import Callable, Sequence
 
@@ -20,7 +20,7 @@ ANALYTIC = {
 def show_no_jumps(
     what: str, function: Callable, arguments: Sequence[np.ndarray], names: Sequence[str]
 ) -> tuple[Hypothesis, ...]:
-    """Prove that a function does not jump between states (k, …), as a premise; none if its graph has no jumps."""
+    """Prove that a function does not jump between states (k, …), as a hypothesis; empty if its graph has no jumps."""
     try:
         conditions = lower(function, *(jnp.asarray(rows[0], float) for rows in arguments), real=True).conditions
     except LoweringError:  # then JAX differentiates it, and the derivatives are compared with differences of values

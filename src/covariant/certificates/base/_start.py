@@ -1,4 +1,4 @@
-"""The claim on a start: how long errors of the estimate are in the metric, so that the radius covers a box of them."""
+"""Proves which initial errors lie within the radius of a certificate: how long errors are in the metric."""
 
 import dataclasses
 import math
@@ -18,15 +18,15 @@ from scalargraph import numbers
 from scalargraph.proofs import Box
 
 MARGIN = 1.05
-"""Factor of margin on the sampled factor, so that it can be proved quickly."""
+"""Margin on the sampled factor, so that it can be proved quickly."""
 POINTS, TRIES = 2000, 4
-"""Number of points at which it is sampled, and of tries where one of the box is worse."""
+"""Number of points at which the factor is sampled, and number of further tries if a point of the box is worse."""
 ROUND = 1e-8
-"""Relative margin that covers rounding."""
+"""Relative margin for rounding."""
 LEAST = 1e-290
 """Smallest size of a number that is printed with digits."""
 BOXES = 20_000
-"""Largest number of boxes for it; a certificate without it is one as well."""
+"""Largest number of boxes for this claim, without which a certificate is still valid."""
 
 
 class Start(NamedTuple):
@@ -36,7 +36,7 @@ class Start(NamedTuple):
         names: names of the positions, then of the velocities (2n).
         units: their units.
         together: errors (2n,) that all entries may have at once: every estimate in this box is within the radius.
-        alone: errors (2n,) that one entry may have, where the others have none.
+        alone: errors (2n,) that one entry may have if the others have none.
         farthest: no estimate within the radius has a larger error (2n,).
 
     Example:
@@ -55,7 +55,7 @@ class Start(NamedTuple):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """One line on each entry, angles in degrees; what is covered is rounded down."""
+        """One line for each entry, angles in degrees; the covered errors are rounded down."""
         return tuple(_line(*entry) for entry in zip(*self, strict=True))
 
     def __str__(self) -> str:
@@ -69,13 +69,13 @@ def _line(name: str, unit: str, *errors: float) -> str:
 
 
 def _down(value: float) -> float:
-    """A number of three digits that is not larger."""
+    """Round a number down to three digits."""
     if not value or not math.isfinite(value):
         return value
     if abs(value) < LEAST:
         return min(value, 0.0)
     digits = 2 - math.floor(math.log10(abs(value)))
-    # Of a value that has three digits already, rounding must not take one.
+    # A value that already has three digits must not lose one by rounding.
     return round(math.floor(value * 10.0**digits * (1 - math.copysign(1e-13, value)) + 1e-9) / 10.0**digits, digits)
 
 
@@ -84,9 +84,9 @@ def start_of(radius: float, domain: Box, claims: Sequence[AbstractClaim]) -> Sta
     proved, squares = select(claims, StartClaim), reach_squares(claims)
     if not proved:
         return None
-    # An error δ is √(square Σ δ_i²/s_i) long or shorter, with squares s; each of 2n entries has an equal share here.
+    # An error δ has at most the length √(square Σ δ_i²/s_i), with squares s; here all 2n entries get an equal share.
     farthest = radius * np.sqrt(squares)
-    # Rounded down, so that a bound that begins with them is within the radius in spite of rounding.
+    # Rounded down, so that an estimate at these bounds is within the radius despite rounding.
     alone = farthest / math.sqrt(proved[0].square) * (1 - ROUND)
     count = len(squares)
     return Start(domain.names[:count], domain.units[:count], alone / math.sqrt(count), alone, farthest)
@@ -95,7 +95,7 @@ def start_of(radius: float, domain: Box, claims: Sequence[AbstractClaim]) -> Sta
 def start_claim(
     model: MechanicalSystem, system: ErrorSystem, claims: Sequence[AbstractClaim], effort: Effort
 ) -> list[StartClaim]:
-    """Prove how long errors are at most, in coordinates."""
+    """Prove an upper bound of the length of errors, given in coordinates."""
     if not model.manifold.commuting or any(claim.proof.verdict != "holds" for claim in claims):
         return []
     squares, domain = reach_squares(claims), effort.domain

@@ -1,4 +1,4 @@
-"""The common form of verdicts: a claim in words, the numbers it is based on, and the hypotheses it rests on."""
+"""Defines the common form of verdicts: a claim in words, the data it depends on, and its hypotheses."""
 
 import dataclasses
 import math
@@ -18,8 +18,8 @@ Evidence = Literal["proved", "sampled", "claimed", "assumed"]
 class Hypothesis:
     """A premise of a claim, with the evidence for it.
 
-    Use it in a `Statement` of your own. "proved" is for what arithmetic has shown on the whole domain, and "sampled"
-    for what was tried at points; an "assumed" premise is never checked, and has to be true of the machine.
+    Use it in a `Statement` of your own. "proved" is for premises that arithmetic has shown on the whole domain, and
+    "sampled" for those tried at points; an "assumed" premise is never checked, and must be true of the machine.
 
     Attributes:
         text: the premise in words.
@@ -32,7 +32,7 @@ class Hypothesis:
 
     Raises:
         ValueError: The evidence or the verdict is an unknown word, the premise holds with a margin of NaN, or something
-            is proved while JAX has no doubles.
+            is proved while JAX runs without doubles.
 
     Example:
         >>> from covariant.certificates import Hypothesis
@@ -48,7 +48,7 @@ class Hypothesis:
 
     def __post_init__(self):
         for field, kind in (("evidence", Evidence), ("verdict", Verdict)):
-            # A verdict is computed from these words, and would ignore an unknown one.
+            # The verdict of a statement is computed from these words, and an unknown one would be ignored.
             if (word := getattr(self, field)) not in (known := typing.get_args(kind)):
                 raise InputError(f"Hypothesis: {field} must be one of {', '.join(known)}; got {word!r}")
         if self.evidence == "proved":
@@ -63,7 +63,7 @@ class Hypothesis:
 
 
 def need_doubles(what: str) -> None:
-    """Refuse to prove in single precision, in which a function is traced with other constants than were written."""
+    """Refuse to prove in single precision, in which traced constants differ from the written ones."""
     if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
         raise InputError(f"{what} needs doubles, and jax_enable_x64 is off; turn it on before the model is made")
 
@@ -71,16 +71,16 @@ def need_doubles(what: str) -> None:
 class Statement(NamedTuple):
     """A claim with its hypotheses, from which verdict and evidence are computed.
 
-    Read `short` for the verdict with its evidence, and the hypotheses for what it rests on. Use `proved` in programs:
-    `verdict` alone is "holds" also for claims that were only sampled.
+    Read `short` for the verdict with its evidence, and `hypotheses` for its premises. In programs use `proved`:
+    `verdict` alone is also "holds" for claims that were only sampled.
 
     Attributes:
         claim: one sentence.
-        about: lines with everything that the claim depends on: the model and its parameters, gains, region and bounds.
-        hypotheses: all premises. The claim is proved if each of them is, apart from those that are assumed.
-        margin: the number that decides; the claim gives its meaning and unit.
+        about: lines with everything on which the claim depends: the model and its parameters, gains, region and bounds.
+        hypotheses: all premises. The claim is proved if every premise that is not assumed is proved.
+        margin: the decisive number; the claim states its meaning and unit.
         domain: the states that the claim covers, as text.
-        point: the state at which the margin is least, or a counterexample; may be empty.
+        point: the state with the least margin, or a counterexample; may be empty.
 
     Example:
         >>> from covariant.certificates import Hypothesis, Statement
@@ -107,14 +107,14 @@ class Statement(NamedTuple):
         present = {hypothesis.verdict for hypothesis in self.hypotheses}
         # Assumptions alone support no claim: at least one hypothesis has to be examined.
         examined = any(hypothesis.evidence != "assumed" for hypothesis in self.hypotheses)
-        # One failure refutes; one open premise leaves the claim open.
+        # One failure refutes the claim; one open premise leaves it open.
         return "fails" if "fails" in present else "holds" if present == {"holds"} and examined else "undecided"
 
     @property
     def evidence(self) -> Evidence:
-        """The weakest evidence among the hypotheses that were examined; "assumed" where none was."""
+        """The weakest evidence among the hypotheses that were examined; "assumed" if none was."""
         present = {hypothesis.evidence for hypothesis in self.hypotheses}
-        # "assumed" is left out: it is listed with the statement, but does not lower its evidence.
+        # "assumed" is left out: assumptions are listed with the statement, but do not lower its evidence.
         weakest_first: tuple[Evidence, ...] = ("claimed", "sampled", "proved")
         for evidence in weakest_first:
             if evidence in present:
@@ -128,7 +128,7 @@ class Statement(NamedTuple):
 
     @property
     def short(self) -> str:
-        """The verdict in words, with its evidence where it holds."""
+        """The verdict in words, with its evidence if it holds."""
         return f"holds ({self.evidence})" if self.verdict == "holds" else self.verdict
 
     def document(self) -> dict[str, Any]:
@@ -156,12 +156,12 @@ def lines(hypotheses: Iterable[Hypothesis]) -> list[str]:
 
 
 def exact(value: float) -> str:
-    """The shortest text that is this number."""
+    """Return the shortest text that represents exactly this number."""
     return repr(float(value) + 0.0).removesuffix(".0")  # + 0.0 takes the sign from a zero
 
 
 def rounded_up(value: float) -> str:
-    """A positive number of four digits that is no smaller."""
+    """Round a positive number up to four digits."""
     text = f"{value:.4g}"
     if float(text) >= value:
         return text
@@ -170,10 +170,10 @@ def rounded_up(value: float) -> str:
 
 
 def rounded_down(value: float) -> str:
-    """A number of four digits that is no larger: what is claimed is never more than what is proved."""
+    """Round a number down to four digits, so that no more is claimed than is proved."""
     text = f"{value:.4g}"
     if float(text) <= value:
         return text
-    # `.4g` rounds to nearest; one unit of the last of four digits less is below the value.
+    # `.4g` rounds to nearest; subtracting one unit of the last digit gives a number below the value.
     last = math.floor(math.log10(abs(value))) - 3
     return f"{float(text) - 10.0**last:.4g}"

@@ -1,4 +1,4 @@
-"""What remains of rate and accuracy: the factor of the correction, noise, unknown forces and errors of predictions."""
+"""Computes how factor, noise, unknown forces and errors of predictions reduce rate and accuracy."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from covariant.certificates.base._sampling import Loss, Sampling
 def loss_of(
     sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[AbstractClaim]
 ) -> Loss:
-    """Compute what the factor of the correction that runs takes from the rate."""
+    """Compute the loss of rate by the factor of the correction that runs."""
     missing = select(claims, MissingClaim)
     if sampling is None or not missing:
         return Loss(0.0, 0.0)
@@ -26,7 +26,7 @@ def loss_of(
 def claimed_drift(
     sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[AbstractClaim]
 ) -> float:
-    """Compute the distance to which errors of Runge–Kutta steps alone may lead."""
+    """Compute the largest distance that errors of Runge–Kutta steps alone can cause."""
     return 0.0 if sampling is None else Recursion.of(sampling, q, rate, None, claims).steady
 
 
@@ -37,7 +37,7 @@ def steady_of(
     given: Given,
     claims: Sequence[AbstractClaim],
 ) -> float:
-    """Compute the distance to which noise, disturbance and errors of predictions alone may lead."""
+    """Compute the largest distance that noise, disturbance and errors of predictions alone can cause."""
     if sampling is None:
         return steady_distance(rate, disturbance_length(given, claims))
     disturbed = given.noise.any() or given.disturbance.any()
@@ -49,9 +49,9 @@ def steady_of(
 def disturbance_sizes(given: Given) -> Float[np.ndarray, "two_n"]:
     """Compute the largest errors of the measured position and of the force.
 
-    The error of the force is the unmodelled force, plus the change of the force where it is evaluated at a position
-    with an error. Together the errors lie in a ball of radius √m relative to these sizes, where m is the number of
-    sizes that are not zero.
+    The error of the force is the unmodelled force, plus the change of the modelled force by an error of the position at
+    which it is evaluated. Together the errors lie in a ball of radius √m relative to these sizes, where m is the number
+    of sizes that are not zero.
     """
     noise, unknown, slopes = given.noise, given.disturbance, given.slopes
     # Σ_j |∂f_i/∂q_j| · noise_j bounds the change of force i; the factor covers the rounding of this sum.
@@ -63,5 +63,5 @@ def disturbance_length(given: Given, claims: Sequence[AbstractClaim]) -> float:
     """Bound the length D that noise and disturbance add to the flow."""
     count = np.count_nonzero(disturbance_sizes(given))
     squares = [claim.square for claim in select(claims, DisturbanceClaim)]
-    # The errors lie in a ball of radius √count, not in the unit ball of the claim; the factor covers rounding.
+    # The errors lie in a ball of radius √count, whereas the claim is about the unit ball; the factor covers rounding.
     return math.sqrt(count * squares[0]) * (1 + 1e-12) if squares else math.inf if count else 0.0

@@ -1,7 +1,7 @@
-"""The metric on the tangent bundle in which an intrinsic observer contracts.
+"""Builds the metric on the tangent bundle in which an intrinsic observer contracts.
 
 A variation (δq, δv) of a state (q, v) has the components `ξ = δq` and `ζ = δv + Γ(v, δq)`, both tangent vectors at q.
-The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, with a matrix `Q = [[a, c], [c, b]]` chosen for the gains.
+The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, where the matrix `Q = [[a, c], [c, b]]` is chosen for the gains.
 
 Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt lacks a factor ½.
 """
@@ -27,7 +27,7 @@ TwoByTwo = Float[np.ndarray, "2 2"]
 
 @check_numbers
 def error_matrix(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE]) -> TwoByTwo:
-    """Return the matrix A of the error law ξ' = ζ − αξ, ζ' = −βξ of a small error in a parallel frame, equation (10).
+    """Return the matrix A of the error law ξ' = ζ − αξ, ζ' = −βξ of small errors in a parallel frame, equation (10).
 
     Args:
         alpha: gain α [1/s].
@@ -52,9 +52,9 @@ def lyapunov(
 
     With rate 0 and weight 1, the defaults, Q is the metric of the paper.
 
-    Use it to choose the metric of a certificate from the gains. A larger `rate` proves faster convergence, with a
-    metric that is worse conditioned and so a smaller region. The rate is that of squared lengths. The entries of Q
-    belong to position and velocity error, so they have different units.
+    Use it to choose the metric of a certificate from the gains. A larger `rate` proves faster convergence, but its
+    metric is worse conditioned, which makes the region smaller. The rate refers to squared lengths. The entries of Q
+    have different units, since they belong to position and velocity errors.
 
     Args:
         alpha: gain α [1/s].
@@ -67,7 +67,7 @@ def lyapunov(
 
     Raises:
         ValueError: gains that do not converge, or converge no faster than `e^(−rate t/2)`; a weight that is not
-            positive; or rounding leaves no positive definite matrix.
+            positive; or a matrix that is not positive definite because of rounding.
 
     Example:
         >>> from covariant.certificates import lyapunov
@@ -78,8 +78,8 @@ def lyapunov(
 
 
 def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -> np.ndarray:
-    """The matrices (k, 2, 2) of `lyapunov` for weights (k,)."""
-    # A + λ/2 I has to be stable: AᵀQ + QA + λQ = (A + λ/2 I)ᵀQ + Q(A + λ/2 I).
+    """The matrices (k, 2, 2) that `lyapunov` returns for weights (k,)."""
+    # A + λ/2 I must be stable: AᵀQ + QA + λQ = (A + λ/2 I)ᵀQ + Q(A + λ/2 I).
     shifted = error_matrix(alpha, beta) + rate / 2 * np.eye(2)
     if not (np.linalg.eigvals(shifted).real < 0).all():
         slowest = -2 * np.linalg.eigvals(error_matrix(alpha, beta)).real.max()
@@ -87,7 +87,7 @@ def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -
             f"gains alpha {alpha:g}, beta {beta:g} shrink squared lengths at {slowest:.4g} 1/s at best; "
             f"ask for a rate below that; got {rate:g}"
         )
-    # The Lyapunov equation as a linear system in the entries of Q, row by row, solved for all weights at once.
+    # The Lyapunov equation is a linear system in the entries of Q, row by row, solved for all weights at once.
     operator = np.kron(shifted.T, np.eye(2)) + np.kron(np.eye(2), shifted.T)
     zero = np.zeros_like(weights)
     right = np.stack([np.ones_like(weights), zero, zero, weights], axis=1)
@@ -105,7 +105,7 @@ def _solutions(alpha: Number, beta: Number, rate: Number, weights: np.ndarray) -
 
 @check_numbers
 def rate_of(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE], q: Numbers) -> float:
-    """Compute the largest λ with `AᵀQ + QA ≤ −λQ`: the rate of squared lengths at q̂ = q.
+    """Compute the largest λ with `AᵀQ + QA ≤ −λQ`: the rate of squared lengths at zero position error, q̂ = q.
 
     Args:
         alpha: gain α [1/s].
@@ -126,7 +126,7 @@ def rate_of(alpha: Annotated[Number, FINITE], beta: Annotated[Number, FINITE], q
     """
     q = check_q("rate_of", q)
     a = error_matrix(alpha, beta)
-    # With Q = LLᵀ, the eigenvalues of L⁻¹(AᵀQ + QA)L⁻ᵀ are those relative to Q; the largest one decides.
+    # With Q = LLᵀ, the eigenvalues of L⁻¹(AᵀQ + QA)L⁻ᵀ are the eigenvalues relative to Q; the largest one decides.
     half = np.linalg.inv(np.linalg.cholesky(q))
     return float(-np.linalg.eigvalsh(half @ (a.T @ q + q @ a) @ half.T)[-1])
 
@@ -156,7 +156,7 @@ def conditioning(beta: Annotated[Number, POSITIVE], q: Numbers) -> float:
 
 
 def _conditions(beta: Number, q: np.ndarray) -> np.ndarray:
-    """`conditioning` of matrices (k, 2, 2)."""
+    """Condition numbers, as by `conditioning`, of matrices (k, 2, 2)."""
     scale = np.diag([1.0, math.sqrt(beta)])
     return np.linalg.cond(scale @ q @ scale)
 
@@ -201,7 +201,7 @@ def optimal_lyapunov(alpha: Annotated[Number, FINITE], beta: Annotated[Number, F
     alpha, beta = float(alpha), float(beta)
     lyapunov(alpha, beta, rate)
     # A weight of 1/β weighs both errors equally in the units of `conditioning`; the grid is around it.
-    # 241 weights in twelve decades are 12 % apart, so that the best of them is close to the optimum, which is flat.
+    # 241 weights in twelve decades are 12 % apart, so the best of them is close to the optimum, which is flat.
     matrices = _solutions(alpha, beta, rate, np.logspace(-6, 6, 241) / beta)
     return matrices[np.argmin(_conditions(beta, matrices))]
 
@@ -218,7 +218,7 @@ def tangent_metric(metric: MatrixField, q: Annotated[TwoByTwo, FINITE]) -> State
         The metric on states (2n,).
 
     Raises:
-        ValueError: the space is a `Leaf`, on which the metric of the whole space would count errors across it.
+        ValueError: the space is a `Leaf`; the metric of the whole space would also count errors normal to it.
 
     Example:
         >>> import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""The checker: claims of a file, whose matrices are formed anew and bounded in another way."""
+"""Checks the claims of a file: forms their matrices anew, and bounds them by another method than the prover."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""An independent check of a saved certificate, from the file alone: do its claims hold, and does its statement follow?
+"""Checks a saved certificate independently, from the file alone: its claims, and that its statement follows from them.
 
-It shares with the prover the model as JAX functions, and the description of the observer. The matrices of the claims
+It shares only the model as JAX functions, and the description of the observer, with the prover. The matrices of claims
 are formed here, and shown to be positive definite by Taylor models on boxes of the saved tree, down to its leaves.
 """
 
@@ -39,9 +39,9 @@ from scalargraph.errors import InputError
 from scalargraph.proofs.checker import ROUND, SavedTree, TaylorEnclosure, show_definite, show_tree
 
 DEPTH, DEEPEST = 24, 200
-"""How often a leaf may be halved, and how often the box of inputs may be."""
+"""Largest number of halvings of a leaf, and of the box of inputs."""
 SHARE, PARTS = 1024, 8
-"""Least number of leaves in a job of one process, and largest number of jobs for a claim, which then are larger."""
+"""Least number of leaves in a job of one process, and largest number of jobs per claim; jobs grow to respect it."""
 
 
 class Job(NamedTuple):
@@ -68,7 +68,7 @@ class Shown(NamedTuple):
     Attributes:
         resolved: its document, with the observer.
         leaves: number of leaves of its claims.
-        shown: number of those that were shown, which is all unless time ran out.
+        shown: number of leaves that were shown; it is less than `leaves` only if time ran out.
         seconds: time it took [s].
     """
 
@@ -101,7 +101,7 @@ def show(
 
 
 def show_found(resolved: Resolved, seconds: float) -> Shown:
-    """Show that claims that were proved in this process hold, within a time."""
+    """Show within a limited time that claims proved in this process hold."""
     start = time.monotonic()
     _complete(resolved)
     jobs, judge, shown = list(_jobs(resolved.document)), Judge(resolved, start + seconds), []
@@ -129,7 +129,7 @@ def follows(document: Document, model: Any = None) -> Resolved:
             observer, q = observer_from(document, model)
             resolved = Resolved(document, observer, system_of(observer, q, document.sampling, document.joint_friction))
             _complete(resolved)
-            # The comparison that takes longest comes last.
+            # The slowest comparison comes last.
             expected = value_graph(resolved.about)
             _need(document.graph == expected, "graph: it must be the one that the observer has")
             return resolved
@@ -148,7 +148,7 @@ def _complete(resolved: Resolved) -> None:
     model, low, high, claims = observer.model, document.low, document.high, document.claims
     _need(len(system.names) == len(low), f"box: the model has {len(system.names)} variables; the box bounds {len(low)}")
     names = system.names
-    # What follows is about positions, velocities, errors and forces; further forces and the age come after them.
+    # The following checks are about positions, velocities, errors and forces; further forces and the age come later.
     part = sampled.need_sampled_box(document, model.manifold.commuting)
     names, low, high = names[part], low[part], high[part]
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
@@ -168,12 +168,12 @@ def _complete(resolved: Resolved) -> None:
     speed, radius = document.velocity, document.radius
     acts = matrices.sizes(document).any() if document.sampling is None else document.given.disturbance.any()
     _need(bool(disturbance) == bool(acts), "claims: one about a disturbance must be there, if there is any")
-    # The error is measured from the measured position, so it exceeds that from the true one by up to the noise.
+    # The region bounds the error from the measured position, which exceeds the error from the true one by the noise.
     start = document.given.positions[:, : places * model.manifold.commuting]
     truth = [np.concatenate([p, v, b]) for p, v, b in zip(start, (-speed, speed), (-noise, noise), strict=True)]
     reaches = select(claims, ReachClaim)
     widths = [radius * math.sqrt(claim.square) * (1 + ROUND) for claim in reaches]
-    # In the order of the box. The measurement is fixed, so that position and error move together: the first n rows.
+    # Widths in the order of the box. With a fixed measurement position and error move together: the first n rows.
     reach = [*widths[: len(start[0])], *widths[n:], *widths[:n]]
     for name, a, b, c, d, r in zip(names[:-n], low[:-n], high[:-n], *truth, reach, strict=True):
         # `fsum` rounds the exact sum once, which keeps its sign.
@@ -189,13 +189,13 @@ def _complete(resolved: Resolved) -> None:
         sampled.need_sampled_rate_and_radius(document)
     elif disturbance:
         count = np.count_nonzero(matrices.sizes(document))
-        # The steady distance 2D/λ: the box of scaled errors lies in the ball of radius √count, so D² = count · square.
+        # The steady distance 2D/λ: scaled errors lie in a ball of radius √count, so D² = count · square.
         steady = 2 * math.sqrt(count * disturbance[0].square) / document.rate * (1 + ROUND)
         _need(steady < radius, f"radius: noise alone leads {steady:.6g} away, and the radius is {radius:.6g}")
 
 
 def _jobs(document: Document) -> Iterator[Job]:
-    """Everything to be shown, with its boxes: the bounds of the force, definedness, and the leaves of the claims."""
+    """List all boxes on which something is to be shown: bounds of the force, definedness, and leaves of the claims."""
     region, n = _force_box(document), len(document.velocity)
     if document.sampling is None:
         for what in ("the bound of the force", "the definedness of the force"):
@@ -204,7 +204,7 @@ def _jobs(document: Document) -> Iterator[Job]:
         pinned = np.concatenate([region, np.zeros((2, n))], axis=1)
         for what in ("the bound of the force's slopes", "the smoothness of the force"):
             yield Job(what, *pinned[:, None])
-    # Time and state, which every claim holds fixed at these zeros, see `everything`.
+    # Fixed zeros for time and state, which are inputs of every claim, see `everything`.
     pins = np.zeros((2, 2 * n + 1))
     yield Job(
         "the definedness of the observer, without jumps,",
@@ -232,7 +232,7 @@ def _force_box(document: Document) -> np.ndarray:
     """Least and largest time, measured position and input: (2, 1 + places + m). On a group `positions` are measured."""
     given, positions = document.given, document.given.positions
     if document.observer["frame"] == "coordinates":
-        # The force is taken at the measured position, which lies farther out than the true one by up to the noise.
+        # The force is evaluated at the measured position, which exceeds the region of the true one by the noise.
         positions = positions + np.outer([-1, 1], given.noise)
     return np.concatenate([given.times[:, None], positions, given.inputs], axis=1)
 
@@ -255,7 +255,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     unmoved = np.concatenate([region, np.zeros((2, n))], axis=1)
     pinned = np.concatenate([[low, high], np.zeros((2, 2 * n + 1))], axis=1)
     force, slopes = matrices.force(model, shape), matrices.slopes(model, shape, n)
-    # Forces are shown within the box and half the slack, claims for forces within all of it: the rest covers rounding.
+    # Forces are shown to keep the box plus half the slack, and claims hold for all of it: the rest covers rounding.
     force_at, unknown, steep = document.forces, document.given.disturbance, document.given.slopes.ravel()
     slack, allowed = matrices.slack_of(low, high)[force_at] / 2, steep * (1 + matrices.SLACK) + 1e-200
     claimed = low[force_at] + unknown - slack, high[force_at] - unknown + slack
@@ -271,28 +271,28 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
 
 
 def _slack(document: Document, claim: AbstractClaim) -> np.ndarray:
-    """By how much (d,) the variables of a claim that are forces, or slopes of friction, may exceed their bounds."""
+    """Amounts (d,) by which the variables of a claim that are forces or friction slopes may exceed their bounds."""
     low, high = document.bounds(claim)
     place, n = np.arange(len(low)), len(document.velocity)
     if isinstance(claim, PredictionClaim):  # its force, age and lengths of steps, where they are no constants
         return np.where((place >= len(low) - n - 3) & (low < high), matrices.slack_of(low, high), 0.0)
-    # All that follows the errors, but for the age.
+    # All variables after the errors, except for the age.
     forces = (document.forces.start <= place) & (place < len(low) - (document.sampling is not None))
     return np.where(forces, matrices.slack_of(low, high), 0.0)
 
 
 class Judge:
-    """Shows that leaves of one statement are right; each matrix is built once."""
+    """Shows that leaves of a certificate are right; builds each matrix only once."""
 
     def __init__(self, resolved: Resolved, until: float = math.inf):
-        """Prepare to judge the jobs of one document."""
+        """Prepare to check the jobs of one document."""
         self.until = until
         self.file, self.matrix = resolved.document.file, functools.cache(functools.partial(_matrix, resolved))
-        # Only the last tree is cached: trees are large, and the jobs of a claim follow each other.
+        # Only the last tree is cached, since trees are large and the jobs of a claim come one after another.
         self.tree = functools.lru_cache(1)(functools.partial(_read_tree, resolved.document))
 
     def __call__(self, job: Job) -> int:
-        """Show the leaves of one job to be right."""
+        """Show that the leaves of one job are right."""
         index, low, high, numbers, count = job
         what, depth = (f"claims[{index}]", DEPTH) if isinstance(index, int) else (index, DEEPEST)
         try:
@@ -306,7 +306,7 @@ class Judge:
 
 
 _worker: list[Judge] = []
-"""The judge of this worker process."""
+"""The `Judge` of this worker process."""
 
 
 def _begin(document: Document, model: Any) -> None:
@@ -318,7 +318,7 @@ def _work(job: Job) -> int:
 
 
 def _results(resolved: Resolved, jobs: list[Job], processes: int, model: Any) -> Iterator[int]:
-    # Each worker imports and traces before its first result, which takes longer than the leaves of a single job.
+    # Each worker first imports and traces, which takes longer than the leaves of a single job.
     if processes == 1 or _leaves(jobs) <= SHARE:
         yield from map(Judge(resolved), jobs)
         return

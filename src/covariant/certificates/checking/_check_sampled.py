@@ -1,6 +1,6 @@
-"""What a certificate of the sampled step needs besides its claims: bounds of forces and friction, and definedness.
+"""Lists what a certificate of the sampled step needs besides its claims: bounds of forces and friction, definedness.
 
-The bounds of friction serve certificates in continuous time too, where friction and its slopes are variables.
+The bounds of friction also serve certificates in continuous time if friction and its slopes are variables.
 """
 
 from collections.abc import Iterator
@@ -25,17 +25,17 @@ from scalargraph.proofs.checker import TaylorEnclosure, jacobian
 
 PREDICTED = "the definedness of predictions, without jumps,"
 FRICTION_JOBS = "the bound of the friction", "the bound of the friction's slopes", "the smoothness of the friction"
-"""What is to be shown where friction and its slopes are variables; with samples their sum with the force is bounded."""
+"""Jobs if friction and its slopes are variables; with samples, the sum of friction and force is bounded instead."""
 
 
 def friction_jobs(document: Document) -> Iterator[tuple]:
-    """List what is to be shown where friction and its slopes are variables in continuous time, with its boxes."""
+    """List the jobs, with their boxes, that show friction and its slopes, as variables in continuous time."""
     for what in FRICTION_JOBS:
         yield what, *_speeds(document)[:, None]
 
 
 def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> TaylorEnclosure:
-    """Build the matrix of one of `FRICTION_JOBS`, which is to be shown positive definite."""
+    """Build the matrix of one of `FRICTION_JOBS`, which must be shown positive definite."""
     n, speeds = len(document.velocity), _speeds(document)
     watch: Literal["", "smooth"] = ""
     friction = matrices.friction(model, n)
@@ -49,9 +49,10 @@ def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> T
 
 
 def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chosen: slice = slice(None)) -> Any:
-    """That a function stays within the bounds, with half the slack and less `unknown`, of n variables of the box.
+    """A matrix that is positive definite if a function keeps the bounds of n variables of the box.
 
-    They are the k-th group of n variables, the velocities being the first, or those `chosen` of it.
+    The bounds are widened by half the slack and reduced by `unknown`. The variables are the k-th group of n variables,
+    velocities first, or those `chosen` from it.
     """
     n = len(document.velocity)
     start = first_velocity(len(document.low), n, document.sampling is not None) + (k - 1) * n
@@ -62,14 +63,14 @@ def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chose
 
 
 def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
-    """List what is to be shown besides the claims, with its boxes: forces and friction, and ages of corrections."""
+    """List the jobs besides the claims, with their boxes: forces and friction, and ages of corrections."""
     if document.sampling is None:
         return
     inputs, speeds = document.given.inputs, _speeds(document)
     both = np.concatenate([inputs, speeds], axis=1)
     yield "the bound of the input's force", *inputs[:, None]
     yield "the definedness of the input's force", *inputs[:, None]
-    # Joint by joint: where all are shown together, the boxes that each of them needs multiply.
+    # Joint by joint, since a common proof would need the product of the numbers of boxes.
     for joint in range(1, len(document.velocity) + 1):
         yield f"the bound of the joint force {joint}", *both[:, None]
         yield f"the bound of the friction's slope {joint}", *speeds[:, None]
@@ -90,7 +91,7 @@ def _speeds(document: Document) -> np.ndarray:
 
 
 def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSystem, what: str) -> TaylorEnclosure:
-    """Build the matrix of one of `sampled_jobs`, which is to be shown positive definite."""
+    """Build the matrix of one of `sampled_jobs`, which must be shown positive definite."""
     n = len(document.velocity)
     inputs, speeds = document.given.inputs, _speeds(document)
     if what.startswith("the definedness of the correction"):
@@ -104,7 +105,7 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
         "the bound of the input's force": (_within(document, force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
         f"the bound of the joint force {joint + 1}": (
-            # A force that the model lacks may be added to both.
+            # A force that the model lacks may add to both.
             _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance, one),
             np.concatenate([inputs, speeds], axis=1),
             "",
@@ -120,7 +121,7 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
 
 
 def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
-    """Build what is to be defined and smooth of a prediction."""
+    """Build the values of a prediction that must be defined and smooth."""
     low, high = document.bounds(select(document.claims, PredictionClaim)[0])
     return TaylorEnclosure(
         step_values(matrices.prediction_of_steps(document, observer), jacobian), low, high, np.zeros(len(low)), "smooth"
@@ -128,7 +129,7 @@ def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
 
 
 def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
-    """Check that the box holds all ages, and on rotations all entries of their matrices."""
+    """Check that the box contains all ages, and on rotations all entries of their matrices."""
     low, high, stop = document.low, document.high, document.forces.stop
     if document.sampling is None:
         return slice(0, stop)
@@ -142,7 +143,7 @@ def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
 
 
 def need_sampled_rate_and_radius(document: Document) -> None:
-    """Check that a rate is left, and that noise and unknown forces do not lead out of the radius."""
+    """Check that a positive rate remains, and that noise and unknown forces do not lead out of the radius."""
     assert document.sampling is not None
     rate, radius, loss = document.rate, document.radius, document.loss
     if not loss.allowed(rate):

@@ -1,4 +1,4 @@
-"""Check of a saved certificate, with its result as a statement."""
+"""Checks a saved certificate, and returns the result as a statement."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +21,7 @@ class Checked(NamedTuple):
         radius: radius ε of the certificate, in its metric.
         leaves: number of verified leaves of its trees of boxes.
         seconds: time it took [s].
-        model_given: whether the caller provided the model, in place of the one that the file names.
+        model_given: whether the caller provided the model, instead of the one named in the file.
 
     Example:
         >>> from covariant.certificates import Checked, Hypothesis, Statement
@@ -49,24 +49,24 @@ def check(
 ) -> Checked:
     """Check a saved certificate: that its claims hold, and that its statement follows from them.
 
-    Use it on a certificate that somebody else has made: it computes the proof again with a separate checker, and does
-    not believe the verdict in the file. The assumptions of the statement remain assumptions. It runs the model's code
-    where `model` is given. A fault raises `ValueError`; `verbs.check_certificate` returns it as a result, and checks
-    some leaves in ball arithmetic as well.
+    Use it on a certificate that somebody else has made: it repeats the proof with a separate checker, and does not rely
+    on the verdict in the file. The assumptions of the statement remain assumptions. The code of a given `model` is run.
+    A fault raises `ValueError`; `verbs.check_certificate` returns it as a result, and also checks some leaves in ball
+    arithmetic.
 
     Args:
         source: the file, or the result of `parse`.
-        model: for a certificate about a model that is not of this library, since the file does not contain its code: a
+        model: for a certificate about a model that is not part of this library, whose code the file does not contain: a
             model, a function that creates one from the recipe's parameters, or the `module:attribute` of either.
         processes: largest number of processes; with several, a script needs the `if __name__ == "__main__"` guard. A
-            certificate of no more than 1024 leaves is checked in this process, since others take longer to start.
+            certificate of at most 1024 leaves is checked in this process, since others take longer to start.
         progress: called with the number of leaves done and of all leaves.
 
     Returns:
         The statement as verified, and the number of leaves.
 
     Raises:
-        ValueError: A claim is wrong or cannot be shown; the message says which, and where.
+        ValueError: A claim is wrong or cannot be shown; the message names it and the place.
 
     Example:
         >>> from covariant.certificates import check

@@ -1,7 +1,7 @@
-"""The claims of a certificate in the form of the checker: JAX functions that must be positive definite, or defined.
+"""Builds the matrices of claims for the checker: JAX functions that must be positive definite, or defined.
 
-Like those of the prover, they are built from the observer's flow and the frame of the metric. Unlike there, the
-derivatives are those of JAX, after custom derivative rules are removed.
+Like the matrices of the prover, they are built from the observer's flow and the frame of the metric. Unlike the prover,
+the checker uses JAX derivatives, after removing custom derivative rules.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ from scalargraph.proofs.checker import ROUND, along, jacobian, value_and_jacobia
 
 Matrix = Callable[[Any], Any]
 SLACK = 2.0**-20
-"""Relative margin by which forces may exceed their bounds, so that bounds that are attained can be shown quickly."""
+"""Relative amount by which forces may exceed their bounds, so that attained bounds can be shown quickly."""
 
 
 def contraction(about: ErrorSystem, rate: float) -> Matrix:
@@ -51,7 +51,7 @@ def contraction(about: ErrorSystem, rate: float) -> Matrix:
             at = x + s * velocity
             return point.metric.coframe(s, at), point.metric.gram(s, at)
 
-        # Total derivatives: time runs and the state moves with the flow. t is 0, so that t + 1 is the tangent 1.
+        # Total derivatives: time advances and the state moves with the flow. Since t is 0, t + 1 is the tangent 1.
         (coframe, gram), (turn, change) = along(metric_along, t, t + 1)
         product = gram @ (turn + coframe @ slope) @ point.metric.frame(t, x)
         return -(product + product.T + change) - rate * gram
@@ -77,7 +77,7 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
     def matrix(z):
         point, t = about.at(z), jnp.zeros(())
         slope = jacobian(lambda at: about.at(at).flow(t, point.x), z)
-        # Error and force follow the velocities; an error of the measurement acts through the position error.
+        # Error and force come after the velocities; an error of the measurement acts through the position error.
         start = first_velocity(len(about.names), n) + n
         of_error, of_force = slope[:, start : start + n], slope[:, start + n : start + 2 * n]
         b = jnp.concatenate([of_error @ point.noise_jacobian(), of_force], axis=1) * sizes[None]
@@ -90,7 +90,7 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
 def correction(about: ErrorSystem, noise: np.ndarray | None = None, squares: tuple[float, ...] = ()) -> Matrix:
     """Build `N_h − JᵀN_0J`, with J the Jacobian of the correction between the frames before and after it.
 
-    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`, with B that of the correction in the measurement.
+    With measurement errors it is `diag(N_h, Γ) − [J B]ᵀN_0[J B]`; B is the Jacobian by the measurement.
 
     Args:
         about: the observer and its metric.
@@ -111,7 +111,7 @@ def correction(about: ErrorSystem, noise: np.ndarray | None = None, squares: tup
             return before - in_frames.T @ gram @ in_frames
         n = len(noise)
 
-        # An error of the measurement is one of the position error, with the other sign.
+        # An error of the measurement is a position error with the opposite sign.
         def moved(e):
             return about.at(jnp.concatenate([z[: 2 * n], e, z[3 * n :]])).sampled[0](point.x)
 
@@ -154,7 +154,7 @@ def start(about: ErrorSystem, squares: np.ndarray, square: float) -> Matrix:
 
 
 def everything(about: ErrorSystem) -> Matrix:
-    """Collect everything that the claims are computed from."""
+    """Collect all values from which the claims are computed."""
 
     def parts(y):
         z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
@@ -184,7 +184,7 @@ def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) 
 
 
 def all_corrections(about: ErrorSystem) -> Matrix:
-    """Collect everything that the claims on corrections are computed from, as `everything` does."""
+    """Collect all values from which the claims on corrections are computed, as `everything` does."""
 
     def parts(y):
         z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
@@ -232,7 +232,7 @@ def force(model: Any, shape: tuple[int, ...]) -> Matrix:
 
 
 def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
-    """Build a matrix that is positive definite where a function is within bounds."""
+    """Build a matrix that is positive definite if a function keeps its bounds."""
 
     def matrix(y):
         value = function(y)
@@ -266,9 +266,9 @@ def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
 
 
 def sizes(document: Document) -> np.ndarray:
-    """Compute the largest errors of measured position and force, the latter unmodelled or due to a wrong position."""
+    """Compute the largest errors of measured position and force; force errors are unmodelled or due to the position."""
     given = document.given
-    # The slopes that are shown may exceed the stated ones by the slack.
+    # The shown slopes may exceed the stated ones by the slack.
     steepest = given.slopes * (1 + SLACK)
     return np.concatenate([given.noise, (given.disturbance + steepest @ given.noise) * (1 + ROUND)])
 
@@ -280,8 +280,8 @@ def prediction_of_steps(document: Document, observer: Any) -> Prediction:
 
 
 def slack_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return by how much (d,) variables that are forces may exceed their bounds."""
-    # The last term serves bounds that are zero.
+    """Return the amounts (d,) by which variables that are forces may exceed their bounds."""
+    # The last term is for bounds that are zero.
     return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
 
 
@@ -304,4 +304,4 @@ MATRICES: dict[str, Callable[[Resolved, Any], Matrix]] = {
     ),
     "start": lambda of, claim: start(of.about, reach_squares(of.document.claims), claim.square),
 }
-"""What must be positive definite, for each kind of claim."""
+"""The matrix that must be positive definite, for each kind of claim."""

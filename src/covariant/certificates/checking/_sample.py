@@ -1,4 +1,4 @@
-"""A third, independent check of a saved certificate: random leaves, in ball arithmetic with many digits."""
+"""Checks random leaves of a saved certificate in ball arithmetic with many digits, as a third, independent check."""
 
 import time
 from pathlib import Path
@@ -25,7 +25,7 @@ from scalargraph.proofs import BITS, MOST_DERIVED, BallMatrix, Form
 from scalargraph.proofs.checker import leaves
 
 PART = 64
-"""Ratio of a leaf with many variables to its examined part, in every direction."""
+"""Ratio of a leaf with many variables to its checked part, in every direction."""
 
 
 class Sampled(NamedTuple):
@@ -54,9 +54,9 @@ class Sampled(NamedTuple):
 def check_sample(source: str | Path | Document, count: Count = 20, seed: Whole = 0, *, model: Any = None) -> Sampled:
     """Check random leaves of a saved certificate, drawn from all its claims, in ball arithmetic with many digits.
 
-    Balls bound derivatives operation by operation, which needs small boxes. A leaf with more than `MOST_DERIVED`
-    variables, which was proved by Taylor models, and one on the steps of predictions is too large for that, so only a
-    random part of it is checked.
+    Balls bound derivatives operation by operation, which needs small boxes. Two kinds of leaves are too large for that:
+    leaves with more than `MOST_DERIVED` variables, which were proved by Taylor models, and leaves on the steps of
+    predictions. Of these only a random part is checked.
 
     Args:
         source: the file, or its content from `parse`.
@@ -68,7 +68,7 @@ def check_sample(source: str | Path | Document, count: Count = 20, seed: Whole =
         Numbers of leaves and boxes.
 
     Raises:
-        ValueError: a box is not confirmed, and the message names it; or there are none to examine.
+        ValueError: a box is not confirmed, and the message names it; or there are no leaves.
         ImportError: python-flint is missing.
     """
     start = time.monotonic()
@@ -114,4 +114,4 @@ _FORMS = FORMS | {
         prediction_of_steps(of.document, of.observer), claim.square, claim.order
     ),
 }
-"""The forms of all claims, with those that also need the checker's bounds of noise or the running observer."""
+"""The forms of all claims, including those that need the checker's bounds of noise or the observer that runs."""

@@ -1,4 +1,4 @@
-"""Rebuild the observer of a saved certificate, and its error system."""
+"""Rebuilds the observer of a saved certificate, and its error system."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Fl
         described = f"a model in {actual}" if actual else f"a {type(system).__name__}"
         raise InputError(f"observer.frame {frame!r} needs a mechanical system in it; the recipe makes {described}")
     if model is not None and document.recipe is not None:
-        # The statement prints the numbers of the recipe. A model that was given as an object was not built from them.
+        # The statement prints the numbers of the recipe, but a model given as an object was not built from them.
         finished = models.from_recipe(document.recipe, model) is system
         check_replacement(system, document.recipe, finished)
     if document.sampling is not None:

@@ -1,4 +1,4 @@
-"""The prover of contraction, and what its certificates are used for."""
+"""Proves contraction, and uses the certificates: figures, simulations, searches."""
 
 import lazy_loader
 

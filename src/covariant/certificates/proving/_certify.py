@@ -1,14 +1,14 @@
-"""Proof that an intrinsic observer converges: at which rate, and from within which radius.
+"""Proves that an intrinsic observer converges: at which rate, and from within which radius.
 
 Three claims are proved, each over the whole region. First, the flow contracts the metric of the tangent bundle at the
-rate λ, whatever the measured trajectory. Second, a curve of length ε changes no position error and no velocity by more
-than the region allows. Third, the force on the system stays within the assumed bounds. As in Theorem 1 it follows that
-along every solution whose velocity keeps its bound, an estimate that begins within ε of it stays within ε, and the
+rate λ, whatever the measured trajectory. Second, a curve of length ε changes each position error and each velocity by
+no more than the region allows. Third, the force on the system stays within the assumed bounds. Then, as in Theorem 1,
+consider any solution whose velocity keeps its bound: an estimate that begins within ε of it stays within ε, and the
 distance decreases as `e^(−λt/2)`.
 
-With bounds of the measurement error and of an unmodelled force there is a fourth claim: what these add to the flow has
-at most the length D. Then the true motion is a solution of the observer's own flow up to D, so that the distance ends
-below 2D/λ. An estimate within ε stays so where 2D/λ < ε.
+With bounds of the measurement error and of an unmodelled force there is a fourth claim: these errors add to the flow a
+vector of length D at most. Then the true motion solves the observer's own flow up to D, so that the distance finally
+falls below 2D/λ. If 2D/λ < ε, an estimate within ε stays within ε.
 Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
 """
 
@@ -85,11 +85,11 @@ from scalargraph.proofs import MOST_BOXES, Box, check_box
 CheckerName = Literal["auto", "all", "off"]
 CHECKERS = typing.get_args(CheckerName)
 PATIENCE = 10.0
-"""Time [s] that the checker has even where the proof took less."""
+"""Time [s] that the checker gets even if the proof took less."""
 SLACK = 1.05
-"""Factor of margin on the square of a sampled width, so that the bound can be proved quickly."""
+"""Margin on the square of a sampled width, so that the bound can be proved quickly."""
 WIDENINGS = 8
-"""How often a bound that a counterexample refutes is tried again with a larger square."""
+"""Number of further tries, with larger squares, of a bound that a counterexample refutes."""
 
 
 @check_numbers
@@ -118,10 +118,10 @@ def certify(
     """Prove that an intrinsic observer converges at a rate, from within a radius, on a region.
 
     Use it for an observer that you have built, such as `Intrinsic` with gains of your own; the verb `covariant.certify`
-    starts from a model file and designs the gains. The result holds for every motion within the bounds, unlike a
-    simulation. λ is the rate of squared lengths, so that errors decrease at λ/2, and the radius is in the metric Q.
-    Effort grows steeply with the number of coordinates: begin with a small region. "undecided" asks for more boxes or
-    tighter bounds, and does not refute the claim.
+    starts from a model file and designs the gains. Unlike a simulation, the result holds for every motion within the
+    bounds. λ is the rate of squared lengths, so errors decrease at λ/2, and the radius is in the metric Q. The effort
+    grows steeply with the number of coordinates: begin with a small region. "undecided" does not refute the claim; try
+    more boxes or tighter bounds.
 
     Args:
         observer: the observer, with model and gains.
@@ -129,45 +129,45 @@ def certify(
             of Theorem 1 shrinks as the velocity grows.
         error: bound of the error of the estimated position [unit], in coordinates or as `log(g⁻¹ g̃)`, a number or
             (n,).
-        position: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), where
-            rotations need no bounds.
+        position: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), except
+            that rotations need no bounds.
         input: bound of each input, a number or (m,), or a pair of bounds.
-        times: first and last time [s] of the statement; needed where the force depends on time.
-        rate: λ [1/s] to prove, of squared lengths; by default half of the rate that Q allows at q̂ = q, with
-            `interval` a tenth of that of the gains, and with noise as well one to six tenths, whichever leaves the
-            smallest bound of the velocity error.
+        times: first and last time [s] of the statement; needed if the force depends on time.
+        rate: λ [1/s] to prove, of squared lengths. By default it is half of the rate that Q allows at q̂ = q; with
+            `interval` it is a tenth of the rate of the gains, and with noise also one to six tenths of it are tried,
+            of which the one with the smallest bound of the velocity error is kept.
         q: matrix (2, 2) of the metric; by default the best conditioned one for two thirds of the rate of the gains.
         noise: bound of the error of each measured position [unit], a number or (n,), in coordinates or as `log(q⁻¹ y)`
-            in the body frame. Bounds of matrix entries that `position` gives on a group then apply to the measured
-            ones.
+            in the body frame. If `position` bounds matrix entries on a group, these bounds then apply to the measured
+            entries.
         disturbance: bound of each component of an unmodelled force, a number or (n,).
         interval: shortest and longest time [s] between two samples. The statement is then about the observer that
-            predicts between samples and corrects at each of them, in a metric that is searched (with clarabel). The
-            interval is proved 0.1 % wider at both ends, since stamps are rounded. It
-            covers systems in coordinates and on rotations whose force depends on the input alone, on rotations without
-            noise and disturbance. Without it the observer runs in continuous time.
+            predicts between samples and corrects at each of them, in a metric found by a search (with clarabel). The
+            proved interval is 0.1 % wider at both ends, since stamps are rounded. The force of the system must depend
+            on the input alone, in coordinates or on rotations; on rotations without noise and disturbance. Without
+            `interval` the observer runs in continuous time.
         lost: with `interval`, the largest number of samples that may be lost in a row.
         lost_rows: whether each lost sample is still a step with NaN as its measurement ("empty"), or whether its row
             may be "missing", so that one step of the observer covers the whole gap, with longer Runge–Kutta steps.
-        recipe: where the model comes from, as from `models.recipe`; needed to save the certificate. The statement
-            prints it, so it must build the same model.
+        recipe: the origin of the model, as from `models.recipe`; needed to save the certificate. The statement prints
+            it, so it must build the same model.
         boxes: largest number of boxes for all proofs together, which is the same effort on every machine.
-        seconds: an additional limit of time [s] for each proof, which starts when its matrix has been written as a
-            graph.
+        seconds: an additional limit of time [s] for each proof, counted from the moment at which its matrix is
+            available as a graph.
         processes: number of processes, as for `prove`.
-        progress: called with what is proved, the share that is done, and the number of boxes, as for `prove`.
-        checker: "auto" runs the checker on what was proved for as long as the proof took, or `PATIENCE`; "all" until it
-            is through; "off" not at all. The statement says how much it covered; what it does not accept is
-            "undecided".
+        progress: called with the name of the proof, the share that is done, and the number of boxes, as for `prove`.
+        checker: "auto" runs the checker on the proved claims for as long as the proof took, or for `PATIENCE`; "all"
+            runs it to the end; "off" does not run it. The statement says how much it covered; claims that it does not
+            accept are "undecided".
 
     Returns:
         The certificate, whose statement "holds", "fails" or is "undecided".
 
     Raises:
-        ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
-            that are not covered, a `q` that is not symmetric positive definite, the recipe of another model, or
-            another word for `checker`; with `interval`, two times that are not positive and in order, or `q`;
-            without it, lost samples.
+        ValueError: a required bound is missing; an error is so large that its logarithm is not unique; friction or
+            force are not covered; `q` is not symmetric positive definite; the recipe is of another model; or `checker`
+            is an unknown word. With `interval`: its times are not positive and in order, or `q` is given; without it:
+            samples are lost.
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """
@@ -249,7 +249,7 @@ def certify(
 
 
 class _Assumed(NamedTuple):
-    """Bounds (n,) of velocity, of the errors of the estimate and of a measurement, and of an unmodelled force."""
+    """Bounds (n,) of the velocity, the errors of the estimate and of a measurement, and an unmodelled force."""
 
     velocity: Float[np.ndarray, "n"]
     error: Float[np.ndarray, "n"]
@@ -272,7 +272,7 @@ def _check_assumptions(
 
 
 def _reach(system: ErrorSystem, limits: np.ndarray, effort: Effort) -> Iterator[ReachClaim]:
-    """Claims on how far a curve of unit length changes each position error and each velocity."""
+    """Claims that bound the change of each position error and each velocity along a curve of unit length."""
     sampled = sampled_widths(system, effort.domain)
 
     def wider(claim: ReachClaim, point: np.ndarray) -> ReachClaim:
@@ -290,7 +290,7 @@ def _reach(system: ErrorSystem, limits: np.ndarray, effort: Effort) -> Iterator[
 
 
 def _radius(claims: Sequence[AbstractClaim], limits: np.ndarray, steady: float) -> float:
-    """Largest radius that all claims allow; zero where one is not proved or estimates may end beyond it."""
+    """Largest radius that all claims allow; zero if one is not proved or estimates may end outside of it."""
     if any(claim.proof.verdict != "holds" for claim in claims):
         return 0.0
     # Rounded down: the statement also holds for a smaller radius.
@@ -304,17 +304,17 @@ def _in_continuous_time(
 ) -> tuple[ErrorSystem, Box, Given, ContractionClaim]:
     """System, domain, given bounds, and the claim that the flow contracts.
 
-    Dry friction is first bounded, with its slopes, independently of the velocity; where that does not suffice, it is a
-    function of the velocity.
+    Dry friction and its slopes are first treated as bounded variables that do not depend on the velocity; if that does
+    not suffice, friction is a function of the velocity.
     """
     model = observer.model
     if has_dry_friction(model, assumed.velocity):
-        # An error is that of friction without bounds over the region. The function of the velocity may still do.
+        # The error means that friction has no bounds over the region; as a function of the velocity it may still work.
         with contextlib.suppress(InputError):
             system = error_system(observer, matrix, joint_friction=True)
             effort.domain, bounds = _domain(observer, system, assumed, region, joint_friction=True)
             proof = effort.prove("contraction", contraction(system, target))
-            # A friction that refutes the claim may be another one than that of the model.
+            # A friction that refutes the claim may differ from the friction of the model.
             if proof.verdict != "fails":
                 return system, effort.domain, bounds, ContractionClaim(proof)
     system = error_system(observer, matrix)
@@ -323,7 +323,7 @@ def _in_continuous_time(
 
 
 def _stated_bounds(region: Region, assumed: _Assumed, slopes: np.ndarray) -> Given:
-    """The bounds that a certificate states, with those (n, n) of the slopes of the force."""
+    """The bounds that a certificate states, including bounds (n, n) of the slopes of the force."""
     ends = np.stack([region.true.low, region.true.high])
     return Given(ends, region.inputs, np.array(region.times, float), assumed.noise, assumed.disturbance, slopes)
 
@@ -331,7 +331,7 @@ def _stated_bounds(region: Region, assumed: _Assumed, slopes: np.ndarray) -> Giv
 def _domain(
     observer: Intrinsics, system: ErrorSystem, assumed: _Assumed, region: Region, joint_friction: bool = False
 ) -> tuple[Box, Given]:
-    """The box of estimate, error and force, perhaps friction, and what the bounds of the force follow from."""
+    """The box of estimate, error, force and perhaps friction, and the data from which force bounds follow."""
     model, true, n = observer.model, region.true, len(assumed.velocity)
     noise, disturbance, inputs, times = assumed.noise, assumed.disturbance, region.inputs, region.times
     measured = true
@@ -370,17 +370,17 @@ def _sampled_domain(
 
 def _around(true: Box, error: np.ndarray) -> np.ndarray:
     """Bounds (2, n) of estimates within the error of the true positions, in coordinates."""
-    # Rounded outward: the region has to contain every estimate within the error.
+    # Rounded outward, since the region must contain every estimate within the error.
     return np.stack([_sum(true.low, -error, -1), _sum(true.high, error, 1)])
 
 
 def _widen_box(
     system: ErrorSystem, assumed: _Assumed, estimates: np.ndarray, rest: Callable[[np.ndarray], np.ndarray]
 ) -> Box:
-    """The box of estimates, of their velocities, of errors and of forces.
+    """The box of estimates, their velocities, errors and forces.
 
-    `estimates` are bounds (2, p) of the variables of the configuration. `rest` gives the bounds (2, k) of the variables
-    that follow the error, for a bound of the velocities.
+    `estimates` are bounds (2, p) of the variables of the configuration. `rest` returns, for a bound of the velocities,
+    the bounds (2, k) of the variables that come after the error.
     """
     velocity, error, noise, _ = assumed
     low, high = estimates
@@ -395,18 +395,18 @@ def _widen_box(
             np.concatenate([high, speed, error, force[1]]),
         )
 
-    # The velocity error that corresponds to the position error, so that both limit the tube equally.
+    # The velocity error is chosen in proportion to the position error, so that both limit the tube equally.
     excess = np.zeros(len(velocity))
-    # The widths depend on the box, and the box on them: a few fixed-point iterations, with a margin of a tenth.
+    # Widths and box depend on each other: a few fixed-point iterations, with a margin of a tenth.
     for _ in range(3):
         roots = np.sqrt(sampled_widths(system, box(excess)))
-        # The radius is the least (error − noise)/width of a position; times its width it is how far a velocity goes.
+        # The radius is the least (error − noise)/width of a position; times the width of a velocity it is its excess.
         excess = 1.1 * roots[len(velocity) :] * ((error - noise) / roots[: len(velocity)]).min()
     return check_box(box(excess))
 
 
 def limits_of(domain: Box, velocity, noise, sampled: bool = False) -> Float[np.ndarray, "two_n"]:
-    """Compute how far errors and velocities may go within the region.
+    """Compute by how much errors and velocities may change within the region.
 
     Position errors are measured from the measured position, so the noise is subtracted.
     """
@@ -414,7 +414,7 @@ def limits_of(domain: Box, velocity, noise, sampled: bool = False) -> Float[np.n
     start = first_velocity(len(domain.low), n, sampled)
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
-    # Rounded down: a limit may not exceed the exact difference.
+    # Rounded down, since a limit may not exceed the exact difference.
     return np.concatenate([_sum(most[error], -noise, -1), _sum(most[speed], -velocity, -1)])
 
 
@@ -432,18 +432,18 @@ def sampled_widths(about: ErrorSystem, domain: Box, count: int = 2000) -> Float[
 
 
 def _sampled_disturbance(about: ErrorSystem, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
-    """The largest squared change of the flow by errors in the unit ball, at such points."""
+    """The largest squared change of the flow by errors in the unit ball, at random points and corners."""
     matrices = _sample_function(
         disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count
     )
-    # With square = 0 the matrix is −BᵀMB, whose least eigenvalue is minus the largest squared length.
+    # With square = 0 the matrix is −BᵀMB; its least eigenvalue is the largest squared length, with opposite sign.
     return float(-np.linalg.eigvalsh(matrices).min())
 
 
 def _sample_function(function: Callable | Lowered, domain: Box, count: int) -> np.ndarray:
-    """A function at random points of a box, every second one a corner."""
+    """Values of a function at random points of a box; every second point is a corner."""
     share = np.random.default_rng(0).uniform(size=(count, len(domain.low)))
-    # Extremes of such functions often are at corners, which uniform points do not reach.
+    # Extremes of such functions are often at corners, which uniformly drawn points do not reach.
     share[::2] = np.round(share[::2])
     points = domain.low + share * (domain.high - domain.low)
     return numbers(function if isinstance(function, Lowered) else lower(function, points[0]), points)

@@ -1,4 +1,4 @@
-"""Proved contraction of an intrinsic observer on a region: a statement and its claims, which can be saved and read."""
+"""Defines the certificate of a contracting intrinsic observer: a statement and its claims, which are saved and read."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,14 +41,14 @@ from scalargraph.errors import InputError
 from scalargraph.proofs import Box, digest
 
 SAMPLED_ROLES = ("joint force", "friction slope")
-"""Kinds of variables that a box has with samples only, beside the age."""
+"""Kinds of variables that only boxes with samples have, besides the age."""
 
 
 class ContractionCertificate(NamedTuple):
     """Result of a proof that an intrinsic observer contracts on a region.
 
     Attributes:
-        statement: the claim and its hypotheses, from which the verdict follows; its margin is the rate λ.
+        statement: the claim and its hypotheses, which determine the verdict; its margin is the rate λ.
         rate: rate λ [1/s] at which squared lengths decrease.
         radius: radius ε of the tube, in the metric of Q on states; 0 unless the verdict is "holds".
         observer: the observer.
@@ -56,10 +56,10 @@ class ContractionCertificate(NamedTuple):
         error_system: observer and metric as functions of a box.
         domain: the box of estimate, error and force.
         velocity: bound (n,) of each true velocity [unit/s].
-        given: the bounds of positions, inputs and times, from which those of the force follow, and of noise and
-            disturbance.
+        given: the bounds of positions, inputs and times, from which the bounds of the force follow, and the bounds of
+            noise and disturbance.
         claims: the inequalities, with their proofs.
-        recipe: where the model comes from, as from `models.recipe`; None for a model that only this process knows.
+        recipe: the origin of the model, as from `models.recipe`; None for a model that only this process knows.
         verified: whether it was proved in this process. A certificate that was read from a file is only as trustworthy
             as the file, until `covariant certify --check` has verified it.
         checker_seconds: time [s] that the checker spent on it in this process.
@@ -101,7 +101,7 @@ class ContractionCertificate(NamedTuple):
         """Collect a certificate.
 
         Args:
-            facts: what was proved or read, with the observer.
+            facts: the proved or read document, with the observer.
             statement: the statement about it.
             verified, checker_seconds: as in the attributes.
         """
@@ -128,18 +128,18 @@ class ContractionCertificate(NamedTuple):
         """Decay rate μ [1/s]: distances decrease as `e^(−μt)`.
 
         Returns:
-            λ/2, and with sampled measurements less what the factor of the correction takes.
+            λ/2; with sampled measurements less the loss by the factor of the correction.
         """
         return self.rate / 2 - loss_of(self.sampling, self.q, self.rate, self.claims).rate
 
     @property
     def steady(self) -> float:
-        """The final distance, at most.
+        """An upper bound of the final distance.
 
         Returns:
-            `2D/λ` under the noise and disturbance of the certificate; with sampled measurements the fixed point of the
-            recursion that `bound` runs, under these and the errors of the prediction's Runge–Kutta steps, where a claim
-            bounds them; 0 without all of these.
+            `2D/λ` for the noise and disturbance of the certificate. With sampled measurements it is the fixed point of
+            the recursion that `bound` runs, with noise, disturbance and, if a claim bounds them, the errors of the
+            prediction's Runge–Kutta steps. 0 without all of these.
         """
         return steady_of(self.sampling, self.q, self.rate, self.given, self.claims)
 
@@ -163,10 +163,10 @@ class ContractionCertificate(NamedTuple):
         """Half widths of the proved tube, (2n,).
 
         Returns:
-            Those in each position error [unit], then in each velocity error [unit/s].
+            Half widths in each position error [unit], then in each velocity error [unit/s].
 
         Raises:
-            ValueError: no tube is proved.
+            ValueError: no tube has been proved.
         """
         if self.statement.verdict != "holds":
             raise InputError("no tube, since nothing is proved on the region")
@@ -177,7 +177,7 @@ class ContractionCertificate(NamedTuple):
         """The initial errors that the radius covers, in the units of the model.
 
         Returns:
-            Errors in positions and velocities; None where nothing is proved, or on a group.
+            Errors in positions and velocities; None on a group, or if nothing is proved.
         """
         if self.statement.verdict != "holds":
             return None
@@ -197,17 +197,17 @@ class ContractionCertificate(NamedTuple):
         `velocity`, or `radius`. Without `velocity` and `radius` all bounds are infinite.
 
         Args:
-            observer: the observer that runs: that of the certificate (default), or that observer behind a gate.
+            observer: the observer that runs: the certified one (default), or the certified one behind a gate.
             position: bounds (n,) of the position errors at the start [unit], or one for all; by default the `noise` of
                 the certificate.
             velocity: bounds (n,) of the true velocities at the start [unit/s], or one for all.
-            radius: instead of these, a bound of the distance at the start, in the metric of the certificate.
+            radius: instead of these two, a bound of the distance at the start, in the metric of the certificate.
 
         Returns:
             The observer with its bound.
 
         Raises:
-            ValueError: nothing is proved, the certificate is one in continuous time, the observer is another one, or a
+            ValueError: nothing is proved, the certificate is in continuous time, the observer is another one, or a
                 bound is negative or not a number.
         """
         if self.sampling is None:
@@ -252,7 +252,7 @@ class ContractionCertificate(NamedTuple):
 
         Returns:
             "estimate", "velocity" (estimated), "error" or "force" for each; with samples also "joint force", "friction
-            slope" and "age"; where friction is a variable too, "friction" and "friction slope".
+            slope" and "age"; if friction is a variable too, also "friction" and "friction slope".
         """
         n = len(self.velocity)
         roles = ("estimate", "velocity", "error", "force")
@@ -264,7 +264,7 @@ class ContractionCertificate(NamedTuple):
 
     @property
     def open(self) -> Float[np.ndarray, "k 2 d"]:
-        """Boxes (k, 2, d), low then high ends, that were left undecided."""
+        """Boxes (k, 2, d), low then high ends, that remained undecided."""
         return np.concatenate([claim.proof.open for claim in self.claims])
 
     def document(self) -> dict[str, Any]:
@@ -313,7 +313,7 @@ class ContractionCertificate(NamedTuple):
         """
 
         def check(written: Document) -> None:
-            # Code that a recipe names is not run here: who reads the file provides the model, which is compared.
+            # The code named by a recipe is not run here: the reader of the file provides the model, which is compared.
             if written.recipe is not None and "system" in written.recipe:
                 check_recipe(self.observer.model, written.recipe)
 
@@ -323,22 +323,22 @@ class ContractionCertificate(NamedTuple):
     def load(cls, path: str | Path, *, model: Any = None, verify: bool = False) -> "ContractionCertificate":
         """Read a saved certificate with all its boxes.
 
-        Two things are checked: that the boxes cover the region, and that the statement follows from the claims. Whether
-        the claims hold is checked with `verify` or by `covariant certify --check`; until then the certificate is not
-        `verified`, and has no bound beside every sample.
-        The time of the proofs is not in the file (NaN).
+        It is checked that the boxes cover the region, and that the statement follows from the claims. The claims
+        themselves are checked with `verify`, or by `covariant certify --check`; until then the certificate is not
+        `verified`, and does not provide bounds for an observer.
+        The file does not contain the time of the proofs (NaN).
 
         Args:
             path: the file.
-            model: for a recipe that names a model that is not of this library: the model, a function that creates it
+            model: for a recipe of a model that is not part of this library: the model, a function that creates it
                 from the recipe's parameters, or the `module:attribute` of either.
             verify: let the checker show the claims too, which may take as long as their proof.
 
         Returns:
-            The certificate, whose claims have the evidence "claimed", or with `verify` "proved".
+            The certificate; its claims have the evidence "claimed", or with `verify` "proved".
 
         Raises:
-            ValueError: naming file and key.
+            ValueError: The file is invalid; the message names file and key.
         """
         document = parse(path)
         facts = follows(document, model).stated()

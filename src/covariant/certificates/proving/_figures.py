@@ -1,4 +1,4 @@
-"""Data for drawing a certificate: its boxes projected on two variables, and the rates that its gains allow.
+"""Computes the data of figures: the boxes of a certificate projected on two variables, and the rates of its gains.
 
 Source: Aghannan & Rouchon 2003, Fig. 2.
 """
@@ -21,7 +21,7 @@ class Projection(NamedTuple):
         claim: kind of the claim: "contraction", "reach" or "disturbance".
         kind: kind of each of the two variables: "estimate", "velocity", "error" or "force".
         names, units: name and unit of each, as in the certificate.
-        proved: distinct rectangles (k, 2, 2) that are proved, as low then high ends of both variables.
+        proved: distinct proved rectangles (k, 2, 2), with low then high ends of both variables.
         open: distinct rectangles (j, 2, 2) that are undecided.
         domain: low then high ends (2, 2) of both variables.
         counterexample: point (2,) at which the statement was proved wrong, or None.
@@ -78,13 +78,13 @@ def projection(certificate: ContractionCertificate) -> Projection:
         certificate: a certificate.
 
     Returns:
-        The boxes of the first claim that is not proved, or of the contraction where all are.
+        The boxes of the first claim that is not proved, or of the contraction if all claims are proved.
     """
     undecided = [claim for claim in certificate.claims if claim.proof.verdict != "holds"]
     claim = (undecided or certificate.claims)[0]
     domain, proof = claim.proof.box, claim.proof
     codes = np.concatenate(proof.levels)
-    # Of variables that were never halved, those with a width come before fixed ones, hence half a split for them.
+    # Among variables that were never halved, half a split puts those with a width before fixed ones.
     splits = np.bincount(codes[codes >= 0], minlength=len(domain.low)) + 0.5 * (domain.high > domain.low)
     i, j = sorted(np.argsort(-splits, kind="stable")[:2].tolist())
     rectangles = {PROVED: [np.zeros((0, 2, 2))], OPEN: [np.zeros((0, 2, 2))]}
@@ -112,14 +112,14 @@ def trade_off(certificate: ContractionCertificate, count: Count = 40) -> TradeOf
     """Compute the rates that the gains of a certificate's observer allow, and the best condition number for each.
 
     Args:
-        certificate: a certificate, of which observer, Q and rate are used.
+        certificate: a certificate, from which observer, Q and rate are used.
         count: number of rates k, from 2 % to 98 % of the fastest one.
 
     Returns:
         The curve, and the points of the certificate's Q and of the paper's Q.
     """
     alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
-    # Twice the slower pole, since λ is the rate of squared lengths.
+    # Twice the slower pole, since λ is a rate of squared lengths.
     fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
     # Towards the fastest rate Q grows without bound.
     rates = fastest * np.linspace(0.02, 0.98, count)

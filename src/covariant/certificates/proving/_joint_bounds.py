@@ -1,4 +1,4 @@
-"""Bounds of the forces in joints, and of the slopes of friction, by interval arithmetic."""
+"""Bounds the forces in joints, and the slopes of friction, by interval arithmetic."""
 
 import functools
 from typing import NamedTuple
@@ -20,7 +20,7 @@ class JointBounds(NamedTuple):
     Attributes:
         force: generalised force (2, n) of the input.
         total: sum (2, n) of this force, the friction and an unknown force.
-        slopes: −∂f_i/∂v_i (2, n) of the friction f, which are not negative where it opposes the motion.
+        slopes: −∂f_i/∂v_i (2, n) of the friction f, which are ≥ 0 if friction opposes the motion.
     """
 
     force: Float[np.ndarray, "2 n"]
@@ -39,7 +39,7 @@ def joint_bounds(
     force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
     input_box = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
     assert force.conditions is not None
-    # A force may jump, since only its values are bounded.
+    # The force may jump, since only its values are bounded.
     defined = tuple(c for c in force.conditions.conditions if c.kind in ("true", "finite"))
     _need(
         "the force of the model is not defined",
@@ -65,18 +65,18 @@ def friction_bounds(
     friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
     velocity_box = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
     assert friction.conditions is not None
-    # The slopes are bounded for a continuous friction only, so all conditions are needed.
+    # All conditions are needed, since slopes have bounds only if the friction is continuous.
     _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, velocity_box))
     derivatives = expand(friction._replace(conditions=None), range(n), 1)
     enclosure = enclose(derivatives, velocity_box.low[None], velocity_box.high[None])
-    # The derivatives are listed velocity by velocity; those of friction i by velocity i are on the diagonal.
+    # The derivatives are listed velocity by velocity; on the diagonal are those of friction i by velocity i.
     diagonal = n + np.arange(n) * (n + 1)
     slopes = np.stack([0.0 - enclosure.high[0, diagonal], 0.0 - enclosure.low[0, diagonal]])
     return np.concatenate([enclosure.low[:, :n], enclosure.high[:, :n]]), slopes
 
 
 def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> bool:
-    """Test whether friction of joints is steep near rest, so that a box of velocities says little about its slope."""
+    """Test whether friction of joints is steep near rest, so that a box of velocities hardly limits its slope."""
     if not model.manifold.commuting:
         return False
     try:
@@ -91,7 +91,7 @@ def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> 
         with np.errstate(all="ignore"):  # velocities may be denormal
             return -change / (2 * step)
 
-    # No proof relies on this, so differences suffice.
+    # Differences suffice, since no proof relies on this.
     at_rest, moving = drag(np.zeros(n)), drag(speed / 10)
     return bool((at_rest > 2 * moving).any())
 

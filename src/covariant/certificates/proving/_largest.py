@@ -1,4 +1,4 @@
-"""Search for the largest number for which something is proved, by bisection over certificates."""
+"""Searches for the largest value that can be proved, by bisection over certificates."""
 
 import math
 from collections.abc import Callable
@@ -25,10 +25,10 @@ class Attempt(NamedTuple):
 
     Attributes:
         value: the value.
-        verdict: that of its certificate; "undecided" where the value was refused.
+        verdict: verdict of its certificate; "undecided" if the value was refused.
         boxes: number of boxes that its proofs took.
-        radius: its radius; 0 unless it holds.
-        refusal: why there is no certificate, or "".
+        radius: radius of its certificate; 0 unless it holds.
+        refusal: the reason if there is no certificate, or "".
 
     Example:
         >>> from covariant.certificates import Attempt
@@ -50,8 +50,8 @@ class Largest(NamedTuple):
     """Result of a search.
 
     Attributes:
-        certificate: the certificate of the largest value that was proved, or that of the last attempt where none was.
-        attempts: what was tried, in this order.
+        certificate: the certificate of the largest proved value, or of the last attempt if none was proved.
+        attempts: all attempts, in their order.
 
     Example:
         >>> from covariant.certificates import Attempt
@@ -66,12 +66,12 @@ class Largest(NamedTuple):
 
     @property
     def value(self) -> float | None:
-        """The largest value that was proved, or None."""
+        """The largest proved value, or None."""
         return max((a.value for a in self.attempts if a.verdict == "holds"), default=None)
 
     @property
     def refused(self) -> float | None:
-        """The least value that was tried and not proved, or None where all were."""
+        """The least value that was tried and not proved, or None if all were proved."""
         return min((a.value for a in self.attempts if a.verdict != "holds"), default=None)
 
 
@@ -86,21 +86,21 @@ def largest(
 ) -> Largest:
     """Search for the largest value for which a certificate holds: doubling or halving, then bisection of logarithms.
 
-    The effort is stated by `runs` and by the boxes of each certificate, so that the result is the same on every
-    machine. That larger values are harder is not assumed of what is returned, which is proved, but of the search: a
-    value beyond one that was not proved is not tried.
+    `runs` and the boxes of each certificate limit the effort, so that the result is the same on every machine. The
+    returned value is proved in any case. Only the search assumes that larger values are harder: it does not try values
+    beyond one that was not proved.
 
     Args:
-        prove: a value -> its certificate, such as `lambda rate: certify(observer, rate=rate, …)`. An `InputError` of
-            any but the first value counts as not proved.
+        prove: a value -> its certificate, such as `lambda rate: certify(observer, rate=rate, …)`. An `InputError`
+            counts as not proved, except for the first value.
         first: the value to begin with, positive.
         least: no smaller value is tried.
         runs: largest number of certificates.
-        step: the search ends where the least value that was not proved is at most this multiple of the largest that
-            was.
+        step: the search ends when the least value that was not proved is at most this multiple of the largest proved
+            one.
 
     Returns:
-        The certificate of the largest value that was proved, and all attempts.
+        The certificate of the largest proved value, and all attempts.
 
     Raises:
         ValueError: `first` is not a positive number or below `least`, `runs` is below 1, or `step` not above 1.

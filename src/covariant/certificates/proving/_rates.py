@@ -1,4 +1,4 @@
-"""The metric and the rate that `certify` proves by default."""
+"""Chooses the metric and the rate that `certify` proves by default."""
 
 import numpy as np
 
@@ -19,5 +19,5 @@ def metric_and_rates(
     default = best / 10 if sampled else rate_of(alpha, beta, matrix) / 2
     target = default if rate is None else float(rate)
     POSITIVE.check("certify", "the rate", target)
-    # Fast rates forget noise sooner, and leave fewer metrics to choose from: in between is the smallest bound.
+    # Fast rates forget noise sooner, but fewer metrics allow them: the smallest bound lies in between.
     return matrix, target, *((2 * target, 4 * target, 6 * target) if sampled and noisy and rate is None else ())

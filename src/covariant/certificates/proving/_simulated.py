@@ -1,4 +1,4 @@
-"""Simulations for a certificate: motions of the model in its region, and estimates from the border of its tube.
+"""Simulates motions of the model in the region of a certificate, and estimates from the border of its tube.
 
 Source: Aghannan & Rouchon 2003, Theorem 2.
 """
@@ -30,9 +30,9 @@ class Trajectories(NamedTuple):
         t: stamps (T,) [s].
         positions: positions (T, n) of the motion; on a group `log(g(0)⁻¹ g)`.
         velocities: velocities (T, n) of the motion.
-        estimated_positions, estimated_velocities: those of the estimates (k, T, n).
+        estimated_positions, estimated_velocities: positions and velocities of the estimates (k, T, n).
         half_widths: half widths (2n,) of the tube in each position error, then in each velocity.
-        shown: index of the coordinate in whose plane of position and velocity the estimates start all around the
+        shown: index of a coordinate; in the plane of its position and velocity the estimates start all around the
             motion.
         distances: distances of the estimates from the motion, and the certified bound.
 
@@ -64,15 +64,15 @@ def trajectories(
 ) -> Trajectories:
     """Simulate the model inside the region of a proved certificate, and estimates from the border of its tube.
 
-    Among random motions with sinusoidal inputs within their bounds, one is chosen that stays inside longest, up to
-    eight time constants of the observer, and moves much. The upper bound of each estimate's distance starts at the
+    Random motions have sinusoidal inputs within their bounds. Of these, one is chosen that moves much and stays inside
+    longest, up to eight time constants of the observer. The upper bound of each estimate's distance starts at the
     radius.
 
     Args:
         certificate: a certificate that holds.
         count: number k of estimates.
         stamps: number T of instants.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
 
     Returns:
         The motion and the estimates, with their distances.
@@ -102,7 +102,7 @@ def trajectories(
             places = [jax.vmap(plant.coordinates, (None, 0))(start, x) for x in (actual, estimated)]
             return *places, low, high
 
-        # One after the other, since each chooses its own steps.
+        # One after another, since each integration chooses its own steps.
         return jax.lax.map(one, angles)
 
     shown = int(np.argmax(travel[:n] / half_widths[:n] if plant.flat else travel[-n:] / half_widths[n:]))
@@ -133,7 +133,7 @@ class _Plant:
         self.certificate, self.half_widths, self.n = certificate, certificate.half_widths, len(certificate.velocity)
         self.model, self.manifold = certificate.observer.model, certificate.observer.model.manifold
         self.flat = self.manifold.commuting
-        # For these subjects the metric on states is one function for the whole region.
+        # For such certificates the metric on states is a single function for the whole region.
         self.metric = certificate.error_system.at(jnp.zeros(len(certificate.error_system.names))).metric
         alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
         # Time constant of the slower pole of the error law.
@@ -145,15 +145,15 @@ class _Plant:
             self.longest = min(self.longest, last - self.first)
 
     def draw(self, rng, count: int) -> Motion:
-        """Random states inside the bounds, as starts of motions."""
+        """Draw random states inside the bounds, as starts of motions."""
         if self.flat:
             low, high = self.certificate.given.positions
-            # Shrunk by a random factor: starts close to the middle keep their bounds longer.
+            # Scaled down by a random factor, since starts close to the middle keep their bounds longer.
             share = rng.uniform(-1, 1, (count, 2, self.n)) * rng.uniform(size=(count, 1, 1))
             q = (low + high) / 2 + share[:, 0] * (high - low) / 2
             return Motion(jnp.asarray(q), jnp.asarray(share[:, 1] * self.certificate.velocity))
         turn = rng.normal(size=(count, self.n))
-        # Lengths up to π: on SO(3) they reach every attitude, and longer ones no other.
+        # Lengths up to π reach every attitude of SO(3); longer ones reach no further attitude.
         turn *= np.pi * rng.uniform(size=(count, 1)) / np.linalg.norm(turn, axis=1, keepdims=True)
         v = rng.uniform(-1, 1, (count, self.n)) * rng.uniform(size=(count, 1)) * self.certificate.velocity
         q = jax.vmap(lambda s: self.manifold.retract(self.manifold.origin(), s))(jnp.asarray(turn))
@@ -172,7 +172,7 @@ class _Plant:
         return self.model.motion(x), Motion(states.q, states.v)
 
     def coordinates(self, start: Motion, x: Motion) -> Array:
-        """Position, relative to `start` where there are no coordinates, and velocity."""
+        """Position, relative to `start` if there are no coordinates, and velocity."""
         return jnp.concatenate([x.q if self.flat else self.manifold.local(start.q, x.q), x.v])
 
     def chart(self, estimated: Motion, actual: Motion) -> tuple[Array, Array]:
@@ -189,12 +189,12 @@ class _Plant:
         return lambda t, x: (low + high) / 2 + INSIDE * (high - low) / 2 * jnp.sin(pace * t)
 
     def inside(self, places: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The number of first stamps at which each motion (k, T, ...) is inside the bounds."""
+        """The number of stamps from the first on at which each motion (k, T, ...) is inside the bounds."""
         low, high = self.certificate.given.positions
         middle, half = (low + high) / 2, (high - low) / 2
-        # Entries of rotation matrices attain their bounds ±1, and exceed them by rounding.
+        # Entries of rotation matrices attain their bounds ±1, and exceed them slightly by rounding.
         allowed = half * INSIDE if self.flat else half + 1e-9
-        # NaN, where a motion left every bound, compares as outside.
+        # NaN, from a motion that left every bound, compares as outside.
         with np.errstate(invalid="ignore"):
             within = (np.abs(places - middle) <= allowed).all(-1)
             within &= (np.abs(v) <= INSIDE * self.certificate.velocity).all(-1)
@@ -208,7 +208,7 @@ class _Plant:
 
 
 def _longest_motion(plant: _Plant, control, rng, count: int = 512) -> tuple[Any, float, np.ndarray]:
-    """The start of a motion within the bounds, how long it stays inside, and the ranges of positions and velocities."""
+    """The start of a motion within the bounds, how long it stays inside, and its ranges of positions and velocities."""
     t = jnp.linspace(plant.first, plant.first + plant.longest, 49)
     draws = plant.draw(rng, count)
 
@@ -233,7 +233,7 @@ def _across(plant, start, shown, angle):
     """A step from the state `start`, in the plane of one position error and its velocity, at the given angle."""
     point, t = plant.certificate.error_system.at(plant.place(start)), jnp.zeros(())
     rows = point.error_jacobian()[jnp.array([shown, shown + plant.n])]
-    # N⁻¹rᵀ is the direction in which a row r changes most for its length.
+    # Along N⁻¹rᵀ the entry of a row r changes most, relative to the length of the change.
     widest = jnp.linalg.solve(point.metric.gram(t, point.x), rows.T)
     along = widest / jnp.sqrt(jnp.sum(rows.T * widest, axis=0, keepdims=True))
     return point.metric.frame(t, point.x) @ (along @ jnp.array([jnp.cos(angle), jnp.sin(angle)]))

@@ -1,4 +1,4 @@
-"""The sampled step: prediction and correction on a region, the search of its metric, bounds beside every sample."""
+"""Treats the sampled step: prediction and correction on a region, search of its metric, and bounds at every sample."""
 
 import lazy_loader
 

@@ -1,21 +1,22 @@
-"""How far Runge–Kutta steps of a prediction lead from the motion of the model: one more claim of the sampled step.
+"""Bounds the errors of Runge–Kutta steps in a prediction, by a further claim of the sampled step.
 
 Let P_s be a step of length s from a state x of the region, and f the model's vector field, with the input held. The
-curve `s ↦ φ_(h−s)(P_s x)`, φ the exact flow, leads from the exact to the computed state after a step h. It has the
-velocity `Dφ_(h−s) δ(s)` with the defect `δ(s) = ∂_s P_s − f(P_s)`, and φ shortens lengths, so that its length is at
-most `∫₀^h |δ(s)|_M ds`. The step is of fourth order: δ and its first three derivatives vanish at s = 0. With the
+curve `s ↦ φ_(h−s)(P_s x)`, where φ is the exact flow, leads from the exact to the computed state after a step h. Its
+velocity is `Dφ_(h−s) δ(s)`, with the defect `δ(s) = ∂_s P_s − f(P_s)`. Since φ shortens lengths, its length is at most
+`∫₀^h |δ(s)|_M ds`. The step is of fourth order, so δ and its first three derivatives vanish at s = 0. With the
 weights `k (s − r)^(k−1) / s^k` of Taylor's remainder, for each order k from 1 to 4,
 
     δ(s) = s^k · (mean of δ^(k)(r)/k! over r in [0, s])
 
-For k = 0 it is δ itself. The claim is that `|δ^(k)(r)/k!|` is less than `√square` in the metric at P_s x, at all ages,
-for all r and s up to the longest step. The vectors for which the matrix below is positive definite form a convex set:
-if it contains the vector of each r, it contains their mean. A prediction over h in steps of length σ is then off by at
+For k = 0 the mean is δ itself. The claim is that `|δ^(k)(r)/k!|` is less than `√square` in the metric at P_s x, at all
+ages, for all r and s up to the longest step. The vectors for which the matrix below is positive definite form a convex
+set: if it contains the vector of each r, it contains their mean. A prediction over h in steps of length σ is then off
+by at
 most `h σ^k √square / (k + 1)`.
-For smooth models this bound is smallest at k = 4. Derivatives of steep friction, such as `atan(100 v)`, grow by the
-factor of its slope with each order, so that near rest a lower order may give a smaller bound.
+For smooth models this bound is smallest at k = 4. With steep friction, such as `atan(100 v)`, each order multiplies the
+derivatives by the slope, so that near rest a lower order may give a smaller bound.
 
-On rotations the steps are those of the coordinates and the momentum in the chart around the start of the step.
+On rotations the steps act on coordinates and momentum in the chart around the start of the step.
 """
 
 import functools
@@ -36,7 +37,7 @@ from scalargraph.proofs import Form, derivative_form
 from scalargraph.proofs.checker import series
 
 ORDER = 4
-"""Order of the Runge–Kutta steps, the highest at which derivatives of the defect are bounded."""
+"""Order of the Runge–Kutta steps, and highest order at which derivatives of the defect are bounded."""
 
 
 Jacobian = Callable[[Callable[[Array], Array], Array], Array]
@@ -49,8 +50,8 @@ class Step(NamedTuple):
     Attributes:
         state: `step length () -> state (2n,)` after the step.
         field: `state (2n,) -> rate (2n,)` of the model.
-        image: `(state (2n,), jacobian) -> (2n, 2n)`, the matrix from rates to the frame of the metric. The function
-            `jacobian(function, x)` is the one of the prover or of the checker.
+        image: `(state (2n,), jacobian) -> (2n, 2n)`, the matrix from rates to the frame of the metric. The prover and
+            the checker pass their own `jacobian(function, x)`.
         gram: the metric (2n, 2n) in this frame.
     """
 
@@ -64,8 +65,7 @@ class Prediction(NamedTuple):
     """The steps of a prediction as functions of the variables of a box.
 
     Attributes:
-        names, units: the variables: the configuration, the velocity, the force of the input, the age, and two lengths
-            of a step.
+        names, units: of the variables: configuration, velocity, force of the input, age, and two lengths of a step.
         at: `z (d,) -> Step`, which does not depend on the last two variables.
         size: number 2n of entries of a state.
     """
@@ -110,12 +110,12 @@ def prediction_of(
 
 
 def _runge_kutta(field: Callable[[Vector], Array], x: Vector, h: Scalar) -> Array:
-    """One step of the classical method, as that of `covariant._integrate` without its loop."""
+    """One step of the classical method, as in `covariant._integrate` without its loop."""
     k1 = field(x)
     k2 = field(x + h / 2 * k1)
     k3 = field(x + h / 2 * k2)
     k4 = field(x + h * k3)
-    # The weights are 1/6 and 1/3 exactly, of which those of the program are the nearest doubles.
+    # The weights are exactly 1/6 and 1/3; the program uses the nearest doubles.
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
@@ -160,14 +160,14 @@ def _in_chart(model, g, v, force, metric, still) -> Step:
 
 
 def _matrix(square: float, image: Array, gram: Array, derivative: Array) -> Array:
-    """A matrix that is positive definite where a vector is shorter than `√square`, by Schur's complement."""
+    """A matrix that is positive definite if a vector is shorter than `√square`, by Schur's complement."""
     pulled = gram @ (image @ derivative)
     top = jnp.concatenate([jnp.full((1,), square, gram.dtype), pulled])
     return jnp.concatenate([top[None], jnp.concatenate([pulled[:, None], gram], axis=1)])
 
 
 def defect_bound(prediction: Prediction, square: float, order: int = ORDER) -> Form:
-    """Build the matrix whose positive definiteness is `|δ^(k)(r)/k!|² < square`, with k = `order`."""
+    """Build the matrix that is positive definite if `|δ^(k)(r)/k!|² < square`, with k = `order`."""
 
     def values(t, x, z):
         step = prediction.at(z)

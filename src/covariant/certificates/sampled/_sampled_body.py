@@ -1,18 +1,18 @@
-"""An intrinsic observer with sampled measurements on rotations, in the body frame, as a system of proofs.
+"""Describes an intrinsic observer with sampled measurements on rotations, in the body frame, for proofs.
 
-The statement and its inequalities are those of `sampled_system`. Around an estimate the chart is that of the
-retraction, with coordinates θ, and everything is evaluated at θ = 0, to first order in θ. Other than in continuous
-time, the force of the potential is one at the estimate, which moves. Hence those entries of the matrix of the estimate
-are variables that a potential reads. They are entries of a rotation, so between −1 and 1; that they are coordinates of
-one is not used, and the inequalities are proved for all such numbers.
+The statement and its inequalities are those of `sampled_system`. The chart around an estimate is the retraction, with
+coordinates θ, and everything is evaluated at θ = 0, to first order in θ. Unlike in continuous time, the force of the
+potential is evaluated at the estimate, which moves. Hence the matrix entries of the estimate that a potential reads
+are variables. As entries of a rotation they lie between −1 and 1; the proof covers all such numbers, whether or not
+they belong to a rotation.
 
 With the error e, y = ĝ exp(−e), a displacement θ of the estimate changes `−log(exp(−θ) exp(−e))` by `J_r(e)⁻¹θ`. The
-correction moves ĝ to `ĝ exp(−k₁ξ)`; with `C₀ = exp(k₁ξ₀)` of the undisplaced estimate, the displaced one comes to rest
-at the body displacement
+correction moves ĝ to `ĝ exp(−k₁ξ)`. With `C₀ = exp(k₁ξ₀)` of the estimate without displacement, the displaced estimate
+ends at the body displacement
 
     Ad(C₀) θ − k₁ J_r(−k₁ξ₀) (ξ − ξ₀)
 
-from the undisplaced one, since the body velocity of `exp(k₁ξ₀) exp(θ) exp(s)` is `Ad(exp(−s)) θ' + J_r(s) s'`.
+from the one without displacement, since the body velocity of `exp(k₁ξ₀) exp(θ) exp(s)` is `Ad(exp(−s)) θ' + J_r(s) s'`.
 """
 
 import functools
@@ -58,7 +58,7 @@ def body_variables(model: MechanicalSystem) -> BodyVariables:
     origin = manifold.origin()
     used = {*entries_read(model.potential, origin)}
     used |= entries_read(lambda g: differential(manifold, model.potential, g), origin)
-    # A displacement of the estimate turns each row of its matrix, and mixes the entries of no two rows.
+    # A displacement of the estimate changes each row of its matrix within itself, and never mixes two rows.
     rows = {k // origin.shape[1] for k in used}
     read = [k for k in range(origin.size) if k // origin.shape[1] in rows]
     named = ["g" + "".join(str(i + 1) for i in np.unravel_index(k, origin.shape)) for k in read]
@@ -85,7 +85,7 @@ def body_point(
 
         def flow(t, x):
             theta, v = jnp.split(x, 2)
-            # The joint force as a function of the velocity, with any slope that the friction has within its bounds.
+            # The joint force as a function of the velocity, with any slope of the friction within its bounds.
             acting = total - drag * (v - velocity)
             rate = acceleration(model, t, manifold.nudged(g, theta), v, acting)
             return jnp.concatenate([manifold.local_rate(origin, theta, v), rate])
@@ -124,7 +124,7 @@ def body_point(
             error_jacobian,
             lambda: -_each(functools.partial(manifold.local_rate, origin, -error), n, z.dtype),
             corrected,
-            # After the correction the estimate is elsewhere; without an age there is no shear, which would read it.
+            # After the correction the estimate is elsewhere. Without an age there is no shear, which would read it.
             body_metric(model, q, sampling._replace(shear=False), g, still, running),
             lacking,
             lambda x: (jnp.asarray(inertia, z.dtype), jnp.asarray(inertia, z.dtype)),
@@ -134,7 +134,7 @@ def body_point(
 
 
 def _matrix(indices: tuple[int, ...], entries: Vector, shape: tuple[int, ...]) -> Array:
-    """The matrix with some entries; the others, which nothing reads, are zero."""
+    """The matrix with some given entries; the other entries, which are not used, are zero."""
     place = {k: i for i, k in enumerate(indices)}
     zero = jnp.zeros((), entries.dtype)
     flat = [entries[place[k]] if k in place else zero for k in range(int(np.prod(shape)))]
@@ -172,7 +172,7 @@ def body_metric(
         return jnp.block([[body, jnp.zeros((n, n), x.dtype)], [turn(t, x) @ body, jnp.eye(n, dtype=x.dtype)]])
 
     def frame(t, x):
-        # [[E, 0], [TE, I]]⁻¹ = [[E⁻¹, 0], [−T, I]], with E the body velocity of a rate of θ.
+        # [[E, 0], [TE, I]]⁻¹ = [[E⁻¹, 0], [−T, I]]; E maps the rate of θ to the body velocity.
         local = _each(functools.partial(manifold.local_rate, origin, x[:n]), n, x.dtype)
         return jnp.block([[local, jnp.zeros((n, n), x.dtype)], [-turn(t, x), jnp.eye(n, dtype=x.dtype)]])
 
@@ -183,7 +183,7 @@ def body_metric(
 
 
 def _stiffness(model: MechanicalSystem, g: Array, v: Vector, a: Vector) -> Vector:
-    """`K₀a = R(a, v)v − ∇_a S` of the model without input. Any other field would do: it is a choice of metric."""
+    """`K₀a = R(a, v)v − ∇_a S` of the model without input, as a choice of metric; any other field would be valid."""
     space, manifold = model.space, model.manifold
     nothing = jnp.zeros_like(v)
 

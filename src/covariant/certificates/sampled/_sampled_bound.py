@@ -1,10 +1,10 @@
-"""A proved bound of the estimation error after every sample: the recursion of a certificate, run with its observer.
+"""Computes a proved bound of the estimation error after every sample, by the recursion of a certificate.
 
 The certificate of a sampled observer shows how the distance between truth and estimate, in its metric, changes from
 sample to sample (see `_radius_recursion`). `Bounded` runs this recursion as a part of the observer's step, with the
-data of that step: the age of the measurement, the length and number of its Runge–Kutta steps, whether it corrected, and
-its result code. The radius after a sample bounds the error of each position and velocity. If a sample does not confirm
-a premise of the certificate, the bounds are infinite and name that premise, until a new start.
+data of that step: the age of the measurement, the length and number of its Runge–Kutta steps, whether a correction was
+made, and its result code. The radius after a sample bounds the error of each position and velocity. If a sample does
+not confirm a premise of the certificate, the bounds become infinite and name that premise, until a restart.
 """
 
 import enum
@@ -25,12 +25,12 @@ from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
 ROUND = 1e-9
-"""Relative margin that covers the rounding of the recursion, which runs in doubles."""
+"""Relative margin for the rounding of the recursion, which runs in doubles."""
 ROUNDING = 1e-9
-"""Least bound of a position [its unit], and of a velocity as a part of its largest value: the proof is about real
-numbers, and rounding in doubles changes the estimate by some 1e-13."""
+"""Least bound of a position [its unit], and of a velocity as a fraction of its largest value: the proof is about real
+numbers, while rounding in doubles changes the estimate by some 1e-13."""
 LARGE = 1e3
-"""Position [1, or its unit] beyond which the least bounds grow in proportion to it, at thousands of roundings."""
+"""Position [1, or its unit] beyond which the least bounds grow in proportion to it, to thousands of roundings."""
 TURN = 2 * np.pi
 
 
@@ -57,7 +57,7 @@ class Premise(enum.IntEnum):
 
     @property
     def message(self) -> str:
-        """One line on the premise that is not known to hold."""
+        """One line that describes the premise that may be violated."""
         return _MESSAGES[self]
 
 
@@ -138,19 +138,19 @@ class SampledBound(eqx.Module):
     """The observer and the numbers of a certificate from which `Bounded` computes its bound.
 
     Attributes:
-        certified: the observer that the bound is about.
+        certified: the observer of the bound.
         recursion: constants of the recursion.
         radius: ε of the certificate.
         reach: bounds (2n,) of each position and velocity error at a distance of 1.
         start: weights (2n,) of the squared initial errors in the squared distance; ∞ if the certificate has none.
-        positions: least and largest true positions (2, n), on rotations those of the matrix entries.
+        positions: least and largest true positions (2, n), on rotations of the matrix entries.
         velocity: bounds (n,) of the true velocities.
         inputs: least and largest inputs (2, m).
         noise: bounds (n,) of the errors of the measured positions.
         substeps: number of Runge–Kutta steps of a prediction.
-        longest_step: longest Runge–Kutta step whose error is proved [s]; 0 if none is proved.
+        longest_step: longest Runge–Kutta step [s] with a proved error; 0 if there is none.
         missing_rows: whether one prediction may cover lost samples.
-        circles: which positions are angles on a circle (n,); None on rotations.
+        circles: for each position (n,) whether it is an angle on a circle; None on rotations.
 
     Example:
         >>> import numpy as np
@@ -183,7 +183,7 @@ class SampledBound(eqx.Module):
     circles: tuple[bool, ...] | None = eqx.field(static=True)
 
     def within(self, position: Any, velocity: Any) -> float:
-        """Bound the distance for bounds of the initial errors; infinite if it may exceed the radius."""
+        """Bound the distance, given bounds of the initial errors; infinite if it may exceed the radius."""
         try:
             errors = np.concatenate(
                 [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
@@ -201,7 +201,7 @@ class SampledBound(eqx.Module):
         return self.known(float(np.sqrt(weighted.sum())) * (1 + ROUND))
 
     def known(self, radius: float) -> float:
-        """Return the radius, or ∞ if it exceeds that of the certificate."""
+        """Return the radius, or ∞ if it exceeds the radius of the certificate."""
         return radius if radius <= self.radius else np.inf
 
     def step(
@@ -215,13 +215,13 @@ class SampledBound(eqx.Module):
         dt: Scalar,
         missing: Array,
     ) -> tuple[Scalar, Scalar, BoundedInfo]:
-        """Advance the bound over a step that the observer made.
+        """Advance the bound over a step of the observer.
 
         Args:
             state: the state before the step.
             before: the certified observer's state before the step.
             after: its state after the step.
-            info: what the step reported.
+            info: the info of the step.
             u: the input (m,) that it used.
             y: the measurement, NaN if it counts as missing.
             dt: the length of its prediction [s], 0 if it made none.
@@ -231,7 +231,7 @@ class SampledBound(eqx.Module):
             Radius and premise to store, and the diagnostics.
         """
         corrected, coasted, outlier, repeated = (info.result == int(code) for code in _COVERED)
-        # The age that the gains of this step used, and whether the step corrected by a measurement of this age.
+        # The age that the gains of this step used, and whether the step used a measurement of this age.
         assert before.age is not None
         age = before.age + dt
         used = (dt > 0) & (after.age == 0)
@@ -252,7 +252,7 @@ class SampledBound(eqx.Module):
             (Premise.START, jnp.isfinite(state.radius)),
             (Premise.AGE, aged),
             (Premise.PREDICTION, proved_step),
-            # Between samples the bound is at most the larger of those before and after the measurement.
+            # Between samples the bound is at most the larger one of the bounds before and after the measurement.
             (Premise.TUBE, (before_radius <= self.radius) & (~used | (after_radius <= self.radius))),
             (Premise.VELOCITY, (jnp.abs(after.v) + velocity <= self.velocity).all()),
             (Premise.POSITION, self._inside(after.q, position).all()),
@@ -278,7 +278,7 @@ class SampledBound(eqx.Module):
     def _errors(self, radius: Scalar, q: Array) -> tuple[Vector, Vector]:
         """Compute bounds (n,) of the errors of positions and velocities at a distance."""
         position, velocity = jnp.split(radius * jnp.asarray(self.reach) * (1 + ROUND), 2)
-        # Doubles round large positions, such as angles of many turns, by more.
+        # Large positions, such as angles of many turns, have larger rounding errors.
         rounding = ROUNDING * (1 + jnp.max(jnp.abs(q)) / LARGE)
         of_position, of_velocity = np.split(self.reach, 2)
         return position + rounding, velocity + rounding * (self.velocity + np.max(of_velocity) / np.min(of_position))
@@ -287,11 +287,11 @@ class SampledBound(eqx.Module):
         """Look up the noise term G for a measurement of this age, and whether the certificate covers the age."""
         ages = jnp.asarray(self.recursion.ages)
         fits = (ages[:, 0] <= age) & (age <= ages[:, 1])
-        # If several numbers of lost samples give this age, each is proved, so the least G holds.
+        # If several numbers of lost samples allow this age, all are proved, so the least G holds.
         return jnp.min(jnp.where(fits, jnp.asarray(self.recursion.noise), jnp.inf)), fits.any()
 
     def _inside(self, q: Array, error: Vector) -> Array:
-        """Test for each entry whether all positions within these errors are in the region."""
+        """Test for each entry whether all positions within these errors are inside the region."""
         low, high = self.positions
         if self.circles is None:
             # Entries of a rotation are at most 1 in size, and change by no more than the angle.
@@ -305,21 +305,21 @@ class SampledBound(eqx.Module):
 
 
 _COVERED = StepCode.OK, StepCode.COASTED, StepCode.OUTLIER, StepCode.REPEATED
-"""Result codes of steps that the proof covers: a correction, two for a lost measurement, and a repeated stamp."""
+"""Result codes of steps that the proof covers: a correction, two codes of a lost measurement, and a repeated stamp."""
 
 
 class Bounded(AbstractWrapper):
     """A certified observer whose step also returns a proved bound of its error; from `certificate.bounded()`.
 
     The estimate is that of the observer itself. The bound rests on the assumptions of the certificate, above all that
-    noise and unknown force are within the bounds that it states, and that stamps are exact. Each step checks what it
-    can see: the age of the measurement, the lengths of its Runge–Kutta steps, the input, that the measurement is as far
-    from the prediction as the bound allows, and that every state within the bound is in the region of positions and
-    within the bounds of velocity. Between samples the last is assumed. A measurement that was not used, since it is
-    missing, too large or refused by the gate, corrects nothing: it counts as a lost sample.
+    noise and unknown force are within the stated bounds, and that stamps are exact. Each step checks what it can: the
+    age of the measurement; the lengths of its Runge–Kutta steps; the input; the distance between measurement and
+    prediction, which the bound limits; and that all states within the bound are in the region of positions and
+    velocities. Between samples this last condition is assumed. A measurement that was not used, since it is missing,
+    too large or refused by the gate, corrects nothing: it counts as a lost sample.
 
-    Use it to know at every sample how far the estimate may be off: for a safety monitor rather than for a design. The
-    bound is a worst case, so that it exceeds the usual error many times; a filter reports standard deviations.
+    Use it to know at every sample how far the estimate may be off, for a safety monitor rather than for a design. As a
+    worst case, the bound exceeds the usual error many times; for standard deviations use a filter.
 
     Attributes:
         observer: the certified observer, or that observer behind a gate, in doubles.
@@ -401,7 +401,7 @@ class Bounded(AbstractWrapper):
 
     @staticmethod
     def _unknown(state: BoundedState, inner: Any) -> BoundedState:
-        """Replace the state of the observer by one without a known bound."""
+        """Replace the inner state by one without a known bound."""
         unknown = jnp.full_like(state.radius, jnp.inf), jnp.full_like(state.premise, float(Premise.STEP))
         return state._replace(inner=inner, radius=unknown[0], premise=unknown[1])
 
@@ -427,12 +427,12 @@ def _need_double(number: Array) -> None:
 
 def without_gate(observer: Any) -> Any:
     """The observer behind a gate, or the observer itself."""
-    # A subclass may do more than refuse measurements.
+    # A subclass may do more than refusing measurements.
     return observer.observer if type(observer) is Gated else observer
 
 
 def runs(observer: Any, certified: Any) -> bool:
-    """Whether an observer takes the steps of a certified one, perhaps behind a gate."""
+    """Whether an observer takes the steps of a certified one, possibly behind a gate."""
     inner = without_gate(observer)
     if inner is certified:
         return True
@@ -446,5 +446,5 @@ def runs(observer: Any, certified: Any) -> bool:
 
 
 def certified_state(state: Any) -> SampledState:
-    """Extract the state of the certified observer from that of an observer which may have a gate."""
+    """Extract the state of the certified observer from the state of an observer that may have a gate."""
     return state if "q" in state._fields else certified_state(state.inner)

@@ -1,4 +1,4 @@
-"""The claims of a certificate of the sampled step, with a metric that is searched, and again where a proof fails."""
+"""Proves the claims of a certificate of the sampled step, and searches its metric again if a proof fails."""
 
 import dataclasses
 import functools
@@ -52,24 +52,24 @@ STAMP_MARGIN = 1e-3
 """Fraction by which an interval is proved wider at both ends, since stamps are rounded: times since 1970 in doubles to
 2.4e-7 s, and many logs to a microsecond."""
 SEARCHES = 4
-"""How often the metric is searched again with the counter-examples of a proof."""
+"""Number of repeated searches of the metric, with the counterexamples of a proof."""
 WIDER, TINY = (64.0, 16.0, 4.0, 2.0, 1.3), 1e-12
-"""Factors of margin on sampled squares, so that they can be proved quickly, and a square for what is zero."""
+"""Margins on sampled squares, so that they can be proved quickly, and a square that replaces zero."""
 MUCH_WIDER = (1e6, 1e5, 1e4, 1e3, 250.0)
-"""The same for errors of Runge–Kutta steps, which often are many times as small as matters."""
+"""The same margins for errors of Runge–Kutta steps, which are often much smaller than relevant."""
 LITTLE, PART = 0.02, 0.25
-"""Fraction of the rate that a wider bound may take, and where that is too little. The square of the first is that of
-the radius for errors of predictions."""
+"""Fraction of the rate that a wider bound may take, and a larger one if the first is too little. The square of the
+first is the fraction of the radius for errors of predictions."""
 PREDICTION_WORK = 4_000_000
-"""Largest number of boxes for the errors of Runge–Kutta steps, times the operations of their matrix: some hundred for a
-pendulum, and thirty thousand for a heavy top."""
+"""Largest number of boxes for the errors of Runge–Kutta steps, times the number of operations of their matrix: some
+hundred for a pendulum, and thirty thousand for a heavy top."""
 LOWER_ORDERS, STEEP_WORK = (4, 2, 1, 0), 60
-"""Orders of the bound that are tried in turn if the first one fails, and the number of operations that each may take
-per box that is left: steep friction needs small boxes near rest."""
+"""Orders of the bound that are tried in turn if the first one fails, and the number of operations per remaining box
+that each may take: steep friction needs small boxes near rest."""
 POINTS = 2000
-"""Number of points at which they are sampled."""
+"""Number of points at which the squares are sampled."""
 ENOUGH = 0.5
-"""Margin of a metric without shear, as a fraction of the rate, below which one with shear is tried as well."""
+"""Margin of a metric without shear, as a fraction of the rate, below which a metric with shear is also tried."""
 
 
 LOST = Domain(f"be a whole number from 0 to {MOST_LOST}", lambda a: (a >= 0) & (a <= MOST_LOST), whole=True)
@@ -90,7 +90,7 @@ def check_sampling(
     shortest, longest = check_interval(interval, lost, lost_rows)
     if q is not None:
         raise InputError("certify: with interval the metric is searched; leave q out")
-    # Six variables a coordinate and the age; on rotations up to nine entries and five variables a velocity.
+    # Six variables per coordinate and the age; on rotations up to nine entries and five variables per velocity.
     most = (len(LETTERS) - 1) // 6
     if n > most:
         raise InputError(f"certify: with interval at most {most} coordinates are covered; got {n}")
@@ -121,7 +121,7 @@ def sampled_claims(
     effort.report("searching the metric", 0.0, 0)
     search, metric = _search(observer, sampling, rates, noise, domain)
     rate = search.rate
-    # How errors of position and velocity compare depends on the metric, and the region on that: a second time.
+    # The ratio of position and velocity errors depends on the metric, and the region on this ratio: search twice.
     domain = domain_of(sampled_system(observer, metric.q, search.sampling._replace(slopes=metric.slopes)))
     effort.domain = domain
     for search_again in (*[True] * SEARCHES, False):
@@ -139,7 +139,7 @@ def sampled_claims(
 def _search(
     observer: Intrinsics, sampling: Sampling, rates: Sequence[float], noise: Float[np.ndarray, "n"], domain: Box
 ) -> tuple[SampledMetric, Found]:
-    """The metric with the largest margin, or with noise the smallest bound, without or with shear."""
+    """The metric with the largest margin, or with noise the smallest bound, with or without shear."""
     search = SampledMetric(observer, sampling, rates[0], noise)
     if not noise.any():
         metric = search.solve(domain)
@@ -160,7 +160,7 @@ def _search(
 
 
 def _counterexamples(claims: Sequence[AbstractClaim]) -> list[tuple[bool, np.ndarray]]:
-    """Whether a claim that was refuted is one on a correction, and the point (d,)."""
+    """For each refuted claim, whether it concerns a correction, and the point (d,)."""
     wrong: list[tuple[bool, np.ndarray]] = []
     for claim in claims:
         if claim.proof.counterexample is not None:
@@ -176,7 +176,7 @@ def _prove(
     noise: Float[np.ndarray, "n"],
     squares: Sequence[Float[np.ndarray, "k"]],
 ) -> list[AbstractClaim]:
-    """The claims on flow and correction; after one that does not hold the others are not tried."""
+    """The claims on flow and correction; after the first one that does not hold, the others are not tried."""
     claims: list[AbstractClaim] = [ContractionClaim(effort.prove("contraction", contraction(system, rate)))]
     for lost in range(sampling.lost + 1):
         if claims[-1].proof.verdict != "holds":
@@ -196,7 +196,7 @@ def _prove(
 
 
 def _domain_of(claim: AbstractClaim, domain: Box, n: int, sampling: Sampling) -> Box:
-    """The box of one claim, of that of the certificate."""
+    """The box of one claim, from the box of the certificate."""
     low, high = claim.bounds(domain.low, domain.high, n, sampling)
     return Box(*claim.variables(domain.names, domain.units, n), low, high)
 
@@ -238,12 +238,12 @@ def prediction_claims(
     squares = [factor * max(least, TINY) for factor in (*MUCH_WIDER, *WIDER)]
     bounded = drift(squares[-1]) < radius
     if bounded:
-        # The widest bound that moves the estimate little within the tube needs the fewest boxes.
+        # The widest bound that changes the estimate little within the tube needs the fewest boxes.
         square = next((each for each in squares if drift(each) < LITTLE**2 * radius), squares[-1])
         claim = prove_bound(square)
         if claim.proof.verdict == "holds":
             return [claim]
-    # Friction that is steep at rest has large derivatives there. Lower orders avoid them, and uniform points miss them.
+    # Friction that is steep at rest has large derivatives there. Lower orders avoid them; uniform points miss them.
     slow, n = points.copy(), prediction.size // 2
     # After the velocities come the force of the input, the age and two lengths of a step.
     slow[:, -2 * n - 3 : -n - 3] *= 10.0 ** np.random.default_rng(1).uniform(-3, 0, (POINTS, n))
@@ -274,7 +274,7 @@ def _largest_squared_length(matrix: Lowered, points: np.ndarray) -> float:
 
 
 def _prove_with_boxes(effort: Effort, bound: Form, domain: Box, boxes: int) -> Proof:
-    """A proof with a part of the boxes that are left, so that one that is too hard takes no more."""
+    """A proof with a part of the remaining boxes, so that a proof that is too hard takes no more."""
     left = effort.boxes
     effort.boxes = min(left, boxes)
     proof = effort.prove("predictions", bound, domain)
@@ -283,7 +283,7 @@ def _prove_with_boxes(effort: Effort, bound: Form, domain: Box, boxes: int) -> P
 
 
 def force_claim(system: ErrorSystem, disturbance: Float[np.ndarray, "n"], effort: Effort) -> DisturbanceClaim:
-    """Prove a bound of what an unknown force adds to the flow between samples."""
+    """Prove a bound of the amount that an unknown force adds to the flow between samples."""
     rng = np.random.default_rng(0)
     graph = joint_force_bound(system, disturbance, 0.0).graph(jnp.asarray(effort.domain.high)).entries
     n = len(disturbance)
@@ -308,7 +308,7 @@ def missing_claims(
     claims: Sequence[AbstractClaim],
     effort: Effort,
 ) -> list[AbstractClaim]:
-    """Prove a bound of the acceleration that a prediction lacks, and of the position error."""
+    """Prove a bound of the acceleration that a prediction omits, and of the position error."""
     if isinstance(observer, Intrinsic) and observer.order != 1:
         return []
     reach = unit_reach(reach_squares(claims))
@@ -325,7 +325,7 @@ def missing_claims(
     square, length = (float(np.linalg.eigvalsh(each)[:, -1].max()) for each in (ratio, weighted))
     limit = math.sqrt(WIDER[-1] * n * length)
     squares = [factor * max(square, TINY) for factor in WIDER]
-    # The widest bound that takes little of the rate needs the fewest boxes; where none does, one that takes a part.
+    # The widest bound with a small loss of rate needs the fewest boxes; if there is none, a larger loss is accepted.
     shares = [Loss.of(sampling, q, rate, each, limit).rate / (rate / 2) for each in squares]
     affordable = [each for part in (LITTLE, PART) for each, share in zip(squares, shares, strict=True) if share < part]
     square = affordable[0] if affordable else squares[-1]

@@ -1,8 +1,8 @@
-"""Search for the metric of a certificate of the sampled step: R(τ) for which both inequalities hold at many points.
+"""Searches for the metric of a certificate of the sampled step: R(τ) with both inequalities at many points.
 
 Both are affine in R_0, R_1, …, so that the largest margin over finitely many points is the solution of a semidefinite
-programme. Points at which the result is worst are added, and it is solved again. Nothing here is trusted: what is found
-is proved afterwards, or not.
+programme. Then the worst points of the result are added, and it is solved again. Nothing here is trusted: the result
+is proved afterwards.
 """
 
 import copy
@@ -31,29 +31,29 @@ from scalargraph.proofs import Box
 DEGREE = 2
 """Degree of R(τ) in the age."""
 POINTS, ADDED, ROUNDS = 160, 24, 6
-"""Number of points at first, of those added in each round, and of rounds."""
+"""Number of initial points, of points added in each round, and of rounds."""
 TRIED = 4096
-"""Number of points among which the worst ones are looked for."""
+"""Number of points among which the worst ones are selected."""
 SHARE = 0.5
-"""Part of the margin at the points of the programme that is enough at all points tried."""
+"""Part of the programme's margin that is sufficient at all points tried."""
 ACCURACY = 1e-6
-"""Tolerance of the solver. What it finds is tried at further points, and several hundred matrices stall a finer one."""
+"""Tolerance of the solver. A finer one would stall with several hundred matrices; further points are tried anyway."""
 LEAST = 1e-3
-"""Least eigenvalue of R_0, where the largest is 1."""
+"""Least eigenvalue of R_0, relative to the largest."""
 FASTER, MORE = 0.1, 1.05
-"""With noise: part of the rate by which the programme's is faster, and factor of margin on Γ."""
+"""With noise: part of the rate by which the programme is stricter, and margin on Γ."""
 FIRST_SQUARE = 3 * (DEGREE + 1)
 """Index of the first entry of Γ among the unknowns."""
 
 
 class Found(NamedTuple):
-    """A metric that was found.
+    """A metric found by the search.
 
     Attributes:
         q: R_0 (2, 2).
         slopes: R_1, … (DEGREE, 2, 2).
         margin: least margin [1/s] at the points tried, relative to the metric of the continuous observer; not positive
-            where no such metric was found at this rate.
+            if no such metric was found at this rate.
         squares: with noise, the diagonal of Γ for each number of samples lost before a measurement.
         velocity: with noise, the bound of the velocity error that remains, in lengths of the metric on configurations.
     """
@@ -72,7 +72,7 @@ class _Points(NamedTuple):
         jacobian: F, or J of the correction (b, 2n, 2n).
         change: ġ (b, n, n); zero for the correction, which does not use it.
         age: ages (b,), as fractions of the oldest.
-        corrects: whether the inequality is that of the correction.
+        corrects: whether the inequality is the one of the correction.
         errors: B of the correction, scaled by the noise (b, 2n, k); no columns for the flow.
     """
 
@@ -83,7 +83,7 @@ class _Points(NamedTuple):
     errors: np.ndarray
 
     def joined(self, other: "_Points", places: np.ndarray | slice = slice(None)) -> "_Points":
-        """These points, and those at some places of others."""
+        """These points together with points of others, at some places."""
         pairs = zip((*self[:3], self.errors), (*other[:3], other.errors), strict=True)
         jacobian, change, age, errors = (np.concatenate([mine, others[places]]) for mine, others in pairs)
         return _Points(jacobian, change, age, self.corrects, errors)
@@ -96,15 +96,15 @@ class SampledMetric:
         observer: the observer.
         sampling: when measurements come, and whether the frame is sheared.
         rate: rate λ [1/s] of squared lengths.
-        noise: bounds (n,) of the errors of the measured positions. With noise the metric is the one in which the
-            velocity error that remains is bounded best, otherwise the one with the largest margin.
+        noise: bounds (n,) of the errors of the measured positions. With noise the metric with the best bound of the
+            remaining velocity error is chosen, otherwise the one with the largest margin.
     """
 
     def __init__(self, observer: Intrinsics, sampling: Sampling, rate: float, noise: Float[np.ndarray, "n"]):
         self.sampling, self.rate = sampling._replace(slopes=np.zeros((0, 2, 2))), rate
         self.n = n = len(observer.model.coordinates or observer.model.velocities)
         self.noise, self.joints = noise, np.flatnonzero(noise)
-        # With R = 2I, N consists of two blocks g, whatever the age.
+        # With R = 2I, N consists of two blocks g at any age.
         system = sampled_system(observer, 2 * np.eye(2), self.sampling)
         start = jnp.zeros(len(system.names)).at[-1].set(sampling.oldest)
 
@@ -138,7 +138,7 @@ class SampledMetric:
         return other
 
     def add(self, wrong: Sequence[tuple[bool, np.ndarray]]) -> None:
-        """Add counter-examples of proofs, which the next metric has to satisfy."""
+        """Add counterexamples of proofs, which the next metric must satisfy."""
         self.wrong += wrong
 
     def solve(self, domain: Box) -> Found:
@@ -162,7 +162,7 @@ class SampledMetric:
                 self._flow_points(random_points(rng, domain, TRIED)),
                 self._step_points(self._aged(rng, domain, TRIED)),
             )
-            # With noise nothing is a margin in the programme, but it is solved for a faster rate.
+            # With noise the programme has no margin as its cost; instead it is solved for a faster rate.
             noisy, slower = len(self.joints) > 0, 0.0 if not len(self.joints) else FASTER / 2
             least = [np.linalg.eigvalsh(self._form(x, points, slower))[:, 0] for points in more]
             margin = min(float(values.min()) for values in least)
@@ -178,18 +178,18 @@ class SampledMetric:
         return self._with_noise(found, x, domain, rng) if len(self.joints) and margin > 0 else found
 
     def _with_noise(self, found: Found, x: np.ndarray, domain: Box, rng: np.random.Generator) -> Found:
-        """The same metric, with Γ from points, and the bound of the velocity that follows."""
+        """The same metric, with Γ computed at points, and the resulting bound of the velocity."""
         ages, squares = self.sampling.ages, []
         for first, last in ages:
             z = random_points(rng, domain, TRIED)
             share = np.round(rng.uniform(size=TRIED) * 4) / 4
             points = self._step_points(np.concatenate([z[:, :-1], (first + share * (last - first))[:, None]], axis=1))
-            # By Schur's complement Γ has to exceed BᵀN_0B + C(N_h − JᵀN_0J)⁻¹Cᵀ, C = BᵀN_0J.
+            # By Schur's complement Γ must exceed BᵀN_0B + C(N_h − JᵀN_0J)⁻¹Cᵀ, C = BᵀN_0J.
             gram, after = self._gram(x, points.age), np.kron(_matrix(x, 0), np.eye(self.n))
             cross = np.swapaxes(points.errors, 1, 2) @ after @ points.jacobian
             rest = gram - np.swapaxes(points.jacobian, 1, 2) @ after @ points.jacobian
             needed = np.swapaxes(points.errors, 1, 2) @ after @ points.errors
-            # Lengths are half of what R says, in N = ½R ⊗ g.
+            # Squared lengths are half of what R gives, since N = ½R ⊗ g.
             needed = (needed + cross @ np.linalg.solve(rest, np.swapaxes(cross, 1, 2))) / 2
             if np.linalg.eigvalsh(rest)[:, 0].min() <= 0:
                 return found._replace(margin=-np.inf)
@@ -242,14 +242,14 @@ class SampledMetric:
         return _kron(self.root, np.swapaxes(inner, 1, 2))
 
     def _gram(self, x: np.ndarray, age: np.ndarray) -> np.ndarray:
-        """R(τ) ⊗ g at ages (b,), in units."""
+        """R(τ) ⊗ g at ages (b,), in these units."""
         powers = [_matrix(x, k) * age[:, None, None] ** k for k in range(DEGREE + 1)]
         return _kron(np.sum(powers, axis=0), np.eye(self.n))
 
     def _form(self, x: np.ndarray, points: _Points, faster: float = 0.0) -> np.ndarray:
-        """The matrices of an inequality, twice those of the claims and for the correction divided by the age.
+        """The matrices of an inequality: twice those of the claims, and for the correction divided by the age.
 
-        `faster` is a part of the rate by which both inequalities have to hold more strictly.
+        `faster` is the part of the rate by which both inequalities must hold more strictly.
         """
         age, oldest, eye = points.age[:, None, None], self.sampling.oldest, np.eye(self.n)
         r = np.stack([_matrix(x, k) for k in range(DEGREE + 1)])
@@ -261,10 +261,10 @@ class SampledMetric:
             whole = (stricter - np.swapaxes(factor, 1, 2) @ np.kron(r[0], eye) @ factor) / (age * oldest)
             if not errors.shape[2]:
                 return whole
-            # Errors are of the order of the age, and their squares Γ as well: in units in which both are of order one.
+            # Errors are of the order of the age, and so are their squares Γ; in these units both are of order one.
             cross = -np.swapaxes(factor, 1, 2) @ np.kron(r[0], eye) @ errors / (age * oldest) ** 1.5
             corner = np.swapaxes(errors, 1, 2) @ np.kron(r[0], eye) @ errors / (age * oldest) ** 2
-            # Γ is constant for all ages after the same number of lost samples, and in proportion to the shortest one.
+            # Γ is constant for all ages after the same number of lost samples, and proportional to the shortest one.
             shortest, longest = self.sampling.interval
             count = np.ceil(age * oldest / longest - 1e-9)
             added = np.diag(x[FIRST_SQUARE:-1]) * count * shortest / (age * oldest) ** 2
@@ -276,17 +276,17 @@ class SampledMetric:
         return -(product + np.swapaxes(product, 1, 2) + change) - (1 + faster) * self.rate * gram
 
     def _solved(self, flow: _Points, step: _Points) -> np.ndarray | None:
-        """Unknowns of the best metric: the entries of R_0, R_1, … in units, Γ, then the margin."""
+        """Unknowns of the best metric: the entries of R_0, R_1, … in these units, Γ, then the margin."""
         noisy, d = len(self.joints) > 0, FIRST_SQUARE + len(self.joints) + 1
         forms = []
         for points in (flow, step):
-            # Affine in the unknowns, without a constant: the matrices of unit vectors say all.
+            # The forms are linear in the unknowns, so their values at unit vectors determine them.
             linear = np.stack([self._form(x, points, FASTER if noisy else 0.0) for x in np.eye(d)])
             if not noisy:
                 linear[-1] -= np.eye(2 * self.n)
             forms += [lambda x, m=linear[:, i]: np.tensordot(x, m, 1) for i in range(linear.shape[1])]
         if noisy:
-            # Of metrics in which a unit of length is at least one of ζ, the one in which errors add least.
+            # Choose the metric in which errors add least, among those in which no length is below that of its ζ.
             unit = np.linalg.solve(self.root, np.array([0.0, 1.0]))
             unit /= np.linalg.norm(unit)
             forms += [lambda x: _matrix(x, 0) - np.outer(unit, unit), lambda x: np.diag([x[-1], 1 - x[-1]])]
@@ -299,7 +299,7 @@ class SampledMetric:
 
 
 def random_points(rng: np.random.Generator, domain: Box, count: int) -> Float[np.ndarray, "count d"]:
-    """Draw points of a box, every second one a corner."""
+    """Draw points of a box; every second point is a corner."""
     share = rng.uniform(size=(count, len(domain.low)))
     share[::2] = np.round(share[::2])
     return domain.low + share * (domain.high - domain.low)

@@ -1,20 +1,21 @@
-"""An intrinsic observer with sampled measurements on a region, as a system of proofs.
+"""Describes an intrinsic observer with sampled measurements on a region, for proofs.
 
 Between samples the estimate follows the model; at a sample it is corrected. Lengths are measured by a metric that
 depends on the age τ of the last measurement,
 
     M_τ = Θᵀ N_τ Θ,   N_τ = ½ R(τ) ⊗ g,   R(τ) = Σ_j R_j τ^j,
 
-with Θ the coframe (ξ, ζ) of the continuous observer. With `shear`, ζ is replaced by `ζ + τ K₀ξ`, `K₀ = R(·, v)v − ∇S`
-of the model without input. Two inequalities together make each predict–correct step shrink lengths by `e^(−μh)`:
+where Θ is the coframe (ξ, ζ) of the continuous observer. With `shear`, ζ is replaced by `ζ + τ K₀ξ`, where
+`K₀ = R(·, v)v − ∇S` of the model without input. Two inequalities ensure that each predict–correct step shrinks lengths
+by `e^(−μh)`:
 
     (P)  −(FᵀN_τ + Ṅ_τ + ∂N_τ/∂τ + N_τF) − 2μN_τ > 0        for the flow of the model, at all ages
     (C)  DC_hᵀ M_0(C_h x) DC_h < M_h(x)                      for the correction C_h by a measurement of age h
 
-(P) is the inequality `contraction` of a flow that is the model's, with a metric that changes with time. In it the sum w
-of input force and friction, and the slopes −d of the friction, are variables of the box: any force and any friction
-within these bounds is covered, and neither its steepness nor the input between samples matters. A sample that is lost
-makes the next one older, and the gains know its age.
+(P) is the inequality `contraction` for the flow of the model, with a metric that changes with time. In it, the sum w of
+input force and friction, and the slopes −d of the friction, are variables of the box. So any force and any friction
+within these bounds is covered, however steep, and however the input varies between samples. A lost sample makes the
+next measurement older, and the gains account for its age.
 
 Source: the argument is that of Theorem 1 of Aghannan & Rouchon 2003, for the composition of both maps.
 """
@@ -53,7 +54,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
     """Describe an intrinsic observer with sampled measurements on a region, for `contraction` and `correction`.
 
     Args:
-        observer: an `Intrinsic` in coordinates or on rotations, no subclass.
+        observer: an `Intrinsic` in coordinates or on rotations, but no subclass.
         q: matrix R_0 (2, 2) of the metric right after a measurement.
         sampling: the samples and the metric between them.
 
@@ -80,7 +81,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
             "may be another one"
         )
     model = observer.model
-    # Force and friction are variables of the box, of which the sum enters as the input.
+    # Force and friction are variables of the box; their sum enters as the input.
     bare = with_model(observer, MechanicalSystem(model.space, model.potential, None, None))
     need_known(model)
     need_steady_friction(model)
@@ -99,7 +100,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
         place, velocity, error, force, total, drag, age = jnp.split(z, [k * n for k in range(1, 7)])
 
         def flow(t, x):
-            # The joint force as a function of the velocity, with any slope that the friction has within its bounds.
+            # The joint force as a function of the velocity, with any slope of the friction within its bounds.
             return jnp.concatenate(
                 [x[n:], acceleration(bare.model, t, x[:n], x[n:], total - drag * (x[n:] - velocity))]
             )
@@ -133,7 +134,7 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
         (*(f"{prefix}{name}" for prefix in prefixes for name in names), "age"),
         (*units, *rates, *units, *("",) * (3 * n), "s"),
         at,
-        # Each instant is the first one of the box at another age.
+        # Each instant is the first instant of the box at another age.
         functools.partial(at, running=0.0),
         has_samples=True,
     )
@@ -172,7 +173,7 @@ def aged_metric(
 
     def coframe(t, x, sign=1.0):
         lower_left = jnp.asarray([[0.0, 0.0], [1.0, 0.0]], x.dtype)
-        # [[I, 0], [turn, I]], whose inverse has −turn: hence the sign.
+        # The inverse of [[I, 0], [turn, I]] has −turn, hence the sign.
         return jnp.eye(x.shape[0], dtype=x.dtype) + sign * jnp.kron(lower_left, turn(t, x))
 
     def gram(t, x):
@@ -182,7 +183,7 @@ def aged_metric(
 
 
 def _stiffness(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:
-    """`K₀a = R(a, v)v − ∇_a S` of the model without input. Any other field would do: it is a choice of metric."""
+    """`K₀a = R(a, v)v − ∇_a S` of the model without input, as a choice of metric; any other field would be valid."""
     nothing = jnp.zeros_like(v)
 
     def free(at):

@@ -1,4 +1,4 @@
-"""Statements of other kinds: cascades, observability, distances, metrics from matrix inequalities."""
+"""Proves statements of other kinds: cascades, observability, distances, metrics from matrix inequalities."""
 
 import lazy_loader
 

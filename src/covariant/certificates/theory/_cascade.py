@@ -1,9 +1,10 @@
-"""Exponential stability of a controller that uses the estimate of an observer.
+"""Tests whether a controller that uses the estimate of an observer is exponentially stable.
 
 The error e of the controlled plant obeys `e' = a(e, t) + b(e, x̃, t)`, where b vanishes with the observer's error x̃.
 With `c1|e|² ≤ V_con ≤ c2|e|²`, `V_con' ≤ −c3|e|²` along a, `|∂V_con/∂e| ≤ c4|e|`, `V_obs' ≤ −λ_q|x̃|²` and
-`|b| ≤ γ1|x̃| + γ2|e|`, Theorem 3 requires γ1² < 4(c3 − c4γ2)λ_q/c4². Its function V_con + V_obs adds quantities of
-different units, so this condition depends on them. With V_con + κV_obs and κ large enough, γ2 < c3/c4 suffices.
+`|b| ≤ γ1|x̃| + γ2|e|`, Theorem 3 requires γ1² < 4(c3 − c4γ2)λ_q/c4². This condition depends on units, since its
+function
+V_con + V_obs adds quantities of different units. With V_con + κV_obs and a large κ, γ2 < c3/c4 suffices.
 
 Source: Jouffroy & Fossen 2004, Theorem 3, equations (64)–(79).
 """
@@ -34,7 +35,7 @@ from scalargraph.errors import InputError
 from scalargraph.proofs import MOST_BOXES, Box, Form, as_form, check_box, prove
 
 Coupling = Callable[[Array], tuple[Array, Array]]
-"""`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))`, a function of variables z in a box."""
+"""`z -> (∂b/∂x̃ (n, k), ∂b/∂e (n, n))`, as a function of variables z in a box."""
 
 UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "kg": (("g", 1e3), ("t", 1e-3), ("Mt", 1e-9)),
@@ -42,7 +43,7 @@ UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
     "rad": (("deg", 180 / math.pi),),
     "s": (("ms", 1e3), ("h", 1 / 3600)),
 }
-"""Other units in which the printed condition is tried: their names, and how many of them make one unit."""
+"""Other units in which the printed condition is tried: their names, and how many of them are one SI unit."""
 
 
 class Constants(NamedTuple):
@@ -73,7 +74,7 @@ class Constants(NamedTuple):
 
     @property
     def positive(self) -> bool:
-        """Whether V_con and V_obs are positive definite; otherwise their decay says nothing about the errors."""
+        """Whether V_con and V_obs are positive definite; otherwise their decay does not show that errors vanish."""
         return self.c1 > 0 and self.m1 > 0
 
     @check_numbers
@@ -81,17 +82,17 @@ class Constants(NamedTuple):
         """Convert the constants to a unit of mass in which V_con, an energy, has another numerical value.
 
         Args:
-            factor: the numerical value in the new unit over that in the present one.
+            factor: the numerical value in the new unit divided by the value in the present one.
         """
         energies = {name: factor * getattr(self, name) for name in ("c1", "c2", "c3", "c4")}
         return self._replace(**energies)
 
     @property
     def bound(self) -> float:
-        """The upper bound of γ1² as printed, `4(c3 − c4γ2)λ_q/c4²`; −∞ where V_con has no gradient."""
+        """The upper bound of γ1² as printed, `4(c3 − c4γ2)λ_q/c4²`; −∞ if V_con has no gradient."""
         if not self.c4 > 0:
             return -math.inf
-        # The condition for κ = 1 below, that is with V_con + V_obs itself; c4 has the unit of V_con, λ_q has not.
+        # The condition for κ = 1 below, that is, for V_con + V_obs itself; c4 has the unit of V_con, λ_q has not.
         return 4 * (self.c3 - self.c4 * self.gamma2) * self.lambda_q / self.c4**2
 
     @property
@@ -108,10 +109,10 @@ class Constants(NamedTuple):
 
     @property
     def kappa(self) -> float:
-        """The lower bound of the κ for which `V_con + κV_obs` decreases; infinite where there is no such κ."""
+        """The lower bound of the κ for which `V_con + κV_obs` decreases; infinite if there is no such κ."""
         if not self.weighted:
             return math.inf
-        # V' ≤ −(c3 − c4γ2)|e|² + c4γ1|e||x̃| − κλ_q|x̃|² is negative exactly where its discriminant is.
+        # V' ≤ −(c3 − c4γ2)|e|² + c4γ1|e||x̃| − κλ_q|x̃|² is negative if and only if its discriminant is negative.
         return (self.c4 * self.gamma1) ** 2 / (4 * self.lambda_q * (self.c3 - self.c4 * self.gamma2))
 
 
@@ -138,14 +139,14 @@ class Growth(NamedTuple):
 
 
 class CascadeCertificate(NamedTuple):
-    """Whether the cascade is exponentially stable over a set, by the printed and by the weighted condition.
+    """Result on the exponential stability of a cascade over a set, by the printed and by the weighted condition.
 
     Attributes:
-        statement: "holds" where the weighted condition holds, "fails" where the observer's error can grow, else
-            "undecided", since the conditions are only sufficient; with each condition as a hypothesis.
-        printed, units: whether (72) holds, in the units of the problem, and in others, by name.
-        constants: those of Theorem 3.
-        growth: a solution by which the observer's error grows, or None.
+        statement: "holds" if the weighted condition holds, "fails" if the observer's error can grow, otherwise
+            "undecided", since the conditions are only sufficient; each condition is a hypothesis.
+        printed, units: whether (72) holds in the units of the problem, and whether it holds in others, by name.
+        constants: the constants of Theorem 3.
+        growth: a solution along which the observer's error grows, or None.
 
     Example:
         >>> from covariant.certificates import CascadeCertificate, Hypothesis, Statement
@@ -180,7 +181,7 @@ class CascadeCertificate(NamedTuple):
 
     @property
     def kappa(self) -> float:
-        """The lower bound of the weights κ with which `V_con + κV_obs` decreases."""
+        """The lower bound of the weights κ for which `V_con + κV_obs` decreases."""
         return self.constants.kappa
 
     def __str__(self) -> str:
@@ -217,27 +218,27 @@ def cascade(
     All constants come from Jacobians, so they hold for finite errors within the boxes, by the mean-value theorem.
 
     Use it to show that a controller that is stable with the true state stays stable with the estimate of an observer.
-    The constants depend on the units of the states, and with `proved=False` they are samples. It is conservative: a
-    failure of the condition does not mean that the loop is unstable.
+    The constants depend on the units of the states, and with `proved=False` they are sampled. The result is
+    conservative: if the condition fails, the loop may still be stable.
 
     Args:
         controller: the system `e' = a(e, t)` with the metric P of `V_con = ½eᵀPe`, and the box of its variables.
         observer: its virtual system with the metric M of `V_obs = x̃ᵀMx̃`, as from `virtual`, and a box.
-        coupling: Jacobians of b in x̃ and in e, and a box.
-        units: units of the entries of e and of x̃, such as "m" or "rad/s"; with them (72) is also tried in other units,
-            of which one is changed at a time. V_con is taken as an energy, whose unit contains mass; V_obs as having
-            none.
+        coupling: Jacobians of b by x̃ and by e, and a box.
+        units: units of the entries of e and of x̃, such as "m" or "rad/s". With them, (72) is also tried in other
+            units, changing one unit at a time. V_con counts as an energy, whose unit contains mass; V_obs has no mass
+            in its unit.
         proved: whether to prove every constant instead of sampling it, with a margin of 2 %; a constant that cannot be
             proved with `boxes` boxes leaves the verdict "undecided".
-        attempts, starts: number of random points for each sampled constant, and of descents from the worst of these.
+        attempts, starts: number of random points for each sampled constant, and of descents from the worst ones.
         boxes: largest number of boxes for each proof.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
 
     Returns:
         The statement with its constants.
 
     Raises:
-        ValueError: bounds are not in order, boxes give one variable different bounds, or a flow depends on time.
+        ValueError: bounds are not in order, boxes have different bounds for one variable, or a flow depends on time.
 
     Example:
         >>> import jax.numpy as jnp
@@ -272,7 +273,7 @@ def cascade(
 
 
 def _statement(c: Constants, growth: Growth | None, evidence: Evidence, domain: str) -> Statement:
-    """The conditions of the weighted theorem as hypotheses; only an error that grows refutes it."""
+    """The conditions of the weighted theorem as hypotheses; only a growing error refutes the statement."""
 
     def premise(text: str, margin: float) -> Hypothesis:
         return Hypothesis(
@@ -306,7 +307,7 @@ def _statement(c: Constants, growth: Growth | None, evidence: Evidence, domain: 
 
 
 def _check_same_bounds(*boxes: Box) -> None:
-    """Raise `ValueError` where a variable has other bounds in one box than in another: the sets must be one."""
+    """Raise `ValueError` if a variable has different bounds in two boxes: all of them must describe one set."""
     known: dict[str, tuple[float, float]] = {}
     for box in boxes:
         for name, low, high in zip(box.names, box.low.tolist(), box.high.tolist(), strict=True):
@@ -319,7 +320,7 @@ def _check_same_bounds(*boxes: Box) -> None:
 
 
 def _check_sizes(controller: tuple[ErrorSystem, Box], observer: tuple[ErrorSystem, Box], coupling: Any) -> None:
-    """Raise `InputError` where the coupling has other errors than the systems that it couples."""
+    """Raise `InputError` if the sizes of errors in the coupling and in the coupled systems differ."""
     parts = ("controller", controller, "e"), ("observer", observer, "x̃")
     for (name, (error_system, box), error), size in zip(parts, _sizes(coupling), strict=True):
         own = jax.eval_shape(lambda z, of=error_system: of.at(z).x, jnp.asarray(box.low)).shape[0]
@@ -343,7 +344,7 @@ class _Form(NamedTuple):
 
     Attributes:
         matrix: a function of z, followed by the squares of the scales of e and of x̃.
-        into: whether the scales of e or those of x̃ apply to its vectors.
+        into: whether the scales of e or those of x̃ multiply its vectors.
         graph: the squares of these scales, and the negative of the matrix.
     """
 
@@ -377,7 +378,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
         def form(whole):
             z, e, _ = split(whole, len(coupling_box.low))
             b = jacobians(z)[which]
-            # The least eigenvalue of −BᵀEB is −|√E B|²: the square of a largest singular value, from the same search.
+            # The least eigenvalue of −BᵀEB is −|√E B|², so the same search yields the largest singular value.
             return -b.T @ (e[:, None] * b)
 
         return as_form(form)
@@ -395,7 +396,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 
     return {
         "small": with_pencil(metric(plant, plant_box, 1.0), "e", plant_box),
-        # The largest eigenvalue of P as the least one of −P: one search serves both.
+        # The largest eigenvalue of P is the least one of −P with opposite sign, so one search serves both.
         "large": with_pencil(metric(plant, plant_box, -1.0), "e", plant_box),
         "fall": with_pencil(_change(plant, len(plant_box.low), -0.5), "e", plant_box),  # V_con has the factor ½
         "error": with_pencil(_change(error, len(error_box.low), -1.0), "x", error_box),
@@ -406,7 +407,7 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 
 
 def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Constants, np.ndarray]:
-    """The constants with e and x̃ multiplied by `scales`, and the point at which λ_q is attained."""
+    """The constants for e and x̃ multiplied by `scales`, and the point at which λ_q is attained."""
     extremes = {name: _least(form, scales, search) for name, form in forms.items()}
     small, large, c3, lambda_q, m1, gamma1, gamma2 = (value for value, _ in extremes.values())
     return (
@@ -418,12 +419,12 @@ def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Consta
 
 
 def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
-    """The smallest eigenvalue over the box, or where proved a lower bound of it, and the point."""
+    """The smallest eigenvalue over the box, or a lower bound if it is to be proved, and the point."""
     squares = [scale**2 for scale in scales]
     box, whole = form.box, _add_scales(form.box, np.concatenate(squares))
     value, where = slowest(form.graph, whole, search.attempts, search.starts, search.seed)
     if search.proved:
-        # A margin, without which a bound that is attained could not be proved with a finite number of boxes.
+        # The margin is needed because an attained bound would need infinitely many boxes.
         bound = value - 0.02 * abs(value) - 1e-9
         scale_squares = squares[0 if form.into == "e" else 1]
 
@@ -433,22 +434,22 @@ def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:
 
 
 def _add_scales(box: Box, squares: np.ndarray) -> Box:
-    """The box extended by the squares of the scales, as variables that are held fixed."""
+    """The box extended by the squares of the scales, as fixed variables."""
     return box.with_fixed(squares, tuple(f"scale_{i}" for i in range(len(squares))))
 
 
 def _change(error_system: ErrorSystem, d: int, factor: float) -> Form:
-    """A multiple of `FᵀM + Ṁ + MF` (n, n) in coordinates, as a function of z and of scales, which it ignores."""
+    """A multiple of `FᵀM + Ṁ + MF` (n, n) in coordinates, as a function of z and of unused scales."""
 
     def formula(coframe, gram, change):
-        # From the frame back to coordinates, in which the norms of Theorem 3 are.
+        # From the frame back to coordinates, since Theorem 3 uses norms in coordinates.
         return factor * coframe.T @ change @ coframe
 
     return length_change(error_system._replace(at=lambda whole: error_system.at(whole[:d])), formula)
 
 
 def _scales(of_e: Sequence[str], of_x: Sequence[str]):
-    """Other units, of which one is changed at a time: the name, the scales of e and x̃, and the factor of V_con."""
+    """Other units, changing one at a time: the name, the scales of e and x̃, and the factor of V_con."""
     for unit, others in UNITS.items():
         for name, factor in others:
             pair = tuple(np.array([_factor(u, unit, factor) for u in entries]) for entries in (of_e, of_x))
@@ -457,14 +458,14 @@ def _scales(of_e: Sequence[str], of_x: Sequence[str]):
 
 
 def _factor(written: str, unit: str, factor: float) -> float:
-    """Factor of the number of a quantity in "a" or "a/b" where `unit` is replaced by a unit smaller by `factor`."""
+    """Factor of the number of a quantity in "a" or "a/b" if `unit` is replaced by a unit smaller by `factor`."""
     over, _, under = written.partition("/")
-    # In "a/b" a smaller unit makes the number of a larger, and that of 1/b smaller.
+    # In "a/b", a smaller unit a increases the number, and a smaller unit b decreases it.
     return (factor if over == unit else 1.0) / (factor if under == unit else 1.0)
 
 
 def _growth(error_system: ErrorSystem, domain: Box, where: np.ndarray) -> Growth | None:
-    """The fastest growing solution of the error system frozen at a point, over five time constants, or None."""
+    """The fastest growing solution of the error system, frozen at a point, over five time constants, or None."""
     point, t = error_system.at(jnp.asarray(where)), jnp.zeros(())
     slope = np.asarray(jacobian(lambda x: point.flow(t, x), point.x))
     values, vectors = np.linalg.eig(slope)

@@ -1,4 +1,4 @@
-"""Statements about matrices that are affine in some variables, proved at the corners of the box of these."""
+"""Proves statements about matrices that are affine in some variables, at the corners of the box of these variables."""
 
 import math
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ def at_corners(matrix: Form, domain: Box, affine: Sequence[str], claim: str, *, 
         matrix: a function of the variables of the box, as from `contraction`. It is proved block by block.
         domain: the box.
         affine: names of the variables in which the matrix is affine.
-        claim: what follows, in words.
+        claim: the conclusion in words.
         boxes: largest number of boxes for each of the blocks.
 
     Returns:
@@ -66,7 +66,7 @@ def at_corners(matrix: Form, domain: Box, affine: Sequence[str], claim: str, *, 
             matrix.then(lambda whole, part=part: whole[part][:, part]), domain, affine, boxes=boxes
         )
         entries = ", ".join(str(k + 1) for k in part)
-        # The last one decides, since it stops at the first corner that does not hold.
+        # The last proof decides, since the loop stops at the first corner that does not hold.
         hypotheses.append(
             Hypothesis(
                 f"the block of the entries {entries} is positive definite at {len(at_block)} corners",

@@ -1,7 +1,7 @@
-"""Upper and lower bounds of distances between states in a metric, and Theorem 2 measured along solutions.
+"""Bounds distances between states in a metric from above and below, and measures Theorem 2 along solutions.
 
-The upper bound is the length of the straight line in the chart. The lower bound uses a function whose differential
-nowhere has a length above one, since it changes by no more than the distance. It is a linear function of the
+The upper bound is the length of the straight line in the chart. The lower bound uses a function whose differential has
+at most the length one everywhere, so that it changes by no more than the distance. It is a linear function of the
 coordinates, and the length of its differential is bounded over a box that no shorter curve leaves.
 """
 
@@ -23,9 +23,9 @@ from scalargraph.errors import InputError
 
 NODES, WEIGHTS = ((np.polynomial.legendre.leggauss(12)[0] + 1) / 2, np.polynomial.legendre.leggauss(12)[1] / 2)
 SOLVED = 1e-9
-"""Tolerance relative to the first distance, to which solutions are computed."""
+"""Tolerance of the computed solutions, relative to the first distance."""
 SAMPLES = 3
-"""Points for each variable at which the length of a differential is maximised."""
+"""Points per variable at which the length of a differential is maximised."""
 MOST_SAMPLES = 729
 
 
@@ -55,10 +55,10 @@ def upper_distance(
 
     def speed(s):
         at = x0 + s * step
-        # NaN where N is not positive definite, so that it measures no length.
+        # NaN if N is not positive definite, so that no length results.
         return jnp.linalg.norm(jnp.linalg.cholesky(metric.gram(t, at)).T @ metric.coframe(t, at) @ step)
 
-    # Gauss and Legendre's rule with 12 points is exact for degree 23; the speed along a short line is smooth.
+    # The Gauss–Legendre rule with 12 points is exact up to degree 23; the speed along a short line is smooth.
     return jnp.asarray(WEIGHTS, x0.dtype) @ jax.vmap(speed)(jnp.asarray(NODES, x0.dtype))
 
 
@@ -66,9 +66,9 @@ def upper_distance(
 def lower_distance(
     metric: StateMetric, t: Annotated[Scalar, FINITE], x0: Annotated[Vector, FINITE], x1: Annotated[Vector, FINITE]
 ) -> Annotated[Scalar, KNOWN]:
-    """Compute a lower bound of the distance from x0 to x1, which approaches it to second order in their difference.
+    """Compute a lower bound of the distance from x0 to x1, which is accurate to second order in their difference.
 
-    The maxima over boxes are taken at corners, faces and middles; they are not proved.
+    The maxima over boxes are taken at corners, faces and midpoints; they are not proved.
 
     Args:
         metric: the metric on states.
@@ -76,7 +76,7 @@ def lower_distance(
         x0, x1: states (n,).
 
     Returns:
-        The bound; 0 where no box is found that contains all shorter curves.
+        The bound; 0 if no box is found that contains all shorter curves.
 
     Example:
         >>> import jax.numpy as jnp
@@ -98,15 +98,15 @@ def lower_distance(
     shares = _shares(x0.shape[0])
 
     def widest(half, covectors):
-        # No curve through x0 shorter than `upper` leaves the box around x0 of these half widths.
+        # No curve through x0 that is shorter than `upper` leaves the box around x0 with these half widths.
         squares = jax.vmap(lambda share: dual(x0 + share * half, covectors))(jnp.asarray(shares, x0.dtype))
         return jnp.max(squares, axis=0)
 
-    # Half widths 1.5 times those at x0, as a margin for the change of the metric; `inside` checks that it suffices.
+    # Half widths 1.5 times those at x0, since the metric changes; `inside` checks that this suffices.
     half = 1.5 * upper * jnp.sqrt(dual(x0, unit))
     inside = jnp.all(upper * jnp.sqrt(widest(half, unit)) <= half)
     theta = metric.coframe(t, middle)
-    # The differential of x -> (x1 − x0)ᵀM x, with M at the middle: along it the bound is exact for a constant metric.
+    # The differential of x -> (x1 − x0)ᵀM x, with M at the midpoint: for a constant metric the bound is exact.
     covector = theta.T @ metric.gram(t, middle) @ theta @ (x1 - x0)
     size = jnp.sqrt(widest(half, covector[None])[0])
     # Equal states have the distance 0; the inner `where` keeps the unused quotient finite.
@@ -116,7 +116,7 @@ def lower_distance(
 
 
 def _shares(n: int) -> np.ndarray:
-    """Relative points of a box: a grid of corners, faces and middles; where that is too large, a fixed random part."""
+    """Relative points of a box: a grid of corners, faces and midpoints, or a fixed random part if that is too large."""
     if SAMPLES**n <= MOST_SAMPLES:
         return np.stack(np.meshgrid(*[np.linspace(-1, 1, SAMPLES)] * n, indexing="ij"), -1).reshape(-1, n)
     return np.random.default_rng(0).integers(-1, 2, (MOST_SAMPLES, n)).astype(float)
@@ -128,7 +128,7 @@ class Decay(NamedTuple):
     Attributes:
         t: stamps (T,) [s].
         low, high: lower and upper bounds (k, T) of the distance in each pair.
-        bound: `e^(−λt/2)` times the first distance (k, T), which the distance must not exceed.
+        bound: `e^(−λt/2)` times the first distance (k, T), an upper bound of the distance by Theorem 2.
 
     Example:
         >>> import numpy as np
@@ -150,15 +150,16 @@ class Decay(NamedTuple):
         """The statement that each distance stays below its bound.
 
         Returns:
-            It holds if all upper bounds stay below, fails if a lower bound exceeds it, and else is undecided. It is
-            undecided too if neither bounds nor distances change by more than the tolerance: nothing was measured then.
+            It holds if all upper bounds stay below, fails if a lower bound exceeds it, and is undecided otherwise. It
+            is
+            also undecided if neither bounds nor distances change by more than the tolerance, as nothing was measured.
         """
-        # Tolerance of the integration: relative to the bound, and to the first distance where the bound is tiny.
+        # Tolerance of the integration: relative to the bound, and to the first distance if the bound is tiny.
         rounding = 1e-6 * self.bound + SOLVED * self.high[:, :1]
         fails = bool((self.low > self.bound + rounding).any())
         share = (self.low if fails else self.high) / (self.bound + rounding)
         k, i = np.unravel_index(int(share.argmax()), share.shape)
-        # Over too short a time even a flow that is zero would pass at any rate, within the tolerance.
+        # Over too short a time even a zero flow would satisfy any rate, within the tolerance.
         changes = np.maximum(*(np.abs(each - each[:, :1]).max(axis=1) for each in (self.bound, self.high)))
         still = not (changes > rounding.max(axis=1)).all()
         place = f"pair {k + 1}, t = {self.t[i]:.4g} s"
@@ -204,15 +205,15 @@ def decay(
     Args:
         flow: `(t, x) -> x'`, the right-hand side.
         metric: the metric on states.
-        rate: rate λ [1/s] of squared lengths, from which the bound follows.
+        rate: rate λ [1/s] of squared lengths, which determines the bound.
         x0, x1: initial states (k, n) of the pairs.
-        t: stamps (T,) [s], rising, at least two.
+        t: stamps (T,) [s], increasing, at least two.
 
     Returns:
         Bounds of the distances.
 
     Raises:
-        ValueError: there are no pairs; stamps do not rise, or JAX would round them together; the states of a pair are
+        ValueError: there are no pairs; stamps do not increase, or JAX would round two to one; the states of a pair are
             equal; the metric is not positive definite along a pair; or a solution cannot be followed.
 
     Example:
@@ -242,7 +243,7 @@ def decay(
     if not (high[:, 0] > 0).all():
         k = int((~(high[:, 0] > 0)).argmax())
         raise InputError(f"decay: pair {k + 1} has no positive distance at first; its states must differ")
-    # Half the rate: λ is that of squared lengths.
+    # Half the rate, since λ is a rate of squared lengths.
     shrink = np.exp(-rate / 2 * (np.asarray(t) - float(t[0])))
     return Decay(np.asarray(t), low, high, high[:, :1] * shrink)
 

@@ -1,14 +1,15 @@
-"""Certificates by distance: the estimate of `ImplicitGeodesic` approaches the truth from large errors, at any gain.
+"""Certifies by distances that the estimate of `ImplicitGeodesic` approaches the truth from large errors, at any gain.
 
 `certificates.distance_decay` has the argument and the numbers for samples, and `certificates.lifted_gain` for dense
 measurements. What they need of the model is proved here on a box of
 positions, from the graphs of metric and force and their derivatives:
 
-- the sectional curvature of the plane of both coordinates, and the covariant Hessian −∇S within bounds;
-- the lengths of the coordinates' differentials, with which lengths of curves bound where they stay;
-- a constant metric g_* ≤ g, and the largest determinant of g, from which positions have one shortest geodesic up to
-  `π/√(κμ)`, μ = √(det g/det g_*): a shortest loop of length 2i encloses an area of at most μ(2i)²/4π (isoperimetry in
-  g_*), and a curvature of at least π (Gauss and Bonnet), so that κμi²/π ≥ π (Klingenberg).
+- bounds of the sectional curvature of the plane of both coordinates, and of the covariant Hessian −∇S;
+- the lengths of the coordinates' differentials, by which the length of a curve limits where it can lead;
+- a constant metric g_* ≤ g, and the largest determinant of g, which give a distance `π/√(κμ)` up to which positions
+  have a single shortest geodesic, μ = √(det g/det g_*): a shortest loop of length 2i encloses an area of at most
+  μ(2i)²/4π (isoperimetry in g_*), with a total curvature of at least π (Gauss and Bonnet), so that κμi²/π ≥ π
+  (Klingenberg).
 
 Source: an addition; do Carmo 1992, Riemannian Geometry, chapter 13, for Klingenberg's lemma.
 """
@@ -48,9 +49,9 @@ from scalargraph.errors import InputError
 from scalargraph.proofs import MOST_BOXES, Box, Form, Proof, check_box, derivative_form, prove
 
 MARGIN = 0.01
-"""Part of a sampled bound that is added before it is proved."""
+"""Margin that is added to a sampled bound before it is proved, as a fraction of it."""
 POINTS = 33
-"""Points of each coordinate at which bounds are guessed."""
+"""Points per coordinate at which bounds are guessed."""
 PLACES = 200
 """Random positions at which the connection of the space is compared with that of its metric."""
 AGREES = 1e-8
@@ -64,18 +65,18 @@ ASSUMED_OF_DISTANCES = (
     "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles, the formulas of "
     "`certificates.distance_decay` and `lifted_gain` in doubles, and what is argued on paper there",
 )
-"""What such a statement assumes."""
+"""Assumptions of such a statement."""
 
 
 class DistanceCertificate(NamedTuple):
-    """A statement that distances between estimates and the truth fall, with what it follows from.
+    """A statement that distances between estimates and the truth decrease, with the data that it follows from.
 
     Attributes:
         statement: the claim with its hypotheses.
         decay: rate, radius and metric; see `certificates.DistanceDecay`.
-        bounds: the bounds of model, motion and error that they follow from.
-        distance_to_border: how far [unit] each true coordinate has to stay from the border of the region (n,).
-        proofs: the proofs of the bounds, by what they show.
+        bounds: the bounds of model, motion and error from which they follow.
+        distance_to_border: least distance [unit] of each true coordinate to the border of the region (n,).
+        proofs: the proofs of the bounds, by the name of the bound.
 
     Example:
         >>> import numpy as np
@@ -118,20 +119,22 @@ def certify_distance(
             everywhere.
         velocity: bound of each true velocity [unit/s], a number or (2,).
         error: bound of the error of each estimated position [unit] before the first correction, a number or (2,).
-        velocity_error: bound of `|Πv̂ − v|` then, a length in the metric, with v̂ transported to the true position; by
+        velocity_error: bound of `|Πv̂ − v|` at that time, a length in the metric, with v̂ transported to the true
+            position; by
             default the largest true speed, as for an observer that starts at rest.
         input: bound of each input, a number or (m,), or a pair of bounds. It may depend on time in any way.
         recipe: recipe of the observer's model, for the statement.
         boxes: largest number of boxes for each of the proofs.
 
     Returns:
-        The certificate. Its statement is undecided where the gains do not suffice for these bounds, or a proof did not
+        The certificate. Its statement is undecided if the gains do not suffice for these bounds, or a proof did not
         finish.
 
     Raises:
-        TypeError: the observer is no `ImplicitGeodesic`, or a subclass.
-        ValueError: the model is on a group, has friction, a force that depends on time, or other than two coordinates;
-            bounds are not finite and in order, or allow no error at all; or the recipe is that of another model.
+        TypeError: the observer is not an `ImplicitGeodesic`, or is of a subclass.
+        ValueError: the model is on a group, has friction or a force that depends on time, or does not have two
+            coordinates; bounds are not finite and in order, or allow no error at all; or the recipe is of another
+            model.
 
     Example:
         A ball on a beam, expected up to 0.25 m and 0.25 rad from where it is, by an observer that starts at rest:
@@ -253,13 +256,13 @@ class _Model(NamedTuple):
         return cls(model, domain, check_box(Box((*domain.names, *names), (*domain.units, *[""] * len(names)), *ends)))
 
     def points(self) -> Array:
-        """A grid of positions with the corners of the inputs, where bounds are guessed."""
+        """A grid of positions with the corners of the inputs, at which bounds are guessed."""
         axes = [np.linspace(*ends, POINTS) for ends in zip(self.domain.low, self.domain.high, strict=True)]
         inputs = zip(self.whole.low[2:], self.whole.high[2:], strict=True)
         return jnp.asarray(list(itertools.product(*axes, *map(np.unique, inputs))))
 
     def form(self, formula: Callable[..., Array]) -> Form:
-        """The form of a formula of g, ∂g, ∂²g, and of the force f and ∂f, as functions of position and input."""
+        """The form of an expression in g, ∂g, ∂²g, the force f and ∂f, as functions of position and input."""
 
         def values(t, q, z):
             return self.model.space(q), applied_force(self.model, t, q, z[2:])
@@ -273,8 +276,8 @@ class _Model(NamedTuple):
 
 
 def _compare_connections(known: _Model) -> Hypothesis:
-    """Compare the connection of the space, by which the observer moves, with that of the metric, used in the bounds."""
-    # The space derives its connection from the metric by JAX, or declares it; the bounds use the graph of the metric.
+    """Compare the connection of the space, used by the observer, with that of the metric, used in the bounds."""
+    # The space declares its connection or derives it from the metric by JAX; the bounds use the graph of the metric.
     space, identity = known.model.space, jnp.eye(2)
 
     def declared(q):
@@ -299,12 +302,12 @@ def _compare_connections(known: _Model) -> Hypothesis:
     if not (off <= AGREES).all():
         place = ", ".join(f"{x:.4g}" for x in points[int(np.where(np.isnan(off), np.inf, off).argmax()), :2])
         return Hypothesis(text, "sampled", "undecided", place=f"({place}), where the two differ")
-    # Analytic functions that agree near one point agree everywhere; others may differ at positions not drawn.
+    # Analytic functions that agree near one point agree everywhere; others may differ at positions that were not drawn.
     return Hypothesis(text, "assumed" if analytic else "sampled")
 
 
 def _stiffness(g, dg, ddg, f, df) -> Array:
-    """−∇S times det g, as a covector of S, not symmetric where the force has no potential: (2, 2)."""
+    """−∇S times det g, as a covector of S: (2, 2), not symmetric if the force has no potential."""
     det = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
     return jnp.einsum("ijk,k->ij", lowered_christoffel(dg), _adjugate(g) @ f) - det * df
 
@@ -355,7 +358,7 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
     bends = known.form(bending).at(np.asarray(points))[:, 0, 0] / np.linalg.det(metrics) ** 2
     spread = MARGIN * max(np.abs(bends).max(), 1e-6)
     low, high = (0.0, 0.0) if flat else (float(bends.min() - spread), float(bends.max() + spread))
-    # A curvature that is never above zero is not bounded above zero for want of a margin.
+    # If the curvature is never positive, the margin must not make its upper bound positive.
     high = 0.0 if bends.max() < -spread else high
 
     def stiffness(g, dg, ddg, f, df):
@@ -366,7 +369,7 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
     eigenvalues = np.linalg.eigvalsh(roots @ (stiff + stiff.transpose(0, 2, 1)) / 2 @ roots.transpose(0, 2, 1))
     room = MARGIN * max(np.abs(eigenvalues).max(), 1e-6)
     soft, hard = float(eigenvalues.min() - room), float(eigenvalues.max() + room)
-    # The part without a potential, as a length: half of the difference over √det g.
+    # The part of the force without potential, as a length: half of the difference divided by √det g.
     swirl = np.abs(stiff[:, 0, 1] - stiff[:, 1, 0]) / 2 / np.sqrt(np.linalg.det(metrics))
     swirl = float(swirl.max()) * (1 + MARGIN) + 3 * MARGIN * max(abs(soft), abs(hard))
 
@@ -404,7 +407,7 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
     }
     ratio = math.sqrt(top / np.linalg.det(least))
     injectivity = math.pi / math.sqrt(high * ratio) * (1 - 1e-9) if high > 0 else math.inf
-    # Errors of circles have to stay below half a turn, so that they are not wrapped.
+    # Errors on circles must stay below half a turn, so that they are not wrapped.
     half_turns = [math.pi / math.sqrt(widest[i]) * (1 - 1e-9) for i in known.model.manifold.circles]
     injectivity = min([injectivity, *half_turns])
     bounds = DistanceBounds(
@@ -422,13 +425,13 @@ def _prove_bounds(known: _Model, speeds: np.ndarray, errors: np.ndarray, boxes: 
 
 def _hypotheses(proofs: dict[str, Proof]) -> Iterator[Hypothesis]:
     for text, proof in proofs.items():
-        # A bound that is wrong at a point was guessed too low, and says nothing about the claim.
+        # A bound that is wrong at a point was guessed too low, which does not refute the claim.
         verdict = "holds" if proof.verdict == "holds" else "undecided"
         yield Hypothesis(f"{text} ({proof.boxes} boxes)", "proved", verdict, place=proof.reason)
 
 
 def _below(g, square: float, corners: np.ndarray) -> Array:
-    """Square lengths of vectors below a bound: convex in the vector, so largest at corners."""
+    """Bound the squared lengths of vectors; they are convex in the vector, so the largest is at a corner."""
     return jnp.diag(jnp.stack([square - corner @ g @ corner for corner in corners]))
 
 
@@ -438,7 +441,7 @@ def _swirl(h, bound: float, det) -> Array:
 
 
 def _constant_below(metrics: np.ndarray) -> np.ndarray:
-    """A constant metric below those at points, with a margin; the mean of the cometrics gives its shape."""
+    """A constant metric below the metrics at points, with a margin; the mean of the cometrics gives its shape."""
     shape = np.linalg.inv(np.mean(np.linalg.inv(metrics), axis=0))
     root = np.linalg.inv(np.linalg.cholesky(shape))
     return shape * float(np.linalg.eigvalsh(root @ metrics @ root.T).min()) * (1 - MARGIN)

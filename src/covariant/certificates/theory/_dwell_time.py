@@ -1,19 +1,19 @@
-"""How much the impacts of feet enlarge a small error of an observer, and how long it needs between them.
+"""Computes how much impacts of feet enlarge small errors of an observer, and how long it needs between impacts.
 
 With constant gains and measurements in continuous time, small errors ξ and ζ of position and velocity obey the law
 `ξ' = ζ − αξ`, `ζ' = −βξ` in flight and in stance. With complex poles the length
 
     V = β|ξ|² − α<ξ, ζ> + |ζ|²
 
-falls exactly by `V' = −αV`. In a jump, with the second fundamental form II of the leaf, and its shape operator S for
-the velocity n that is lost, `<S a, b> = <II(a, b), n>`,
+decreases exactly by `V' = −αV`. For a jump, let II be the second fundamental form of the leaf, and S its shape operator
+for the lost velocity n, `<S a, b> = <II(a, b), n>`. Then
 
     touch-down  ξ⁺ = P ξ, ζ⁺ = P ζ + S P ξ:   √V grows at most by F_td, the largest singular value of
                 Q^½ [[1, 0], [s, 1]] Q^−½ over the eigenvalues s of S, with Q = [[β, −α/2], [−α/2, 1]]
     lift-off    ξ⁺ = ξ, ζ⁺ = ζ + II(ξ, v):    √V grows at most by F_lo = √(1 + |II(·, v)|²/(β − α²/4))
 
-so that errors vanish where `α/2 (flight + stance) > ln F_td + ln F_lo`. This is of small errors; nothing is said of
-others, of contacts that are found rather than known, or of feet that slip.
+so that errors vanish if `α/2 (flight + stance) > ln F_td + ln F_lo`. This holds for small errors only, and does not
+cover contacts that are detected instead of known, or feet that slip.
 """
 
 from typing import Annotated, NamedTuple
@@ -36,13 +36,13 @@ ASSUMED = (
     "impacts are plastic, and feet on the ground do not slip",
     "positions are measured in continuous time and without noise, and the model is exact",
 )
-"""What the inequality rests on beside the numbers."""
+"""Premises of the inequality besides its numbers."""
 ON_LEAF = Domain(f"be zero within {CLOSED:g}", lambda gap: np.abs(gap) < CLOSED)
 """Values of a constraint on its leaf."""
 
 
 class JumpGrowth(NamedTuple):
-    """Largest factors by which jumps enlarge a small error, with the gains for which they are computed.
+    """Largest factors by which jumps enlarge a small error, with the gains that they assume.
 
     Attributes:
         touch_down: Factor F_td of a touch-down.
@@ -70,21 +70,21 @@ def jump_growth(
     alpha: Annotated[Number, POSITIVE],
     beta: Annotated[Number, POSITIVE],
 ) -> JumpGrowth:
-    """Factors by which the jumps between the air and a leaf enlarge a small error of an observer.
+    """Compute the factors by which jumps between the air and a leaf enlarge a small error of an observer.
 
     Args:
         leaf: The leaf of the feet on the ground, such as the space of `models.standing`.
         q: Configuration on the leaf.
-        v: Velocity (n,) before a touch-down; of a lift-off, that of the motion, along the leaf.
+        v: Velocity (n,) before a touch-down; for a lift-off, the velocity of the motion along the leaf.
         alpha: Gain α [1/s] of the observer.
         beta: Gain β [1/s²], more than α²/4.
 
     Returns:
-        The factors: of a touch-down with the velocity v, and of a lift-off with its part along the leaf. They are NaN
-        where arguments that are traced, and cannot be refused, are outside of their domain.
+        The factors of a touch-down with the velocity v, and of a lift-off with its part along the leaf. They are NaN
+        if traced arguments, which cannot be refused, are outside of their domain.
 
     Raises:
-        ValueError: q is not on the leaf, or β is not more than α²/4: with real poles this length does not fall at once.
+        ValueError: q is not on the leaf, or β is not more than α²/4: with real poles this length may grow at first.
 
     Example:
         A mass on a rod of 2 m. Before the rod holds, it moves outwards at 1 m/s and along at 2 m/s:
@@ -102,7 +102,7 @@ def jump_growth(
     ON_LEAF.check("jump_growth", "the constraint of the leaf at q", gap)
     axes = jnp.eye(v.shape[0], dtype=v.dtype)
     tangent = leaf.projected(q, v)
-    # In orthonormal components w, with a = L⁻ᵀw for g = L Lᵀ, operators are matrices whose norms are those meant.
+    # In orthonormal components w, a = L⁻ᵀw with g = L Lᵀ, operators are matrices with the norms of the formulas.
     root = jnp.linalg.cholesky(leaf(q))
     vectors = jax.scipy.linalg.solve_triangular(root, axes, lower=True)  # rows: the axes of such components
     along = jax.vmap(lambda a: leaf.projected(q, a))(vectors)
@@ -116,23 +116,23 @@ def jump_growth(
         return half.T @ jnp.array([[1.0, 0.0], [0.0, 1.0]]).at[1, 0].set(s) @ jnp.linalg.inv(half.T)
 
     touch_down = jnp.max(jnp.linalg.norm(jax.vmap(stretched)(values), 2, axis=(1, 2)))
-    # β − α²/4 = det Q, from the same factor of Q: NaN in both where Q is not positive definite.
+    # β − α²/4 = det Q, from the same factor of Q; both are NaN if Q is not positive definite.
     lift_off = jnp.sqrt(1 + (jnp.linalg.norm(bend, 2) / (half[0, 0] * half[1, 1])) ** 2)
-    # A factor is never below 1 but by rounding, since the maps have the determinant 1.
+    # The maps have the determinant 1, so a factor can be below 1 only by rounding.
     least = jnp.where(jnp.all(jnp.abs(gap) < CLOSED), 1.0, jnp.nan)
     return JumpGrowth(jnp.maximum(touch_down, least), jnp.maximum(lift_off, least), alpha, beta)
 
 
 @check_numbers
 def dwell_time(growth: JumpGrowth, flight: Positive, stance: Positive) -> Statement:
-    """Whether small errors of an observer vanish over a cycle of flight and stance, by the dwell-time inequality.
+    """State whether small errors of an observer vanish over a cycle of flight and stance, by the dwell-time inequality.
 
-    The condition is sufficient alone, so that the verdict is never "fails". It is of small errors, and of contacts that
-    are known: read its assumptions. The gains are those of the factors.
+    The condition is only sufficient, so the verdict is never "fails". It concerns small errors and known contacts: read
+    its assumptions. The gains are those for which the factors were computed.
 
     Args:
-        growth: Factors at the touch-downs and lift-offs that were looked at, from `jump_growth` with one pair of gains;
-            the largest of each count.
+        growth: Factors of the touch-downs and lift-offs, from `jump_growth` with a single pair of gains; the largest
+            one of each kind is used.
         flight: Shortest flight [s].
         stance: Shortest stance [s].
 
@@ -140,7 +140,7 @@ def dwell_time(growth: JumpGrowth, flight: Positive, stance: Positive) -> Statem
         The statement; its margin is `α/2 (flight + stance) − ln F_td − ln F_lo`.
 
     Raises:
-        ValueError: A number is not of its domain, the factors are of several pairs of gains, or β is not more than
+        ValueError: A number is outside its domain, the factors have different gains, or β is not more than
             α²/4.
 
     Example:
@@ -176,8 +176,8 @@ def dwell_time(growth: JumpGrowth, flight: Positive, stance: Positive) -> Statem
 
 
 def _check_poles(whose: str, alpha: Number, beta: Number) -> None:
-    """Raise `InputError` where the poles are real, for which the length does not fall at once."""
-    # Not alpha**2, which overflows with an error.
+    """Raise `InputError` if the poles are real, for which the length may grow at first."""
+    # `alpha**2` is avoided, since it overflows with an error.
     traced = isinstance(alpha, Tracer) or isinstance(beta, Tracer)
     if not traced and not beta > (least := alpha / 2 * (alpha / 2)):
         raise InputError(f"{whose}: beta must be more than alpha²/4 = {least:g} 1/s²; got {beta:g}")

@@ -1,4 +1,4 @@
-"""Attempt to refute a contraction rate: search for the slowest point of a region by sampling and gradient descent.
+"""Tries to refute a contraction rate: searches the slowest point of a region by sampling and gradient descent.
 
 Source: Riedmiller & Braun 1993, A direct adaptive method for faster backpropagation learning: the RPROP algorithm, IEEE
 International Conference on Neural Networks, for the descent.
@@ -20,7 +20,7 @@ BATCH = 4096
 STEPS = 60
 """Number of steps of a descent; the first is a tenth of the region in each variable."""
 GROWTH = 1.2
-"""Growth of the step of a variable while its slope keeps its sign; where the sign changes, the step is halved."""
+"""Factor on the step of a variable while its slope keeps its sign; if the sign changes, the step is halved."""
 
 
 @check_numbers
@@ -44,12 +44,12 @@ def falsify(
         seed: seed of the random numbers.
 
     Returns:
-        A statement with the slowest point, and its rate as margin. The evidence is "sampled": if no slower point was
-        found, nothing is proved.
+        A statement with the slowest point, and its rate as margin. The evidence is "sampled": a search that finds no
+        slower point proves nothing.
 
     Raises:
-        ValueError: bounds that are not in order or leave a single point, a rate that is NaN, as an argument or at a
-            point of the region, no attempts, or a flow that depends on time.
+        ValueError: bounds are not in order or leave a single point, the rate, or the rate at a point of the region, is
+            NaN, there are no attempts, or the flow depends on time.
 
     Example:
         >>> import jax.numpy as jnp
@@ -142,7 +142,7 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
         count = min(BATCH, attempts - begin)
         share = rng.uniform(size=(count, d))
         face = rng.integers(d, size=count)
-        # Every second point lies on a face, since an extreme is at a bound of some variable more often than inside.
+        # Every second point lies on a face, since extremes are more often at a bound of a variable than inside.
         share[np.arange(count)[::2], face[::2]] = rng.integers(2, size=len(face[::2]))
         if not begin:
             share[0] = 0.5  # the middle, which often is at rest
@@ -163,8 +163,8 @@ def slowest(form: Pencil, domain: Box, attempts: int, starts: int, seed: int) ->
             gram, change = _split(slopes)  # (B, f, k, k): of K x = −λ N x, dλ = −xᵀ(dK + λ dN) x
             x = current.vector
             slope = -np.einsum("bi,bfij,bj->bf", x, change + current.rate[:, None, None, None] * gram, x) * width[free]
-            # Only the sign of a slope counts, so that the descent converges in flat directions too. There is no line
-            # search, so that the effort is known beforehand.
+            # Only the signs of slopes count, so that the descent also converges in flat directions. There is no line
+            # search, so that the effort is known in advance.
             direction = np.sign(slope)
             turned = direction * before
             length = np.clip(np.where(turned > 0, GROWTH * length, np.where(turned < 0, length / 2, length)), 0, 0.25)

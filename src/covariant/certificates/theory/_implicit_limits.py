@@ -1,22 +1,22 @@
-"""What is proved about the sampled error of `ImplicitGeodesic`: how long the interval, how small the gain, how fast.
+"""Bounds interval, gain and rate for which the sampled error of `ImplicitGeodesic` provably decreases.
 
 Let ξ be the error of the position, ζ of the velocity, `w = ζ − σξ`, `K = R(·, v)v − ∇S` with its spectrum in [k₋, k₊],
 F = ∇_v of the friction in [f₋, f₊], f₊ ≤ 0, and 0 ≤ ρ < σ. Along the model `ξ' = w + σξ` and
-`w' = −(K + σ² − σF)ξ − (σ − F)w`, so that `V = m|ξ|² + |w|²` falls as e^(−2ρt) where
+`w' = −(K + σ² − σF)ξ − (σ − F)w`, so that `V = m|ξ|² + |w|²` decreases as e^(−2ρt) if
 
     m' = −2(σ + ρ)m − max |m − σ² − k + σf|² / (2(σ − ρ − f))        over k in [k₋, k₊] and f in [f₋, f₊]
 
-(complete the square in w). A sample takes ξ to (1 − θ)ξ and leaves w, so that `m₀|ξ|² + |w|²` falls by e^(−2ρh) in
-each step for all θ with `(1 − θ)² ≤ m_h/m₀`: an interval [θ_min, 2 − θ_min], whatever the size of the errors.
+(complete the square in w). A sample changes ξ to (1 − θ)ξ and keeps w, so that `m₀|ξ|² + |w|²` decreases by e^(−2ρh) in
+each step for all θ with `(1 − θ)² ≤ m_h/m₀`: an interval [θ_min, 2 − θ_min], for errors of any size.
 
 The maximum is at a corner, since the quotient is convex in (k, f). At each corner m obeys a Riccati equation with
 constant coefficients, `m' = −((m + b)² + D)/2g`, with a solution in closed form. For F = 0, k₋ = k₊ = k and ρ = 0 the
-largest h is `(2/√k) atan(√k/σ)`, which is where the step with θ = 1 turns unstable: the bound is tight. With friction
-it is not: the range of f is one more thing that is not known, and may raise θ_min.
+largest h is `(2/√k) atan(√k/σ)`, exactly where the step with θ = 1 becomes unstable, so the bound is tight. With
+friction it is not tight: the range of f is a further uncertainty, and may increase θ_min.
 
-On a curved space errors up to d are corrected to `ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`, where J is the
-Jacobi field along the geodesic γ from q̂ to y with J(0) = ξ and J(1) = 0. With sectional curvature ≤ κ and x = √κ d < π,
-`|J(s)| ≤ |ξ| sin((1 − s)x)/sin x` (Rauch), (1 − s)|ξ| where κ ≤ 0. With |R| ≤ r therefore |ξ⁺| ≤ j|ξ| and
+On a curved space the correction of errors up to d gives `ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`, where J
+is the Jacobi field along the geodesic γ from q̂ to y with J(0) = ξ and J(1) = 0. With sectional curvature ≤ κ and
+x = √κ d < π, `|J(s)| ≤ |ξ| sin((1 − s)x)/sin x` (Rauch), or (1 − s)|ξ| for κ ≤ 0. Hence, with |R| ≤ r, |ξ⁺| ≤ j|ξ| and
 |w⁺ − Πw| ≤ E|ξ|.
 
 Source: an addition. Simpson-Porco & Bullo 2014, Contraction theory on Riemannian manifolds, Systems & Control Letters
@@ -41,11 +41,11 @@ Damping = Annotated[
 
 
 class CurvedErrors(NamedTuple):
-    """Bounds of the errors, and of the curvature where they are.
+    """Bounds of the errors, and of the curvature in their region.
 
     Attributes:
         distance: Largest distance d from an estimate to a measurement, in the metric.
-        curvature: Largest sectional curvature κ; zero or less where none is positive.
+        curvature: Largest sectional curvature κ; zero or less if it is nowhere positive.
         riemann: Bound r of the curvature tensor, `|R(a, b)c| ≤ r|a||b||c|`.
         speed: Largest estimated speed |v̂|, in the metric.
 
@@ -62,13 +62,13 @@ class CurvedErrors(NamedTuple):
 
 
 class PartLimits(NamedTuple):
-    """Parts θ of an error that a sample may take away, with the metric that proves it.
+    """Parts θ of an error that a sample may remove, with the metric of the proof.
 
     Attributes:
         least: The least θ.
-        most: The largest, `2 − least`; `ImplicitGeodesic` itself stays below 1.
+        most: The largest θ, `2 − least`; `ImplicitGeodesic` itself stays below 1.
         before: Weight m₀ of |ξ|² after a correction [1/s²].
-        after: Weight m_h of |ξ|² before the next [1/s²].
+        after: Weight m_h of |ξ|² before the next correction [1/s²].
 
     Example:
         >>> from covariant.certificates import part_limits
@@ -84,13 +84,13 @@ class PartLimits(NamedTuple):
 
 
 class ProvedDecay(NamedTuple):
-    """Rate at which an error is proved to fall, with the metric that proves it.
+    """Proved rate at which an error decreases, with the metric of the proof.
 
     Attributes:
-        rate: Rate [1/s] of the length `√(m₀|ξ|² + |w|²)`; negative where it may grow, at −rate at most; −infinity where
-            nothing is proved.
+        rate: Rate [1/s] of the length `√(m₀|ξ|² + |w|²)`; if it is negative, the length may grow, at most at −rate;
+            −infinity if nothing is proved.
         before: Weight m₀ of |ξ|² after a correction [1/s²].
-        after: Weight m_h of |ξ|² before the next [1/s²].
+        after: Weight m_h of |ξ|² before the next correction [1/s²].
 
     Example:
         >>> from covariant.certificates import proved_decay
@@ -110,8 +110,8 @@ class ImplicitGains(NamedTuple):
     Attributes:
         alpha: Gain α [1/s].
         beta: Gain β [1/s²].
-        part: Part θ of the error that a sample takes away.
-        rate: Rate ρ [1/s] at which the error falls at least.
+        part: Part θ of the error that a sample removes.
+        rate: Rate ρ [1/s] at which the error decreases at least.
         longest: Interval [s] from which on ρ = 0 is not proved for any α.
 
     Example:
@@ -137,11 +137,11 @@ class _Corner(NamedTuple):
     d: float
 
     def square(self, m: float) -> float:
-        """The square that the maximum compares."""
+        """The squared term in the maximum."""
         return (m - self.a) ** 2 / self.g
 
     def time(self, high: float, low: float) -> float:
-        """Time [s] in which m falls from `high`, which may be infinite, to `low`."""
+        """Time [s] in which m decreases from `high`, which may be infinite, to `low`."""
         x0, x1, root = high + self.b, low + self.b, math.sqrt(abs(self.d))
         # (x0 − x1)/(D + x0 x1), the tangent of the difference of two angles over √|D|
         above, below = (1.0, x1) if math.isinf(x0) else (x0 - x1, self.d + x0 * x1)
@@ -152,7 +152,7 @@ class _Corner(NamedTuple):
         return 2 * self.g / root * math.atanh(root * above / below) if root > 0 else 2 * self.g * above / below
 
     def after(self, high: float, time: float) -> float:
-        """What m is some time after it was `high`."""
+        """Value of m some time after it was `high`."""
         x, angle = high + self.b, math.sqrt(abs(self.d)) * time / (2 * self.g)
         if self.d > 0:
             c, s = math.cos(angle), math.sin(angle) / math.sqrt(self.d)
@@ -164,18 +164,18 @@ class _Corner(NamedTuple):
 
 
 class _Weight(NamedTuple):
-    """The weight m as a function of time: the corner that counts below each of some values, largest first."""
+    """The weight m as a function of time: the corner that is decisive below each of some values, largest first."""
 
     tops: tuple[float, ...]
     corners: tuple[_Corner, ...]
 
     def longest(self) -> float:
-        """Time in which m falls from infinity to 0."""
+        """Time in which m decreases from infinity to 0."""
         ends = (*self.tops[1:], 0.0)
         return sum(c.time(top, end) for c, top, end in zip(self.corners, self.tops, ends, strict=True))
 
     def after(self, m: float, time: float) -> float:
-        """What m is some time after it was m; 0 where it has fallen to 0 before."""
+        """Value of m some time after it was `m`; 0 if it has decreased to 0 before."""
         for corner, end in zip(self.corners, (*self.tops[1:], 0.0), strict=True):
             if m > end:
                 spent = corner.time(m, end)
@@ -201,7 +201,7 @@ def weight_of(sigma: float, rate: float, k: Sequence[float], f: Sequence[float] 
                 m = (one.a * p - two.a * q) / (p - q) if p != q else 0.0
                 crossings |= {m} if m > 0 else set()
     tops = sorted(crossings, reverse=True)
-    # One corner counts on all of an interval between crossings, so that any point inside tells which.
+    # A single corner is decisive between two crossings, so any point of the interval determines it.
     inner = [min((top + end) / 2, 2 * end + 1) for top, end in zip(tops, (*tops[1:], 0.0), strict=True)]
     return _Weight(tuple(tops), tuple(max(corners, key=lambda c: c.square(m)) for m in inner))
 
@@ -214,25 +214,25 @@ def longest_interval(
     rate: NotNegative = 0.0,
     friction: Damping = (0.0, 0.0),
 ) -> float:
-    """Sampling interval below which some gain α makes the error fall at a rate, for any α above it.
+    """Compute the sampling interval below which some gain α makes the error decrease at a rate, as all larger α do.
 
     Args:
         sigma: Ratio σ = β/α of the gains [1/s].
         k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
         k_plus: Largest eigenvalue of K [1/s²].
         rate: Rate ρ [1/s], 0 ≤ ρ < σ; 0 by default, for errors that do not grow.
-        friction: Bounds [1/s] of the derivative of the friction in the velocity, both ≤ 0; no friction by default. For
-            n > 1 it must be the same in all directions.
+        friction: Bounds [1/s] of the derivative of the friction by the velocity, both ≤ 0; no friction by default. For
+            n > 1 this derivative must be the same in all directions.
 
     Returns:
-        The interval [s], infinite where there is no limit. For k₋ = k₊ = k, ρ = 0 and no friction it is
+        The interval [s], infinite if there is no limit. For k₋ = k₊ = k, ρ = 0 and no friction it is
         `(2/√k) atan(√k/σ)`, 2/σ at k = 0, and `(2/√−k) artanh(min(σ, √−k)/max(σ, √−k))` for k < 0.
 
     Raises:
         ValueError: A number is not finite, bounds are in the wrong order, or ρ is not in [0, σ).
 
     Example:
-        Where K vanishes, as for a body that is free:
+        A free body, for which K vanishes:
 
         >>> from covariant.certificates import longest_interval
         >>> longest_interval(sigma=4.0, k_minus=0.0, k_plus=0.0)
@@ -251,12 +251,12 @@ def part_limits(
     rate: NotNegative = 0.0,
     friction: Damping = (0.0, 0.0),
 ) -> PartLimits:
-    """Parts θ of the error that samples may take away so that the error falls at a rate, for n = 1 or a flat metric.
+    """Compute the parts θ of an error that samples may remove for it to decrease at a rate, for n = 1 or flat metrics.
 
-    The length `√(m₀|ξ|² + |w|²)` between two estimates, or an estimate and the truth, then falls by e^(−ρh) from sample
-    to sample, however large it is. It is assumed that n = 1 or the metric is flat, that measurements are unwrapped
-    (angles are numbers, not circles), without noise and at intervals of h at most, that K is symmetric (forces without
-    friction have a potential at each time), and that its spectrum is within the bounds wherever the errors are.
+    The length `√(m₀|ξ|² + |w|²)` between two estimates, or an estimate and the truth, then decreases by e^(−ρh) from
+    sample to sample, however large it is. The assumptions are: n = 1 or the metric is flat; measurements are unwrapped
+    (angles are numbers, not circles), without noise and at most h apart; K is symmetric (forces without friction have a
+    potential at each time); and its spectrum is within the bounds wherever the errors are.
 
     Args:
         h: Time between two measurements [s].
@@ -270,10 +270,10 @@ def part_limits(
         The least and the largest θ, and the weights m₀ and m_h of the metric.
 
     Raises:
-        ValueError: As for `longest_interval`, and where h is not below it.
+        ValueError: As for `longest_interval`, and if h is not below it.
 
     Example:
-        A body that is free, for which θ_min = 2σh/(2 + σh) and m₀ m_h = σ⁴:
+        A free body, for which θ_min = 2σh/(2 + σh) and m₀ m_h = σ⁴:
 
         >>> from covariant.certificates import part_limits
         >>> limits = part_limits(0.1, sigma=4.0, k_minus=0.0, k_plus=0.0)
@@ -302,25 +302,25 @@ def proved_decay(
     friction: Damping = (0.0, 0.0),
     curved: CurvedErrors | None = None,
 ) -> ProvedDecay:
-    """Rate at which the error is proved to fall from sample to sample.
+    """Compute the rate at which the error provably decreases from sample to sample.
 
     Args:
         h: Time between two measurements [s].
-        part: Part θ of the error that a sample takes away, αh/(1 + αh) for `ImplicitGeodesic`.
+        part: Part θ of the error that a sample removes, αh/(1 + αh) for `ImplicitGeodesic`.
         sigma: Ratio σ = β/α of the gains [1/s].
         k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
         k_plus: Largest eigenvalue of K [1/s²].
         friction: As for `longest_interval`.
         curved: Bounds of errors and curvature for n > 1; None (default) for n = 1 or a flat metric. Then the result
-            is about lengths of curves of estimates, all of which stay within the bounds.
+            concerns lengths of curves of estimates, which must stay within the bounds.
 
     Returns:
-        The rate, and the metric for which it holds, under the assumptions of `part_limits`. It is a lower bound: where
-        it is 0 it cannot be improved for one k, but at half of the longest interval the length falls up to twice as
-        fast.
+        The rate, and the metric for which it holds, under the assumptions of `part_limits`. It is a lower bound. If it
+        is 0, it cannot be improved for a single k; at half of the longest interval, however, the length decreases up to
+        twice as fast.
 
     Raises:
-        ValueError: As for `longest_interval`; also where d reaches a conjugate point, π/√κ, or θ > 1 on a curved space.
+        ValueError: As for `longest_interval`; also if d reaches a conjugate point, π/√κ, or θ > 1 on a curved space.
 
     Example:
         On the unit sphere less is proved than in the plane:
@@ -363,29 +363,29 @@ def implicit_gains(
     rate: NotNegative | None = None,
     friction: Damping = (0.0, 0.0),
 ) -> ImplicitGains:
-    """The least gains of `ImplicitGeodesic` that prove a rate of the error, for n = 1 or a flat metric.
+    """Compute the least gains of `ImplicitGeodesic` that prove a rate of the error, for n = 1 or a flat metric.
 
-    The least, since a smaller part θ of each sample lets less of its noise in.
-
-    The ratio σ is for you to choose, by how fast the velocity should follow. The gain is then a compromise of rate and
-    noise. A result holds only for the eigenvalues of K in the given range, which limit speed and curvature.
+    The least gains are best, since a smaller part θ admits less noise of each sample. Choose the ratio σ by how fast
+    the
+    velocity should follow; the gain is then a compromise of rate and noise. The result holds only if the eigenvalues of
+    K stay in the given range, which limits speed and curvature.
 
     Args:
         h: Time between two measurements [s].
         sigma: Ratio σ = β/α of the gains [1/s].
         k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
         k_plus: Largest eigenvalue of K [1/s²].
-        rate: Rate ρ [1/s]; half of the fastest one that any α proves by default.
+        rate: Rate ρ [1/s]; by default half of the fastest rate that any α proves.
         friction: As for `longest_interval`.
 
     Returns:
-        The gains, and what is proved about them under the assumptions of `part_limits`.
+        The gains, and the results that are proved for them under the assumptions of `part_limits`.
 
     Raises:
         ValueError: As for `part_limits`.
 
     Example:
-        A pendulum of 1 m, seen 20 times a second:
+        A pendulum of 1 m, measured 20 times a second:
 
         >>> from covariant.certificates import implicit_gains, proved_decay
         >>> gains = implicit_gains(0.05, sigma=6.0, k_minus=-9.81, k_plus=9.81, rate=0.5)
@@ -402,7 +402,7 @@ def implicit_gains(
 
 
 def _fastest(h: float, sigma: float, k_minus: float, k_plus: float, friction: tuple[float, float]) -> float:
-    """The largest ρ that θ = 1 proves: where the longest interval is h."""
+    """The largest ρ that θ = 1 proves, for which the longest interval is h."""
 
     low, high = 0.0, sigma
     for _ in range(60):  # it falls with ρ
@@ -413,7 +413,7 @@ def _fastest(h: float, sigma: float, k_minus: float, k_plus: float, friction: tu
 
 
 def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]:
-    """Weights m₀ and m_h of the largest merit, which has one maximum in log m₀."""
+    """Weights m₀ and m_h with the largest merit, which has a single maximum in log m₀."""
     from scipy.optimize import minimize_scalar
 
     scale = math.log(sigma**2 + max(abs(corner.a) for corner in weight.corners))
@@ -421,7 +421,7 @@ def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]
     def loss(x: float) -> float:
         m0 = math.exp(x)
         m = weight.after(m0, h)
-        # Below the m₀ from which m falls to 0 within h nothing is proved: slope up, so that the search leaves.
+        # If m decreases to 0 within h, nothing is proved; a slope then leads the search to larger m₀.
         return -math.log(merit(m0, m)) if m > 0 else 1e3 - x
 
     x = minimize_scalar(loss, bounds=(scale - 25, scale + 25), method="bounded", options={"xatol": 1e-10}).x
@@ -429,14 +429,14 @@ def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]
 
 
 def _growth(before: float, after: float, left: float, added: float) -> float:
-    """Largest growth c of `m₀|ξ⁺|² + |w⁺|²` over `m_h|ξ|² + |w|²`, with |ξ⁺| ≤ j|ξ| and |w⁺| ≤ |w| + E|ξ|, at least 1.
+    """Largest growth c from `m_h|ξ|² + |w|²` to `m₀|ξ⁺|² + |w⁺|²`, at least 1, with |ξ⁺| ≤ j|ξ| and |w⁺| ≤ |w| + E|ξ|.
 
     It is the larger root of `m_h c² − (m_h + m₀j² + E²)c + m₀j² = 0`.
     """
     if after <= 0:
         return math.inf
     product, spoiled = before * left**2 / after, added**2 / after
-    # The discriminant as a sum of squares: half² − product cancels near the double root 1, where it would be √ε wrong.
+    # The discriminant as a sum of squares, since half² − product cancels near the double root 1, with errors of √ε.
     discriminant = (1 - product) ** 2 + spoiled * (2 + 2 * product + spoiled)
     return (1 + product + spoiled + math.sqrt(discriminant)) / 2
 
@@ -458,7 +458,7 @@ def _correction(part: float, sigma: float, errors: CurvedErrors) -> tuple[float,
 
 
 def _check_order(whose: str, sigma: float, k_minus: float, k_plus: float, rate: float) -> None:
-    """Raise `InputError` in the name of a function where its numbers contradict each other."""
+    """Raise `InputError` in the name of a function if its numbers contradict each other."""
     if not (rate < sigma and k_minus <= k_plus):
         raise InputError(
             f"{whose}: needs rate < sigma and k_minus ≤ k_plus; got rate = {rate}, sigma = {sigma}, "

@@ -1,4 +1,4 @@
-"""Linear matrix inequalities for contraction: one constant metric for many Jacobians, and the gain of an observer.
+"""Solves linear matrix inequalities for contraction: one constant metric for many Jacobians, and an observer gain.
 
 Source: Boyd, El Ghaoui, Feron & Balakrishnan 1994, Linear Matrix Inequalities in System and Control Theory, chapters 5
 and 7: quadratic stability of a polytope of systems, and the change of variable Y = MK.
@@ -19,7 +19,7 @@ from covariant.certificates.base import Hypothesis, Statement
 from scalargraph.errors import InputError
 
 AffineMatrix = Callable[[np.ndarray], np.ndarray]
-"""Unknowns (d,) -> a symmetric matrix, affine in the unknowns, that has to be positive semidefinite."""
+"""Unknowns (d,) -> a symmetric matrix, affine in the unknowns, that must be positive semidefinite."""
 
 
 SLACK = 1e-6
@@ -31,9 +31,9 @@ class MetricDesign(NamedTuple):
 
     Attributes:
         metric: M (n, n), with eigenvalues from 1 to `conditioning`.
-        gain: K (n, p); p = 0 where no gain was designed.
+        gain: K (n, p); p = 0 if no gain was designed.
         conditioning: condition number of M.
-        statement: that M and K satisfy the inequalities; the solver's result is verified in rational arithmetic.
+        statement: the statement that M and K satisfy the inequalities, verified in rational arithmetic.
 
     Example:
         >>> import numpy as np
@@ -51,7 +51,7 @@ class MetricDesign(NamedTuple):
 
 @check_numbers
 def common_metric(jacobians: Annotated[Numbers, FINITE], rate: Finite) -> MetricDesign:
-    """Find the best conditioned metric M with `FᵀM + MF ≤ −rate M` for every Jacobian F, so for all in their hull.
+    """Find the best conditioned metric M with `FᵀM + MF ≤ −rate M` for every Jacobian F, and so for their convex hull.
 
     Args:
         jacobians: Jacobians F (k, n, n) [1/s], or a single one (n, n).
@@ -85,8 +85,8 @@ def observer_gain(
 ) -> MetricDesign:
     """Find K and M with `(F − KH)ᵀM + M(F − KH) ≤ −rate M` for all pairs of Jacobians F and H.
 
-    They minimise the condition number of M plus `effort` times the norm of MK. The result holds for all pairs in the
-    hull of the given ones where these are the vertices of a polytope; between samples of a set it has to be certified.
+    They minimise the condition number of M plus `effort` times the norm of MK. The result holds for the convex hull of
+    the given pairs. If they are only samples of a set and not vertices of a polytope, the rest has to be certified.
 
     Args:
         jacobians: Jacobians F (k, n, n) [1/s] of the model, or a single one (n, n).
@@ -98,7 +98,7 @@ def observer_gain(
         The metric and the gain K (n, p).
 
     Raises:
-        ValueError: the shapes do not fit, the rate is not finite, or there is no such gain; then a lower rate may help.
+        ValueError: the shapes do not fit, the rate is not finite, or there is no such gain; try a lower rate.
         ImportError: the solver clarabel is missing.
 
     Example:
@@ -127,7 +127,7 @@ def _stack(name: str, matrices: Numbers, beside: np.ndarray | None) -> np.ndarra
 
 def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricDesign:
     slack = SLACK * max(abs(rate), *(float(np.linalg.norm(each, 2)) for each in f))
-    # First at a slightly higher rate, so that the statement at `rate` survives the solver's rounding.
+    # First a slightly higher rate, so that the statement at `rate` remains true despite the solver's rounding.
     solution = _solved(f, h, rate + slack, effort) or _solved(f, h, rate, effort)
     if solution is None:
         raise InputError(
@@ -138,7 +138,7 @@ def _design(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> MetricD
 
 
 def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate: float) -> Statement:
-    """That M contracts at the rate for each pair of Jacobians, shown in rational arithmetic on the numbers as given."""
+    """State that M contracts at the rate for each pair of Jacobians, as shown in rational arithmetic."""
     metric, gain = rational(m), rational(k)
     is_metric = bool((m == m.T).all()) and is_definite(metric)
     wrong, margins = [], []
@@ -172,7 +172,7 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
 
 
 def _count_jacobians(f: np.ndarray, h: np.ndarray) -> tuple[str, str]:
-    """What one of the matrices, or pairs of them, is called, and how many there are."""
+    """The name of one of the matrices, or pairs of matrices, and their number in words."""
     one, many = ("pair of Jacobians", "pairs of Jacobians") if h.size else ("Jacobian", "Jacobians")
     return one, f"{len(f)} {many if len(f) > 1 else one}"
 
@@ -192,7 +192,7 @@ def is_definite(matrix: np.ndarray) -> bool:
 
 
 def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """M, K and the condition number of M from the solver, or None where there is no solution."""
+    """M, K and the condition number of M from the solver, or None if there is no solution."""
     n, p = f.shape[1], h.shape[1]
     rows, columns = np.tril_indices(n)
     size = len(rows)
@@ -212,16 +212,16 @@ def _solved(f: np.ndarray, h: np.ndarray, rate: float, effort: float) -> tuple[n
 
     def bounded(x):
         _, y, _, g = parts(x)
-        # Positive semidefinite exactly where the largest singular value of Y is at most g (Schur complement).
+        # Positive semidefinite if and only if the largest singular value of Y is at most g (Schur complement).
         return np.block([[g * np.eye(n), y], [y.T, g * np.eye(p)]])
 
     eye = np.eye(n)
     forms: list[AffineMatrix] = [shrinks(a, b) for a, b in zip(f, h, strict=True)]
-    # I ≤ M ≤ κI: the eigenvalues of M lie between 1 and the condition number κ, which is minimised.
-    # Scale is free, since the inequalities are homogeneous in M and Y: it is fixed by M ≥ I.
+    # I ≤ M ≤ κI: the eigenvalues of M lie between 1 and the condition number κ, which is minimised. The inequalities
+    # are homogeneous in M and Y, so M ≥ I only fixes the scale.
     forms += [lambda x: parts(x)[0] - eye, lambda x: parts(x)[2] * eye - parts(x)[0], bounded]
     cost = np.zeros(size + n * p + 2)
-    # Without outputs the bound of |Y| is free, and any positive cost brings it to 0.
+    # Without outputs the bound of |Y| is arbitrary, and any positive cost reduces it to 0.
     cost[-2:] = 1.0, effort if p else 1.0
     x = minimise(cost, forms)
     if x is None:

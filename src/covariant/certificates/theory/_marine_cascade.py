@@ -1,4 +1,4 @@
-"""Theorem 3 for a marine craft under `simulation.Backstepping` with `observers.craft_observer`: arguments of `cascade`.
+"""Builds the arguments of `cascade` for a marine craft with `simulation.Backstepping` and `observers.craft_observer`.
 
 Source: Jouffroy & Fossen 2004, equations (97)–(102).
 """
@@ -55,7 +55,7 @@ def tracking(controller: Backstepping) -> ErrorSystem:
 
         def flow(t, e):
             nu = desired + e[n:]
-            # The plant less the controller, which has C(ν)ν_r + D(ν_r)ν_r as in (94): C(ν)ν − C(ν)ν_r = C(ν)s.
+            # The plant minus the controller, which has C(ν)ν_r + D(ν_r)ν_r as in (94): C(ν)ν − C(ν)ν_r = C(ν)s.
             force = craft.coriolis(nu) @ e[n:] + craft.damping(nu) @ nu - craft.damping(desired) @ desired
             return jnp.concatenate([j @ e[n:] - lam @ e[:n], -solve(mass, force + kd @ e[n:] + j.T @ (kp @ e[:n]))])
 
@@ -78,14 +78,14 @@ def tracking(controller: Backstepping) -> ErrorSystem:
 def feedthrough(controller: Backstepping) -> Coupling:
     """Build the Jacobians of `b(x̃)` of (98), as functions of the position η and of the desired rate `η_d' − Λη̃`.
 
-    Where that rate is zero this is the paper's b, which takes J as constant; otherwise the change of J is included.
+    If that rate is zero, this is the paper's b, which assumes a constant J; otherwise the change of J is included.
 
     Args:
         controller: the controller, with its craft and gains.
 
     Returns:
-        A function of both, in one vector (2n,), -> Jacobians (2n, 2n) in x̃ and in e: the third argument of `cascade`,
-        without its box.
+        A function of both, as one vector (2n,), to the Jacobians (2n, 2n) by x̃ and by e: the third argument of
+        `cascade`, without its box.
 
     Example:
         >>> import jax.numpy as jnp
@@ -126,12 +126,12 @@ def feedthrough(controller: Backstepping) -> Coupling:
 def crossed_metric(craft: Craft, k2: Annotated[Numbers, FINITE], cross: Annotated[Numbers, FINITE]) -> OutputMetric:
     """Build the metric `[[K2, −JN], [−(JN)ᵀ, M]]` on (η, ν), with a cross term N.
 
-    With N = 0 it is that of the observer's Lyapunov function, in which quadratic drag gives no rate at rest.
+    With N = 0 it is the metric of the observer's Lyapunov function, in which quadratic drag proves no rate at rest.
 
     Args:
         craft: the craft, with its mass M and transformation J.
         k2: K2 (n, n), symmetric positive definite.
-        cross: N (n, n) [kg m/s and with angles].
+        cross: N (n, n) [kg m/s, with angles too].
 
     Returns:
         The metric `(z, x) -> (2n, 2n)`, an argument of `virtual`, where z is the measured position.

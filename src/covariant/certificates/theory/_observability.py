@@ -1,8 +1,8 @@
-"""Conditions under which a metric makes an observer converge, locally or from any distance.
+"""Tests two conditions under which a metric makes an observer converge: locally, or from any distance.
 
-There are two conditions. The first, inequality (2): f contracts the metric in all directions that do not change the
-output. It gives an observer that converges locally. The second, G-9: the output is monotonic along geodesics, which
-requires that the level sets of the output are totally geodesic. Only with it can a larger gain make the observer
+The first condition, inequality (2), requires that f contracts the metric in all directions that do not change the
+output. It yields an observer that converges locally. The second condition, G-9, requires that the output is monotonic
+along geodesics, and hence that its level sets are totally geodesic. Only with it can a larger gain make the observer
 converge from farther away.
 
 Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012, Convergence of nonlinear observers on Rⁿ with a
@@ -37,7 +37,7 @@ from scalargraph.errors import InputError
 from scalargraph.proofs import Box, prove
 
 DEPENDENT = 1e-9
-"""Least ratio of the singular values of dh from which its rows count as independent."""
+"""Least ratio of the singular values of dh at which its rows count as independent."""
 RANK_BOXES = 2000
 """Boxes after which the proof that the rows of dh are independent is given up; only the points speak for it then."""
 ROUNDING = 64
@@ -56,8 +56,8 @@ class Observability(NamedTuple):
     Attributes:
         condition_1: the statement of inequality (2), with the contraction rate [1/s] as margin.
         condition_2: the statement that level sets of the output are totally geodesic, with their bending as margin.
-        witness: three successive states (3, n) on a minimising geodesic, where the output of the first is closer to
-            that of the last than to that of the middle. None where the second condition does not fail.
+        witness: three successive states (3, n) on a minimising geodesic: the output of the first is closer to the
+            output of the last than to that of the middle one. None if the second condition does not fail.
         outputs: their outputs (3, p), or None.
 
     Example:
@@ -100,7 +100,7 @@ def detectability_rate(
 ) -> Annotated[Scalar, KNOWN]:
     """Compute the largest q with which inequality (2), `L_f P ≤ ρ dh⊗dh − q P`, holds at x for some ρ [1/s].
 
-    This is differential detectability: q is the least rate at which f contracts the squared length of vectors in the
+    This is differential detectability: q is the least rate at which f contracts the squared lengths of vectors in the
     kernel of dh (Finsler's lemma).
 
     Args:
@@ -110,8 +110,8 @@ def detectability_rate(
         u: constant input (m,), zero by default.
 
     Returns:
-        q [1/s]; infinite where the output determines every direction, and −∞ where the rows of dh are dependent: then
-        fewer directions are seen than there are outputs, and the kernel is larger than it seems.
+        q [1/s]; infinite if the output determines every direction, and −∞ if the rows of dh are dependent, since then
+        the kernel is larger than n minus the number of outputs.
 
     Example:
         >>> import jax.numpy as jnp
@@ -126,7 +126,7 @@ def detectability_rate(
     # More outputs than states are always dependent, which the singular values alone do not show.
     independent = (sizes[-1] > DEPENDENT * sizes[0]) & (dh.shape[0] <= dh.shape[1])
     if not hidden.shape[1]:
-        # Without hidden directions (2) holds for every q with a large enough ρ.
+        # If dh has no kernel, (2) holds for every q with a large enough ρ.
         return jnp.where(independent, jnp.inf, -jnp.inf).astype(x.dtype)
     change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
     # Finsler's lemma: a ρ exists exactly where the inequality holds on the kernel of dh.
@@ -144,7 +144,7 @@ def bending(
     """Compute the curvature of the level set of the output through x in the metric.
 
     It is the largest principal curvature |II(v, v)|. The second fundamental form II is the component of
-    `∂²h(v, v) − dh Γ(v, v)` along grad h; it is 0 where the level set is totally geodesic. With several outputs it is a
+    `∂²h(v, v) − dh Γ(v, v)` along grad h; it is 0 if the level set is totally geodesic. With several outputs it is a
     lower bound.
 
     Args:
@@ -218,12 +218,12 @@ def observability(
 ) -> Observability:
     """Test at given states two conditions for a metric to make an observer converge: locally, and from any distance.
 
-    The second condition fails where `bending` does not vanish; then a geodesic shows it. With several outputs a
+    The second condition fails where `bending` does not vanish; a geodesic then demonstrates it. With several outputs a
     vanishing bending decides nothing.
 
-    The first condition asks that the metric contracts in directions that the output does not see; it is enough for
-    local convergence. The second asks that level sets of the output are totally geodesic, so that a larger gain can
-    help far away. The states are samples: a failure refutes the metric, but success at all of them proves nothing
+    The first condition requires that the metric contracts in directions that do not change the output; it suffices for
+    local convergence. The second one requires that level sets of the output are totally geodesic, so that a larger gain
+    helps far away. The states are samples: a failure refutes the metric, but success at all of them proves nothing
     between them.
 
     Args:
@@ -231,8 +231,8 @@ def observability(
         metric: `x -> P (n, n)`, or `(t, x) -> P`, which is taken at t = 0.
         points: states (k, n), at least one.
         u: constant input (m,), zero by default.
-        rate: rate [1/s]; the first condition holds where `detectability_rate` exceeds it at all points.
-        budget: work spent on the geodesic of the witness.
+        rate: rate [1/s]; the first condition holds if `detectability_rate` exceeds it at all points.
+        budget: effort for the geodesic of the witness.
 
     Returns:
         A statement for each condition, and the witness. Both statements are undecided if f or h may jump between the
@@ -429,10 +429,10 @@ def _check_premises(model: StateSpace, metric: StateField, points: np.ndarray, u
 
 
 def _independence(model: StateSpace, points: np.ndarray, u: Array | None) -> Hypothesis:
-    """That the rows of dh are independent: proved between the points where a proof is found, else as sampled at them.
+    """State that the rows of dh are independent: proved between the points if a proof is found, otherwise sampled.
 
     The determinant of dh dhᵀ is the sum of the squares of all p × p minors of dh (Cauchy–Binet), so it is positive
-    exactly where one of them does not vanish; not the same one need do everywhere.
+    if and only if one of them does not vanish; different minors may serve at different points.
     """
 
     def products(x):
@@ -462,7 +462,7 @@ def _show_smoothness(model: StateSpace, points: np.ndarray, u: Array | None) -> 
 
 
 def _describe_kernel(model: StateSpace, points: np.ndarray, u: Array | None) -> str:
-    """The kernel of dh in words: the coordinates that no output depends on, and how many directions among others."""
+    """The kernel of dh in words: the coordinates on which no output depends, and the number of further directions."""
     dh = np.asarray(jax.lax.map(lambda x: _differentiate_output(model, x, u), jnp.asarray(points)))
     unseen = (dh == 0).all((0, 1))
     names = np.array(_names(model, points.shape[1]))
@@ -509,18 +509,18 @@ def _witness(
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:
     """A basis of the kernel of dh, and dh."""
     dh = _differentiate_output(model, x, u)
-    # Of the complete QR of dhᵀ the first columns span its range; the others are orthogonal to it: the kernel of dh.
+    # In the complete QR of dhᵀ the first columns span its range; the others span the kernel of dh.
     return jnp.linalg.qr(dh.T, mode="complete")[0][:, dh.shape[0] :], dh
 
 
 def _differentiate_output(model: StateSpace, x: Vector, u: Array | None) -> Float[Array, "p n"]:
-    """dh, the derivative of the output in the state."""
+    """dh, the derivative of the output by the state."""
     t0, _, u0 = _arguments(model, x, u)
     return jacobian(lambda y: model.h(t0, y, u0), x)
 
 
 def _arguments(model: StateSpace, x: Vector, u: Array | None) -> tuple[Scalar, Vector, Array]:
-    """Arguments of f and h at time zero, with a zero input where none is given."""
+    """Arguments of f and h at time zero, with a zero input if none is given."""
     return jnp.zeros((), x.dtype), x, jnp.zeros(model.inputs, x.dtype) if u is None else u
 
 

@@ -1,19 +1,19 @@
-"""Observers that converge from any distance, because the level sets of the outputs are flat in a constant metric.
+"""Designs observers that converge from any distance, since level sets of the outputs are flat in a constant metric.
 
-The outputs y are some of the states, and z the others. In the coordinates (y, w), with `w = z − Ly`, let the metric be
-`diag(p I, P)`. Its geodesics are straight lines, and so are the level sets of y: they are totally geodesic, the second
-condition. The first one, that f contracts the vectors that do not change y, is
+The outputs y are some of the states, and z are the others. In the coordinates (y, w), with `w = z − Ly`, let the metric
+be `diag(p I, P)`. Its geodesics are straight lines, and so are the level sets of y: they are totally geodesic, which is
+the second condition. The first one, that f contracts the vectors that do not change y, is
 
     −(P A + AᵀP) − rate P > 0,  A = ∂f_z/∂z − L ∂f_y/∂z,
 
-the matrix inequality of an observer gain L for the pair (∂f_z/∂z, ∂f_y/∂z). On a box, which is convex, it makes
+the matrix inequality of an observer gain L for the pair (∂f_z/∂z, ∂f_y/∂z). On a box, which is convex, it ensures that
 
-- the reduced-order observer `ŵ' = f_z(y, ẑ) − L f_y(y, ẑ)`, `ẑ = ŵ + Ly`, converge from any distance in the box, and
-  from everywhere where A does not depend on z: for each motion y(t) it contracts in P;
-- the full observer `x̂' = f(x̂) + k [I; L] (y − ŷ)` contract in `diag(p I, P)` for all k from a least one on.
+- the reduced-order observer `ŵ' = f_z(y, ẑ) − L f_y(y, ẑ)`, `ẑ = ŵ + Ly`, converges from any distance in the box, and
+  from everywhere if A does not depend on z: for each motion y(t) it contracts in P;
+- the full observer `x̂' = f(x̂) + k [I; L] (y − ŷ)` contracts in `diag(p I, P)` for all k above a threshold.
 
-Where f has at some point a vector v with `∂f_y/∂z v = 0` and `∂f_z/∂z v = λ v`, λ ≥ −rate/2, there is no such L and P,
-not even with an L that depends on the point: vᵀ(PA + AᵀP)v = 2λ vᵀPv.
+If f has at some point a vector v with `∂f_y/∂z v = 0` and `∂f_z/∂z v = λ v`, λ ≥ −rate/2, then no L and P exist, not
+even an L that depends on the point: vᵀ(PA + AᵀP)v = 2λ vᵀPv.
 
 Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012 and 2016, Convergence of nonlinear observers on Rⁿ
 with a Riemannian metric, parts I and II, IEEE TAC 57(7) and 61(10); own derivation of the above for constant P.
@@ -38,33 +38,33 @@ from scalargraph.errors import InputError
 from scalargraph.proofs import MOST_BOXES, Box, Form, Proof, derivative_form, prove
 
 CORNERS = 10
-"""Most variables of which all corners of the box are tried; of more, and beside them, states at random."""
+"""Largest number of variables for which all corners of the box are tried; otherwise, and in addition, random states."""
 TRIED = 64
-"""States at random at which the inequality is solved first."""
+"""Number of random states at which the inequality is solved first."""
 MARGINS = (0.3, 0.1, 1e-2, 1e-4, 1e-6)
-"""Parts of the largest Jacobian that are added to the rate for the solver: with more of it the proof takes less."""
+"""Fractions of the largest Jacobian that are added to the rate for the solver: larger ones make the proof easier."""
 ROUNDS = 8
-"""Counterexamples that are added, one a proof, before the design is given up."""
+"""Number of counterexamples that are added, one per proof, before the design is given up."""
 CLOSE = 1e-9
-"""Part of the size of the Jacobians below which a vector counts as unseen, or as an eigenvector, by the samples."""
+"""Tolerance, relative to the Jacobians, for samples that show a vector to be an eigenvector or not to change y."""
 RAISES = 6
-"""Times that the gain of the full observer is doubled where its first value, of the samples, is not proved."""
+"""Number of doublings of the full observer's gain if its first value, from the samples, is not proved."""
 
 
 class ReducedOrderDesign(NamedTuple):
-    """A reduced-order observer and what is known of its convergence.
+    """A reduced-order observer and the results on its convergence.
 
     Attributes:
         model: the system.
         measured: indices (p,) of the states that are measured, in the order of the outputs.
-        unmeasured: indices (n − p,) of the others.
-        injection: L (n − p, p); None where there is none.
-        metric: P (n − p, n − p); None where there is none.
-        everywhere: whether the inequality depends on no state that is not measured: then estimates may be anywhere.
-        statement: that the reduced-order observer contracts in P, or why no such observer does.
-        gain: k [1/s] of the full observer `x̂' = f + k [I; L] (y − ŷ)` that is proved; None where none is.
-        weights: p (p,), the metric of the measured states beside P in the full observer; None where it was not tried.
-        full: that the full observer contracts in the box; None where it was not tried.
+        unmeasured: indices (n − p,) of the other states.
+        injection: L (n − p, p); None if there is none.
+        metric: P (n − p, n − p); None if there is none.
+        everywhere: whether the inequality does not depend on unmeasured states, so that estimates may be anywhere.
+        statement: the statement that the reduced-order observer contracts in P, or the reason why none does.
+        gain: proved gain k [1/s] of the full observer `x̂' = f + k [I; L] (y − ŷ)`; None if none is proved.
+        weights: p (p,), the metric of the measured states besides P in the full observer; None if it was not tried.
+        full: the statement that the full observer contracts in the box; None if it was not tried.
 
     Example:
         >>> from covariant import certificates, models
@@ -107,20 +107,20 @@ def reduced_order(
 ) -> ReducedOrderDesign:
     """Design an observer that converges from any distance, and prove that it does. Needs `covariant[lmi]`.
 
-    The inequality is solved at corners of the box and at states at random, and then proved on all of the box; a
-    counterexample joins the states.
+    The inequality is solved at corners of the box and at random states, and then proved on the whole box; a
+    counterexample is added to the states.
 
     Args:
         model: system with a box, whose outputs are some of its states, and which does not depend on time.
         rate: rate [1/s] at which squared distances decrease, positive.
         box: bounds of each state, those of the model by default.
         inputs: bounds of each input; zero by default.
-        effort: weight of the injection beside the condition number of P.
+        effort: weight of the injection relative to the condition number of P.
         full: find a gain of the full observer as well, for half of the rate.
         boxes: boxes after which a proof is given up.
 
     Returns:
-        The design. Its statement fails where a state in the box shows that there is none.
+        The design. Its statement fails if a state in the box shows that no such observer exists.
 
     Raises:
         ValueError: the outputs are not states, all states are measured, the model depends on time or has no box, a
@@ -137,7 +137,7 @@ def reduced_order(
         'holds (proved)'
     """
     split = _Split.of(model, box, inputs)
-    # What the inequality depends on, and whether f is defined and without jumps, has the values as its source.
+    # The entries on which the inequality, and the conditions for f to be defined without jumps, depend.
     used = split.used()
     everywhere, domain = used.isdisjoint(split.unmeasured), split.domain(used)
     points = _starts(domain)
@@ -159,7 +159,7 @@ def reduced_order(
 
 
 class _Split(NamedTuple):
-    """A model with its states in two parts, and the variables of a proof: states and inputs."""
+    """A model with its states in two parts, and the variables of a proof, which are states and inputs."""
 
     model: StateSpace
     f: Callable[[Array, Array, Array], Array]
@@ -212,24 +212,24 @@ class _Split(NamedTuple):
 
     @property
     def scales(self) -> tuple[np.ndarray, np.ndarray]:
-        """Half widths of the box of measured and unmeasured states, in which the solver works."""
+        """Half widths of the box of measured and of unmeasured states, as units for the solver."""
         half = (self.high - self.low)[: self.n] / 2
         half = np.where(half > 0, half, 1.0)
         return half[list(self.measured)], half[list(self.unmeasured)]
 
     def derivatives(self, points: Sequence[np.ndarray]) -> np.ndarray:
-        """Derivatives (k, n, n) of f in the states, for searches and for samples."""
+        """Derivatives (k, n, n) of f by the states, for searches and samples."""
         return self.form(lambda slope: slope, range(self.n)).at(np.stack(points))
 
     def slopes(self, points: Sequence[np.ndarray]) -> np.ndarray:
-        """Derivatives (k, n, n − p) of f in the unmeasured states, their rows first, in units of `scales`."""
+        """Derivatives (k, n, n − p) of f by the unmeasured states, with their rows first, in units of `scales`."""
         y, z = self.scales
         slopes = self.derivatives(points)[:, :, list(self.unmeasured)]
         ordered = slopes[:, [*self.unmeasured, *self.measured]]
         return ordered * z[None, None, :] / np.concatenate([z, y])[None, :, None]
 
     def form(self, formula: Callable[[Array], Array], columns: Sequence[int]) -> Form:
-        """Build the form of a formula of ∂f/∂x in some states, from the graph of f, since JAX does not see jumps."""
+        """Build the form of an expression in ∂f/∂x, for some states, from the graph of f, as JAX does not see jumps."""
 
         def values(t, x, z):
             return (self.f(t, x, z[self.n :]),)
@@ -250,7 +250,7 @@ class _Split(NamedTuple):
         return self.form(matrix, self.unmeasured)
 
     def used(self) -> set[int]:
-        """Which variables the derivatives in unmeasured states depend on, or whether f is defined and does not jump."""
+        """The variables that affect the derivatives by unmeasured states, or whether f is defined and does not jump."""
         formed = self.form(lambda slope: slope, self.unmeasured).graph(jnp.asarray((self.low + self.high) / 2))
         noted = formed.conditions
         needed = noted.graph.pruned([condition.node for condition in noted.conditions])[0].nodes
@@ -258,7 +258,7 @@ class _Split(NamedTuple):
         return {i for i in _inputs_of(formed.entries) | in_conditions if i < len(self.low)}
 
     def domain(self, used: set[int]) -> Box:
-        """The box of these variables; the others, on which nothing depends, are fixed at their middle."""
+        """The box of these variables; all others are fixed at their midpoint, since nothing depends on them."""
         middle, chosen = (self.low + self.high) / 2, np.isin(np.arange(len(self.low)), sorted(used))
         return Box(self.names, self.units, np.where(chosen, self.low, middle), np.where(chosen, self.high, middle))
 
@@ -269,7 +269,7 @@ def _inputs_of(lowered: Lowered) -> set[int]:
 
 
 def _starts(domain: Box) -> list[np.ndarray]:
-    """Corners of the free variables, and states at random."""
+    """Corners of the free variables, and random states."""
     free = np.flatnonzero(domain.low < domain.high)
     random = np.random.default_rng(0)
     points = list(random.uniform(domain.low, domain.high, (TRIED, len(domain.low))))
@@ -282,7 +282,7 @@ def _starts(domain: Box) -> list[np.ndarray]:
 
 
 def _solved(slopes: np.ndarray, split: _Split, rate: float, effort: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """L and P in the units of the states, or None where the solver finds none."""
+    """L and P in the units of the states, or None if the solver finds none."""
     m = len(split.unmeasured)
     size = max(float(np.linalg.norm(s[:m], 2)) for s in slopes)
     f, h = slopes[:, :m], slopes[:, m:]
@@ -327,7 +327,7 @@ def _describe_split(split: _Split) -> str:
 
 
 def _impossible(split: _Split, points: Sequence[np.ndarray], slopes: np.ndarray, rate: float) -> ReducedOrderDesign:
-    """The design that there is none, with the state and direction that show it."""
+    """A design that states that no observer exists, with the state and direction that show it."""
     m = len(split.unmeasured)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
     for point, slope in zip(points, slopes, strict=True):
@@ -369,7 +369,7 @@ def _impossible(split: _Split, points: Sequence[np.ndarray], slopes: np.ndarray,
 
 
 def _is_exact(split: _Split, point: np.ndarray, direction: np.ndarray, value: float) -> bool:
-    """Whether outward-rounded arithmetic shows the direction to be unseen and an eigenvector, without any error."""
+    """Whether outward-rounded arithmetic shows exactly that the direction is an eigenvector and does not change y."""
     along = jnp.asarray(direction)
 
     def residual(slope):
@@ -384,7 +384,7 @@ def _is_exact(split: _Split, point: np.ndarray, direction: np.ndarray, value: fl
 def _with_gain(
     design: ReducedOrderDesign, split: _Split, points: Sequence[np.ndarray], rate: float, boxes: int
 ) -> ReducedOrderDesign:
-    """The design with a gain of the full observer, in a metric diag(p I, P), proved on the whole box."""
+    """The design with a gain of the full observer, proved on the whole box in a metric diag(p I, P)."""
     assert design.injection is not None
     assert design.metric is not None
     injection, metric = design.injection, design.metric
@@ -392,7 +392,7 @@ def _with_gain(
     y, z = list(split.measured), list(split.unmeasured)
 
     def blocks(slope):
-        """Derivatives of f in (y, w), from that in the states."""
+        """Derivatives of f by (y, w), from the derivatives by the state."""
         s, p = slope[jnp.array(y)], slope[jnp.array(z)]
         shear = jnp.asarray(injection)
         of_y, of_z = s[:, jnp.array(y)] + s[:, jnp.array(z)] @ shear, s[:, jnp.array(z)]
@@ -438,7 +438,7 @@ def _with_gain(
 def _least_gain(
     blocks: Sequence[tuple[np.ndarray, ...]], split: _Split, metric: np.ndarray, rate: float
 ) -> tuple[float, np.ndarray]:
-    """Least k at the samples, and the weights p of the outputs, over their common size."""
+    """Least k at the samples, and the weights p of the outputs, divided by their common size."""
     scale = split.scales[0]
     best: tuple[float, np.ndarray] = (math.inf, np.ones(len(scale)))
     for size in np.geomspace(1e-4, 1e8, 61) * float(np.trace(metric * np.outer(split.scales[1], split.scales[1]))):

@@ -1,7 +1,7 @@
-"""The virtual system of a contracting observer on a region, as functions of variables in a box.
+"""Describes the virtual system of a contracting observer on a region, as functions of variables in a box.
 
-Plant and observer both solve `y' = f(t, y, u(t)) + K(z − h(t, y))`, with the same u and z, whatever generates these. So
-the observer converges where that system contracts at fixed u and z. The paper's Theorem 2 also differentiates the
+Plant and observer both solve `y' = f(t, y, u(t)) + K(z − h(t, y))`, with the same u and z, however these are generated.
+So the observer converges if that system contracts for given u and z. The paper's Theorem 2 also differentiates the
 dependence of the input on the estimate; its condition is neither necessary nor sufficient.
 
 Source: Jouffroy & Fossen 2004, Theorem 2, corrected.
@@ -59,7 +59,7 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> ErrorSyste
         x, u, measured, change = jnp.split(point, ends)
 
         def flow(t, y):
-            # A measurement that changes at a constant rate: the condition looks at one instant, t = 0.
+            # The measurement changes at a constant rate, since the condition concerns one instant, t = 0.
             return observer.virtual(t, y, u, measured + t * change)
 
         moving: StateMetric = in_coordinates(lambda t, y: field(measured + t * change, y))
@@ -81,6 +81,6 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> ErrorSyste
             *(f"{unit}/s" if unit else "" for unit in units),
         ),
         at,
-        # With a constant measurement: its rate of change is set to zero.
+        # For a constant measurement the rate of change is set to zero.
         lambda point: at(jnp.concatenate([point[: ends[-1]], jnp.zeros(p, point.dtype)])),
     )

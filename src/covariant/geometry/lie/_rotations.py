@@ -1,4 +1,4 @@
-"""The rotations of the plane and of space, SO(2) and SO(3), and their unit quaternions.
+"""Defines the rotations of the plane and of space, SO(2) and SO(3), and their unit quaternions.
 
 Source: Barfoot 2017, State Estimation for Robotics, chapter 7; Shepperd 1978 for the quaternion of a matrix.
 """

@@ -1,4 +1,4 @@
-"""The gate: decides which measurements an estimator uses, by their distance from the predicted ones.
+"""Decides which measurements an estimator uses, by a gate on their distance from the predicted ones.
 
 An outlier is isolated, while readings of a real motion agree with their neighbours. A reading is refused if neither the
 estimate nor the last used reading explains it. Suppose that refused readings lie on a line that starts at the last used

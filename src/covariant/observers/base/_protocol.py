@@ -1,4 +1,4 @@
-"""The protocol that all observers share, and the loop that drives them.
+"""Defines the protocol that all observers share, and the loop that drives them.
 
 An observer is a frozen recipe: it contains its settings and never changes. Its state is everything that it remembers
 from sample to sample, and the caller keeps it. Its info contains the diagnostics of one step. A loop by hand:

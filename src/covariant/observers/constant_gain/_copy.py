@@ -1,4 +1,4 @@
-"""The copy observer: the model with output injection, without parallel transport and curvature terms.
+"""Defines the copy observer: the model with output injection, without parallel transport and curvature terms.
 
 Source: Aghannan & Rouchon 2003, equation (15), the baseline of their figure 4.
 """

@@ -1,4 +1,4 @@
-"""The exact intrinsic observer, with geodesic error, transport and curvature; it is the same in all coordinates.
+"""Defines the exact intrinsic observer (geodesic error, transport, curvature), which is the same in all coordinates.
 
 Source: Aghannan & Rouchon 2003, equation (2), with the curvature sign of `covariant.geometry`; Maithripala, Berg &
 Dayawansa 2004, equation (17), for groups.

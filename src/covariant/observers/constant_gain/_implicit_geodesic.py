@@ -1,4 +1,4 @@
-"""An observer with implicit corrections along geodesics, stable for any gain α; it is the same in all coordinates.
+"""Defines an observer with implicit corrections along geodesics, stable for any gain α, the same in all coordinates.
 
 Between samples the estimate follows the model. A sample y, a time h after the previous one, moves the estimate along
 the geodesic to y and changes its velocity in the same direction:

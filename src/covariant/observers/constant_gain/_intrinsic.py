@@ -1,4 +1,4 @@
-"""The approximate intrinsic observer: explicit, locally contracting, and independent of the frame to first order.
+"""Defines the approximate intrinsic observer: explicit, locally contracting, frame-independent to first order.
 
 Source: Aghannan & Rouchon 2003, equation (5); Maithripala, Berg & Dayawansa 2004, equations (17)–(21), with three
 corrections: the curvature has the sign of Aghannan & Rouchon's equation (2), the arguments of the connection in the

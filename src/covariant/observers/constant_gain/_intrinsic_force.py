@@ -1,4 +1,4 @@
-"""The approximate intrinsic observer with an estimate of an unknown force: integral action, with three poles.
+"""Extends the approximate intrinsic observer by an estimate of an unknown force: integral action, with three poles.
 
 Source: an extension of Aghannan & Rouchon 2003, equation (5); Johnson 1971, Accommodation of external disturbances in
 linear regulator and servomechanism problems, IEEE TAC 16(6), for the state of the disturbance.

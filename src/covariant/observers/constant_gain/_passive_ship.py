@@ -1,4 +1,4 @@
-"""The passive observer of ships: low-frequency motion, wave motion and slowly varying forces from position alone.
+"""Defines the passive observer of ships: low-frequency and wave motion, and slow forces, from the position alone.
 
 Source: Fossen & Strand 1999, Passive nonlinear observer design for ships using Lyapunov methods, Automatica 35(1);
 Jouffroy & Fossen 2004, equations (43)–(60) with the signs of (54) and (59) corrected.

@@ -1,4 +1,4 @@
-"""Salcudean's observer of a rigid body's angular velocity, by a Lyapunov function, without linearisation or a metric.
+"""Defines Salcudean's observer of a body's angular velocity, by a Lyapunov function, without linearisation or a metric.
 
 Source: Salcudean 1991, A globally convergent angular velocity observer for rigid body motion, IEEE TAC 36. With
 `V = ½|h̃|² + k_p(1 − |e₀|)`, where h is the momentum in the space frame, `V' = −½ k_p k_v e·I₀⁻¹e`.

@@ -1,4 +1,4 @@
-"""Extended Kalman filter, the standard choice in practice, with the error expressed in the frame of the space.
+"""Defines the extended Kalman filter, the standard choice, with the error expressed in the frame of the space.
 
 In coordinates it is the usual filter on (q, v); on SO(3) it is the multiplicative filter with momentum dynamics; on
 SE(3) it is the left-invariant filter.

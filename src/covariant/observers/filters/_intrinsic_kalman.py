@@ -1,4 +1,4 @@
-"""The intrinsic Kalman filter, with error and covariance in the parallel frame; it is the same in all coordinates.
+"""Defines the intrinsic Kalman filter (error and covariance in the parallel frame), the same in all coordinates.
 
 For a true motion (q, v) the error at the estimate is `ε = log_q̂ q` and `ν = Tv − v̂`, with T the parallel transport
 along the geodesic from q to q̂. The covariance P of (ε, ν) is a tensor at q̂. Two maps change it: the flow of the model,
