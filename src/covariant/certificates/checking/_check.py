@@ -31,6 +31,7 @@ from covariant.certificates.base import (
     parse,
     select,
     value_graph,
+    values,
 )
 from covariant.certificates.checking import _check_sampled as sampled, _matrices as matrices
 from covariant.certificates.checking._saved import observer_from, system_of
@@ -264,7 +265,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
         "the definedness of the force": (force, region, "defined"),
         "the bound of the force's slopes": (matrices.within(slopes, -allowed, allowed), unmoved, ""),
         "the smoothness of the force": (matrices.stepped(model, shape, n), unmoved, "smooth"),
-        "the definedness of the observer, without jumps,": (matrices.everything(system), pinned, "smooth"),
+        "the definedness of the observer, without jumps,": (matrices.everything(system, values), pinned, "smooth"),
     }[what]
     least, largest = box
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)

@@ -14,6 +14,7 @@ from covariant.certificates.base import (
     ErrorSystem,
     PredictionClaim,
     Recursion,
+    corrections,
     first_velocity,
     select,
 )
@@ -97,7 +98,8 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
     if what.startswith("the definedness of the correction"):
         claim = next(c for c in select(document.claims, CorrectionClaim) if f"after {c.row} lost" in what)
         ends = np.concatenate([np.array(document.bounds(claim)), np.zeros((2, 2 * n + 1))], axis=1)
-        return TaylorEnclosure(matrices.all_corrections(system), ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
+        whole = matrices.everything(system, corrections)
+        return TaylorEnclosure(whole, ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
     joint = int(what.rpartition(" ")[2]) - 1 if what[-1].isdigit() else 0
     one = slice(joint, joint + 1)
     force, friction = matrices.input_force(model, n), matrices.friction(model, n)

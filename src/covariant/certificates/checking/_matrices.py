@@ -15,11 +15,9 @@ from covariant.certificates.base import (
     Document,
     ErrorSystem,
     Resolved,
-    corrections,
     first_velocity,
     friction_of,
     reach_squares,
-    values,
 )
 from covariant.certificates.sampled import Prediction, defect_matrix, sampled_prediction
 from covariant.models import applied_force
@@ -153,8 +151,8 @@ def start(about: ErrorSystem, squares: np.ndarray, square: float) -> Matrix:
     return matrix
 
 
-def everything(about: ErrorSystem) -> Matrix:
-    """Collect all values from which the claims are computed."""
+def everything(about: ErrorSystem, values: Callable[[ErrorSystem], Callable[..., Any]]) -> Matrix:
+    """Collect everything that claims are computed from, as `values` of the system names it."""
 
     def parts(y):
         z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
@@ -181,16 +179,6 @@ def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) 
         return jnp.concatenate([jnp.concatenate(row, axis=1) for row in rows])
 
     return matrix
-
-
-def all_corrections(about: ErrorSystem) -> Matrix:
-    """Collect all values from which the claims on corrections are computed, as `everything` does."""
-
-    def parts(y):
-        z, t, zeros = jnp.split(y, (len(about.names), len(about.names) + 1))
-        return jnp.concatenate([part.ravel() for part in corrections(about)(t[0], about.at(z).x + zeros, z)])
-
-    return parts
 
 
 def _anywhere(model: Any, n: int) -> Any:

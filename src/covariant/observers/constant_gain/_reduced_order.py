@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from covariant._integrate import rk4
 from covariant._typing import Number, Scalar, Vector
 from covariant.models import StateSpace
-from covariant.observers.base import AbstractObserver, Info, LastInput, check_finite, no_input
+from covariant.observers.base import AbstractObserver, Info, LastInput, no_input
+from covariant.observers.constant_gain._contracting import check_gain
 from covariant.signals import StepCode
-from scalargraph.errors import InputError
 
 Outputs = Float[Array, "p"]
 
@@ -84,15 +84,7 @@ class ReducedOrder(AbstractObserver):
     substeps: int = eqx.field(default=1, static=True)
 
     def __check_init__(self):
-        n, p = self.start.shape[0], len(self.model.outputs)
-        if self.model.coordinates and n != len(self.model.coordinates):
-            raise InputError(f"start has {n} entries; the model has {len(self.model.coordinates)} states")
-        if p and self.direction.shape != (n, p):
-            raise InputError(
-                f"direction must have a row for each of {n} states, a column for each of {p} outputs; its shape is "
-                f"{self.direction.shape}"
-            )
-        check_finite("ReducedOrder", direction=self.direction)
+        check_gain("ReducedOrder", self.model, self.start, "direction", self.direction)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ReducedOrderState:
         """State at the first estimate, corrected by the first measurement.
