@@ -123,7 +123,7 @@ class TaylorEnclosure:
             [{(): np.where(attributed, 1.0, -1.0)}, {(k,): np.where(attributed, shares[k], 0.0) for k in free}, {}], 0.0
         )
 
-    def _judge(self, holds: Any, *entries: Taylor) -> None:
+    def _judge(self, holds: np.ndarray | bool, *entries: Taylor) -> None:
         """Record boxes on which a condition on some numbers does not hold, and what widens those of the first."""
         lost = self._good & ~np.asarray(holds)
         if not lost.any():
