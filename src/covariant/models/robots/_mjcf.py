@@ -8,6 +8,7 @@ are counted as ignored. `_against_mujoco` compares the forces of both afterwards
 import re
 from collections import Counter
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ them."""
 class _Reader:
     """A compiled model, with the entries that have been read from it so far."""
 
-    def __init__(self, mujoco: Any, model: Any):
+    def __init__(self, mujoco: ModuleType, model: Any):
         self.mujoco, self.model = mujoco, model
         self.used, self.ignored, self.doubts = Counter(), Counter(), []
         self.bodies = names_of(mujoco, model, "BODY", model.nbody)
@@ -78,7 +79,7 @@ class _Reader:
         return bool(self.model.opt.disableflags & int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
 
 
-def names_of(mujoco: Any, model: Any, kind: str, count: int) -> list[str]:
+def names_of(mujoco: ModuleType, model: Any, kind: str, count: int) -> list[str]:
     """Names of the first entries of a kind, such as "JOINT"; those without one are numbered."""
     kind_number = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
     return [mujoco.mj_id2name(model, kind_number, i) or f"{kind.lower()}{i}" for i in range(count)]
