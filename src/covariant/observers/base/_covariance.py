@@ -20,7 +20,7 @@ Covariance = Scalar | Matrix | Callable[[Any], Matrix]
 same in every direction; a matrix (n, n) is the same at every configuration; or a function `q -> (n, n)`."""
 
 
-def check_covariance(whose: str, name: str, covariance: Any, positive: bool = False) -> None:
+def check_covariance(whose: str, name: str, covariance: Covariance, positive: bool = False) -> None:
     """Check that a number or matrix is a covariance; a traced value and a function are not checked."""
     if callable(covariance) or isinstance(covariance, Tracer):
         return

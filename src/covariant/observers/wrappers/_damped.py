@@ -34,6 +34,7 @@ from covariant.models import MechanicalSystem, Motion
 from covariant.observers.base import (
     AbstractMechanicalObserver,
     AbstractObserver,
+    Fields,
     LastInput,
     check_not_negative,
     check_positive,
@@ -42,7 +43,7 @@ from covariant.observers.base import (
 )
 from covariant.observers.sensors import Instant, Readings, Sensor, Sensors, as_groups
 from covariant.observers.wrappers._gated import Gated, without_last_input
-from covariant.signals import StepCode
+from covariant.signals import AnyArray, StepCode
 from scalargraph.errors import InputError
 
 
@@ -66,7 +67,7 @@ class DampedState(NamedTuple):
         ([0.5], [0.0])
     """
 
-    inner: Any
+    inner: Fields
     t: Scalar
     bias: Readings
     waited: Float[Array, "K"]
@@ -209,7 +210,7 @@ class Damped(AbstractObserver):
         configuration, readings = self._split(y)
         return self._sensors.joined(self.observer.admitted(configuration), readings)
 
-    def configuration(self, y: Any) -> Any:
+    def configuration(self, y: AnyArray) -> Any:
         return self._split(y)[0]
 
     def innovation(self, state: DampedState, u: Float[Array, "m"], y: Array) -> Vector:
@@ -246,7 +247,7 @@ class Damped(AbstractObserver):
     def _sensors(self) -> Sensors:
         return Sensors(self.sensors)
 
-    def _split(self, y: Any) -> tuple[Any, Any]:
+    def _split(self, y: AnyArray) -> tuple[Any, Any]:
         """The measured configuration, and the readings (K,)."""
         return self._sensors.split(y, self.model.manifold.shape)
 
