@@ -25,6 +25,7 @@ import numpy as np
 from covariant import _programs
 from covariant.engine._numbers import Places
 from covariant.engine._sources import LIBRARY, ROOT, source_files
+from covariant.observers import AbstractObserver
 from scalargraph.cache import cache_folder
 
 PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
@@ -35,7 +36,7 @@ class _UnknownError(Exception):
     """A part of an observer that is not described by what is in this library's files."""
 
 
-def description_key(observer: Any, places: Places, *form: Any) -> str | None:
+def description_key(observer: AbstractObserver, places: Places, *form: object) -> str | None:
     """Key of a compiled observer, by what the observer is made of."""
     if cache_folder() is None or _source_may_differ():
         return None
@@ -98,7 +99,7 @@ def _record(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes
         yield from _parts(vars(x)[field.name], {} if field.metadata.get("static") else opened)
 
 
-def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
+def _array(x: np.ndarray | np.generic | jax.Array, at: tuple[int, ...] | None) -> Iterator[bytes]:
     kind = "jax" if isinstance(x, jax.Array) else type(x).__name__
     try:
         values = np.asarray(x)
@@ -110,7 +111,7 @@ def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
     yield (values if at is None else values.ravel()[np.array(at, int) < 0]).tobytes()
 
 
-def _name(x: Any) -> str:
+def _name(x: object) -> str:
     """The name by which this library's modules hold a class or a function."""
     module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None)
     if not isinstance(module, str) or not isinstance(name, str) or module.partition(".")[0] not in LIBRARY:
