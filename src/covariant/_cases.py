@@ -155,7 +155,7 @@ def _load(pickled: bytes) -> Callable[[Any], Any]:
     return pickle.loads(pickled)()
 
 
-def content_hash(value: Any) -> str:
+def content_hash(value: object) -> str:
     """SHA-256 of plain data, as JSON writes it."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 

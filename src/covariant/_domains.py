@@ -40,7 +40,7 @@ class Domain(NamedTuple):
     whole: bool = False
     why: str = ""
 
-    def has(self, value: Any) -> bool:
+    def has(self, value: object) -> bool:
         """Whether a value is numbers of this domain; a traced one counts as such."""
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value)):
             return True
@@ -52,7 +52,7 @@ class Domain(NamedTuple):
         except (TypeError, ValueError):  # not numbers, or lists of different lengths
             return False
 
-    def check(self, whose: str, name: str, value: Any) -> None:
+    def check(self, whose: str, name: str, value: object) -> None:
         """Raise `InputError` in the name of a function where an argument is not of this domain."""
         if not self.has(value):
             why = self.why and f". {self.why}"
@@ -86,7 +86,7 @@ Whole = Annotated[int, WHOLE]
 Interval = Annotated[tuple[float, float], INTERVAL]
 
 
-def domain_of(annotation: Any) -> Domain | None:
+def domain_of(annotation: object) -> Domain | None:
     """The domain in a type, also in one that allows None."""
     kinds = (annotation, *(get_args(annotation) if get_origin(annotation) in (Union, UnionType) else ()))
     parts = (part for kind in kinds for part in getattr(kind, "__metadata__", ()))

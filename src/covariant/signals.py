@@ -145,7 +145,7 @@ class Record(_Fields):
         positions = _count(shape[1], "position") if len(shape) == 2 else f"positions {shape[1]} × {shape[2]}"
         return f"<Record: {_span(self.t)}, {positions}, {_count(np.shape(self.u)[1], 'input')}>"
 
-    def check(self, start: Any = None, missing_inputs: bool = False) -> "Record":
+    def check(self, start: np.ndarray | None = None, missing_inputs: bool = False) -> "Record":
         """Check that the record is valid: real numbers of consistent shapes, and rising stamps in seconds.
 
         Args:
@@ -206,7 +206,7 @@ class Record(_Fields):
         return self
 
 
-def check_rounding(t: Float[np.ndarray, "T"], precision: Any = None) -> None:
+def check_rounding(t: Float[np.ndarray, "T"], precision: np.dtype | None = None) -> None:
     """Check that the rounding of stamps in single precision does not falsify the steps between them.
 
     Args:
@@ -289,7 +289,7 @@ class Run(NamedTuple):
         return f"<Run: {_span(self.t)}{codes}>"
 
 
-def _span(t: Any) -> str:
+def _span(t: AnyArray) -> str:
     """How many rows stamps (T,) have, and over which time where they are numbers."""
     rows = np.shape(t)
     text = _count(rows[0], "row") if len(rows) == 1 else f"rows {rows}"
@@ -299,7 +299,7 @@ def _span(t: Any) -> str:
         return text
 
 
-def _codes(result: Any) -> str:
+def _codes(result: AnyArray) -> str:
     """Counts of the result codes of a pass, the most frequent first."""
     try:
         codes, counts = np.unique(np.asarray(result), return_counts=True)

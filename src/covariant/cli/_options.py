@@ -85,7 +85,7 @@ class Option(NamedTuple):
         """How messages name it."""
         return next((flag.partition("/")[0] for flag in self.flags if flag.startswith("--")), self.name)
 
-    def read(self, value: Any) -> Any:
+    def read(self, value: object) -> Any:
         """Convert what typer read to the argument of Python; None, for an absent option, stays."""
         return value if self.kind.parse is None or value is None else self.kind.parse(self.typed, value)
 

@@ -314,7 +314,7 @@ def of_family(observer: AbstractObserver, family: Family) -> Recipe:
         ]
         return eqx.combine(jax.tree.unflatten(tree, filled), static)
 
-    known = getattr(model, "parameters", {})
+    known = model.parameters
     bases = {name: known.get(family.names[ks[0]].partition("[")[0]) for name, ks in groups.items()}
     units = {name: parameter.unit for name, parameter in bases.items() if isinstance(parameter, Parameter)}
     return Recipe(make, numbers, GAIN_UNITS | units)
@@ -501,7 +501,7 @@ def trace_program(
     acting = jax.ShapeDtypeStruct((u,), dtype)
     traced_step = trace(step, open_numbers, state, acting, measured, scalar)
     traced_estimate = trace(estimate, open_numbers, state)
-    sensors = tuple((sensor.name, sensor.count) for sensor in getattr(first, "sensors", ()))
+    sensors = tuple((sensor.name, sensor.count) for sensor in first.sensors)
     alone_traced: list[tuple[str, TracedFunction]] = []
     if alone and sensors:
         at = 0

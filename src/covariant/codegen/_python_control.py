@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant._optional import load_optional
-from covariant._typing import Controller
+from covariant._typing import Controller, Numbers
 from covariant.models import StateSpace
 from covariant.observers import AbstractFlowObserver, continuous
 
@@ -47,7 +47,7 @@ def plant(model: StateSpace, name: str = "plant") -> Any:
 
 
 def observer_system(
-    observer: AbstractFlowObserver, model: StateSpace, y0: Any, t0: float = 0.0, name: str = "observer"
+    observer: AbstractFlowObserver, model: StateSpace, y0: Numbers, t0: float = 0.0, name: str = "observer"
 ) -> Any:
     """Convert an observer to a `control.NonlinearIOSystem` from (u, y) to its estimate, to be connected with `plant`.
 
@@ -103,7 +103,7 @@ def closed_loop(
     model: StateSpace,
     observer: AbstractFlowObserver,
     controller: Controller,
-    y0: Any,
+    y0: Numbers,
     t0: float = 0.0,
     name: str = "loop",
 ) -> Any:

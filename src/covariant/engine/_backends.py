@@ -11,6 +11,7 @@ import numpy as np
 
 from covariant.engine._choice import EngineName, choose_open
 from covariant.engine._kernel import Kernel, KernelForm
+from covariant.observers import AbstractObserver
 
 
 class CBackend:
@@ -56,7 +57,7 @@ class CBackend:
 class JaxBackend:
     """A compiled program of JAX with the attributes and methods of `CBackend`."""
 
-    def __init__(self, observer: Any, y: np.ndarray, inputs: int):
+    def __init__(self, observer: AbstractObserver, y: np.ndarray, inputs: int):
         self._shape, self._observer = y.shape, observer
         self.y, self.u = np.zeros(y.size), np.zeros(inputs)
         self.places: Any = tuple(map(memoryview, (self.y, self.u)))  # pyright: ignore[reportArgumentType]
@@ -86,7 +87,7 @@ def _step_observer(observer, state, u, y, dt):
     return state, _flat(observer.estimate(state)), info.result
 
 
-def _flat(x: Any) -> Any:
+def _flat(x: object) -> Any:
     return jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(x)])
 
 

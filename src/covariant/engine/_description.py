@@ -26,6 +26,7 @@ import numpy as np
 from covariant import _programs
 from covariant.engine._numbers import Places
 from covariant.engine._sources import LIBRARY, ROOT, source_files
+from covariant.observers import AbstractObserver
 from scalargraph.cache import cache_folder
 
 PACKAGES = ("jax", "jaxlib", "equinox", "numpy", "scipy")
@@ -36,7 +37,7 @@ class _UnknownError(Exception):
     """Raised for a part of an observer that the library's files do not determine."""
 
 
-def description_key(observer: Any, places: Places, *form: Any) -> str | None:
+def description_key(observer: AbstractObserver, places: Places, *form: object) -> str | None:
     """Cache key of a compiled observer, computed from its parts."""
     if cache_folder() is None or _source_may_differ():
         return None
@@ -99,7 +100,7 @@ def _record(x: Any, opened: dict[int, tuple[int, ...] | None]) -> Iterator[bytes
         yield from _parts(vars(x)[field.name], {} if field.metadata.get("static") else opened)
 
 
-def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
+def _array(x: np.ndarray | np.generic | jax.Array, at: tuple[int, ...] | None) -> Iterator[bytes]:
     kind = "jax" if isinstance(x, jax.Array) else type(x).__name__
     try:
         values = np.asarray(x)
@@ -111,7 +112,7 @@ def _array(x: Any, at: tuple[int, ...] | None) -> Iterator[bytes]:
     yield (values if at is None else values.ravel()[np.array(at, int) < 0]).tobytes()
 
 
-def _name(x: Any) -> str:
+def _name(x: object) -> str:
     """The name under which the library's modules define a class or a function."""
     module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None)
     if not isinstance(module, str) or not isinstance(name, str) or module.partition(".")[0] not in LIBRARY:

@@ -19,7 +19,7 @@ from scalargraph.template import fill
 REALS: dict[Any, Literal["double", "float"]] = {np.dtype(np.float64): "double", np.dtype(np.float32): "float"}
 
 
-def compiled(function: Callable, *arguments: Any) -> Callable:
+def compiled(function: Callable, *arguments: object) -> Callable:
     """Compile a function in C, for calls from `jax.jit` and `jax.vmap`; a batch fills the lanes of vectors.
 
     The results are those of the function up to rounding; run-time checks (`equinox.error_if`) are left out. The
@@ -69,11 +69,11 @@ def compiled(function: Callable, *arguments: Any) -> Callable:
     return call
 
 
-def _shapes(arguments: Any) -> Any:
+def _shapes(arguments: object) -> Any:
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(jnp.shape(leaf), jnp.result_type(leaf)), arguments)
 
 
-def _describe_shapes(arguments: Any) -> str:
+def _describe_shapes(arguments: object) -> str:
     """The types, shapes and structure of arguments."""
     return str(jax.tree.map(lambda leaf: f"{leaf.dtype}{list(leaf.shape)}", _shapes(arguments))).replace("'", "")
 

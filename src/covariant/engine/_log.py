@@ -225,7 +225,7 @@ def _make_run(form: _Columns, t: np.ndarray, x: np.ndarray, info: np.ndarray) ->
     return Run(t, form.estimate(x), infos)
 
 
-def _make_splitter(kinds: Any) -> Callable[[np.ndarray], Any]:
+def _make_splitter(kinds: object) -> Callable[[np.ndarray], Any]:
     """A function that splits the columns of an array into the leaves of a pytree."""
     leaves, tree = jax.tree.flatten(kinds)
     ends = np.cumsum([leaf.size for leaf in leaves], dtype=int)

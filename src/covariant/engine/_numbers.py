@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.observers import AbstractObserver
+from covariant.signals import AnyArray
 from scalargraph.errors import InputError
 
 MODEL = {"model", "metric"}
@@ -78,7 +79,7 @@ def _usual(values: np.ndarray, of_model: bool) -> np.ndarray:
     return np.isfinite(values) & (values != 0) & ~(of_model & (np.abs(values) == 1))
 
 
-def _alike(real: bool, leaf: Any, first: Any) -> bool:
+def _alike(real: bool, leaf: AnyArray, first: AnyArray) -> bool:
     """Whether leaves of two observers differ at most in the values of an array of real numbers."""
     if leaf is first:
         return True
@@ -87,7 +88,7 @@ def _alike(real: bool, leaf: Any, first: Any) -> bool:
     return bool(eqx.tree_equal(leaf, first))
 
 
-def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
+def filled(leaves: Sequence[Any], places: Places, numbers: AnyArray) -> list[Any]:
     """The arrays of an observer with its open numbers filled in."""
     # Arrays with the same numbers share one result, since tracing each takes as long as tracing a step of a model.
     made: dict[tuple[Any, ...], Any] = {}
@@ -103,7 +104,7 @@ def filled(leaves: Sequence[Any], places: Places, numbers: Any) -> list[Any]:
     return results
 
 
-def _fill_leaf(leaf: np.ndarray, at: np.ndarray, numbers: Any) -> Any:
+def _fill_leaf(leaf: np.ndarray, at: np.ndarray, numbers: AnyArray) -> Any:
     if (at == np.arange(at[0], at[0] + len(at))).all() and at[0] >= 0:
         entries = jax.lax.slice(numbers, (int(at[0]),), (int(at[0]) + len(at),))
     else:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._typing import Numbers
 from covariant.engine._backends import backend
 from covariant.engine._choice import EngineName
 from covariant.models import Motion
@@ -95,7 +96,7 @@ class Stream:
     def __init__(
         self,
         observer: AbstractObserver,
-        y: Any,
+        y: Numbers,
         rate: float,
         inputs: int | None = None,
         engine: EngineName = "auto",
@@ -110,11 +111,11 @@ class Stream:
             )
         y = np.asarray(y, float)
         model: Any = getattr(observer, "model", None)
-        stated = getattr(model, "inputs", None)
+        stated = None if model is None else model.inputs
         configuration = observer.configuration(np.arange(y.size).reshape(y.shape))
         n = len(configuration) if stated is None else stated
         m = inputs if inputs is not None else 0 if model is None else n
-        self.observer: Any = observer
+        self.observer = observer
         self._sink = sink
         self.engine, self._backend = backend(self.observer, y, m, engine)
         self._y, self._u = self._backend.y, self._backend.u
@@ -148,7 +149,7 @@ class Stream:
         self._last = StepCode.OK
         self._backend.x[:] = math.nan
 
-    def step(self, t: Any, y: Any, u: Any = None) -> Any:
+    def step(self, t: float, y: Numbers | None, u: Numbers | None = None) -> Any:
         """Advance to a stamp, correct by its measurement, and return the estimate.
 
         Args:
@@ -187,7 +188,7 @@ class Stream:
         x = self._copy() if self._shape is None else self._motion()
         return x if self._sink is None else self._give(t, x)
 
-    def _give(self, t: float, x: Any) -> Any:
+    def _give(self, t: float, x: np.ndarray | Motion) -> np.ndarray | Motion:
         """Pass an estimate to the sink, if there is one, and return it."""
         if self._sink is not None:
             self._sink(t, x, self.result)
@@ -223,7 +224,7 @@ class Stream:
             self._backend.x[:] = math.nan
         return self._outcome(result)
 
-    def _read(self, into: np.ndarray, values: Any) -> None:
+    def _read(self, into: np.ndarray, values: Numbers | None) -> None:
         """Write a measurement or input to a buffer, or NaN if it is not the right number of real numbers."""
         try:
             if values is None:
@@ -249,7 +250,7 @@ class Stream:
         return Motion(x[: self._first.size].reshape(self._shape), x[self._first.size :])
 
 
-def _stamp(t: Any) -> float:
+def _stamp(t: float) -> float:
     """A stamp as a number; NaN if it is not a number."""
     try:
         return float(t)

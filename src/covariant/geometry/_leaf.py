@@ -402,7 +402,7 @@ class _LeafManifold(AbstractManifold):
     measured_together = _of_ambient("measured_together")
     admitted = _of_ambient("admitted")
 
-    def origin(self, dtype: Any = float) -> Configuration:
+    def origin(self, dtype: jax.typing.DTypeLike = float) -> Configuration:
         return jnp.asarray(self.leaf.assembly, dtype)
 
     def retract(self, x: Configuration, s: Vector) -> Configuration:

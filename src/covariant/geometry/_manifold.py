@@ -9,7 +9,6 @@ Source: Absil, Mahony & Sepulchre 2008, Optimization Algorithms on Matrix Manifo
 import abc
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -84,7 +83,7 @@ class AbstractManifold(eqx.Module):
         return self
 
     @abc.abstractmethod
-    def origin(self, dtype: Any = float) -> Configuration:
+    def origin(self, dtype: jax.typing.DTypeLike = float) -> Configuration:
         """Base configuration: the neutral element of a group, or coordinates 0.
 
         Args:
@@ -382,7 +381,7 @@ class Coordinates(AbstractManifold):
     def rotations(self) -> tuple[tuple[int, ...], ...]:
         return tuple((i,) for i in self.circles)
 
-    def origin(self, dtype: Any = float) -> Vector:
+    def origin(self, dtype: jax.typing.DTypeLike = float) -> Vector:
         if self.dimension is None:
             raise InputError("the number of coordinates is not known; name them, or give Coordinates(dimension=...)")
         return jnp.zeros(self.dimension, dtype)
@@ -515,7 +514,7 @@ class ProductManifold(AbstractManifold):
         each = zip(starts(self._sizes), self.factors, strict=True)
         return tuple(start + i for start, factor in each for i in factor.circles)
 
-    def origin(self, dtype: Any = float) -> Configuration:
+    def origin(self, dtype: jax.typing.DTypeLike = float) -> Configuration:
         return self.join([factor.origin(dtype) for factor in self.factors])
 
     def parts(self, x: Configuration) -> list[Array]:

@@ -3,7 +3,7 @@
 import contextlib
 import errno
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +87,7 @@ def _topics(types: Mapping[str, Any], columns: dict[str, np.ndarray]) -> Iterato
         yield VALUES, state, _joint_states(types[state], rest, {(name, "position"): columns[name] for name in rest})
 
 
-def _joint_states(make: Any, names: list[str], joint_columns: Mapping[tuple[str, str], np.ndarray]) -> Any:
+def _joint_states(make: Callable, names: list[str], joint_columns: Mapping[tuple[str, str], np.ndarray]) -> Any:
     empty = np.full(len(next(iter(joint_columns.values()))), np.nan)
     used = {field for _, field in joint_columns}
     rows = [
@@ -97,7 +97,7 @@ def _joint_states(make: Any, names: list[str], joint_columns: Mapping[tuple[str,
     return lambda header, k: make(header, names, *(np.zeros(0) if cells is None else cells[k] for cells in rows))
 
 
-def _poses(types: Mapping[str, Any], make: Any, cells: list[np.ndarray]) -> Any:
+def _poses(types: Mapping[str, Any], make: Callable, cells: list[np.ndarray]) -> Any:
     whole, point, turn = (types[f"geometry_msgs/msg/{name}"] for name in ("Pose", "Point", "Quaternion"))
 
     def message(header: Any, k: int) -> Any:

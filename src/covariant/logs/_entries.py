@@ -81,7 +81,7 @@ def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:
     return {}
 
 
-def _flat(names: Any, length: int) -> list[str]:
+def _flat(names: Sequence | None, length: int) -> list[str]:
     """Names of the entries, from a list or a table that contains one; none if their number differs from `length`."""
     if isinstance(names, Mapping) and len(names) == 1:
         (names,) = names.values()

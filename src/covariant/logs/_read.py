@@ -418,7 +418,7 @@ def _columns_and_table(
 
 
 @contextlib.contextmanager
-def _legible(name: str, log: Any) -> Iterator[None]:
+def _legible(name: str, log: object) -> Iterator[None]:
     pa = pyarrow()
     try:
         with bounded(name):

@@ -2,6 +2,7 @@
 
 import re
 from fractions import Fraction
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,7 +128,7 @@ def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | 
     return None
 
 
-def _since_first(pa: Any, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
+def _since_first(pa: ModuleType, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
     """The first number, and all numbers minus the first; exactly if possible, since a float has only 16 digits."""
     # int64 covers nanoseconds since 1970; decimals have 18 digits before the point, enough for microseconds.
     for exact in (pa.int64(), pa.decimal128(30, 12)):
@@ -159,7 +160,7 @@ def _need_no_unit(where: str, unit: str | None, what: str) -> None:
         raise LogError(f"{where} holds {what}, which need no unit; leave [units] t away")
 
 
-def _dates(pa: Any, where: str, column: Any) -> np.ndarray:
+def _dates(pa: ModuleType, where: str, column: Any) -> np.ndarray:
     """Nanoseconds since 1970 (T,); a date without a zone is read as UTC."""
     if pa.types.is_string(column.type):
         plain = pa.compute.utf8_trim_whitespace(column)

@@ -47,7 +47,7 @@ class LogSource(NamedTuple):
     labels: Mapping[str, str] = MappingProxyType({})
 
 
-def source_name(log: Any) -> str:
+def source_name(log: object) -> str:
     """Name of a log in messages and tables: its path in printable form, or "table", "dataset" or "record" in memory.
 
     Args:
@@ -127,7 +127,7 @@ def _units_of(attributes: Mapping[Any, Any]) -> dict[str, str]:
     return {str(name): str(text).strip() for each in named for name, text in each.items() if str(text).strip()}
 
 
-def _is_dataset(log: Any) -> bool:
+def _is_dataset(log: object) -> bool:
     """Whether a log is a dataset of xarray; this is tested only if xarray is imported already."""
     xarray = sys.modules.get("xarray")
     return xarray is not None and isinstance(log, xarray.Dataset)

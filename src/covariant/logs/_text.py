@@ -4,6 +4,7 @@ import csv
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from covariant._door import MOST_COLUMNS, TEXT_LOG
@@ -102,7 +103,7 @@ def _is_value(cell: str) -> bool:
     return is_number(cell) or re.fullmatch(NUMBER, cell) is not None or re.match(DATE, cell) is not None
 
 
-def read_text(pa: Any, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
+def read_text(pa: ModuleType, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:
     """Read columns of a sheet as text."""
     if not found.rows.strip():
         raise LogError(f"{path}: the file has a header and no rows")
@@ -160,7 +161,7 @@ def _check_quotes(path: Path, found: Sheet) -> None:
                 )
 
 
-def with_points(pa: Any, log: str, table: Any, certain: bool) -> Any:
+def with_points(pa: ModuleType, log: str, table: Any, certain: bool) -> Any:
     """Replace decimal commas by points. If they are not `certain`, a single 1,234 may also mean a thousand."""
     texts = [name for name in table.column_names if pa.types.is_string(table.schema.field(name).type)]
     commas = {name: _matching(pa, table.column(name), _COMMA) for name in texts}
@@ -187,7 +188,7 @@ def with_points(pa: Any, log: str, table: Any, certain: bool) -> Any:
     return table
 
 
-def _matching(pa: Any, column: Any, pattern: str) -> int | None:
+def _matching(pa: ModuleType, column: Any, pattern: str) -> int | None:
     """The first row whose text matches a pattern."""
     if "," in pattern and not pa.compute.any(pa.compute.match_substring(column, ",")).as_py():
         return None

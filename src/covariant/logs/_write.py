@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from types import ModuleType
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -78,18 +79,18 @@ def _check_columns(path: Path, columns: Mapping[str, np.ndarray]) -> dict[str, n
     return arrays
 
 
-def _column(pa: Any, array: np.ndarray) -> Any:
+def _column(pa: ModuleType, array: np.ndarray) -> Any:
     """A column of Arrow that shares the memory of an array; Arrow's own conversion would import pandas first."""
     # Arrow expects the byte order of the machine; an array read from a file may have the other.
     numbers = pa.py_buffer(np.ascontiguousarray(array, array.dtype.newbyteorder("=")))
     return pa.Array.from_buffers(pa.from_numpy_dtype(array.dtype), len(array), [None, numbers])
 
 
-def _write_parquet(pa: Any, table: Any, file: BinaryIO, _: str) -> None:
+def _write_parquet(pa: ModuleType, table: Any, file: BinaryIO, _: str) -> None:
     pa.parquet.write_table(table, file)
 
 
-def _write_csv(pa: Any, table: Any, file: BinaryIO, delimiter: str) -> None:
+def _write_csv(pa: ModuleType, table: Any, file: BinaryIO, delimiter: str) -> None:
     """Arrow writes the shortest digits that read back exactly; the header is written here, since Arrow quotes it."""
     header = io.StringIO()
     csv.writer(header, lineterminator="\n", delimiter=delimiter).writerow(table.column_names)

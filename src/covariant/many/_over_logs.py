@@ -213,7 +213,7 @@ def _file_name(log: Path, folder: Path) -> str:
     return file_name(f"{log.parent.name}_{log.stem}_{content_hash(place)[:8]}")
 
 
-def _content(log: Any) -> tuple[str, float]:
+def _content(log: object) -> tuple[str, float]:
     """Hash of the content of a log, and its size [bytes]."""
     if not isinstance(log, str | os.PathLike):
         return f"{id(log)}", LEAST_COST

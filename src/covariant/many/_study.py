@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from covariant._door import STUDY, read_toml
 from covariant._names import unknown
@@ -18,11 +19,11 @@ from covariant.metrics import Grid
 from scalargraph.errors import InputError
 
 
-def _number(value: Any, least: float = -math.inf) -> bool:
+def _number(value: object, least: float = -math.inf) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and least <= value < math.inf
 
 
-def _numbers(value: Any) -> bool:
+def _numbers(value: object) -> bool:
     return _number(value) or (isinstance(value, list) and bool(value) and all(map(_number, value)))
 
 
@@ -87,7 +88,7 @@ class Axis(NamedTuple):
     key: str
     values: Sequence[Any]
 
-    def keys_of(self, value: Any) -> list[str]:
+    def keys_of(self, value: object) -> list[str]:
         """The keys of one of its values."""
         return [key for key in value if key != "name"] if isinstance(value, dict) else [self.key]
 
@@ -126,7 +127,7 @@ class Axis(NamedTuple):
             self.values[0] < self.values[1]
         )
 
-    def at(self, x: Any) -> Any:
+    def at(self, x: Array) -> Array:
         """Value at a coordinate of the store."""
         return x if self._spaced else jnp.asarray(self.values, float)[jnp.round(x).astype(int)]
 
@@ -256,7 +257,7 @@ def parse_study(content: Mapping[str, Any], name: str = "study", folder: Path = 
     return study
 
 
-def _values(name: str, key: str, given: Any) -> list[Any]:
+def _values(name: str, key: str, given: object) -> list[Any]:
     """Values of an axis from the study: a number of draws, equal steps, lists by key, or a list."""
     values = given
     if key == "draw":
@@ -289,7 +290,7 @@ def _values(name: str, key: str, given: Any) -> list[Any]:
 def _refuse_twice(place: str, values: Sequence[Any]) -> None:
     """Refuse a value that occurs twice."""
 
-    def plain(value: Any) -> Any:
+    def plain(value: object) -> Any:
         if isinstance(value, dict):
             return frozenset((key, plain(each)) for key, each in value.items())
         return tuple(map(plain, value)) if isinstance(value, list) else value
@@ -320,7 +321,7 @@ def _equal_steps(name: str, key: str, ends: Mapping[str, Any]) -> list[float]:
     return np.linspace(low, high, int(count)).tolist()
 
 
-def _check(name: str, key: str, value: Any) -> None:
+def _check(name: str, key: str, value: object) -> None:
     """Refuse an invalid value for a key of a study; keys of the model file are checked with that file."""
     table = key.partition(".")[0]
     if table == "spread":

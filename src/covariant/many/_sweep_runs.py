@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from covariant import engine, models
 from covariant._names import did_you_mean, unknown
@@ -49,7 +50,7 @@ class Runs:
     text: str
     hashes: tuple[str, ...]
 
-    def __call__(self, x: Any) -> dict[str, Any]:
+    def __call__(self, x: Array) -> dict[str, Any]:
         return _compiled(self).run(x)
 
     def variables(self) -> dict[str, Variable]:
@@ -83,16 +84,16 @@ class _Machine(NamedTuple):
     """
 
     plan: Study
-    model: Any
+    model: models.MechanicalSystem
     names: tuple[str, ...]
-    inputs: Callable[[Any, Any, Any], Any]
+    inputs: Callable[[Array, Array, Array], Array]
     own: dict[str, Any]
-    intervals: Any
-    counts: Any
-    pushes: Any
+    intervals: Array
+    counts: Array
+    pushes: Array
     families: dict[str, _Family]
 
-    def run(self, x: Any) -> dict[str, Any]:
+    def run(self, x: Array) -> dict[str, Any]:
         """Errors of all observers in a case."""
         content, n, manifold = self.plan.content, len(self.names) // 2, self.model.manifold
         coordinates = dict(zip((axis.key for axis in self.plan.axes), x, strict=True))
@@ -117,7 +118,7 @@ class _Machine(NamedTuple):
             both = both + states("spread") * jax.random.normal(of_start, both.shape)
         off = scale * states("error")
 
-        def random(name: str, key: Any, k: Any, shape: tuple[int, ...] = (n,)) -> Any:
+        def random(name: str, key: Array, k: Array | int, shape: tuple[int, ...] = (n,)) -> Array:
             return own[name] * jax.random.normal(jax.random.fold_in(key, k), shape) if name in own else jnp.zeros(shape)
 
         result = {}
@@ -152,7 +153,7 @@ def _compiled(runs: Runs) -> _Machine:
     content, designs = plan.content, plan.designs
     overrides = content.get("set", {})
     file = _load(plan.model, {}, overrides, "[set] ")
-    model: Any = file.need_mechanical(plan.model, "a sweep simulates")
+    model = file.need_mechanical(plan.model, "a sweep simulates")
     if model.feet is not None:
         raise InputError(f"{plan.model}: a sweep simulates no contacts; take a model without feet")
     n = file.dimension
@@ -211,7 +212,9 @@ def _load(model: str, fixed: Mapping[str, Any], changes: Mapping[str, Any], plac
         raise
 
 
-def _inputs(content: Mapping[str, Any], model: Any, count: int, n: int) -> Callable[[Any, Any, Any], Any]:
+def _inputs(
+    content: Mapping[str, Any], model: models.MechanicalSystem, count: int, n: int
+) -> Callable[[Array, Array, Array], Array]:
     """Inputs (m,) at a time, a configuration and a velocity: sines, or a function of a module."""
     if "feedback" in content:
         spec = content["feedback"]["function"]
@@ -255,10 +258,10 @@ def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noi
     origin = model.manifold.origin()
     kinds = jax.eval_shape(observers[0].init, origin)
 
-    def as_numbers(state: Any) -> Any:
+    def as_numbers(state):
         return jax.tree.map(lambda leaf: leaf.astype(float), state)
 
-    def init(values: Sequence[Any], y: Any, v: Any = None) -> Any:
+    def init(values, y, v=None):
         state = observer(values).init(y)
         return as_numbers(state if v is None else with_velocity(state, v))
 
@@ -267,7 +270,7 @@ def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noi
     told = (("nees", "velocity_std"), ("band", "velocity_std"), ("nis", "nis"))
     tells = tuple(what for what, field in told if noisy and getattr(info, field, None) is not None)
 
-    def step(values: Any, t: Any, q: Any, v: Any, state: Any, u: Any, force: Any, noise: Any, h: Any) -> Any:
+    def step(values, t, q, v, state, u, force, noise, h):
         each, (push, accelerations) = observer(values), force
         if driven:
 
@@ -300,5 +303,5 @@ def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noi
     return _Family(compiled, init, numbers, tells)
 
 
-def _same(leaf: Any, first: Any) -> bool:
+def _same(leaf: object, first: object) -> bool:
     return leaf is first or bool(np.array_equal(np.asarray(leaf), np.asarray(first)))

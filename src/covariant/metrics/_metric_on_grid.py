@@ -243,7 +243,7 @@ def _finite_or_none(bound: Array) -> list[float | None]:
 def _describe_equation(equation: Equation) -> dict[str, Any]:
     """An equation as JSON data; a field Q is represented by its name."""
 
-    def as_json(cov: Any) -> Any:
+    def as_json(cov: Callable | Array | None) -> Any:
         if callable(cov):
             return getattr(cov, "__qualname__", repr(cov))
         return None if cov is None else np.asarray(cov).tolist()

@@ -232,7 +232,7 @@ def _attributes(path: Path) -> dict[str, Any]:
     return attributes
 
 
-def _annotate(path: Path, **attributes: Any) -> None:
+def _annotate(path: Path, **attributes: object) -> None:
     optional("zarr").open_group(str(path), mode="r+").attrs.update(attributes)
 
 
@@ -240,7 +240,7 @@ def _versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in ("covariant", "jax", "numpy")}
 
 
-def _difference(there: Any, here: Any, name: str = "") -> str:
+def _difference(there: object, here: object, name: str = "") -> str:
     """A description of the first difference, with its dotted name."""
     if isinstance(there, dict) and isinstance(here, dict):
         key = next(key for key in [*here, *there] if there.get(key) != here.get(key))

@@ -5,7 +5,7 @@ One leaf serves all sets of feet, since the rows of feet in the air are zero; so
 Source: Kozlov & Treshchev 1991, Billiards, for impacts as projections; Lötstedt 1984 for plastic impacts.
 """
 
-from typing import Any
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -68,7 +68,8 @@ def standing(model: MechanicalSystem, down: Bool[Array, "k"], spots: Float[Array
     return eqx.tree_at(lambda m: m.space, model, leaf)
 
 
-def _slipped(feet: Any, down: Bool[Array, "k"], spots: Float[Array, "k d"], q: Any) -> Float[Array, "k_d"]:
+def _slipped(
+    feet: Callable[[Array], Array], down: Bool[Array, "k"], spots: Float[Array, "k d"], q: Array
+) -> Float[Array, "k_d"]:
     """Displacements of the feet on the ground from their spots; 0 for feet in the air, so that their rows are zero."""
-    gaps: Any = jnp.where(down[:, None], feet(q) - spots, 0.0)
-    return gaps.ravel()
+    return jnp.where(down[:, None], feet(q) - spots, 0.0).ravel()

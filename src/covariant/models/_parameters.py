@@ -13,6 +13,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
+from covariant._typing import Numbers
 from scalargraph.errors import InputError
 
 AnyArray = Array | np.ndarray
@@ -72,11 +73,11 @@ class Parametric(Functional):
     function: Callable[..., Array] = eqx.field(static=True)
     parameters: dict[str, Any]
 
-    def __init__(self, function: Callable[..., Array], /, **parameters: Any):
+    def __init__(self, function: Callable[..., Array], /, **parameters: object):
         self.function = function
         self.parameters = {name: _numbers(value) for name, value in parameters.items()}
 
-    def __call__(self, *arguments: Any) -> Array:
+    def __call__(self, *arguments: Array) -> Array:
         # Double-precision parameters would otherwise promote a single-precision state.
         real = next((jnp.finfo(a.dtype).dtype for a in arguments if jnp.ndim(a) and _inexact(a)), jnp.zeros(()).dtype)
         return self.function(*arguments, **jax.tree.map(lambda number: number.astype(real), self.parameters))
@@ -93,11 +94,11 @@ def _numbers(value: Any) -> Any:
     return jnp.asarray(value, float)
 
 
-def _inexact(array: Any) -> bool:
+def _inexact(array: AnyArray) -> bool:
     return jnp.issubdtype(array.dtype, jnp.inexact)
 
 
-def namespace(*given: Any) -> Any:
+def namespace(*given: object) -> Any:
     """The array library for these numbers: `jax.numpy` if one of them is traced by JAX, else NumPy.
 
     Open parameters of a family are traced. With NumPy a model is built without compiling anything.
@@ -105,7 +106,7 @@ def namespace(*given: Any) -> Any:
     return np if known(given) else jnp
 
 
-def known(given: Any) -> bool:
+def known(given: object) -> bool:
     """Whether the values of all these numbers are known, that is, none is traced by JAX."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(given))
 
@@ -120,7 +121,7 @@ def check_parameters(
     return parameters
 
 
-def check_range(what: str, value: Any, least: float) -> None:
+def check_range(what: str, value: Numbers, least: float) -> None:
     """Raise `ValueError` for a number that is not finite or below its least value; traced numbers are not checked."""
     if known(value) and not ((numbers := np.asarray(value)) >= least).all() & np.isfinite(numbers).all():
         raise InputError(f"{what} must be {RANGES[least]}; got {numbers.tolist()!r}")

@@ -91,6 +91,7 @@ class StateSpace(Functional):
         return ()
 
     velocity_units = velocities
+    feet = force = space = None  # what only a mechanical system has
 
     @property
     def logged_units(self) -> dict[str, tuple[str, ...]]:

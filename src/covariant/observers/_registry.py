@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from covariant._typing import Matrix, Vector
 from covariant.geometry.lie import SO3
-from covariant.models import MechanicalSystem
+from covariant.models import MechanicalSystem, StateSpace
 from covariant.models.robots import Legs
 from covariant.observers.base import AbstractObserver, Covariance
 from covariant.observers.constant_gain import (
@@ -46,32 +46,32 @@ EDGE = 0.1
 """Standard deviation of the position of an encoder's edge, as a fraction of a tick: a typical tolerance."""
 
 
-def mechanical(model: Any) -> bool:
+def mechanical(model: MechanicalSystem | StateSpace) -> bool:
     """Every mechanical system."""
     return model.sought.what == "velocity"
 
 
-def without_loops(model: Any) -> bool:
+def without_loops(model: MechanicalSystem | StateSpace) -> bool:
     """Mechanical systems without closed loops."""
     return mechanical(model) and not model.manifold.redundant
 
 
-def coordinates(model: Any) -> bool:
+def coordinates(model: MechanicalSystem | StateSpace) -> bool:
     """Mechanical systems in coordinates, not on a group, without closed loops."""
     return without_loops(model) and model.manifold.commuting
 
 
-def without_contacts(model: Any) -> bool:
+def without_contacts(model: MechanicalSystem | StateSpace) -> bool:
     """Mechanical systems without closed loops or feet."""
     return without_loops(model) and model.feet is None
 
 
-def rotations(model: Any) -> bool:
+def rotations(model: MechanicalSystem | StateSpace) -> bool:
     """Rigid bodies on SO(3)."""
     return mechanical(model) and model.manifold == SO3
 
 
-def states(model: Any) -> bool:
+def states(model: MechanicalSystem | StateSpace) -> bool:
     """Every state-space model, except bases of legged robots."""
     return model.sought.what == "state" and not on_legs(model)
 
@@ -155,7 +155,7 @@ class Entry(NamedTuple):
     fits: Callable[[Any], bool] = mechanical
     promises: tuple[Literal["error law", "coordinate-free"], ...] = ()
 
-    def construct(self, model: Any, *numbers: Any) -> AbstractObserver:
+    def construct(self, model: MechanicalSystem | StateSpace, *numbers: Any) -> AbstractObserver:
         """The observer for a model; if the model has feet, wrapped in `Contacts`.
 
         Args:
@@ -166,7 +166,7 @@ class Entry(NamedTuple):
             The observer.
         """
         observer = self.make(model, *numbers)
-        return Contacts(observer) if self.knows_model and getattr(model, "feet", None) is not None else observer
+        return Contacts(observer) if self.knows_model and model.feet is not None else observer
 
     @property
     def has_gate(self) -> bool:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,7 +88,7 @@ def write_rerun(
     partial.replace(path)
 
 
-def _is_recent(rr: Any) -> bool:
+def _is_recent(rr: ModuleType) -> bool:
     """Whether Rerun has lanes of states. Older releases get messages instead, and choose the camera themselves."""
     return hasattr(rr, "StateChange")
 
@@ -97,7 +98,7 @@ def _rgba(color: str) -> int:
     return int(color[1:], 16) << 8 | 0xFF
 
 
-def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> None:
+def _send_body(rr: ModuleType, recording: Any, body: MovingBody, times: list[Any]) -> None:
     entity = rr.new_entity_path(["robot", body.name])
     recording.log(f"{entity}/link", rr.LineStrips3D(body.segments, radii=RADIUS, colors=_rgba("#56B4E9")), static=True)
     if body.label:
@@ -109,7 +110,7 @@ def _send_body(rr: Any, recording: Any, body: MovingBody, times: list[Any]) -> N
     recording.send_columns(entity, times, columns)
 
 
-def _arrangement(rr: Any, curves: Sequence[PlottedCurve], bodies: Sequence[MovingBody]) -> Any:
+def _arrangement(rr: ModuleType, curves: Sequence[PlottedCurve], bodies: Sequence[MovingBody]) -> Any:
     """The robot on the left, curves by quantity and coordinate on the right, and results of the samples below."""
     rrb = load_optional("rerun.blueprint", use="recordings are written with", extra="live")
     views: dict[str, list[Any]] = {}

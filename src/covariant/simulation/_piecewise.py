@@ -176,6 +176,6 @@ def simulate_piecewise(
     return jax.lax.scan(interval, x0, pieces)[1]
 
 
-def _acting(begin: Any, value: Any, rate: Any, transient: Any, decay: Any, t: Any, x: Any = None) -> Array:
+def _acting(begin, value, rate, transient, decay, t, x=None) -> Array:
     s = t - begin
     return value + rate * s + transient * jnp.exp(-decay * s)

@@ -110,7 +110,7 @@ def simulate(
     return Record(t, inputs, jax.vmap(plant.output)(t, x, inputs), x)
 
 
-def _simulate_in_charts(model: Any, x0: Any, t: Float[Array, "T"], input_at: Input, rule) -> Motion:
+def _simulate_in_charts(model: Any, x0: Motion, t: Float[Array, "T"], input_at: Input, rule) -> Motion:
     def interval(motion, bounds):
         begin, end = bounds
         # A chart around a configuration is singular after a turn by 2π; this many charts keep displacements small.

@@ -86,7 +86,7 @@ class Writer:
     def chosen(self, first: np.ndarray, a: Value, b: Value) -> Value:
         """Choose each row from one of two arrays: from `a` where `first` is true, else from `b`."""
         # The mask covers the leading axes and is broadcast along the others.
-        mask = first.reshape(first.shape + (1,) * (np.ndim(getattr(a, "ids", a)) - first.ndim))
+        mask = first.reshape(first.shape + (1,) * (np.ndim(a.ids if isinstance(a, Scalars) else a) - first.ndim))
         if isinstance(a, Scalars) or isinstance(b, Scalars):
             return Scalars(np.where(mask, nodes_of(self.graph, a), nodes_of(self.graph, b)))
         return np.where(mask, a, b)

@@ -33,7 +33,7 @@ class _UnknownError(Exception):
     """Raised for a part of a jaxpr whose meaning the jaxpr does not determine."""
 
 
-def fingerprint(*parts: Any) -> str | None:
+def fingerprint(*parts: object) -> str | None:
     """Hash the content of traced functions and of values.
 
     Args:
@@ -61,7 +61,7 @@ class _Keys:
     def __init__(self):
         self._known: dict[tuple[int, ...], tuple[ClosedJaxpr, str]] = {}
 
-    def of(self, x: Any) -> str:
+    def of(self, x: object) -> str:
         """The key of a value that a jaxpr may have as a parameter or constant."""
         if x is None or isinstance(x, (bool, int, float, complex, str, bytes)):
             # Hexadecimal digits are exact, so that numbers that print alike have different keys.
@@ -91,7 +91,7 @@ class _Keys:
 
     def _parts(self, body: ClosedJaxpr) -> Iterator[str]:
         """The parts of a jaxpr, its variables numbered as they occur."""
-        numbers: dict[Any, int] = {}
+        numbers: dict[core.Var, int] = {}
         if body.jaxpr.effects:
             raise _UnknownError
         yield from ("jaxpr", *map(self.of, body.consts))
@@ -119,7 +119,7 @@ def _hash(*parts: str) -> str:
     return digest.hexdigest()
 
 
-def _array(x: Any) -> str:
+def _array(x: jax.Array | np.ndarray | np.generic) -> str:
     try:
         a = np.asarray(x)
     except TypeError as error:  # such as a key of random numbers
@@ -129,18 +129,18 @@ def _array(x: Any) -> str:
     return _hash("array", str(a.dtype), str(a.shape), np.ascontiguousarray(a).tobytes().hex())
 
 
-def _kind(aval: Any) -> str:
+def _kind(aval: object) -> str:
     if type(aval) is not ShapedArray:
         raise _UnknownError
     return f"{aval.dtype}{list(aval.shape)}{'*' * aval.weak_type}"
 
 
-def _new(variable: Any, numbers: dict[Any, int]) -> str:
+def _new(variable: core.Var, numbers: dict[core.Var, int]) -> str:
     numbers[variable] = len(numbers)
     return f"{numbers[variable]} {_kind(variable.aval)}"
 
 
-def _atom_text(atom: Any, numbers: dict[Any, int]) -> str:
+def _atom_text(atom: core.Var | core.Literal, numbers: dict[core.Var, int]) -> str:
     if isinstance(atom, core.Literal):
         aval: Any = atom.aval
         return f"literal {_kind(aval)} {np.asarray(atom.val, aval.dtype).tobytes().hex()}"

@@ -8,7 +8,7 @@ import contextlib
 import gc
 import math
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -67,7 +67,7 @@ class Table:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Table) and self._bits == other._bits
 
-    def at(self, place: Any) -> Any:
+    def at(self, place: np.ndarray | float) -> np.ndarray:
         """Return the number at an index."""
         with np.errstate(all="ignore"):
             # NaN becomes 0, and infinities the nearest end, so that the index is always valid, as in the C of a table.
@@ -250,7 +250,7 @@ class Graph:
         """
         return self._add(("input", position), "input", (), position)
 
-    def block(self, op: str, key: Any, arguments: tuple[int, ...], value: Any) -> int:
+    def block(self, op: str, key: Hashable, arguments: tuple[int, ...], value: object) -> int:
         """Return the node of an operation that is not in `FOLD`, such as a loop.
 
         Args:
@@ -374,7 +374,7 @@ class Graph:
         if not settled and (kind, node) not in self.conditions:
             self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 
-    def _add(self, key: tuple, op: str, arguments: tuple[int, ...], value: Any = None) -> int:
+    def _add(self, key: tuple, op: str, arguments: tuple[int, ...], value: object = None) -> int:
         """Return the node with a key, adding it if there is none; only this method adds nodes to a graph."""
         place = self._known.get(key)
         if place is None:

@@ -431,15 +431,15 @@ def _polynomial(x: jax.Array, *coefficients: jax.Array, unroll: int | None = Non
     return total
 
 
-def _log2(x: jax.Array, *, accuracy: Any = None) -> jax.Array:
+def _log2(x: jax.Array, *, accuracy: object = None) -> jax.Array:
     return jax.lax.log(x) * jnp.asarray(1.4426950408889634, x.dtype)
 
 
-def _identity(*x: jax.Array, **_: Any) -> list[jax.Array]:
+def _identity(*x: jax.Array, **_: object) -> list[jax.Array]:
     return list(x)
 
 
-def _empty(*, shape: Sequence[int] = (), dtype: Any, **_: Any) -> jax.Array:
+def _empty(*, shape: Sequence[int] = (), dtype: np.dtype, **_: object) -> jax.Array:
     """Zeros for an array whose entries are written before they are read; JAX does the same on a CPU."""
     return jnp.zeros(shape, dtype)
 

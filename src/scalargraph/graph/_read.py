@@ -176,7 +176,7 @@ def evaluate_batch(function: Callable, *batch: Any) -> Any:
     return on_batches(function, *jax.tree.map(lambda leaf: leaf[0], batch))(*batch)
 
 
-def _of_one_length(batch: Any) -> Any:
+def _of_one_length(batch: tuple) -> tuple:
     """The arguments with all batch axes extended to the length of the longest."""
     longest = max((np.shape(leaf)[0] for leaf in jax.tree.leaves(batch)), default=1)
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (longest, *np.shape(leaf)[1:])), batch)

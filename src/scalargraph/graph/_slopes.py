@@ -112,7 +112,7 @@ def along(function: Callable, primals: Sequence[Any], tangents: Sequence[Any]) -
     return value, slope
 
 
-def jacobian(function: Callable, x: Any) -> jax.Array:
+def jacobian(function: Callable, x: jax.typing.ArrayLike) -> jax.Array:
     """Compute the Jacobian of a function of one array as `jax.jacfwd` does, but from values as in `along`.
 
     Args:

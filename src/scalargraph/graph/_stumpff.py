@@ -11,7 +11,6 @@ Source: Stiefel & Scheifele 1971, Linear and Regular Celestial Mechanics, sectio
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -97,7 +96,7 @@ def _closed_form(k: int, x: jax.Array) -> jax.Array:
 # Values by NumPy, and bounds.
 
 
-def values(k: Any, x: Any) -> Any:
+def values(k: float, x: np.ndarray) -> np.ndarray:
     """Values of Stumpff's function c_k, by NumPy."""
     x = np.asarray(x, float)
     series = _horner(stumpff_coefficients(int(k)), np.clip(x, LEAST, FALLS_UNTIL), -1.0)
@@ -115,7 +114,7 @@ def stumpff_coefficients(k: int) -> list[float]:
     return [1 / math.factorial(2 * j + k) for j in range(STUMPFF_TERMS)]
 
 
-def stumpff_bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any]:
+def stumpff_bounds(series: Sequence[float], low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of Stumpff's function c_k on intervals.
 
     c_k decreases until π², also below 0, where all terms of its series are positive; for x ≥ 0 it lies within ±1/k!.
@@ -140,7 +139,7 @@ def stumpff_bounds(series: Sequence[Any], low: Any, high: Any) -> tuple[Any, Any
     )
 
 
-def _horner(series: Sequence[Any], x: Any, sign: float) -> Any:
+def _horner(series: Sequence[float], x: np.ndarray, sign: float) -> np.ndarray:
     total = np.zeros_like(x)
     for coefficient in reversed(series):
         total = coefficient + sign * x * total

@@ -128,11 +128,11 @@ SMALLEST = 2.0**-1022
 """The smallest normal double. Some libraries for fast arithmetic make a process flush smaller numbers to zero."""
 
 
-def _c_argument(value: Any) -> Any:
+def _c_argument(value: int | np.ndarray) -> ctypes.c_int64 | ctypes.c_void_p:
     return ctypes.c_int64(value) if isinstance(value, int) else ctypes.c_void_p(value.ctypes.data)
 
 
-def _of(kind: Any, rows: Any) -> Any:
+def _of(kind: type | int, rows: Sequence[Place] | np.ndarray) -> Any:
     """An argument of a kernel, assembled from its rows."""
     if kind is Truth:
         return Truth(*(row if isinstance(row, Place) else row != 0 for row in rows))

@@ -6,7 +6,6 @@ that nothing is known, and is propagated.
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ HUGE = LARGEST * (1 - 2.0**-40)
 THIRD = 0x2AA0000000000000
 """Two thirds of the bits of 1. Added to a third of the bits of a number, it gives the bits of roughly its cube root."""
 
-Bounds = tuple[Any, Any]
+Bounds = tuple[np.ndarray, np.ndarray]
 Rule = Callable[..., Bounds]
 
 
@@ -32,7 +31,7 @@ def _relative(op: str) -> float:
     return (UNITS[op] + 1.25) * U
 
 
-def _mask_undefined(defined: Any, bounds: Bounds) -> Bounds:
+def _mask_undefined(defined: np.ndarray, bounds: Bounds) -> Bounds:
     """The bounds where the function is defined, and NaN elsewhere."""
     if defined.all():
         return bounds
@@ -43,7 +42,7 @@ def _rising(op: str, floor: float = -np.inf, ceiling: float = np.inf) -> Rule:
     """Bounds of an increasing function. Its computed value must be zero exactly if the function is zero."""
     point, relative = getattr(points, op), _relative(op)
 
-    def bounds(low: Any, high: Any) -> Bounds:
+    def bounds(low: np.ndarray, high: np.ndarray) -> Bounds:
         value = point(np.stack([low, high]))
         size = np.abs(value)
         # The absolute part covers underflow. If the value is zero, the function is zero too, and the step is 0.
@@ -60,12 +59,12 @@ def _rising(op: str, floor: float = -np.inf, ceiling: float = np.inf) -> Rule:
     return bounds
 
 
-def _within(first: Any, last: Any, rest: int, period: int) -> Any:
+def _within(first: np.ndarray, last: np.ndarray, rest: int, period: int) -> np.ndarray:
     """Whether there is an integer from first to last that is congruent to `rest` modulo `period`."""
     return np.floor((last - rest) * (1 / period)) * period + rest >= first
 
 
-def _turns(low: Any, high: Any) -> tuple[Any, ...]:
+def _turns(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, ...]:
     """Data of both ends reduced modulo π/2: quarter turns, sine and cosine, errors; and the range of quarter turns.
 
     The range is the first and the last whole quarter turn between the ends. A quarter turn counts as between them if
@@ -86,7 +85,7 @@ def _wave(op: str) -> Rule:
     """Bounds of the sine or cosine; the cosine is the sine a quarter turn ahead."""
     ahead, relative = ("sin", "cos").index(op), max(_relative("sin"), _relative("cos"))
 
-    def bounds(low: Any, high: Any) -> Bounds:
+    def bounds(low: np.ndarray, high: np.ndarray) -> Bounds:
         bits, sine, cosine, error, first, last, largest = _turns(low, high)
         bits = bits + ahead
         value = np.where((bits & 1).astype(bool), cosine, sine)
@@ -109,7 +108,7 @@ def _wave(op: str) -> Rule:
     return bounds
 
 
-def _tan(low: Any, high: Any) -> Bounds:
+def _tan(low: np.ndarray, high: np.ndarray) -> Bounds:
     bits, sine, cosine, error, first, last, largest = _turns(low, high)
     odd = (bits & 1).astype(bool)
     # tan(kπ/2 + r) is tan r for even k, and −cot r for odd k.
@@ -122,7 +121,7 @@ def _tan(low: Any, high: Any) -> Bounds:
     return _mask_undefined((largest <= points.MOST_QUARTERS) & ~pole, (value[0] - step[0], value[1] + step[1]))
 
 
-def _exp(low: Any, high: Any) -> Bounds:
+def _exp(low: np.ndarray, high: np.ndarray) -> Bounds:
     value = points.exp(np.stack([low, high]))
     step = value * _relative("exp")
     step += TINY
@@ -130,7 +129,7 @@ def _exp(low: Any, high: Any) -> Bounds:
     return np.maximum(np.where(value[0] > LARGEST, HUGE, value[0] - step[0]), 0.0), value[1] + step[1]
 
 
-def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
+def _power(x_low: np.ndarray, x_high: np.ndarray, y_low: np.ndarray, y_high: np.ndarray) -> Bounds:
     """Bounds of xʸ for x ≥ 0, with y > 0 if x may be 0. The function is monotonic along every side of a box."""
     x = np.stack([x_low, x_high])
     # For x = 0 the logarithm is computed at 1 instead, and the result replaced by 0: 0ʸ = 0 for y > 0.
@@ -148,21 +147,21 @@ def _power(x_low: Any, x_high: Any, y_low: Any, y_high: Any) -> Bounds:
     return _mask_undefined(defined, (low.min(axis=0), high.max(axis=0)))
 
 
-def _cosh(low: Any, high: Any) -> Bounds:
+def _cosh(low: np.ndarray, high: np.ndarray) -> Bounds:
     # cosh is even and increases with |x|, so the smallest and the largest |x| of the interval give its bounds.
     value = points.cosh(np.stack([np.maximum(np.maximum(low, -high), 0.0), np.maximum(-low, high)]))
     step = value * _relative("cosh")
     return np.maximum(np.where(value[0] > LARGEST, HUGE, value[0] - step[0]), 1.0), value[1] + step[1]
 
 
-def _acos(low: Any, high: Any) -> Bounds:
+def _acos(low: np.ndarray, high: np.ndarray) -> Bounds:
     # acos decreases, so its lower bound is its value at the upper end.
     value = points.acos(np.stack([high, low]))
     step = value * _relative("acos")
     return _mask_undefined((low >= -1) & (high <= 1), (value[0] - step[0], value[1] + step[1]))
 
 
-def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
+def _atan2(y_low: np.ndarray, y_high: np.ndarray, x_low: np.ndarray, x_high: np.ndarray) -> Bounds:
     """Bounds of the angle. It has no extremum inside a box or a side, so its extreme values are at the corners.
 
     The exception is a box across the negative half-axis, where the angle jumps; its bounds are ±π.
@@ -180,7 +179,7 @@ def _atan2(y_low: Any, y_high: Any, x_low: Any, x_high: Any) -> Bounds:
     return np.where(across, np.minimum(lowest, -pi), lowest), np.where(across, np.maximum(highest, pi), highest)
 
 
-def _cbrt(low: Any, high: Any) -> Bounds:
+def _cbrt(low: np.ndarray, high: np.ndarray) -> Bounds:
     """Bounds of the cube root: numbers slightly below and above an approximate root, verified by their cubes.
 
     Newton's method starts from a third of the exponent, with a relative error below 0.07, and squares it in each step.
@@ -206,7 +205,7 @@ def _cbrt(low: Any, high: Any) -> Bounds:
     return np.where(x[0] > 0, below[0], -above[0]), np.where(x[1] > 0, above[1], -below[1])
 
 
-def _inside(rule: Rule, defined: Callable[[Any, Any], Any]) -> Rule:
+def _inside(rule: Rule, defined: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Rule:
     return lambda low, high: _mask_undefined(defined(low, high), rule(low, high))
 
 

@@ -77,7 +77,7 @@ def one_value(found: Interval) -> Truth:
     return Truth(known, known)
 
 
-def _no_jump(op: str, arguments: tuple, result: Any) -> Truth:
+def _no_jump(op: str, arguments: tuple, result: Interval) -> Truth:
     """Boxes on which an operation of `JUMPS` does not jump."""
     match op:
         case "select":
@@ -110,7 +110,7 @@ def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval]
     smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
 
     def watched(op: str) -> Callable:
-        def apply(*arguments: Any) -> Any:
+        def apply(*arguments: Interval | Truth) -> Any:
             nonlocal smooth
             result = INTERVALS[op](*arguments)
             smooth = both(smooth, _no_jump(op, arguments, result))
@@ -169,14 +169,14 @@ def _on_steps(rule: Callable, otherwise: Callable) -> Callable:
 
 
 def _stepping(rule: Callable) -> Callable:
-    def apply(*arguments: Any) -> Any:
+    def apply(*arguments: Interval | Truth) -> Any:
         result = rule(*arguments)
         return Step(*result) if isinstance(result, Interval) else result
 
     return apply
 
 
-def _same(a: Any, b: Any) -> Truth:
+def _same(a: Interval | Truth, b: Interval | Truth) -> Truth:
     """Equality of numbers that vary: decided only if they are the same node, or have disjoint intervals."""
     return eq(a, b) if a is b else Truth(np.zeros_like(eq(a, b).must), eq(a, b).may)
 

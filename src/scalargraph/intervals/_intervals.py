@@ -13,7 +13,7 @@ number, both bounds are NaN and remain so through every operation; comparisons w
 import functools
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -33,6 +33,7 @@ BLOCK = 4096
 """Number of boxes for which an elementary function is computed at once; its working arrays then fit in the cache."""
 MOST_PRODUCTS = 32
 """Largest exponent for which a power is computed as a product."""
+Bounded = TypeVar("Bounded", Interval, Truth)
 
 
 def constant(value: float | bool | int) -> Interval | Truth:
@@ -45,21 +46,21 @@ def constant(value: float | bool | int) -> Interval | Truth:
 # Outward rounding. The argument must be a new array, as it is changed in place.
 
 
-def _down(c: Any) -> Any:
+def _down(c: np.ndarray) -> np.ndarray:
     step = np.abs(c)
     step *= STEP
     c -= step
     return c
 
 
-def _up(c: Any) -> Any:
+def _up(c: np.ndarray) -> np.ndarray:
     step = np.abs(c)
     step *= STEP
     c += step
     return c
 
 
-def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
+def _product_step(c: np.ndarray, inexact: Callable[[], np.ndarray]) -> np.ndarray:
     """Outward step of a bound c that is a product or a quotient.
 
     If a result may have underflowed, `inexact()` says whether it differs from the exact result because of that.
@@ -72,7 +73,7 @@ def _product_step(c: Any, inexact: Callable[[], Any]) -> Any:
     return step
 
 
-def _product(low: Any, high: Any, a: Interval, b: Interval) -> Interval:
+def _product(low: np.ndarray, high: np.ndarray, a: Interval, b: Interval) -> Interval:
     """Bounds moved outward from the extreme products, or quotients, of the bounds of a and b.
 
     A zero counts as a possible underflow only if the signs of a and b permit a product that is not zero.
@@ -149,7 +150,7 @@ def _extremes_apart(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     return _product(np.where(known, low, np.nan), np.where(known, high, np.nan), a, b)
 
 
-def _turned(a: Interval, k: Any) -> Interval:
+def _turned(a: Interval, k: float) -> Interval:
     """The ends of a, ordered such that the first one gives the smallest a·k and a/k."""
     return a if k >= 0 else Interval(a.high, a.low)
 
@@ -166,7 +167,7 @@ def over_number(ends: Interval, k: Interval) -> Interval:
     return _scale_ends(np.divide, ends, k.low)
 
 
-def _scale_ends(operation: np.ufunc, ends: Interval, k: Any) -> Interval:
+def _scale_ends(operation: np.ufunc, ends: Interval, k: float | np.ndarray) -> Interval:
     """a·k or a/k for a number k, from the ends of a in the order of `_turned`."""
     first, last = ends
     low, high = operation(first, k), operation(last, k)
@@ -211,7 +212,7 @@ def number_over(k: Interval, b: Interval, ends: Interval) -> Interval:
     return where((b.low > 0) | (b.high < 0), quotient)
 
 
-def where(defined: Any, a: Interval) -> Interval:
+def where(defined: np.ndarray, a: Interval) -> Interval:
     """The interval where the function is defined, and NaN bounds elsewhere."""
     if defined.all():
         return a
@@ -225,7 +226,7 @@ def absolute(a: Interval) -> Interval:
     return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
 
 
-def minimum(a: Any, b: Any) -> Any:
+def minimum(a: Bounded, b: Bounded) -> Bounded:
     """Interval of min(a, b), or the statement "a and b"."""
     return both(a, b) if isinstance(a, Truth) else smaller(a, b)
 
@@ -236,7 +237,7 @@ def smaller(a: Interval, b: Interval) -> Interval:
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high))
 
 
-def maximum(a: Any, b: Any) -> Any:
+def maximum(a: Bounded, b: Bounded) -> Bounded:
     """Interval of max(a, b), or the statement "a or b"."""
     return either(a, b) if isinstance(a, Truth) else larger(a, b)
 
@@ -413,7 +414,7 @@ def is_finite(a: Interval) -> Truth:
     return Truth(known, np.ones_like(known))
 
 
-def select(p: Truth, a: Any, b: Any) -> Any:
+def select(p: Truth, a: Bounded, b: Bounded) -> Bounded:
     """Values of a if p holds, of b if it does not, and the hull of both if p is undecided."""
     if isinstance(a, Truth):
         # If p is undecided, "a and b" still implies the result; the other two terms do not cover this.
@@ -450,7 +451,7 @@ def stumpff(k: Interval, x: Interval) -> Interval:
     return stumpff_series(x, stumpff_coefficients(int(k.low)))
 
 
-def _stumpff_series(x: Interval, series: Sequence[Any]) -> Interval:
+def _stumpff_series(x: Interval, series: Sequence[float]) -> Interval:
     return Interval(*stumpff_bounds(series, x.low, x.high))
 
 

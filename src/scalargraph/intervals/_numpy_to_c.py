@@ -115,7 +115,7 @@ class Traced:
     def __init__(self, text: Text, kind: str, parts: tuple[str, ...]):
         self.text, self.kind, self.parts = text, kind, parts
 
-    def __array_ufunc__(self, function: np.ufunc, method: str, *arguments: Any, **options: Any) -> "Traced":
+    def __array_ufunc__(self, function: np.ufunc, method: str, *arguments: Any, **options: object) -> "Traced":
         if method != "__call__" or options:
             raise TypeError(f"{function.__name__}.{method} has no C for each entry")
         # C's && would branch. For truth values 0 and 1, & gives the same result and can be vectorised.
@@ -129,10 +129,12 @@ class Traced:
         common = next(kind for kind in (REAL, BITS, TRUTH) if kind in kinds)
         return self.each(result or common, expression, *(self.of(a, common) for a in arguments))
 
-    def __array_function__(self, function: Callable, types: Any, arguments: tuple, options: dict) -> Any:
+    def __array_function__(
+        self, function: Callable, types: Iterable[type], arguments: tuple, options: dict
+    ) -> "Traced":
         return FUNCTIONS[function](*arguments, **options)
 
-    def of(self, value: Any, kind: str) -> "Traced":
+    def of(self, value: "Traced | float", kind: str) -> "Traced":
         """Convert a known number to a symbol; a symbol is returned unchanged."""
         if isinstance(value, Traced):
             return value
@@ -211,12 +213,12 @@ for _name, _function in {
     setattr(Traced, f"__{_name}__", _operator(_function))
 
 
-def kind_of(value: Any) -> str:
+def kind_of(value: float | np.generic) -> str:
     """C type of a known number."""
     return TRUTH if isinstance(value, bool | np.bool_) else BITS if isinstance(value, int | np.integer) else REAL
 
 
-def literal(value: Any) -> str:
+def literal(value: float | np.generic) -> str:
     """Write a known number in C, exactly: real numbers as hexadecimal constants."""
     if kind_of(value) != REAL:
         return f"{int(value)}" if kind_of(value) == TRUTH else f"INT64_C({int(value)})"
@@ -230,19 +232,19 @@ def literal(value: Any) -> str:
     return f"({number.hex()})" if math.copysign(1.0, number) < 0 else number.hex()
 
 
-def _where(condition: Any, a: Any, b: Any) -> Traced:
+def _where(condition: Traced | bool, a: Traced | float, b: Traced | float) -> Traced:
     symbol = next(x for x in (condition, a, b) if isinstance(x, Traced))
     kind = next((x.kind for x in (a, b) if isinstance(x, Traced)), REAL)
     return symbol.each(kind, "{} ? {} : {}", symbol.of(condition, TRUTH), symbol.of(a, kind), symbol.of(b, kind))
 
 
-def _stack(arrays: Sequence[Any]) -> Traced:
+def _stack(arrays: Sequence[Traced | float]) -> Traced:
     symbol = next(x for x in arrays if isinstance(x, Traced))
     (parts,) = zip(*(symbol.of(a, symbol.kind).parts for a in arrays), strict=True)
     return Traced(symbol.text, symbol.kind, parts)
 
 
-def _choose(index: Traced, choices: Any) -> Traced:
+def _choose(index: Traced, choices: np.ndarray) -> Traced:
     return index.each(REAL, f"{index.text.table(choices.tolist())}[{{}}]", index)
 
 

@@ -12,7 +12,6 @@ Besides IEEE arithmetic, only exact operations are trusted: comparisons and oper
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -84,7 +83,7 @@ ATAN = [(-1) ** i / (2 * i + 3) for i in range(9, -1, -1)]
 """(z - atan z)/z³ in z², up to z¹⁸."""
 
 
-def horner(coefficients: Sequence[float], x: Any) -> Any:
+def horner(coefficients: Sequence[float], x: np.ndarray) -> np.ndarray:
     """Evaluate a polynomial by Horner's rule."""
     total = x * coefficients[0]
     total += coefficients[1]
@@ -94,19 +93,19 @@ def horner(coefficients: Sequence[float], x: Any) -> Any:
     return total
 
 
-def whole(x: Any) -> tuple[Any, Any]:
+def whole(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Round to the nearest integer."""
     shifted = x + MAGIC
     # The unit of the last bit of the sum is 1, so the sum is rounded to an integer; the difference is exact.
     return shifted - MAGIC, shifted.view(np.int64)
 
 
-def _power_of_two(bits: Any) -> Any:
+def _power_of_two(bits: np.ndarray) -> np.ndarray:
     """2ᵏ from the bits of k, |k| ≤ 1022."""
     return ((bits + 1023) << 52).view(float)
 
 
-def _scale_by_power(x: Any, k: Any) -> Any:
+def _scale_by_power(x: np.ndarray | float, k: np.ndarray) -> np.ndarray:
     """x·2ᵏ for integers |k| ≤ 2000, as two products, of which one may underflow or overflow."""
     # A single factor 2ᵏ might overflow although the product does not.
     half, bits = whole(0.5 * k)
@@ -116,7 +115,7 @@ def _scale_by_power(x: Any, k: Any) -> Any:
 # Exponential functions. x = k ln 2 + r with |r| ≤ 0.34658; the difference x - k·LN2_HIGH is exact.
 
 
-def exp_reduced(r: Any) -> Any:
+def exp_reduced(r: np.ndarray) -> np.ndarray:
     """exp r − 1 for |r| ≤ 0.34658.
 
     The remainder is below r¹⁴/14!·1.03, that is 0.12 u |r|.
@@ -125,13 +124,13 @@ def exp_reduced(r: Any) -> Any:
     return r + r * r * horner(EXP, r)
 
 
-def _exp_parts(x: Any, rest: Any = None) -> tuple[Any, Any]:
+def _exp_parts(x: np.ndarray, rest: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     k, _ = whole(x * (1 / math.log(2)))
     r = (x - k * LN2_HIGH) - k * LN2_LOW
     return k, exp_reduced(r if rest is None else r + rest)
 
 
-def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
+def exp(x: np.ndarray, shift: float = 0.0, rest: np.ndarray | None = None) -> np.ndarray:
     """exp(x + rest) · 2ˢʰⁱᶠᵗ, infinite where it overflows.
 
     Args:
@@ -144,14 +143,14 @@ def exp(x: Any, shift: float = 0.0, rest: Any = None) -> Any:
     return _scale_by_power(1.0 + q, k + shift)
 
 
-def expm1(x: Any) -> Any:
+def expm1(x: np.ndarray) -> np.ndarray:
     """exp x − 1, infinite where it overflows."""
     # exp(−40) = 4e-18 is below half a unit of 1, so the result is −1 for all smaller x.
     k, q = _exp_parts(np.minimum(np.maximum(x, -40.0), 712.0))
     return _scale_by_power((1.0 - _scale_by_power(1.0, -k)) + q, k)
 
 
-def sinh(x: Any) -> Any:
+def sinh(x: np.ndarray) -> np.ndarray:
     """sinh x as (q + q/(q + 1))/2 for q = exp |x| − 1, or half the exponential for |x| > 20, with the sign of x.
 
     A relative error of q is not magnified: the logarithmic derivative with respect to log q is at most 1.
@@ -162,13 +161,13 @@ def sinh(x: Any) -> Any:
     return np.copysign(np.where(size > 20.0, exp(size, -1.0), 0.5 * (q + q / (q + 1.0))), x)
 
 
-def cosh(x: Any) -> Any:
+def cosh(x: np.ndarray) -> np.ndarray:
     """cosh x as h + 1/(4h) for h = exp |x|/2, which does not overflow before the result does."""
     half = exp(np.abs(x), -1.0)
     return half + 0.25 / half
 
 
-def tanh(x: Any) -> Any:
+def tanh(x: np.ndarray) -> np.ndarray:
     """tanh x as q/(q + 2) for q = exp 2|x| − 1, which magnifies no relative error. For |x| ≥ 22 it is 1 within u/4."""
     q = expm1(2.0 * np.minimum(np.abs(x), 22.0))
     return np.copysign(q / (q + 2.0), x)
@@ -177,7 +176,7 @@ def tanh(x: Any) -> Any:
 # Logarithms. x = 2ᵏ m with √½ ≤ m < √2, and log m = 2 artanh s for s = f/(2 + f), f = m - 1.
 
 
-def log_tail(f: Any) -> Any:
+def log_tail(f: np.ndarray) -> np.ndarray:
     """f − log(1 + f) for −0.2929 ≤ f ≤ 0.4143.
 
     It is s (f − R) for log(1 + f) = 2s + s R, since s (2 + f) = f. The remainder is below s²³/23·2.1, below 0.01 u of
@@ -189,7 +188,7 @@ def log_tail(f: Any) -> Any:
     return s * (f - z * horner(LOG, z))
 
 
-def _mantissa(x: Any) -> tuple[Any, Any]:
+def _mantissa(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """k and m - 1 of a positive number x = 2ᵏ m, both exact."""
     low = x < 2.0**-1022
     if low.any():
@@ -201,7 +200,7 @@ def _mantissa(x: Any) -> tuple[Any, Any]:
     return ((bits >> 52) - 0x3FF - 54 * low).astype(float), m - 1.0
 
 
-def log(x: Any, shift: float = 0.0) -> Any:
+def log(x: np.ndarray, shift: float = 0.0) -> np.ndarray:
     """log x + shift·log 2: −∞ at 0, NaN below.
 
     Args:
@@ -214,7 +213,7 @@ def log(x: Any, shift: float = 0.0) -> Any:
     return _at_ends(x, f - (log_tail(f) - k * LN2_LOW) + k * LN2_HIGH)
 
 
-def log1p(x: Any) -> Any:
+def log1p(x: np.ndarray) -> np.ndarray:
     """log(1 + x). The rounding error of the sum 1 + x is computed exactly, divided by 1 + x and added."""
     total = 1.0 + x
     k, f = _mantissa(total)
@@ -225,19 +224,19 @@ def log1p(x: Any) -> Any:
     return _at_ends(total, f - (log_tail(f) - rest) + k * LN2_HIGH)
 
 
-def _rounding_error(a: Any, b: Any, total: Any) -> Any:
+def _rounding_error(a: np.ndarray | float, b: np.ndarray, total: np.ndarray) -> np.ndarray:
     """a + b - total for the rounded sum, exactly (D. E. Knuth, The Art of Computer Programming 2, section 4.2.2)."""
     # This takes six operations, but holds whichever of a and b is larger.
     part = total - a
     return (a - (total - part)) + (b - part)
 
 
-def _at_ends(x: Any, value: Any) -> Any:
+def _at_ends(x: np.ndarray, value: np.ndarray) -> np.ndarray:
     usual = (x > 0) & (x < np.inf)
     return value if usual.all() else np.where(usual, value, np.where(x == 0, -np.inf, np.where(x > 0, x, np.nan)))
 
 
-def log_parts(x: Any) -> tuple[Any, Any, Any]:
+def log_parts(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The logarithm of a positive number as the sum of two doubles, with a bound on its error."""
     k, f = _mantissa(x)
     tail = log_tail(f) - k * LN2_LOW
@@ -247,7 +246,7 @@ def log_parts(x: Any) -> tuple[Any, Any, Any]:
     return head, rest, U * (6.0 * np.abs(tail) + 2.0 * np.abs(rest)) + 2.0**-83
 
 
-def power(parts: tuple[Any, Any, Any], y: Any) -> tuple[Any, Any]:
+def power(parts: tuple[np.ndarray, np.ndarray, np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """xʸ from the logarithm of x."""
     head, rest, error = parts
     more = y * rest
@@ -258,21 +257,21 @@ def power(parts: tuple[Any, Any, Any], y: Any) -> tuple[Any, Any]:
     return value, UNITS["pow"] * U + 1.01 * (np.abs(y) * error + 2.0 * U * (np.abs(more) + np.abs(lost)))
 
 
-def _product(a: Any, b: Any) -> tuple[Any, Any]:
+def _product(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """a·b rounded, and its rounding error, exactly (T. J. Dekker, Numerische Mathematik 18, 1971)."""
     product = a * b
     (a, c), (b, d) = _halves(a), _halves(b)
     return product, ((a * b - product) + a * d + c * b) + c * d
 
 
-def _halves(a: Any) -> tuple[Any, Any]:
+def _halves(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A number as the sum of two numbers of 26 bits."""
     c = (2.0**27 + 1) * a
     high = c - (c - a)
     return high, a - high
 
 
-def asinh(x: Any) -> Any:
+def asinh(x: np.ndarray) -> np.ndarray:
     """asinh x as log1p(a + a²/(1 + √(1 + a²))) for a = |x|, or log 2a where a > 2²⁸, with the sign of x.
 
     log1p does not magnify relative errors.
@@ -283,13 +282,13 @@ def asinh(x: Any) -> Any:
     return np.copysign(np.where(a > b, log(a, 1.0), log1p(b + b * b / (1.0 + np.sqrt(1.0 + b * b)))), x)
 
 
-def acosh(x: Any) -> Any:
+def acosh(x: np.ndarray) -> np.ndarray:
     """acosh x as log1p(t + √(t (t + 2))) for t = x − 1, or log 2x where x > 2²⁸."""
     t = np.minimum(x, 2.0**28) - 1.0
     return np.where(x > 2.0**28, log(x, 1.0), log1p(t + np.sqrt(t * (t + 2.0))))
 
 
-def atanh(x: Any) -> Any:
+def atanh(x: np.ndarray) -> np.ndarray:
     """atanh x as ½ log1p(2a/(1 − a)) for a = |x|, with the sign of x."""
     a = np.abs(x)
     return np.copysign(0.5 * log1p(2.0 * a / (1.0 - a)), x)
@@ -298,7 +297,7 @@ def atanh(x: Any) -> Any:
 # Inverse trigonometric functions. atan t = atan c + atan((t - c)/(1 + c t)) for a near c among 0, ¼, ½, ¾ and 1.
 
 
-def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
+def atan_reduced(t: np.ndarray, c: np.ndarray, high: np.ndarray, low: np.ndarray) -> np.ndarray:
     """atan t from the arc tangent of a nearby c; the difference t − c is exact.
 
     The remainder is below z²³/23 for a quotient |z| ≤ 0.1875, that is 0.05 u of z.
@@ -308,12 +307,12 @@ def atan_reduced(t: Any, c: Any, high: Any, low: Any) -> Any:
     return high + (low + (z - z * w * horner(ATAN, w)))
 
 
-def from_axis(theta: Any, turns: int) -> Any:
+def from_axis(theta: np.ndarray, turns: int) -> np.ndarray:
     """The angle from an axis: a number of quarter turns minus theta."""
     return turns * HALF_PI_HIGH - (theta - turns * HALF_PI_LOW)
 
 
-def angle(y: Any, x: Any) -> Any:
+def angle(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The angle of the point (x, y) [rad]: 0 at the origin, π on the negative half-axis."""
     size = np.abs(x)
     largest = np.maximum(y, size)
@@ -327,24 +326,24 @@ def angle(y: Any, x: Any) -> Any:
     return np.where(x < 0, from_axis(theta, 2), theta)
 
 
-def atan(x: Any) -> Any:
+def atan(x: np.ndarray) -> np.ndarray:
     """atan x as the angle of the point (1, |x|), with the sign of x."""
     return np.copysign(angle(np.abs(x), np.ones_like(x)), x)
 
 
-def atan2(y: Any, x: Any) -> Any:
+def atan2(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The angle of the point (x, y) in −π … π [rad]; on the negative half-axis it is π, also for y = −0."""
     # −0 + 0 is +0, so the cut belongs to the upper side.
     return np.copysign(angle(np.abs(y), x), y + 0.0)
 
 
-def asin(x: Any) -> Any:
+def asin(x: np.ndarray) -> np.ndarray:
     """asin x as the angle of the point (√((1 − x)(1 + x)), x)."""
     # (1 − x)(1 + x) keeps the digits of 1 − x near 1, which 1 − x² would lose.
     return np.copysign(angle(np.abs(x), np.sqrt((1.0 - x) * (1.0 + x))), x)
 
 
-def acos(x: Any) -> Any:
+def acos(x: np.ndarray) -> np.ndarray:
     """acos x as twice the angle whose tangent is √(1 − x)/√(1 + x)."""
     # tan(½ acos x) = √((1 − x)/(1 + x)); 1 − x and 1 + x lose no digits at either end.
     return 2.0 * angle(np.sqrt(1.0 - x), np.sqrt(1.0 + x))
@@ -358,7 +357,7 @@ QUARTER_ERROR = 2.0**-119
 """Error of the reduced argument for each quarter turn."""
 
 
-def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
+def quarters(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Reduce an argument modulo π/2: x = k π/2 + r.
 
     The products with the first two parts of π/2, of 33 bits, and the first difference are exact. The error of r is at
@@ -373,7 +372,7 @@ def quarters(x: Any) -> tuple[Any, Any, Any, Any]:
     return k, bits, total, rest - (total - r)
 
 
-def sin_cos_reduced(r: Any, rest: Any) -> tuple[Any, Any]:
+def sin_cos_reduced(r: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """sin and cos of r + rest.
 
     The remainders are below r¹⁹/19! and r¹⁸/18!; rest·r⁴/24 and rest·r³/6 are omitted too: 0.03 u and 0.12 u in all.

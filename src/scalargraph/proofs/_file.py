@@ -146,7 +146,7 @@ def _whole(digits: str) -> int | float:
     return int(digits) if len(digits) < 16 else float(digits)
 
 
-def brief(value: Any) -> str:
+def brief(value: object) -> str:
     """A value as one short line, for messages."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = 60
@@ -189,7 +189,7 @@ class Field(NamedTuple):
         what = f"{self.file}: {self.key}" if self.key else self.file
         raise InputError(f"{what} must be {wanted}; found {brief(self.value)}; {REMEDY}")
 
-    def need(self, holds: Any, wanted: str) -> None:
+    def need(self, holds: object, wanted: str) -> None:
         """Refuse the field unless a condition holds.
 
         Args:
@@ -274,7 +274,7 @@ class Field(NamedTuple):
         self.need(fits, f"a text of {most} letters at most")
         return self.value
 
-    def one_of(self, choices: Any) -> Any:
+    def one_of(self, choices: tuple | list) -> Any:
         """One of several values; the type must be equal too, so that true is not accepted for 1.
 
         Args:

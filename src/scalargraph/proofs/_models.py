@@ -62,7 +62,7 @@ class TaylorModel:
         self.away = (self.sloped + self.bent + self.rest) * (1 + ROUND)
 
     @classmethod
-    def number(cls, at: Any, rest: Any = 0.0) -> "TaylorModel":
+    def number(cls, at: np.ndarray | float, rest: np.ndarray | float = 0.0) -> "TaylorModel":
         """A number about which only one thing is known: it is within `rest` of `at`."""
         at = np.atleast_1d(np.asarray(at, float))
         none = np.empty((0, 1))
@@ -365,7 +365,7 @@ def polynomials(
         return _gather_polynomials([values[i] for i in lowered.outputs], owners, blame)
 
 
-def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Sequence[Any]) -> None:
+def _blame(blame: np.ndarray, owners: Sequence[int], result: object, arguments: Sequence[object]) -> None:
     """Add how much each variable widens the last argument, on boxes where the result is the first without a bound."""
     if isinstance(result, TaylorModel) and not np.isfinite(result.rest).all():
         lost, last = ~np.isfinite(result.rest), arguments[-1]
@@ -376,7 +376,7 @@ def _blame(blame: np.ndarray, owners: Sequence[int], result: Any, arguments: Seq
                 blame[owners[symbol]] += np.where(lost, due, 0.0)
 
 
-def _steep(model: Any) -> bool:
+def _steep(model: object) -> bool:
     """Whether a number depends on one variable only, and its remainder exceeds its other terms on some box."""
     if not (isinstance(model, TaylorModel) and len(model.on) == 1):
         return False

@@ -2,7 +2,6 @@
 
 import string
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ LETTERS = string.ascii_letters
 """One letter for each variable across whose middle a box may be halved; leaves are dots, open leaves question marks."""
 MOST_LEVELS, MOST_LETTERS = 400, 10**7
 """Largest number of levels of a tree, and of letters of all trees of a file together."""
-ARGUMENTS = {op: range(n := getattr(fold, "nin", 3), n + 1) for op, fold in FOLD.items()}
+ARGUMENTS = {op: range(n := fold.nin if isinstance(fold, np.ufunc) else 3, n + 1) for op, fold in FOLD.items()}
 ARGUMENTS |= {"either": range(4, 5), "stumpff": range(2, 3)}
 """Operations of a graph of scalars, with the allowed numbers of their arguments."""
 
@@ -125,7 +124,7 @@ def saved_graph(field: Field) -> dict[str, list]:
     return {"nodes": nodes.value, "outputs": [row.whole(0, len(nodes.value) - 1) for row in rows]}
 
 
-def _is_node(row: Any, k: int) -> bool:
+def _is_node(row: object, k: int) -> bool:
     """Whether a row k of a graph is valid: a constant, an input, or an operation on earlier rows."""
     if not (type(row) is list and row and type(row[0]) is str):
         return False

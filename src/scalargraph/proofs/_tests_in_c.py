@@ -6,7 +6,7 @@ loaded, and a library that rounds differently is refused. LAPACK computes the fa
 
 import ctypes
 import functools
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Bool
@@ -110,7 +110,7 @@ def _rows(ends: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(ends.T)
 
 
-def _call(function: Any, *arguments: Any) -> None:
+def _call(function: Callable[..., None], *arguments: np.ndarray | int) -> None:
     passed = [np.ascontiguousarray(a) if isinstance(a, np.ndarray) else a for a in arguments]
     function(*(ctypes.c_int64(a) if isinstance(a, int) else ctypes.c_void_p(a.ctypes.data) for a in passed))
 

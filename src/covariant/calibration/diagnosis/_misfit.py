@@ -1,12 +1,6 @@
 """Whether a log fits its model at all, which verbs ask before they use it."""
 
-from covariant.calibration.diagnosis._case import (
-    busiest,
-    case_without_outliers,
-    clearly,
-    compared,
-    in_coordinates,
-)
+from covariant.calibration.diagnosis._case import busiest, case_without_outliers, clearly, compared, in_coordinates
 from covariant.calibration.diagnosis._columns import units
 from covariant.calibration.diagnosis._finding import Finding
 from covariant.calibration.diagnosis._missing_torques import missing_torques

@@ -1,12 +1,13 @@
 """Smoothing of a log without phase, on a grid of even times: positions, velocities and accelerations."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant import scoring
+from covariant._typing import Numbers
 from covariant.signals import Record
 
 HALF = 10
@@ -60,8 +61,8 @@ def smooth(
     record: Record,
     half: float,
     circles: tuple[int, ...],
-    delay: Any = 0.0,
-    ticks: Any = 0.0,
+    delay: Numbers = 0.0,
+    ticks: Numbers = 0.0,
     fewest: float = FEWEST,
 ) -> Smooth:
     """Smooth a record in coordinates by polynomials of degree 3 over windows of ±`half`, or of `fewest` samples."""

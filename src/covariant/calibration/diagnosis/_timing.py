@@ -18,13 +18,7 @@ from covariant.calibration.diagnosis._case import Case, Residual, residual, smoo
 from covariant.calibration.diagnosis._columns import input_line, plain_scale
 from covariant.calibration.diagnosis._finding import Finding, later_line
 from covariant.calibration.diagnosis._smooth import Smooth
-from covariant.calibration.diagnosis._suspicion import (
-    Comparison,
-    Suspicion,
-    Unexplained,
-    judge,
-    unexplained_at,
-)
+from covariant.calibration.diagnosis._suspicion import Comparison, Suspicion, Unexplained, judge, unexplained_at
 from covariant.calibration.diagnosis._thresholds import (
     COMMON_ERRORS,
     COMMON_GAIN,

@@ -32,7 +32,8 @@ from covariant.calibration.identification._robot_torques import (
     mapped,
     usual_sizes,
 )
-from covariant.models import RobotFamily
+from covariant.models import MechanicalSystem, RobotFamily
+from covariant.signals import AnyArray
 from scalargraph.errors import InputError
 
 COARSE, FINE, DENSE = 20, 200, 2000
@@ -87,11 +88,11 @@ class JointLimits(NamedTuple):
         """Largest distance (n,) from the middle."""
         return (self.high - self.low) / 2
 
-    def used(self, q: Any, v: Any, torque: Any) -> Float[np.ndarray, "3 n"]:
+    def used(self, q: np.ndarray, v: np.ndarray, torque: np.ndarray) -> Float[np.ndarray, "3 n"]:
         """Largest distance from the middle, speed and torque of each joint over rows (T, n), as fractions of limits."""
         return np.stack([np.abs(each).max(axis=0) for each in self.fractions(q, v, torque)])
 
-    def fractions(self, q: Any, v: Any, torque: Any) -> tuple[Any, Any, Any]:
+    def fractions(self, q: AnyArray, v: AnyArray, torque: AnyArray) -> tuple[Any, Any, Any]:
         """Positions, velocities and torques (T, n), traced or not, as fractions of their limits, with their signs."""
         return (q - self.middle) / self.room, v / self.velocity, torque / self.effort
 
@@ -272,7 +273,7 @@ class _Problem(NamedTuple):
     # coefficients of the series in the basis of motions that start at rest, in units of the amplitude of each joint.
 
     family: RobotFamily
-    model: Any
+    model: MechanicalSystem
     torques: Torques
     limits: JointLimits
     sensing: Sensing
@@ -426,7 +427,7 @@ def _compiled(problem: _Problem) -> Callable[..., _Point]:
     return evaluate
 
 
-def _dynamics(model: Any, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array, Array]:
+def _dynamics(model: MechanicalSystem, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array, Array]:
     """Torques (n,) and inertia matrix (n, n) in a row, and their derivatives (…, 3 n) in it."""
 
     def both(row: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:

@@ -5,7 +5,7 @@ its prediction is thus that of the estimate, propagated to that time, plus an in
 prediction errors judge estimates without a reference.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -136,7 +136,7 @@ def _with_numbers(rest: Any, numbers: Any) -> tuple[MechanicalSystem, Number]:
     return eqx.combine(numbers, rest), 0.0
 
 
-def _machine_errors(make: Any, values: Any, windows: Windows) -> PredictionErrors:
+def _machine_errors(make: Callable, values: Any, windows: Windows) -> PredictionErrors:
     """Errors of the models that `make` makes of what is in each row of `values`, a row for each machine."""
     machine, rows = np.asarray(windows.machine), np.asarray(windows.rows)
     made = [make(jax.tree.map(lambda part, m=m: part[m], values)) for m in range(len(jax.tree.leaves(values)[0]))]
@@ -170,7 +170,7 @@ def _machine_errors(make: Any, values: Any, windows: Windows) -> PredictionError
 
 
 @eqx.filter_jit
-def _errors(make: Any, data: Any, substeps: int):
+def _errors(make: Callable, data: Any, substeps: int):
     def window(values, t, u, y, v):
         model: MechanicalSystem = make(values)[0]
         manifold = model.manifold

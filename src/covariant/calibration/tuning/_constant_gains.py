@@ -12,7 +12,7 @@ blocks.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -318,5 +318,5 @@ def _descend(cost: Callable[[np.ndarray], float], start: np.ndarray, most: int) 
     return best.x, float(best.fun)
 
 
-def _within(value: float, bounds: Any) -> float:
+def _within(value: float, bounds: tuple[float, float] | np.ndarray) -> float:
     return float(np.clip(value, *bounds))

@@ -84,7 +84,7 @@ def _force_acceleration(sheet: DataSheet, space: AbstractSpace) -> dict[str, Any
     }
 
 
-def estimators(model: Any) -> tuple[str, ...]:
+def estimators(model: MechanicalSystem | StateSpace) -> tuple[str, ...]:
     """Names of the estimators that fit a model.
 
     Args:
@@ -102,7 +102,7 @@ def estimators(model: Any) -> tuple[str, ...]:
     return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
-def with_gains(model: Any, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
     """Observers with the constant gains α and β, by name.
 
     Salcudean's observer has α and β exactly only for an inertia that is the same in all directions; otherwise they hold

@@ -9,13 +9,13 @@ model, Annals of Statistics 6(2).
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant.calibration.identification import (
     ErrorModel,
@@ -29,6 +29,7 @@ from covariant.calibration.identification import (
 from covariant.calibration.tuning._tuning_log import TuningLog, constant_gains
 from covariant.models import MechanicalSystem
 from covariant.observers import with_fixed_substeps
+from covariant.signals import AnyArray
 
 LEAST = 0.01
 """Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
@@ -51,7 +52,7 @@ class RunErrors(NamedTuple):
     system: ErrorModel
 
     @classmethod
-    def of(cls, model: MechanicalSystem, log: TuningLog, estimate: Any) -> "RunErrors":
+    def of(cls, model: MechanicalSystem, log: TuningLog, estimate: tuple[Array, Array, Array]) -> "RunErrors":
         q, v, _ = estimate
         t, u, y = (jnp.asarray(each) for each in log.record[:3])
         sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
@@ -63,7 +64,7 @@ class RunErrors(NamedTuple):
         """The Kalman filter on the errors."""
         return _filtered(self.system, noise, speed)
 
-    def corrected(self, errors: Any) -> Float[np.ndarray, "T n"]:
+    def corrected(self, errors: AnyArray) -> Float[np.ndarray, "T n"]:
         """Velocities (T, n) with estimates (T, ≥ 2n) of the errors of the run."""
         n = self.v.shape[1]
         return self.v + np.asarray(errors)[:, n : 2 * n]
@@ -82,7 +83,7 @@ def _loss_and_slope(z: jax.Array, system: ErrorModel, mask: jax.Array, speed: ja
     return jax.value_and_grad(loss)(z)
 
 
-def _levels(z: Any, n: int) -> NoiseLevels:
+def _levels(z: AnyArray, n: int) -> NoiseLevels:
     """Noise of the logarithms of the noise of acceleration, readings (n,) and force (n,), and of the force's time."""
     each = jnp.exp(jnp.asarray(z))
     return NoiseLevels(each[0], each[1 : 1 + n], each[1 + n : 1 + 2 * n], each[1 + 2 * n])

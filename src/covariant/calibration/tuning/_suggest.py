@@ -100,7 +100,7 @@ def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
 
 def _suggest_from_readings(file: ModelFile, record: Record) -> list[Suggestion]:
     circles = file.model.circles if file.mechanical else ()  # pyright: ignore[reportAttributeAccessIssue]
-    units = getattr(file.model, "units", ()) if file.mechanical else ()
+    units = file.model.units if file.mechanical else ()
     units = units or ("",) * np.asarray(record.y).shape[1]
     readings_noise = readings(record, circles)
     if not readings_noise.known:

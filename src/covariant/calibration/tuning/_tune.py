@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant import scoring
 from covariant.calibration.identification import NoiseLevels
@@ -226,7 +226,7 @@ def _velocities(estimates: list[Any]) -> list[np.ndarray]:
     return [np.asarray(v) for _, v, _ in estimates]
 
 
-def _filtered_velocities(errors: list[RunErrors], noise: NoiseLevels, speed: Any) -> list[np.ndarray]:
+def _filtered_velocities(errors: list[RunErrors], noise: NoiseLevels, speed: Array) -> list[np.ndarray]:
     return [each.corrected(each.filtered(noise, speed).error) for each in errors]
 
 
@@ -253,7 +253,7 @@ def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
     return NoiseLevels(acceleration, std, force, forgotten)
 
 
-def _held_out_errors(errors: list[RunErrors], gained: list[Any], noise: NoiseLevels, speed: Any) -> HeldOut:
+def _held_out_errors(errors: list[RunErrors], gained: list[Any], noise: NoiseLevels, speed: Array) -> HeldOut:
     """Errors on the held-out rows: of the runs `gained` with constant gains, and of a noise by the errors of a run."""
     parts = []
     for each, (_, gains_v, r) in zip(errors, gained, strict=True):
@@ -294,7 +294,7 @@ def _held_out_errors(errors: list[RunErrors], gained: list[Any], noise: NoiseLev
 
 
 def _reference_noise(
-    errors: list[RunErrors], noise: NoiseLevels, speed: Any, half: float, order: int, rate: float
+    errors: list[RunErrors], noise: NoiseLevels, speed: Array, half: float, order: int, rate: float
 ) -> np.ndarray | None:
     """Noise (2, n) of the reference's velocities, by the weights of its polynomials, and of the Kalman filter's."""
     count = int(half * rate)

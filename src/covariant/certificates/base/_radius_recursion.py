@@ -24,6 +24,7 @@ error.
 
 import math
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,7 +99,7 @@ class Recursion(NamedTuple):
             sampling.ages,
         )
 
-    def predicted(self, radius: Any, age: Any, numpy: Any = math) -> Any:
+    def predicted(self, radius: Any, age: Any, numpy: ModuleType = math) -> Any:
         """Bound the distance before a correction."""
         shrunk, added = numpy.exp(-self.decay * age), -numpy.expm1(-self.decay * age) * self.force / self.decay
         return (shrunk * radius + added + age * self.steps) * (1 + ROUND)

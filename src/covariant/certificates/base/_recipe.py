@@ -44,7 +44,7 @@ def check_replacement(model: MechanicalSystem | StateSpace, recipe: dict[str, An
     """Check that a model that replaces the model of a recipe has the numbers of the recipe."""
     if "system" in recipe:
         check_recipe(model, recipe)
-    stated = getattr(model, "parameters", {})
+    stated = model.parameters
     for name, value in recipe["parameters"].items() if finished and "attribute" in recipe else ():
         if name not in stated or not np.array_equal(np.asarray(stated[name].value), np.asarray(value)):
             number = f"{np.asarray(stated[name].value).tolist()} of" if name in stated else "not stated by"
@@ -98,7 +98,7 @@ def check_observer(document: Document, observer: Intrinsics) -> None:
         raise InputError(f"{document.file}: {error}") from error
 
 
-def is_same_observer(observer: Any, certified: Any) -> bool:
+def is_same_observer(observer: Intrinsics, certified: Intrinsics) -> bool:
     """Whether an observer has the same kind, gains, options, substeps and model as a certified one."""
     return observer is certified or (
         type(observer) is type(certified)

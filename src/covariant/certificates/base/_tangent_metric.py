@@ -8,7 +8,7 @@ Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt
 
 import contextlib
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -161,7 +161,7 @@ def _conditions(beta: Number, q: np.ndarray) -> np.ndarray:
     return np.linalg.cond(scale @ q @ scale)
 
 
-def check_q(whose: str, q: Any) -> TwoByTwo:
+def check_q(whose: str, q: Numbers) -> TwoByTwo:
     """Convert the matrix Q to an array, and check it."""
     try:
         matrix = np.asarray(q, float)

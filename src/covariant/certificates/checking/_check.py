@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Shown(NamedTuple):
 def show(
     source: str | Path | Document,
     *,
-    model: Any = None,
+    model: object = None,
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Shown:
@@ -118,12 +118,12 @@ def _leaves(jobs: list[Job]) -> int:
     return sum(job.leaves for job in jobs if isinstance(job.what, int))
 
 
-def _need(holds: Any, otherwise: str) -> None:
+def _need(holds: object, otherwise: str) -> None:
     if not holds:
         raise InputError(otherwise)
 
 
-def follows(document: Document, model: Any = None) -> Resolved:
+def follows(document: Document, model: object = None) -> Resolved:
     """Resolve a document, and check that its statement follows from its claims."""
     try:
         with np.errstate(all="ignore"):
@@ -310,7 +310,7 @@ _worker: list[Judge] = []
 """The `Judge` of this worker process."""
 
 
-def _begin(document: Document, model: Any) -> None:
+def _begin(document: Document, model: object) -> None:
     _worker[:] = [Judge(follows(document, model))]
 
 
@@ -318,7 +318,7 @@ def _work(job: Job) -> int:
     return _worker[0](job)
 
 
-def _results(resolved: Resolved, jobs: list[Job], processes: int, model: Any) -> Iterator[int]:
+def _results(resolved: Resolved, jobs: list[Job], processes: int, model: object) -> Iterator[int]:
     # Each worker first imports and traces, which takes longer than the leaves of a single job.
     if processes == 1 or _leaves(jobs) <= SHARE:
         yield from map(Judge(resolved), jobs)

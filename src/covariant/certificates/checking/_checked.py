@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from covariant._domains import Count, check_numbers
 from covariant.certificates.base import Document, Hypothesis, Resolved, Statement, contraction_statement
@@ -43,7 +43,7 @@ class Checked(NamedTuple):
 def check(
     source: str | Path | Document,
     *,
-    model: Any = None,
+    model: object = None,
     processes: Count = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Checked:

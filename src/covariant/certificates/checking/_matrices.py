@@ -20,7 +20,7 @@ from covariant.certificates.base import (
     reach_squares,
 )
 from covariant.certificates.sampled import Prediction, defect_matrix, sampled_prediction
-from covariant.models import applied_force
+from covariant.models import MechanicalSystem, applied_force
 from scalargraph.proofs.checker import ROUND, along, jacobian, value_and_jacobian
 
 Matrix = Callable[[Any], Any]
@@ -181,16 +181,16 @@ def missing(about: ErrorSystem, square: float, limit: float, reach: np.ndarray) 
     return matrix
 
 
-def _anywhere(model: Any, n: int) -> Any:
+def _anywhere(model: MechanicalSystem, n: int) -> Any:
     return jnp.zeros(n) if model.manifold.commuting else model.manifold.origin()
 
 
-def input_force(model: Any, n: int) -> Matrix:
+def input_force(model: MechanicalSystem, n: int) -> Matrix:
     """Build the force of the input alone."""
     return lambda u: model.force(jnp.zeros(()), _anywhere(model, n), u)
 
 
-def friction(model: Any, n: int) -> Matrix:
+def friction(model: MechanicalSystem, n: int) -> Matrix:
     """Build the friction.
 
     Args:
@@ -203,13 +203,13 @@ def friction(model: Any, n: int) -> Matrix:
     return lambda v: friction_of(model, _anywhere(model, n), v)
 
 
-def friction_slopes(model: Any, n: int) -> Matrix:
+def friction_slopes(model: MechanicalSystem, n: int) -> Matrix:
     """Build −∂f_i/∂v_i of the friction f."""
     # Entry i depends on velocity i alone, so that the sum over a column is the entry of the diagonal.
     return lambda v: -along(friction(model, n), v, jnp.ones_like(v))[1]
 
 
-def force(model: Any, shape: tuple[int, ...]) -> Matrix:
+def force(model: MechanicalSystem, shape: tuple[int, ...]) -> Matrix:
     """Build the force on the system."""
 
     def applied(y):
@@ -229,7 +229,7 @@ def within(function: Matrix, low: np.ndarray, high: np.ndarray) -> Matrix:
     return matrix
 
 
-def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
+def slopes(model: MechanicalSystem, shape: tuple[int, ...], n: int) -> Matrix:
     """Build the derivatives of the force by the position, on a group along the directions of the body frame."""
 
     def derivatives(y):
@@ -243,7 +243,7 @@ def slopes(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
     return derivatives
 
 
-def stepped(model: Any, shape: tuple[int, ...], n: int) -> Matrix:
+def stepped(model: MechanicalSystem, shape: tuple[int, ...], n: int) -> Matrix:
     """Build the force at a small step from the position, as in `slopes`."""
 
     def applied(y):

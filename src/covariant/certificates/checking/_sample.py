@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class Sampled(NamedTuple):
 
 
 @check_numbers
-def check_sample(source: str | Path | Document, count: Count = 20, seed: Whole = 0, *, model: Any = None) -> Sampled:
+def check_sample(source: str | Path | Document, count: Count = 20, seed: Whole = 0, *, model: object = None) -> Sampled:
     """Check random leaves of a saved certificate, drawn from all its claims, in ball arithmetic with many digits.
 
     Balls bound derivatives operation by operation, which needs small boxes. Two kinds of leaves are too large for that:

@@ -1,7 +1,5 @@
 """Rebuilds the observer of a saved certificate, and its error system."""
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Float
 
@@ -22,7 +20,7 @@ from covariant.observers import Intrinsic
 from scalargraph.errors import InputError
 
 
-def observer_from(document: Document, model: Any = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
+def observer_from(document: Document, model: object = None) -> tuple[Intrinsics, Float[np.ndarray, "2 2"]]:
     """Build the observer of a certificate."""
     try:
         system = models.from_recipe(document.recipe or {}, model)

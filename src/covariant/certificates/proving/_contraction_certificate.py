@@ -320,7 +320,7 @@ class ContractionCertificate(NamedTuple):
         return write(path, self.document(), check)
 
     @classmethod
-    def load(cls, path: str | Path, *, model: Any = None, verify: bool = False) -> "ContractionCertificate":
+    def load(cls, path: str | Path, *, model: object = None, verify: bool = False) -> "ContractionCertificate":
         """Read a saved certificate with all its boxes.
 
         It is checked that the boxes cover the region, and that the statement follows from the claims. The claims

@@ -11,7 +11,7 @@ Source: Jouffroy & Fossen 2004, Theorem 3, equations (64)–(79).
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -319,7 +319,9 @@ def _check_same_bounds(*boxes: Box) -> None:
                 )
 
 
-def _check_sizes(controller: tuple[ErrorSystem, Box], observer: tuple[ErrorSystem, Box], coupling: Any) -> None:
+def _check_sizes(
+    controller: tuple[ErrorSystem, Box], observer: tuple[ErrorSystem, Box], coupling: tuple[Coupling, Box]
+) -> None:
     """Raise `InputError` if the sizes of errors in the coupling and in the coupled systems differ."""
     parts = ("controller", controller, "e"), ("observer", observer, "x̃")
     for (name, (error_system, box), error), size in zip(parts, _sizes(coupling), strict=True):

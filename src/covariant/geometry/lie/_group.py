@@ -9,7 +9,6 @@ Groups, chapter 10, for the Jacobians.
 """
 
 import abc
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -128,7 +127,7 @@ class AbstractGroup(AbstractManifold):
         one = jnp.eye(x.shape[0], dtype=x.dtype)
         return jnp.linalg.solve(jax.vmap(lambda e: self.right_jacobian(x, e), out_axes=1)(one), y)
 
-    def identity(self, dtype: Any = float) -> Element:
+    def identity(self, dtype: jax.typing.DTypeLike = float) -> Element:
         """Neutral element of the group.
 
         Args:
@@ -265,7 +264,7 @@ class AbstractGroup(AbstractManifold):
     def shape(self) -> tuple[int, int]:
         return (self.order, self.order)
 
-    def origin(self, dtype: Any = float) -> Element:
+    def origin(self, dtype: jax.typing.DTypeLike = float) -> Element:
         return self.identity(dtype)
 
     def zero(self, x: Element) -> Vector:

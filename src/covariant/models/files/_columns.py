@@ -30,7 +30,7 @@ class _Needs(NamedTuple):
 _NEEDS = ((SO3, _Needs(0, 1, 0)), (SE3, _Needs(3, 1, 0)), (SE2, _Needs(2, 0, 1)), (SO2, _Needs(0, 0, 1)))
 
 
-def model_columns(model: Any, loaded: Columns, given: dict[str, Any]) -> Columns:
+def model_columns(model: Model, loaded: Columns, given: dict[str, Any]) -> Columns:
     """Columns of a model's logs.
 
     Names in the model file take precedence over names loaded with the model, and these over names derived from the

@@ -187,7 +187,7 @@ def _numbers(content: dict[str, Any]) -> Iterator[Place]:
     yield from _places(("parameters",), content.get("parameters", {}))
 
 
-def _places(here: Place, value: Any) -> Iterator[Place]:
+def _places(here: Place, value: object) -> Iterator[Place]:
     if _is_number(value):
         yield here
     elif isinstance(value, dict | list):
@@ -195,7 +195,7 @@ def _places(here: Place, value: Any) -> Iterator[Place]:
             yield from _places((*here, key), inner)
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

@@ -26,7 +26,7 @@ def finish(spec: str, content: dict[str, Any]) -> ModelFile:
     return _complete_file(loaded._replace(stated=tuple(content.get("parameters", {}))), name, content)
 
 
-def finish_object(given: Any, content: dict[str, Any]) -> ModelFile:
+def finish_object(given: object, content: dict[str, Any]) -> ModelFile:
     """Build the model file of a model object, with the tables of a document applied to it."""
     for table in ("system", "parameters", _toml.SERVO, _toml.LOOP):
         if table in content:
@@ -102,7 +102,7 @@ def servo_tables(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return complete_tables(content.get("servo", {}))
 
 
-def from_recipe(made: dict[str, Any], model: Any = None) -> Model:
+def from_recipe(made: dict[str, Any], model: object = None) -> Model:
     """Build the model of a recipe: a system of this library by name, with parameters of the right types.
 
     A recipe may come from a file, so its content is never imported. A caller who trusts the code may pass `model`.
@@ -170,7 +170,7 @@ def recipe_text(made: dict[str, Any]) -> str:
     return name + "".join(f", {key} = {text}" for key, text in texts.items())
 
 
-def _replacement(model: Any, parameters: dict[str, Any]) -> Model:
+def _replacement(model: object, parameters: dict[str, Any]) -> Model:
     """Build the model that a caller passes to replace the one in a recipe."""
     name = model if isinstance(model, str) else type(model).__name__
     if isinstance(model, str) and not all(model.partition(":")):
@@ -250,7 +250,7 @@ def _model_or_factory(spec: str, content: dict[str, Any]) -> Any:
     return _source.attribute(spec)
 
 
-def _build(name: str, candidate: Any, parameters: dict[str, Any]) -> ModelFile:
+def _build(name: str, candidate: object, parameters: dict[str, Any]) -> ModelFile:
     """Return a finished model, or call a factory with the parameters; library systems get converted types."""
     finished = isinstance(candidate, Model | ModelFile)
     if finished and parameters:

@@ -41,7 +41,7 @@ class Number:
         """Values that are accepted."""
         return self._one + (f", or a list with one for each {self.each}" if self.each else "")
 
-    def read(self, value: Any, counts: Counts) -> float | tuple[float, ...]:
+    def read(self, value: object, counts: Counts) -> float | tuple[float, ...]:
         """Read the number or numbers of a document; raises `ValueError` for invalid ones."""
         if self.each == "state" and not counts["state"]:
             raise InputError(f"{self.path} is for a state-space model, and this one is mechanical")
@@ -88,7 +88,7 @@ class Deviations:
     replaces = ()
     values = "positive number for each name"
 
-    def read(self, value: Any, counts: Counts) -> dict[str, float]:
+    def read(self, value: object, counts: Counts) -> dict[str, float]:
         """Read the deviations of a document; raises `ValueError` for invalid ones."""
         if not isinstance(value, dict):
             raise InputError(

@@ -89,7 +89,7 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
     return file
 
 
-def spec_name(spec: Any) -> str:
+def spec_name(spec: object) -> str:
     """Name of a model in messages and titles.
 
     Args:

@@ -14,6 +14,7 @@ from covariant.models.robots import (
     BodyInertia,
     Description,
     FrictionLaw,
+    Joint,
     numbers_of,
 )
 from scalargraph.errors import InputError
@@ -179,7 +180,7 @@ def _payload(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     kinds = OF_PAYLOAD if not rest else tuple(rest[:1])
     units, sizes = (
         dict(zip(OF_PAYLOAD, ("kg", "m", "m", "m"), strict=True)),
-        {"mass": sum(body.mass for body in scene.robot.links.values())},
+        {"mass": float(sum(body.mass for body in scene.robot.links.values()))},
     )
     opened = []
     for link in links:
@@ -196,7 +197,7 @@ def _payload(scene: Scene, rest: list[str]) -> list[OpenNumber]:
 
 def first_load(robot: Description, link: str) -> list[float]:
     """First load on a link without one: a small mass at the link's centre."""
-    body, whole = robot.links[link], sum(each.mass for each in robot.links.values())
+    body, whole = robot.links[link], float(sum(each.mass for each in robot.links.values()))
     centre = body.first / body.mass if body.mass else np.zeros(3)
     return [FIRST_LOAD * whole, *centre.tolist()]
 
@@ -261,7 +262,7 @@ def _servo(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     return opened
 
 
-def _number_of_servo(joint: Any, kind: str) -> float:
+def _number_of_servo(joint: Joint, kind: str) -> float:
     if kind == "armature":
         return float(joint.armature)
     return float(getattr(joint.law or FrictionLaw() if kind in FrictionLaw._fields else joint.servo, kind))

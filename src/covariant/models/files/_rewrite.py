@@ -80,7 +80,7 @@ def _has_header(text: str, table: str) -> bool:
     return re.search(rf"^[ \t]*\[[ \t]*{re.escape(table)}[ \t]*[.\]]", text, re.MULTILINE) is not None
 
 
-def _replace_value(text: str, table: str, key: str, value: Any, old: Any = None) -> str:
+def _replace_value(text: str, table: str, key: str, value: object, old: object = None) -> str:
     """The text with one value changed, removed if it is None, or added at the end of its table."""
     begin, end = _span(text, table)
     if begin is None:
@@ -136,7 +136,7 @@ def _value_end(text: str, begin: int) -> int:
     return begin + len(text[begin:position].rstrip())
 
 
-def _value(text: str, value: Any, old: Any) -> str:
+def _value(text: str, value: object, old: object) -> str:
     """The text of a value with other numbers, if their count is the same as before; otherwise it is written anew."""
     before, after = _leaves(old), _leaves(value)
     tokens = [token for token in _TOKEN.finditer(text) if token.lastgroup == "number"]
@@ -150,11 +150,11 @@ def _value(text: str, value: Any, old: Any) -> str:
     return text
 
 
-def _leaves(value: Any) -> list[Any]:
+def _leaves(value: object) -> list[Any]:
     return [leaf for entry in value for leaf in _leaves(entry)] if isinstance(value, list) else [value]
 
 
-def written(value: Any) -> str:
+def written(value: object) -> str:
     """A value as TOML; a dictionary becomes an inline table."""
     if isinstance(value, list):
         return "[" + ", ".join(map(written, value)) + "]"

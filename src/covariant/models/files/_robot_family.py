@@ -16,24 +16,9 @@ from covariant._names import refuse_unknown
 from covariant.models._parameters import AnyArray
 from covariant.models.files._file import document, finish, made, parameters_of
 from covariant.models.files._model_file import ModelFile, named
-from covariant.models.files._open_numbers import (
-    GROUPS,
-    OF_PAYLOAD,
-    OPENED,
-    OpenNumber,
-    Scene,
-    first_load,
-)
+from covariant.models.files._open_numbers import GROUPS, OF_PAYLOAD, OPENED, OpenNumber, Scene, first_load
 from covariant.models.files._toml import Overrides
-from covariant.models.robots import (
-    OF_INERTIA,
-    BodyInertia,
-    Description,
-    FrictionLaw,
-    changed,
-    inertia_of,
-    read,
-)
+from covariant.models.robots import OF_INERTIA, BodyInertia, Description, FrictionLaw, changed, inertia_of, read
 from scalargraph.errors import InputError
 
 LINEAR = ("mass", "mx", "my", "mz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -120,7 +105,7 @@ class RobotFamily(NamedTuple):
         """Least coordinates x (p,)."""
         return np.array([number.least - number.first for number in self.numbers])
 
-    def sizes(self, torque: Any, speed: Any, acceleration: Any) -> Float[np.ndarray, "p"]:
+    def sizes(self, torque: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> Float[np.ndarray, "p"]:
         """Usual sizes (p,) of the coordinates.
 
         Args:
@@ -170,7 +155,7 @@ class RobotFamily(NamedTuple):
         """The model of one machine at the coordinates x (k,); JAX can trace it."""
         return made(self.spec, self.with_values(self.one.values(x))).model
 
-    def with_values(self, values: Any) -> dict[str, Any]:
+    def with_values(self, values: AnyArray) -> dict[str, Any]:
         """Copy the document with other values of the open numbers.
 
         Args:
@@ -312,7 +297,7 @@ def _inertia_at(first: Float[np.ndarray, "10"], x: Array) -> Array:
     return jnp.concatenate([jnp.stack([mass, *(moment / mass)]), _tensor_of(central)])
 
 
-def _tensor_of(second: Any) -> Array:
+def _tensor_of(second: AnyArray) -> Array:
     """The six numbers ixx, iyy, izz, ixy, ixz, iyz of the inertia tensor tr(S) 1 − S of a second moment S."""
     xx, yy, zz = jnp.diagonal(second)
     return jnp.stack([yy + zz, zz + xx, xx + yy, -second[0, 1], -second[0, 2], -second[1, 2]])

@@ -44,7 +44,7 @@ def _states_of(factory: Callable[..., Any]) -> Callable[..., StateSpace]:
     return build
 
 
-def system(name: Any) -> Callable[..., Model]:
+def system(name: object) -> Callable[..., Model]:
     """The function that builds a system of this library; the same object each time."""
     if not isinstance(name, str):
         raise InputError(f'system must be a name, as in system = "oscillator"; got {name!r}')
@@ -149,7 +149,7 @@ def typed(name: str, factory: Callable[..., Any], parameters: dict[str, Any]) ->
     return converted
 
 
-def _convert_to_type(value: Any, declared: Any) -> Any:
+def _convert_to_type(value: object, declared: Any) -> Any:
     choices = get_args(declared)
     if isinstance(value, jax.Array | np.floating):  # possibly traced: its value cannot be converted
         return value

@@ -110,7 +110,7 @@ def check_layout(document: dict[str, Any]) -> None:
             _check_finite(table, content)
 
 
-def _check_finite(key: str, value: Any) -> None:
+def _check_finite(key: str, value: object) -> None:
     """Check that all numbers of a table are finite."""
     for name, entry in value.items() if isinstance(value, dict) else ():
         _check_finite(f"{key}.{name}", entry)

@@ -9,6 +9,7 @@ with its time step; instead, the gap of each loop is compared at random position
 
 import copy
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
@@ -72,7 +73,7 @@ def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] |
             raise InputError(_difference(worst, joints, plain, file))
 
 
-def _refuse_other_gaps(mujoco: Any, engine: Any, robot: Description) -> None:
+def _refuse_other_gaps(mujoco: ModuleType, engine: Any, robot: Description) -> None:
     """Raise `ValueError` if the gap of a loop differs from the one in MuJoCo's model of the file."""
     space, data = geometry_of(robot), mujoco.MjData(engine)
     names, joints = names_of(mujoco, engine, "EQUALITY", engine.neq), names_of(mujoco, engine, "JOINT", engine.njnt)
@@ -110,7 +111,7 @@ def _sizes(gap: np.ndarray, scale: float | None = None) -> np.ndarray:
     return np.array([np.linalg.norm(gap[:3]), 2 * half * np.sqrt(max(1 - half**2, 0.0))])
 
 
-def _smooth(mujoco: Any, engine: Any, actuated: bool) -> Any:
+def _smooth(mujoco: ModuleType, engine: Any, actuated: bool) -> Any:
     """MuJoCo's model of the file without constraints, and without motor forces if motors are not inputs."""
     model, flags = copy.copy(engine), mujoco.mjtDisableBit
     if hasattr(model, "actuator_delay"):  # earlier versions have no delays
@@ -126,7 +127,7 @@ def _smooth(mujoco: Any, engine: Any, actuated: bool) -> Any:
     return model
 
 
-def _written_back(mujoco: Any, robot: Description, motors: Sequence[Motor]) -> Any:
+def _written_back(mujoco: ModuleType, robot: Description, motors: Sequence[Motor]) -> Any:
     """A plain MuJoCo model of a description, with the springs and dampers of motors at their joints."""
     robot = gathered(robot)
     joints = tuple(with_motors(joint, motors)._replace(friction=0.0, follows=None) for joint in robot.joints)
@@ -140,7 +141,7 @@ def _written_back(mujoco: Any, robot: Description, motors: Sequence[Motor]) -> A
     return model
 
 
-def _set_inertia(mujoco: Any, model: Any, body: int, inertia: BodyInertia) -> None:
+def _set_inertia(mujoco: ModuleType, model: Any, body: int, inertia: BodyInertia) -> None:
     moments, axes = np.linalg.eigh(inertia.about_centre)
     axes[:, 0] *= np.linalg.det(axes)
     model.body_mass[body], model.body_inertia[body] = inertia.mass, moments
@@ -169,7 +170,7 @@ def _motor_forces(motors: Sequence[Motor], u: np.ndarray) -> dict[str, np.ndarra
 
 
 def _dynamics(
-    mujoco: Any,
+    mujoco: ModuleType,
     model: Any,
     joints: list[Joint],
     q: list[np.ndarray],

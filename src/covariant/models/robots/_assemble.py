@@ -10,19 +10,13 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant._names import refuse_unknown
+from covariant._typing import Number
 from covariant.geometry import AbstractManifold, Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import Parametric, known, namespace
 from covariant.models.robots._axes import Axis, Freedom, bodies_of, freedom_of, regrouped
-from covariant.models.robots._description import (
-    NO_INERTIA,
-    BodyInertia,
-    Description,
-    Joint,
-    negative_inertia,
-    numbers,
-)
+from covariant.models.robots._description import NO_INERTIA, BodyInertia, Description, Joint, negative_inertia, numbers
 from covariant.models.robots._forces import Potential, dissipation, force, inputs_of, with_motors
 from covariant.models.robots._loops import close_loops
 from covariant.models.robots._servos import ServoForce, loss, servo_of
@@ -47,7 +41,7 @@ class Moved(NamedTuple):
     """
 
     joint: str
-    mass: Any
+    mass: Number
     axis: np.ndarray | None = None
 
 
@@ -172,7 +166,7 @@ def _with_payload(
 
 
 def _tree(
-    axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, weightless: Any, xnp: Any
+    axes: list[Axis], freedom: Freedom, bodies: list[BodyInertia], base: BodyInertia, weightless: Number, xnp: Any
 ) -> KinematicTree:
     """The arrays of the robot space; `xnp` is JAX's NumPy if a number is traced, else NumPy."""
 

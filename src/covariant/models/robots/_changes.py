@@ -7,14 +7,8 @@ import numpy as np
 
 from covariant._names import refuse_unknown
 from covariant._typing import Number
-from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known, namespace
-from covariant.models.robots._description import (
-    BodyInertia,
-    Description,
-    Joint,
-    doubts_on,
-    negative_inertia,
-)
+from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, AnyArray, check_range, known, namespace
+from covariant.models.robots._description import BodyInertia, Description, Joint, doubts_on, negative_inertia
 from covariant.models.robots._loops import loops_of
 from covariant.models.robots._servos import checked_law, with_servos
 from scalargraph.errors import InputError
@@ -93,7 +87,7 @@ def changed(
     return with_servos(robot, servos or {})
 
 
-def inertia_of(name: str, numbers: Any) -> BodyInertia:
+def inertia_of(name: str, numbers: Sequence[Number] | AnyArray) -> BodyInertia:
     """Inertia of a link from its ten inertial parameters.
 
     Args:
@@ -134,7 +128,7 @@ def numbers_of(inertia: BodyInertia) -> np.ndarray:
     return np.array([inertia.mass, *centre, xx, yy, zz, xy, xz, yz])
 
 
-def _gravity(direction: Any, gravity: Any) -> Any:
+def _gravity(direction: np.ndarray, gravity: Number | Sequence[Number]) -> Any:
     xnp = namespace(gravity)
     value = xnp.asarray(gravity, float)
     if value.shape not in ((), (3,)) or (known(value) and not np.isfinite(value).all()):

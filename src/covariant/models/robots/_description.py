@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant._door import MOST_COORDINATES, MOST_LINKS, check_count
-from covariant.models._parameters import namespace
+from covariant._typing import Number
+from covariant.models._parameters import AnyArray, namespace
 from scalargraph.errors import InputError
 
 MOST_TURNS = 4
@@ -33,12 +34,12 @@ class BodyInertia(NamedTuple):
         4.0
     """
 
-    mass: float
-    first: np.ndarray
-    second: np.ndarray
+    mass: Number
+    first: AnyArray
+    second: AnyArray
 
     @classmethod
-    def of(cls, mass: Any, centre: Any, about_centre: Any) -> "BodyInertia":
+    def of(cls, mass: Number, centre: AnyArray, about_centre: AnyArray) -> "BodyInertia":
         """Inertia of a body from its centre of mass.
 
         Args:
@@ -88,7 +89,7 @@ class BodyInertia(NamedTuple):
         central = self.second - np.outer(self.first, self.first) / self.mass if self.mass > 0 else self.second
         return np.trace(central) * np.eye(3) - central
 
-    def with_mass(self, mass: Any, at: Any) -> "BodyInertia":
+    def with_mass(self, mass: Number, at: AnyArray) -> "BodyInertia":
         """Add a point mass.
 
         Args:
@@ -146,14 +147,14 @@ class FrictionLaw(NamedTuple):
         0.02
     """
 
-    viscous: Any = 0.0
-    coulomb: Any = 0.0
-    asymmetry: Any = 0.0
-    stribeck: Any = 0.0
-    stribeck_velocity: Any = 0.1
-    load: Any = 0.0
-    load_external: Any = 0.0
-    smoothing: Any = 0.02
+    viscous: Number = 0.0
+    coulomb: Number = 0.0
+    asymmetry: Number = 0.0
+    stribeck: Number = 0.0
+    stribeck_velocity: Number = 0.1
+    load: Number = 0.0
+    load_external: Number = 0.0
+    smoothing: Number = 0.02
 
 
 class Servo(NamedTuple):
@@ -187,23 +188,23 @@ class Servo(NamedTuple):
         inf
     """
 
-    stiffness: Any
-    gain: Any = 1.0
-    damping: Any = 0.0
-    feedforward: Any = 0.0
-    delay: Any = 0.0
-    offset: Any = 0.0
-    dead_band: Any = 0.0
-    limit: Any = np.inf
-    back_emf: Any = 0.0
-    supply: Any = 0.0
-    resistance: Any = 0.0
-    torque_constant: Any = 0.0
-    pwm_limit: Any = 1.0
-    backlash: Any = 0.0
+    stiffness: Number
+    gain: Number = 1.0
+    damping: Number = 0.0
+    feedforward: Number = 0.0
+    delay: Number = 0.0
+    offset: Number = 0.0
+    dead_band: Number = 0.0
+    limit: Number = np.inf
+    back_emf: Number = 0.0
+    supply: Number = 0.0
+    resistance: Number = 0.0
+    torque_constant: Number = 0.0
+    pwm_limit: Number = 1.0
+    backlash: Number = 0.0
     switch: bool = False
     logged_supply: bool = False
-    command_scale: float = 1.0
+    command_scale: Number = 1.0
 
 
 class Joint(NamedTuple):
@@ -251,7 +252,7 @@ class Joint(NamedTuple):
     axis: np.ndarray
     damping: float = 0.0
     friction: float = 0.0
-    armature: Any = 0.0
+    armature: Number = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
     lower: float = -np.inf
@@ -261,8 +262,8 @@ class Joint(NamedTuple):
     follows: Follows | None = None
     reductions: tuple[float, ...] = ()
     law: FrictionLaw | None = None
-    encoder_offset: Any = 0.0
-    torque_constant: Any = 1.0
+    encoder_offset: Number = 0.0
+    torque_constant: Number = 1.0
     servo: Servo | None = None
 
 
@@ -291,7 +292,7 @@ class Motor(NamedTuple):
 
     name: str
     joint: str
-    gain: float
+    gain: Number
     stiffness: float
     damping: float
     constant: float
@@ -396,7 +397,7 @@ def rows(matrix: Iterable[Iterable[float]]) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(entry) for entry in row) for row in matrix)
 
 
-def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
+def turn_about(axis: np.ndarray, angle: Number) -> np.ndarray:
     """Rotation (3, 3) by an angle [rad] about an axis (3,) of unit length (Rodrigues' formula)."""
     projection = np.outer(axis, axis)
     hat = np.cross(axis, np.eye(3)).T
@@ -477,7 +478,7 @@ def doubts_on(name: str, inertia: BodyInertia) -> list[str]:
 
     A negative moment is only doubtful: it depends on the links fixed to this one, or to the ground, whether it matters.
     """
-    numbers = np.concatenate([[inertia.mass], inertia.first, inertia.second.ravel()])
+    numbers = np.array([inertia.mass, *inertia.first, *inertia.second.ravel()])
     if not np.isfinite(numbers).all():
         raise InputError(f"link {name!r}: mass, centre of mass and inertia must be finite numbers")
     if inertia.mass < 0:

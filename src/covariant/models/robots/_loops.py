@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 from covariant._names import refuse_unknown
 from covariant._typing import Vector
-from covariant.geometry import Leaf
+from covariant.geometry import AbstractSpace, Leaf
 from covariant.geometry.lie import rotation_from_quaternion
 from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import known
@@ -42,7 +42,7 @@ class Closure(Functional):
         return jnp.concatenate([gap(self.space, loop, x) for loop in self.loops])
 
 
-def robot_space(space: Any) -> RobotSpace | None:
+def robot_space(space: AbstractSpace | None) -> RobotSpace | None:
     """The space of a robot with links and joints by name; for closed loops the space of its tree; else None."""
     tree = space.space if isinstance(space, Leaf) else space
     return tree if isinstance(tree, RobotSpace) else None
@@ -123,7 +123,7 @@ def _refuse_far(model: MechanicalSystem, space: RobotSpace, near: Array, closed:
     )
 
 
-def _loop(name: str, table: Any) -> Coincide | Coupled:
+def _loop(name: str, table: object) -> Coincide | Coupled:
     where = f"[loop.{name}]"
     if not isinstance(table, Mapping):
         raise InputError(f"loop.{name} must be a table, {where}; got {table!r}")

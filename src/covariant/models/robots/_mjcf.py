@@ -8,6 +8,7 @@ contact, are counted as ignored. Afterwards `_against_mujoco` compares the force
 import re
 from collections import Counter
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ MOTOR_LIMITS = {
 class _Reader:
     """A compiled model, with the entries read from it so far."""
 
-    def __init__(self, mujoco: Any, model: Any):
+    def __init__(self, mujoco: ModuleType, model: Any):
         self.mujoco, self.model = mujoco, model
         self.used, self.ignored, self.doubts = Counter(), Counter(), []
         self.bodies = names_of(mujoco, model, "BODY", model.nbody)
@@ -78,7 +79,7 @@ class _Reader:
         return bool(self.model.opt.disableflags & int(getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
 
 
-def names_of(mujoco: Any, model: Any, kind: str, count: int) -> list[str]:
+def names_of(mujoco: ModuleType, model: Any, kind: str, count: int) -> list[str]:
     """Names of the first entries of a kind, such as "JOINT"; entries without a name get numbers."""
     kind_number = getattr(mujoco.mjtObj, f"mjOBJ_{kind}")
     return [mujoco.mj_id2name(model, kind_number, i) or f"{kind.lower()}{i}" for i in range(count)]

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from scalargraph.errors import InputError
@@ -10,7 +11,7 @@ PLACEHOLDER_SIZE = 0.01
 """Radius [m] of the spheres that replace shapes without a meaning here."""
 
 
-def compiled_model(mujoco: Any, path: Path) -> tuple[Any, Counter[str]]:
+def compiled_model(mujoco: ModuleType, path: Path) -> tuple[Any, Counter[str]]:
     """The compiled model of a file, and the number of assets that were left out because they cannot be read."""
     try:
         return mujoco.MjModel.from_xml_path(str(path)), Counter()
@@ -29,7 +30,7 @@ def compiled_model(mujoco: Any, path: Path) -> tuple[Any, Counter[str]]:
             raise InputError(f"MuJoCo cannot read it: {reason}{remedy}") from error
 
 
-def _leave_out_shapes(mujoco: Any, spec: Any) -> tuple[Counter[str], list[str]]:
+def _leave_out_shapes(mujoco: ModuleType, spec: Any) -> tuple[Counter[str], list[str]]:
     """Leave out all assets except meshes that determine an inertia; the bodies of those meshes are returned too."""
     ignored, shaped, needed = Counter(), [], set()
     for geom in spec.geoms:
@@ -53,7 +54,7 @@ def _leave_out_shapes(mujoco: Any, spec: Any) -> tuple[Counter[str], list[str]]:
     return +ignored, sorted(set(shaped))
 
 
-def _has_inertia(mujoco: Any, spec: Any, geom: Any) -> bool:
+def _has_inertia(mujoco: ModuleType, spec: Any, geom: Any) -> bool:
     """Whether this shape determines the inertia of a body."""
     body, kinds = geom.parent, mujoco.mjtInertiaFromGeom
     low, high = spec.compiler.inertiagrouprange

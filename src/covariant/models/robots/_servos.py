@@ -7,7 +7,7 @@ Source: Duclusaud et al. 2025, Extended Friction Models for the Physics Simulati
 the controller behind a limited voltage, and for friction that depends on the load of the gear.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,7 +18,10 @@ from jaxtyping import Array, Float
 
 from covariant._functional import Functional
 from covariant._names import refuse_unknown
+from covariant._typing import Number
+from covariant.models._mechanical import MechanicalSystem
 from covariant.models._parameters import ANY_SIGN, POSITIVE, ZERO_OR_MORE, check_range, known
+from covariant.models._state_space import StateSpace
 from covariant.models.robots._axes import Axis, Freedom
 from covariant.models.robots._description import Description, FrictionLaw, Joint, Motor, Servo, numbers
 from scalargraph.errors import InputError
@@ -111,7 +114,7 @@ class Servos(Functional):
         """Dry friction (k,) caused by the load, the torques of the motors and of the weight at the servos."""
         return jnp.abs(self.load_external * weight - self.load * torque)
 
-    def cast(self, dtype: Any) -> "Servos":
+    def cast(self, dtype: np.dtype) -> "Servos":
         """The servos with numbers of another type, so that a single-precision state keeps its precision."""
         return jax.tree.map(lambda leaf: leaf.astype(dtype), self)
 
@@ -136,7 +139,7 @@ class ServoForce(Functional):
     motors: Float[Array, "n m"]
     base: Float[Array, "b"]
 
-    def __call__(self, t: Any, q: Array, u: Array) -> Array:
+    def __call__(self, t: Number, q: Array, u: Array) -> Array:
         servos, (motors, base) = self.servos.cast(u.dtype), (part.astype(u.dtype) for part in (self.motors, self.base))
         joints = _last(q, servos.rows.shape[1])
         torque = servos.rows.T @ servos.torque(joints, jnp.zeros_like(joints), u)
@@ -157,7 +160,7 @@ class ServoDissipation(Functional):
     friction: Callable[[Array, Array], Array]
     potential: Callable[[Array], Array]
 
-    def __call__(self, t: Any, q: Array, v: Array, u: Array) -> Array:
+    def __call__(self, t: Number, q: Array, v: Array, u: Array) -> Array:
         servos = self.servos.cast(v.dtype)
         n = servos.rows.shape[1]
         joints, rates = _last(q, n), _last(v, n)
@@ -237,10 +240,10 @@ def servos_of(axes: Sequence[Axis], freedom: Freedom, inputs: Sequence[Driven]) 
     commands = np.zeros((len(own), len(names)))
     commands[np.arange(len(own)), [i for i, _, _ in chosen]] = [servo.command_scale for servo in own]
 
-    def column(values: Any) -> Any:
+    def column(values: Iterable[Number]) -> Array:
         return jnp.asarray(numbers(values))
 
-    def of_inputs(values: dict[int, Any]) -> Any:
+    def of_inputs(values: dict[int, Number]) -> Array:
         return column(values.get(i, 0.0) for i in range(len(names)))
 
     return Servos(
@@ -271,10 +274,9 @@ def servos_of(axes: Sequence[Axis], freedom: Freedom, inputs: Sequence[Driven]) 
     )
 
 
-def servos_in(model: Any) -> Servos | None:
+def servos_in(model: MechanicalSystem | StateSpace) -> Servos | None:
     """The servos of a model; None if its inputs are torques."""
-    force = getattr(model, "force", None)
-    return force.servos if isinstance(force, ServoForce) else None
+    return model.force.servos if isinstance(model.force, ServoForce) else None
 
 
 def servo_of(motor: Motor) -> Servo | None:
@@ -291,7 +293,7 @@ def servo_of(motor: Motor) -> Servo | None:
     )
 
 
-def _any(values: Any) -> bool:
+def _any(values: Iterable[Number]) -> bool:
     """Whether any number is not zero, or is traced and so may differ from zero."""
     return any(not known(value) or bool(value) for value in values)
 
@@ -394,7 +396,7 @@ def checked_law(name: str, fields: Mapping[str, Any]) -> FrictionLaw:
     return FrictionLaw(**fields)
 
 
-def drive_limit(servo: Servo) -> tuple[Any, Any]:
+def drive_limit(servo: Servo) -> tuple[Number, Number]:
     """Torque limit and back-EMF damping; if the servo states a drive, both follow from it."""
     if known(servo.supply) and not servo.supply:
         return servo.limit, servo.back_emf

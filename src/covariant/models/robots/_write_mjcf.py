@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from covariant._typing import Number
 from covariant.models.robots._description import (
     NO_INERTIA,
     BodyInertia,
@@ -147,7 +148,7 @@ def _add_joint(body: Element, joint: Joint, axis: np.ndarray, anchor: np.ndarray
         entry.attrib.update(solreffriction=numbers_text([2 * step, 1.0]), solimpfriction=STICKING)
 
 
-def plain_friction(joint: Joint) -> tuple[float, float]:
+def plain_friction(joint: Joint) -> tuple[Number, Number]:
     """Viscous and Coulomb friction of a joint, including a servo's damping that its limit does not affect."""
     viscous, coulomb = (joint.law.viscous, joint.law.coulomb) if joint.law else (joint.damping, joint.friction)
     return viscous + (drive_limit(joint.servo)[1] if joint.servo else 0.0), coulomb

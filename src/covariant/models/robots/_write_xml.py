@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from covariant._typing import Number
 from covariant.models.robots._description import FrictionLaw, Joint, Servo
 from scalargraph.errors import InputError
 
@@ -14,7 +15,7 @@ NOT_IN_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 """Characters that XML 1.0 cannot contain, not even as references."""
 
 
-def numbers_text(numbers: Iterable[float]) -> str:
+def numbers_text(numbers: Iterable[Number]) -> str:
     """Numbers with all their digits, as an attribute."""
     return " ".join(repr(float(number) + 0.0) for number in numbers)
 

@@ -20,7 +20,7 @@ Covariance = Scalar | Matrix | Callable[[Any], Matrix]
 in all directions; a matrix (n, n) is the same at every configuration; a function is `q -> (n, n)`."""
 
 
-def check_covariance(whose: str, name: str, covariance: Any, positive: bool = False) -> None:
+def check_covariance(whose: str, name: str, covariance: Covariance, positive: bool = False) -> None:
     """Check that a number or matrix is a covariance; traced values and functions are not checked."""
     if callable(covariance) or isinstance(covariance, Tracer):
         return

@@ -23,7 +23,7 @@ Wrappers of an observer, such as a gate or a buffer for late sensors, use `predi
 import abc
 import math
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -34,10 +34,11 @@ from jaxtyping import Array, Float, Inexact
 
 from covariant._domains import FINITE_ENTRIES, NOT_NEGATIVE, POSITIVE
 from covariant._functional import Functional
-from covariant._typing import Code, Flag, Number, Scalar, Vector
-from covariant.models import MechanicalSystem, Motion, input_count
+from covariant._typing import Code, Flag, Number, Numbers, Scalar, Vector
+from covariant.geometry import AbstractManifold
+from covariant.models import MechanicalSystem, Motion, StateSpace, input_count
 from covariant.observers.base._restart import all_finite, started
-from covariant.signals import Record, Run, StepCode, check_rounding, largest_measurement
+from covariant.signals import AnyArray, Record, Run, StepCode, check_rounding, largest_measurement
 from scalargraph.errors import InputError
 
 LastInput = Float[Array, "m"] | None
@@ -120,11 +121,36 @@ class Info(NamedTuple):
     result: Code
 
 
-def _is_number(x: Any) -> bool:
-    return isinstance(x, int | float) or (eqx.is_array(x) and x.ndim == 0)
+@runtime_checkable
+class Fields(Protocol):
+    """A `NamedTuple`, as the state of every observer is."""
+
+    @property
+    def _fields(self) -> tuple[str, ...]: ...
+
+    def _replace(self, **fields: object) -> Self: ...
 
 
-class AbstractObserver(Functional):
+@runtime_checkable
+class Diagnostics(Fields, Protocol):
+    """The info of a step: it has an innovation and a result code, whatever else it has."""
+
+    @property
+    def innovation(self) -> Vector: ...
+
+    @property
+    def result(self) -> Code: ...
+
+
+State = TypeVar("State", bound=Fields)
+Report = TypeVar("Report", bound=Diagnostics)
+
+
+def _is_number(x: object) -> bool:
+    return isinstance(x, int | float) or (isinstance(x, Array) and x.ndim == 0)
+
+
+class AbstractObserver(Functional, Generic[State, Report]):
     """Estimates the state of a system from measured positions, sample by sample.
 
     A subclass writes its algorithm in `init`, `predict`, `correct` and `estimate`. `predict` and `correct` receive
@@ -164,13 +190,18 @@ class AbstractObserver(Functional):
         ([4.0], 'COASTED')
     """
 
+    # What a reader of any observer may ask for. Without annotations: a field here would be the first of its arguments.
+    circles = tuple[int, ...]()
+    sensors, slow_names = tuple[Any, ...](), tuple[str, ...]()
+    gate, substeps = None, 0
+
     def __repr__(self) -> str:
         # `vars` instead of the fields, so that a module under construction shows the attributes it has so far.
         numbers = (f"{name}={x}" for name, x in vars(self).items() if _is_number(x))
         return f"<{type(self).__name__}: {', '.join(numbers)}>"
 
     @abc.abstractmethod
-    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> State:
         """State at rest at a measured configuration.
 
         Args:
@@ -185,7 +216,7 @@ class AbstractObserver(Functional):
                 finite.
         """
 
-    def step(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Number) -> tuple[Any, Any]:
+    def step(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Number) -> tuple[State, Report]:
         """Predict over dt to the time of a measurement, then correct by it; invalid numbers never spoil the state.
 
         The step is `advance` with the replacements below, and `info.result` reports the worst of them. If the state is
@@ -236,7 +267,7 @@ class AbstractObserver(Functional):
         ran = valid_u, measured, jnp.where(advances, dt, 0.0)
         return self.reported(state, new_state, info._replace(result=result), *ran)
 
-    def lost(self, state: Any, info: Any) -> Flag:
+    def lost(self, state: State, info: Report) -> Flag:
         """Whether a state after `advance` is no longer finite, so that no later measurement can correct it.
 
         Args:
@@ -249,8 +280,8 @@ class AbstractObserver(Functional):
         return (info.result == int(StepCode.NOT_FINITE)) | ~all_finite(self.estimate(state))
 
     def reported(
-        self, before: Any, after: Any, info: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
-    ) -> tuple[Any, Any]:
+        self, before: State, after: State, info: Report, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar
+    ) -> tuple[State, Report]:
         """Complete the result of `step`; a subclass may add what depends on the whole step. By default nothing changes.
 
         Args:
@@ -266,7 +297,7 @@ class AbstractObserver(Functional):
         """
         return after, info
 
-    def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, Any]:
+    def advance(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[State, Report]:
         """Predict and then correct: `step` for valid numbers.
 
         It is `correct(predict(state, u, dt), u, y)`. A field that is None in `state` is None in the new state too. A
@@ -286,7 +317,7 @@ class AbstractObserver(Functional):
         return corrected._replace(**{name: None for name in state._fields if getattr(state, name) is None}), info
 
     @abc.abstractmethod
-    def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
+    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
         """Move the state dt later, without a measurement.
 
         Args:
@@ -299,7 +330,7 @@ class AbstractObserver(Functional):
         """
 
     @abc.abstractmethod
-    def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
+    def correct(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[State, Report]:
         """Correct a predicted state by a measurement taken at its own time; no time passes.
 
         Args:
@@ -311,7 +342,7 @@ class AbstractObserver(Functional):
             The corrected state and the info, whose innovation is that of the predicted state.
         """
 
-    def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Vector:
+    def innovation(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Vector:
         """Innovation of a measurement at a predicted state, without a correction.
 
         It equals `correct(state, u, y)[1].innovation`, and is computed so by default; subclasses compute it with less
@@ -338,8 +369,7 @@ class AbstractObserver(Functional):
         Returns:
             The bounds, in the shape of y.
         """
-        circles = getattr(self, "circles", None) or getattr(getattr(self, "model", None), "circles", ())
-        return largest_measurement(y, circles)
+        return largest_measurement(y, self.circles or (() if self.manifold is None else self.manifold.circles))
 
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
         """Replace a measurement by NaN if it is not a configuration of the model, such as a matrix but no rotation.
@@ -350,8 +380,12 @@ class AbstractObserver(Functional):
         Returns:
             The measurement, unchanged if it is a configuration or the observer has no model with a manifold.
         """
-        manifold = getattr(getattr(self, "model", None), "manifold", None)
-        return y if manifold is None else manifold.admitted(y)
+        return y if self.manifold is None else self.manifold.admitted(y)
+
+    @property
+    def manifold(self) -> AbstractManifold | None:
+        """The manifold of the configurations of the observer's model; None where it has no model."""
+        return getattr(getattr(self, "model", None), "manifold", None)
 
     @property
     def fixed_numbers(self) -> bool:
@@ -363,7 +397,7 @@ class AbstractObserver(Functional):
         """Whether a step gets the input at its end, as for inputs that are linear between samples, or at its begin."""
         return False
 
-    def configuration(self, y: Any) -> Any:
+    def configuration(self, y: AnyArray) -> Any:
         """The configuration within a measurement: all of it, unless the observer has further sensors.
 
         Args:
@@ -375,7 +409,7 @@ class AbstractObserver(Functional):
         return y
 
     @abc.abstractmethod
-    def estimate(self, state: Any) -> Any:
+    def estimate(self, state: State) -> Any:
         """Estimate of a state.
 
         Args:
@@ -386,7 +420,7 @@ class AbstractObserver(Functional):
         """
 
 
-class AbstractWrapper(AbstractObserver):
+class AbstractWrapper(AbstractObserver[State, Report]):
     """An observer that wraps another one and takes the same measurements.
 
     Attributes:
@@ -409,16 +443,16 @@ class AbstractWrapper(AbstractObserver):
     def largest(self, y: Inexact[Array, "*n"] | np.ndarray) -> np.ndarray:
         return self.observer.largest(y)
 
-    def configuration(self, y: Any) -> Any:
+    def configuration(self, y: AnyArray) -> Any:
         return self.observer.configuration(y)
 
     @property
     def sensors(self) -> tuple[Any, ...]:
         """The further sensors of the inner observer, besides those of the configuration; empty if it has none."""
-        return getattr(self.observer, "sensors", ())
+        return self.observer.sensors
 
 
-class AbstractFlowObserver(AbstractObserver):
+class AbstractFlowObserver(AbstractObserver[State, Report]):
     """An observer that is defined by a differential equation, `flow`, in addition to its sampled form.
 
     Example:
@@ -433,7 +467,7 @@ class AbstractFlowObserver(AbstractObserver):
     """
 
     @abc.abstractmethod
-    def flow(self, t: Scalar, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
+    def flow(self, t: Scalar, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> State:
         """Time derivative of the state, for measurements in continuous time.
 
         Args:
@@ -508,7 +542,7 @@ def readability(model: MechanicalSystem, q: Array, y: Array) -> Code:
     return jnp.where(dead, int(StepCode.NOT_RECONSTRUCTIBLE), uniqueness(model, q, y)).astype(jnp.int32)
 
 
-def as_gain(value: Any) -> Any:
+def as_gain(value: object) -> Any:
     """Convert a gain to an array, so that a program is compiled once for all gains.
 
     The array adopts the precision of the other operands.
@@ -516,7 +550,7 @@ def as_gain(value: Any) -> Any:
     return jnp.asarray(float(value)) if isinstance(value, int | float | np.generic) else value
 
 
-def check_positive(whose: str, **gains: Any) -> None:
+def check_positive(whose: str, **gains: object) -> None:
     """Check that gains are positive, finite numbers; a traced gain has no value that can be checked."""
     for name, gain in gains.items():
         POSITIVE.check(whose, name, gain)
@@ -531,29 +565,28 @@ def check_free(whose: str, model: MechanicalSystem) -> None:
         )
 
 
-def check_not_negative(whose: str, **gains: Any) -> None:
+def check_not_negative(whose: str, **gains: object) -> None:
     """Check that gains are finite numbers ≥ 0; a traced gain has no value to check."""
     for name, gain in gains.items():
         NOT_NEGATIVE.check(whose, name, gain)
 
 
-def check_whole(whose: str, observer: Any) -> None:
+def check_whole(whose: str, observer: AbstractObserver) -> None:
     """Check that an observer may be wrapped: its reports concern its own steps, which a wrapper would change."""
-    reported = getattr(type(observer), "reported", AbstractObserver.reported)
-    if reported is not AbstractObserver.reported:
+    if type(observer).reported is not AbstractObserver.reported:
         raise InputError(
             f"{whose}: what {type(observer).__name__} reports is about its own steps, and not about those that {whose} "
             "makes of them; put it around the others"
         )
 
 
-def check_finite(whose: str, **given: Any) -> None:
+def check_finite(whose: str, **given: object) -> None:
     """Check that arrays have finite entries; a traced array has no values to check."""
     for name, array in given.items():
         FINITE_ENTRIES.check(whose, name, array)
 
 
-def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np.inf) -> np.ndarray:
+def as_numbers(whose: str, what: str, value: Numbers, count: int, least: float = -np.inf) -> np.ndarray:
     """Check one number or `count` numbers, all at least `least`, and return `count` of them."""
     try:
         numbers = np.broadcast_to(np.asarray(value, float), (count,))
@@ -566,7 +599,7 @@ def as_numbers(whose: str, what: str, value: Any, count: int, least: float = -np
     return numbers
 
 
-def no_input(model: Any, like: Vector) -> Float[Array, "m"]:
+def no_input(model: MechanicalSystem | StateSpace, like: Vector) -> Float[Array, "m"]:
     """Zero input of a model.
 
     Args:
@@ -604,7 +637,7 @@ def still(stored: LastInput | Scalar) -> Any:
     return jax.tree.map(jnp.zeros_like, stored)
 
 
-def continuous(state: Any) -> Any:
+def continuous(state: State) -> State:
     """State without the fields that are only stored between samples, for use in a differential equation.
 
     Args:
@@ -623,7 +656,7 @@ def continuous(state: Any) -> Any:
     return state._replace(**{name: None for name in ("last_input", "age", "dt") if name in state._fields})
 
 
-def _has_last_input(state: Any) -> bool:
+def _has_last_input(state: Fields) -> bool:
     """Whether the state has a field for the last finite input."""
     return "last_input" in state._fields
 
@@ -639,7 +672,7 @@ def _replacement_input(state: Any, u: Array) -> Array:
 
 def _with_missing_input(state: Any, u: Array) -> Any:
     """The state, with flags for replaced inputs in its field `missing_input` if it has one."""
-    flags = getattr(state, "missing_input", None)
+    flags = state.missing_input if "missing_input" in state._fields else None
     return state if flags is None or flags.shape != u.shape else state._replace(missing_input=~jnp.isfinite(u))
 
 
@@ -711,7 +744,7 @@ class Rows(NamedTuple):
         return cls(u if input_at_end else jnp.concatenate([u[:1], u[:-1]]), y, jnp.diff(t, prepend=t[:1]))
 
 
-def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple[Any, Any]]:
+def scan(observer: AbstractObserver[State, Report], state: State, rows: Rows) -> tuple[State, tuple[Any, Report]]:
     """Run an observer over rows, starting from a state."""
 
     def step(state, row):
@@ -724,7 +757,7 @@ def scan(observer: AbstractObserver, state: Any, rows: Rows) -> tuple[Any, tuple
     return jax.lax.scan(step, state, rows)
 
 
-def kept(info: Any, keep: Collection[str] | None) -> Any:
+def kept(info: Report, keep: Collection[str] | None) -> Report:
     """The info with None in the fields that `keep` does not name; unchanged if `keep` is None."""
     return info if keep is None else info._replace(**dict.fromkeys(set(info._fields) - set(keep)))
 
@@ -759,7 +792,7 @@ def checked(observer: AbstractObserver, record: Record) -> Record:
     """
     shape = np.shape(record.y)[1:]
     start = observer.configuration(np.arange(math.prod(shape)).reshape(shape)).ravel() if shape else None
-    manifold: Any = getattr(getattr(observer, "model", None), "manifold", None)
+    manifold = observer.manifold
     redundant = manifold is not None and manifold.redundant
     if redundant and start is not None and not isinstance(record.y, Tracer) and len(record.t):
         # Other entries may determine the missing ones; if they do not, `AbstractManifold.checked` reports it.

@@ -11,7 +11,7 @@ from jaxtyping import Array, Inexact
 from covariant._typing import Flag, Number
 
 
-def all_finite(tree: Any) -> Flag:
+def all_finite(tree: object) -> Flag:
     """Whether all numbers of a tree of arrays are finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
 

@@ -108,7 +108,7 @@ def chooses_substeps(observer: Any) -> bool:
         >>> observers.chooses_substeps(observers.ModelCopy(model, 2.0, 4.0, substeps=2))
         False
     """
-    return getattr(observer, "substeps", 0) is None and isinstance(observer.model, MechanicalSystem)
+    return observer.substeps is None and isinstance(observer.model, MechanicalSystem)
 
 
 def with_fixed_substeps(

@@ -271,7 +271,7 @@ class Intrinsic(AbstractMechanicalObserver):
         return self.model.space.projected(q, self.bend(at, s - self.model.space.connection(at, xi, s), xi, v))
 
 
-def second_order(space: AbstractSpace, q: Any, e: Vector) -> Vector:
+def second_order(space: AbstractSpace, q: Array, e: Vector) -> Vector:
     """Riemannian error to second order, `ξ = e − ½(B + Q)(e, e)`.
 
     Args:

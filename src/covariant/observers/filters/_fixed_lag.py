@@ -17,8 +17,8 @@ from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Matrix, Number, Scalar
 from covariant.models import MechanicalSystem
-from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput
-from covariant.observers.filters._gated_filter import AbstractGatedFilter
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Fields, LastInput, State
+from covariant.observers.filters._gated_filter import AbstractGatedFilter, GatedFields
 from covariant.observers.filters._smoother import (
     Backward,
     Smoothing,
@@ -42,7 +42,7 @@ class Prediction(NamedTuple):
         carried: ΦS (N, N), with the transition matrix Φ of the error over the prediction.
     """
 
-    before: Any
+    before: Fields
     root: Matrix
     carried: Matrix
 
@@ -70,10 +70,10 @@ class FixedLagState(NamedTuple):
         ([2.0, 2.0, 2.0, 2.0, 2.0, 2.0], (5, 1))
     """
 
-    now: Any
-    smoothed: Any
+    now: GatedFields
+    smoothed: Fields
     t: Float[Array, "L1"]
-    past: Any
+    past: Fields
     steps: Backward
     last_input: LastInput = None
     prediction: Any = None
@@ -164,7 +164,7 @@ class FixedLag(AbstractWrapper):
             The state.
         """
         first = self.observer.init(y, t)
-        last_input = getattr(first, "last_input", None)
+        last_input = first.last_input if "last_input" in first._fields else None
         root = self.observer.root(first)
         # Nothing happened before the first sample, so the steps in the buffers leave the error unchanged.
         nothing = Backward(jnp.zeros_like(root[0]), jnp.eye(len(root), dtype=root.dtype), jnp.zeros_like(root))
@@ -261,12 +261,12 @@ class FixedLag(AbstractWrapper):
 
         return FixedLagWindow(state.t, *jax.vmap(estimated)(states, errors))
 
-    def _error(self, state: Any) -> Smoothing:
+    def _error(self, state: GatedFields) -> Smoothing:
         """Mean and root of the covariance of the filter's error now."""
         root = self.observer.root(state)
         return Smoothing(jnp.zeros_like(root[0]), root)
 
 
-def _without(state: Any, names: tuple[str, ...]) -> Any:
+def _without(state: State, names: tuple[str, ...]) -> State:
     """A state with None in the named fields that it has."""
     return state._replace(**{name: None for name in names if name in state._fields})

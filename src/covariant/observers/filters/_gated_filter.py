@@ -8,7 +8,7 @@ applied to a square root of the covariance, and `corrected` for the correction a
 """
 
 import abc
-from typing import Any, NamedTuple, final
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, final, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -21,8 +21,11 @@ from covariant.geometry import AbstractManifold
 from covariant.models import MechanicalSystem, Motion
 from covariant.observers.base import (
     AbstractObserver,
+    Fields,
     Gate,
+    GateMemory,
     Judged,
+    Report,
     Sample,
     Velocity,
     judged,
@@ -59,7 +62,18 @@ class Expectation(NamedTuple):
         return self._replace(present=taken, innovation=jnp.where(taken, self.innovation, 0.0))
 
 
-class Moved(NamedTuple):
+@runtime_checkable
+class GatedFields(Fields, Protocol):
+    """The state of a filter with a gate."""
+
+    @property
+    def gate(self) -> GateMemory: ...
+
+
+State = TypeVar("State", bound=GatedFields)
+
+
+class Moved(NamedTuple, Generic[State]):
     """A state after its estimate was moved by an error.
 
     Attributes:
@@ -68,11 +82,11 @@ class Moved(NamedTuple):
             before: the covariance at the moved estimate is 𝒥P𝒥ᵀ.
     """
 
-    state: Any
+    state: State
     reset: Float[Array, "N N"]
 
 
-class Used(NamedTuple):
+class Used(NamedTuple, Generic[State]):
     """A correction by the entries of a measurement that are used.
 
     Attributes:
@@ -81,12 +95,12 @@ class Used(NamedTuple):
         reset: The reset 𝒥 (N, N) of this move.
     """
 
-    state: Any
+    state: State
     error: Float[Array, "N"]
     reset: Float[Array, "N N"]
 
 
-class Corrected(NamedTuple):
+class Corrected(NamedTuple, Generic[State, Report]):
     """A correction in the form that a smoother needs.
 
     Attributes:
@@ -96,13 +110,13 @@ class Corrected(NamedTuple):
         restarted: Whether the estimate restarted, so that `used` was dropped.
     """
 
-    state: Any
-    info: Any
-    used: Used
+    state: State
+    info: Report
+    used: Used[State]
     restarted: Flag
 
 
-class AbstractGatedFilter(AbstractObserver):
+class AbstractGatedFilter(AbstractObserver[State, Report]):
     """A filter with a covariance and a gate.
 
     Its field `gate` is a `Gate`, or None to use every measurement. Its state also has a field `gate`, a `GateMemory`,
@@ -110,26 +124,26 @@ class AbstractGatedFilter(AbstractObserver):
     """
 
     @final
-    def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
+    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
         """Integrate the model and the covariance over one step."""
         return self._predicted(state, u, dt, carry=False)[0]
 
     @final
-    def carried(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> tuple[Any, Float[Array, "N N"]]:
+    def carried(self, state: State, u: Float[Array, "m"], dt: Scalar) -> tuple[State, Float[Array, "N N"]]:
         """Predict, and return the product ΦS of the transition Φ with the square root S of the covariance before."""
         return self._predicted(state, u, dt, carry=True)
 
     @final
-    def correct(self, state: Any, u: Float[Array, "m"], y: Array) -> tuple[Any, Any]:
+    def correct(self, state: State, u: Float[Array, "m"], y: Array) -> tuple[State, Report]:
         """Correct a predicted state by a measurement that passes the gate."""
         state, info, *_ = self.corrected(state, u, y)
         return state, info
 
     @final
-    def corrected(self, state: Any, u: Float[Array, "m"], y: Array) -> Corrected:
+    def corrected(self, state: State, u: Float[Array, "m"], y: Array) -> Corrected[State, Report]:
         """Correct as `correct` does, and also return the correction and the reset."""
         # If this class had a field `gate`, it would precede the fields of a filter and change the order of arguments.
-        gate: Gate | None = self.gate  # pyright: ignore[reportAttributeAccessIssue]
+        gate: Gate | None = self.gate
         expected = self._expected(state, u, y)
         sample = Sample(expected.innovation, expected.cov, expected.noise, expected.present)
         predicted, usual = self._velocity(state), self._usual_velocity(state)
@@ -154,35 +168,35 @@ class AbstractGatedFilter(AbstractObserver):
         return Corrected(new, self._info(state, new, expected, result), step, restart)
 
     @final
-    def innovation(self, state: Any, u: Float[Array, "m"], y: Array) -> Vector:
+    def innovation(self, state: State, u: Float[Array, "m"], y: Array) -> Vector:
         return self._expected(state, u, y).innovation
 
-    def _rescaled(self, state: Any, step: Used, restart: Flag, corrected: Any) -> Any:
+    def _rescaled(self, state: State, step: Used[State], restart: Flag, corrected: State) -> State:
         """The corrected state, with the noise size that prediction and correction suggest if the filter adapts."""
         return corrected
 
     @abc.abstractmethod
-    def root(self, state: Any) -> Float[Array, "N N"]:
+    def root(self, state: State) -> Float[Array, "N N"]:
         """Square root S (N, N) of the covariance S Sᵀ of the error of a state."""
 
-    def regular_root(self, state: Any) -> Float[Array, "N K"]:
+    def regular_root(self, state: State) -> Float[Array, "N K"]:
         """A root of the covariance of a state; on a leaf a normal part makes it regular, without any effect."""
         return self.root(state)
 
     @abc.abstractmethod
-    def with_root(self, state: Any, root: Float[Array, "N N"]) -> Any:
+    def with_root(self, state: State, root: Float[Array, "N N"]) -> State:
         """The state with the covariance of another square root."""
 
     @abc.abstractmethod
-    def moved(self, state: Any, error: Float[Array, "N"]) -> Moved:
+    def moved(self, state: State, error: Float[Array, "N"]) -> Moved[State]:
         """Move the estimate of a state by an error, as a correction does."""
 
     @abc.abstractmethod
-    def deviations(self, state: Any) -> dict[str, Vector]:
+    def deviations(self, state: State) -> dict[str, Vector]:
         """The fields of an info that follow from a corrected state: standard deviations, and slow states."""
 
     @abc.abstractmethod
-    def _predicted(self, state: Any, u: Float[Array, "m"], dt: Scalar, carry: bool) -> tuple[Any, Any]:
+    def _predicted(self, state: State, u: Float[Array, "m"], dt: Scalar, carry: bool) -> tuple[State, Any]:
         """The state after a prediction and, if `carry` is set, ΦS (N, N) as in `carried`; otherwise None."""
 
     @property
@@ -191,34 +205,36 @@ class AbstractGatedFilter(AbstractObserver):
         """Manifold of the measurements; it says which of their entries are measured together."""
 
     @abc.abstractmethod
-    def _expected(self, state: Any, u: Float[Array, "m"], y: Array) -> Expectation:
+    def _expected(self, state: State, u: Float[Array, "m"], y: Array) -> Expectation:
         """The measurement together with the filter's prediction of it."""
 
     @abc.abstractmethod
-    def _used(self, state: Any, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
+    def _used(self, state: State, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used[State]:
         """A correction by the entries of the measurement that are `used` (n,)."""
 
     @abc.abstractmethod
-    def _velocity(self, state: Any) -> Velocity:
+    def _velocity(self, state: State) -> Velocity:
         """The predicted velocity; for a state-space model, whose mean contains no velocity, any value."""
 
     @abc.abstractmethod
-    def _usual_velocity(self, state: Any) -> Matrix | None:
+    def _usual_velocity(self, state: State) -> Matrix | None:
         """Covariance (n, n) of the velocity at the start, about zero; None if the state has no velocity."""
 
     @abc.abstractmethod
-    def _started_anew(self, state: Any, corrected: Any, y: Array, expected: Expectation, velocity: Velocity) -> Any:
+    def _started_anew(
+        self, state: State, corrected: State, y: Array, expected: Expectation, velocity: Velocity
+    ) -> State:
         """The state after a restart from the entries of `expected.y` that are `expected.present`, with this velocity.
 
         The other entries stay as predicted, with their uncertainty. The raw form of the measurement is y.
         """
 
     @abc.abstractmethod
-    def _result(self, state: Any, new: Any, y: Array, expected: Expectation, verdict: Judged) -> Code:
+    def _result(self, state: State, new: State, y: Array, expected: Expectation, verdict: Judged) -> Code:
         """The result code of a correction, given the verdict of the gate."""
 
     @abc.abstractmethod
-    def _info(self, state: Any, new: Any, expected: Expectation, result: Code) -> Any:
+    def _info(self, state: State, new: State, expected: Expectation, result: Code) -> Report:
         """The info of a correction from the predicted to the new state."""
 
 

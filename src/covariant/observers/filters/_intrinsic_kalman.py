@@ -61,7 +61,7 @@ from covariant.observers.sensors import (
     as_groups,
     missing_now,
 )
-from covariant.signals import StepCode
+from covariant.signals import AnyArray, StepCode
 from scalargraph.errors import InputError
 
 # Three such deviations are about a quarter turn, where sin has its maximum and a linearisation fails.
@@ -274,7 +274,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         configuration, readings = self._split(y)
         return self._sensors.joined(super().admitted(configuration), readings)
 
-    def configuration(self, y: Any) -> Any:
+    def configuration(self, y: AnyArray) -> Any:
         return self._split(y)[0]
 
     def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
@@ -319,7 +319,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         sensed = self._sensed(state, u, readings) if self.sensors else None
         return Expectation(output.y, innovation, cov, output.noise, ~missing, lost, (output, sensed))
 
-    def _split(self, y: Any) -> tuple[Any, Any]:
+    def _split(self, y: AnyArray) -> tuple[Any, Any]:
         """The measured configuration, and the readings of further sensors (K,)."""
         return self._sensors.split(y, self.model.manifold.shape)
 

@@ -25,7 +25,7 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.models import ON_THE_GROUND, StateSpace
 from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
 from covariant.observers.filters._state_noise import StateNoise
-from covariant.signals import Record, StepCode
+from covariant.signals import AnyArray, Record, StepCode
 
 THRESHOLD = 5.0
 """Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew: χ² at 17 %."""
@@ -149,7 +149,7 @@ class LeggedBase(AbstractObserver):
         """Number of joints."""
         return self._legs.joints
 
-    def configuration(self, y: Any) -> Any:
+    def configuration(self, y: AnyArray) -> Any:
         return y[: self._joints]
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> LeggedBaseState:
@@ -329,7 +329,7 @@ def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
     """First-order low-pass filter along the first axis, with a cutoff in cycles per sample."""
     kept = math.exp(-2 * math.pi * cutoff)
 
-    def step(y: Any, x: Any) -> Any:
+    def step(y, x):
         return (kept * y + (1 - kept) * x,) * 2
 
     return np.asarray(jax.lax.scan(step, jnp.zeros(x.shape[1:]), x)[1])

@@ -40,8 +40,8 @@ from covariant._linalg import (
     upper_solve,
 )
 from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
-from covariant.observers.base import AbstractObserver, AbstractWrapper, Rows, checked, in_jax, kept, scan
-from covariant.observers.filters._gated_filter import AbstractGatedFilter
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Report, Rows, checked, in_jax, kept, scan
+from covariant.observers.filters._gated_filter import AbstractGatedFilter, State
 from covariant.signals import Record, Run, StepCode
 from scalargraph.errors import InputError
 
@@ -78,7 +78,7 @@ class Smoothed(NamedTuple):
     run: Run
     filtered: Run
     std: Float[Array, "T N"]
-    root: Any
+    root: Float[Array, "T N N"] | None
 
 
 class Step(NamedTuple):
@@ -108,6 +108,11 @@ class StepInfo(NamedTuple):
     step: Step
     result: Code
 
+    @property
+    def innovation(self) -> Vector:
+        """The innovation of the filter."""
+        return self.info.innovation
+
 
 class Backward(NamedTuple):
     """The error before a step, given the error d after it: `shift + gain d`, plus Gaussian noise.
@@ -130,42 +135,42 @@ class Smoothing(NamedTuple):
     root: Matrix
 
 
-class Recorder(AbstractWrapper):
+class Recorder(AbstractWrapper[State, Any]):
     """A filter whose estimates are its states, and whose infos describe the effect of each step on the error."""
 
-    observer: AbstractGatedFilter
+    observer: AbstractGatedFilter[State, Any]
 
-    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> State:
         return self.observer.init(y, t)
 
-    def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
+    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
         return self.observer.predict(state, u, dt)
 
-    def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
+    def correct(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[State, Any]:
         return self.observer.correct(state, u, y)
 
-    def advance(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"], dt: Scalar) -> tuple[Any, StepInfo]:
+    def advance(self, state: State, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[State, StepInfo]:
         """Predict and correct with the filter, and record the effect on the error."""
         predicted, carried = self.observer.carried(state, u, dt)
         new, info, step = recorded(self.observer, self.observer.root(state), carried, predicted, u, y)
         # A step of zero length is the first row, or padding of the last block; it does not count as a step.
         return new, StepInfo(info, step._replace(restarted=step.restarted | (dt == 0)), info.result)
 
-    def lost(self, state: Any, info: StepInfo) -> Flag:
+    def lost(self, state: State, info: StepInfo) -> Flag:
         return self.observer.lost(state, info.info)
 
-    def estimate(self, state: Any) -> Any:
+    def estimate(self, state: State) -> State:
         return state
 
 
 def recorded(
-    observer: AbstractGatedFilter,
+    observer: AbstractGatedFilter[State, Report],
     root: Matrix,
     carried: Matrix,
-    predicted: Any,
+    predicted: State,
     u: Float[Array, "m"],
     y: Inexact[Array, "*n"],
-) -> tuple[Any, Any, Step]:
+) -> tuple[State, Report, Step]:
     """Correct a predicted state, and record the effect of prediction and correction on the error."""
     new, info, used, restarted = observer.corrected(predicted, u, y)
     # An estimate that is not finite contains no information on earlier ones.
@@ -303,19 +308,19 @@ def _part(rows: Rows, first: int | Int[Array, ""], count: int) -> Rows:
 
 
 @eqx.filter_jit
-def _last(observer: AbstractObserver, state: Any, rows: Rows) -> Any:
+def _last(observer: AbstractObserver, state: State, rows: Rows) -> State:
     return jax.lax.scan(lambda state, row: (observer.step(state, *row)[0], None), state, rows)[0]
 
 
 @eqx.filter_jit
 def _block(
     observer: AbstractGatedFilter,
-    state: Any,
+    state: State,
     rows: Rows,
     later: Smoothing,
     lag: int | None,
     keep: frozenset[str] | None,
-) -> tuple[tuple, Smoothing, Any]:
+) -> tuple[tuple, Smoothing, State]:
     """Smoothed rows of a block, the knowledge of the error at its first row, and the state at its last row.
 
     The rows are those of the block and the later ones on which it depends directly. `later` is the knowledge of the
@@ -366,7 +371,7 @@ def _smooth_with_lag(roots: Float[Array, "M N N"], maps: Backward, size: int, la
     return jax.lax.fori_loop(0, lag, earlier, Smoothing(jnp.zeros(start.shape[:2], start.dtype), start))
 
 
-def smoothed_state(observer: AbstractGatedFilter, state: Any, smoothing: Smoothing) -> tuple[Any, Matrix]:
+def smoothed_state(observer: AbstractGatedFilter, state: State, smoothing: Smoothing) -> tuple[State, Matrix]:
     """The state of a filter, moved to the smoothed estimate as a correction would move it."""
     new, reset = observer.moved(state, smoothing.error)
     root = reset @ smoothing.root

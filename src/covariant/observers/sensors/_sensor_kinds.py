@@ -243,7 +243,7 @@ def gyro(
     link: str,
     std: Numbers,
     *,
-    axes: Any = None,
+    axes: Numbers | None = None,
     name: str = "gyro",
     bias_std: Numbers | None = None,
     bias_drift: Numbers = 0.0,
@@ -293,7 +293,7 @@ def accelerometer(
     link: str,
     std: Numbers,
     *,
-    axes: Any = None,
+    axes: Numbers | None = None,
     place: Numbers = (0.0, 0.0, 0.0),
     gravity: Numbers = STANDARD_GRAVITY,
     name: str = "accelerometer",
@@ -358,7 +358,7 @@ def pose_sensor(
     position_std: Numbers,
     rotation_std: Numbers,
     *,
-    axes: Any = None,
+    axes: Numbers | None = None,
     place: Numbers = (0.0, 0.0, 0.0),
     name: str = "pose",
 ) -> Sensor:
@@ -530,7 +530,7 @@ def _sensor(
 
 
 def _on_link(
-    whose: str, space: AbstractSpace, link: str, axes: Any, place: Numbers
+    whose: str, space: AbstractSpace, link: str, axes: Numbers | None, place: Numbers
 ) -> tuple[RobotSpace, str, Array, Array]:
     """The arguments of a sensor on a link, checked."""
     tree = robot_space(space)

@@ -22,11 +22,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._functional import Functional
-from covariant._typing import Scalar, Vector
+from covariant._typing import Numbers, Scalar, Vector
 from covariant.geometry import Coordinates
 from covariant.models import MechanicalSystem, acceleration
 from covariant.observers.base import Gate, GateMemory, Sample, Velocity, check_covariance, diagonal, judged, updated
 from covariant.observers.sensors._slow import SlowVariables, SlowVector
+from covariant.signals import AnyArray
 from scalargraph.errors import InputError
 
 Readings = Float[Array, "K"]
@@ -64,7 +65,7 @@ class Instant(NamedTuple):
     t: Scalar
 
 
-def _as_matrix(cov: Any) -> Float[Array, "k k"]:
+def _as_matrix(cov: Numbers) -> Float[Array, "k k"]:
     """A covariance, from a variance, variances (k,), or a matrix (k, k)."""
     cov = jnp.atleast_1d(jnp.asarray(cov, float))
     return jnp.diag(cov) if cov.ndim == 1 else cov
@@ -246,7 +247,7 @@ class Sensors(NamedTuple):
         configuration = y[:size]
         return (configuration if None in shape else configuration.reshape(shape)), y[size:]
 
-    def joined(self, configuration: Any, readings: Any) -> Any:
+    def joined(self, configuration: AnyArray, readings: AnyArray) -> Any:
         """Measurements y of configurations and readings: the inverse of `split`, for one row or for all."""
         if not self.each:
             return configuration

@@ -395,7 +395,7 @@ def _numbered_names(name: str, n: int) -> tuple[str, ...]:
     return tuple(f"{name}{i + 1}" for i in range(n))
 
 
-def _finite(value: Any) -> bool:
+def _finite(value: Numbers) -> bool:
     return isinstance(value, Tracer) or bool(np.isfinite(np.asarray(value)).all())
 
 
@@ -406,7 +406,7 @@ def _square(whose: str, name: str, value: Any) -> Matrix:
     return jnp.asarray(value, float)
 
 
-def _deviations(whose: str, name: str, value: Any, count: int | None = None) -> np.ndarray:
+def _deviations(whose: str, name: str, value: Numbers, count: int | None = None) -> np.ndarray:
     """Standard deviations as an array of one axis, of `count` entries where that is known."""
     try:
         deviations = np.atleast_1d(np.asarray(value, float))

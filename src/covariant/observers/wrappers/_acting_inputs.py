@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Number, Scalar
-from covariant.observers.base import AbstractObserver, AbstractWrapper, as_numbers
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Fields, as_numbers
 from covariant.signals import LEAST_MISSING, MOST_MISSING, SAME_TIME
 from scalargraph.errors import InputError
 
@@ -44,7 +44,7 @@ class ActingInputsState(NamedTuple):
         ((6, 1), inf)
     """
 
-    inner: Any
+    inner: Fields
     age: Float[Array, "L"]
     u: Float[Array, "L m"]
     missing: Float[Array, "L m"]

@@ -20,13 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Number, Scalar
 from covariant.models import MechanicalSystem, Motion, contacts, standing
-from covariant.observers.base import (
-    AbstractMechanicalObserver,
-    AbstractWrapper,
-    LastInput,
-    check_whole,
-    no_input,
-)
+from covariant.observers.base import AbstractMechanicalObserver, AbstractWrapper, LastInput, check_whole, no_input
 from covariant.observers.filters import IntrinsicKalman, apart, parallel
 from covariant.observers.wrappers._gated import without_last_input
 from scalargraph.errors import InputError

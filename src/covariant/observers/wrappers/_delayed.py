@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Inexact
 
 from covariant._typing import Number, Scalar, Vector
-from covariant.observers.base import AbstractObserver, AbstractWrapper, LastInput, check_whole
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Fields, LastInput, check_whole
 from covariant.observers.sensors import Sensors
 from covariant.signals import SAME_TIME, StepCode
 from scalargraph.errors import InputError
@@ -64,9 +64,9 @@ class DelayedState(NamedTuple):
         (0.05, (8, 0))
     """
 
-    now: Any
+    now: Fields
     t: Scalar
-    known: Any
+    known: Fields
     age_of_known: Scalar
     age: Float[Array, "L"]
     y: Inexact[Array, "L *n"]
@@ -163,7 +163,7 @@ class Delayed(AbstractWrapper):
         of_configuration = self.delay if len(self.delay) == 1 else self.observer.configuration(self.delay)
         longest = jnp.max(of_configuration).astype(real)
         t = jnp.asarray(t, real)
-        last_input = getattr(now, "last_input", None)
+        last_input = now.last_input if "last_input" in now._fields else None
         entries = y.size if self._gathers_start else 0
         rows, stamps = self.waiting, self.length + 2
         return DelayedState(
@@ -423,9 +423,9 @@ class _Replay(NamedTuple):
     `of_now` is the part of the info that describes the last estimate.
     """
 
-    state: Any
+    state: Fields
     age: Scalar
-    known: Any
+    known: Fields
     age_of_known: Scalar
     info: Any
     of_now: dict[str, Any]

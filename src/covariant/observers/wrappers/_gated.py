@@ -37,6 +37,7 @@ from covariant.observers.base import (
     Judged,
     LastInput,
     Sample,
+    State,
     Velocity,
     as_gain,
     check_positive,
@@ -223,6 +224,6 @@ class Gated(AbstractObserver):
         return restarted._replace(inner=restarted.inner._replace(v=jnp.where(credible, v, 0.0), **learnt))
 
 
-def without_last_input(state: Any) -> Any:
+def without_last_input(state: State) -> State:
     """State of the inner observer without a field for the last input, since it receives only valid inputs."""
     return state._replace(last_input=None) if "last_input" in state._fields else state

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Number, Scalar
-from covariant.observers.base import AbstractObserver, AbstractWrapper
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Report, State
 from scalargraph.errors import InputError
 
 
-class Unwrapped(AbstractWrapper):
+class Unwrapped(AbstractWrapper[State, Report]):
     """An observer of coordinates whose readings repeat after a period: the value nearest to the prediction is used.
 
     Use it for an encoder whose reading starts again while the coordinate continues, as on a motor behind a gear. Angles
@@ -36,7 +36,7 @@ class Unwrapped(AbstractWrapper):
         0.2
     """
 
-    observer: AbstractObserver
+    observer: AbstractObserver[State, Report]
     period: tuple[float, ...] = eqx.field(static=True)
 
     def __init__(self, observer: AbstractObserver, period: Sequence[float]):
@@ -44,22 +44,22 @@ class Unwrapped(AbstractWrapper):
         if not all(0 <= each < float("inf") for each in self.period):
             raise InputError(f"Unwrapped: periods must be finite numbers ≥ 0; got {period}")
 
-    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> Any:
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> State:
         return self.observer.init(y, t)
 
-    def estimate(self, state: Any) -> Any:
+    def estimate(self, state: State) -> Any:
         return self.observer.estimate(state)
 
-    def predict(self, state: Any, u: Float[Array, "m"], dt: Scalar) -> Any:
+    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
         return self.observer.predict(state, u, dt)
 
-    def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
+    def correct(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[State, Report]:
         return self.observer.correct(state, u, self._nearest(state, y))
 
-    def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
+    def innovation(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
         return self.observer.innovation(state, u, self._nearest(state, y))
 
-    def _nearest(self, state: Any, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
+    def _nearest(self, state: State, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
         """The measurement in which each coordinate is shifted by whole periods to the value nearest to the estimate."""
         q = self.observer.estimate(state)[: len(self.period)]
         moved = [y[i] + p * jnp.round((q[i] - y[i]) / p) if p else y[i] for i, p in enumerate(self.period)]

@@ -53,7 +53,7 @@ def aligned(job: Job) -> Aligned:
     return log._replace(loaded=loaded._replace(log=unlagged, record=log.acting(file.input_between, file.input_lag)))
 
 
-def _with(overrides: Overrides, key: str, value: Any) -> Overrides:
+def _with(overrides: Overrides, key: str, value: object) -> Overrides:
     return {**overrides, key: value} if isinstance(overrides, Mapping) else (*overrides, f"{key}={value}")
 
 

@@ -21,7 +21,8 @@ from covariant.calibration import (
 )
 from covariant.certificates import any_configuration
 from covariant.models import ModelFile, input_count
-from covariant.observers import AbstractObserver, Gated, chooses_substeps, with_fixed_substeps
+from covariant.observers import AbstractObserver, Gate, Gated, chooses_substeps, with_fixed_substeps
+from covariant.verbs.base.arguments import Amounts
 from covariant.verbs.base.inputs import Loaded
 from covariant.verbs.base.kinds import WITH_FORCE, kind_of
 from covariant.verbs.base.sensors import FileSensor, file_sensors, with_readings
@@ -66,13 +67,13 @@ class Design(NamedTuple):
     def without_gate(self) -> "Design":
         """The same observer without any gate, its own and those of its sensors."""
         observer: Any = self.inner
-        if getattr(observer, "gate", None) is not None:
-            sensors = getattr(observer, "sensors", ())
+        if observer.gate is not None:
+            sensors = observer.sensors
             bare = {"sensors": tuple(dataclasses.replace(sensor, gate=None) for sensor in sensors)} if sensors else {}
             observer = dataclasses.replace(observer, gate=None, **bare)
         return self._replace(observer=observer)
 
-    def with_substeps_for(self, velocity: Any, step: float) -> Any:
+    def with_substeps_for(self, velocity: Amounts, step: float) -> Any:
         """Give the observer without its gate as many substeps as motions up to a velocity (n,) need in one step [s]."""
         if not chooses_substeps(self.inner):
             return self.inner
@@ -84,9 +85,9 @@ class Design(NamedTuple):
 
     def self_test(self, rate: float) -> np.ndarray:
         """Measurements (T, *n) for a self-test at a rate [Hz]; a gate has to refuse one of them."""
-        judged = getattr(self.observer, "gate", None) is not None
+        judged = self.observer.gate is not None
         y = kind_of(self.file).self_test(rate, self.sheet if judged else None)
-        return with_readings(self.file, self.sensors, y) if getattr(self.observer, "sensors", ()) else y
+        return with_readings(self.file, self.sensors, y) if self.observer.sensors else y
 
     @property
     def sensors(self) -> tuple[FileSensor, ...]:
@@ -109,7 +110,7 @@ class Design(NamedTuple):
         """Sentences on what the gate refuses, or on why there is none; and a warning if its speed is assumed."""
         gate, kind = self.observer, kind_of(self.file)
         if not isinstance(gate, Gated):
-            own = getattr(gate, "gate", None)
+            own: Gate | None = gate.gate
             return (
                 kind.without_gate
                 if own is None

@@ -1,6 +1,6 @@
 """Which slow states, such as biases and forces, a log and its sensors determine: by the filter's covariance."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant.observers import IntrinsicKalman
+from covariant.observers import AbstractObserver, IntrinsicKalman
 from covariant.verbs.base.inputs import Loaded
 from covariant.verbs.base.outcome import Outcome, known
 
@@ -57,7 +57,7 @@ class Determinacy(NamedTuple):
         return f"{self.name}: {how} to {last} ({first} without the log)"
 
 
-def determined(observer: Any, loaded: Loaded, outcome: Outcome) -> tuple[Determinacy, ...]:
+def determined(observer: AbstractObserver, loaded: Loaded, outcome: Outcome) -> tuple[Determinacy, ...]:
     """How well a log determines the slow states of a filter.
 
     The covariance at the end is compared with that of the same states without any measurement: their first covariance,

@@ -48,7 +48,7 @@ def exported_program(
         raise InputError(f"{name}: no code can be written: {error}{remedy}") from error
 
 
-def open_family(model: Any, overrides: Overrides, parameters: Sequence[str] | None) -> Family | None:
+def open_family(model: object, overrides: Overrides, parameters: Sequence[str] | None) -> Family | None:
     """The model with the numbers of its file open, or None where it has none or they stay as they are."""
     if not isinstance(model, str | os.PathLike):
         return None
@@ -82,7 +82,7 @@ def _usual(observer: AbstractObserver) -> Recipe:
 def _open_numbers(parameters: dict[str, Any]) -> tuple[str, ...]:
     """Names of the numbers of a model file that are not zero: a first value of zero cannot be told from none."""
 
-    def places(name: str, value: Any):
+    def places(name: str, value: object):
         if isinstance(value, bool) or not isinstance(value, int | float | list):
             return
         if isinstance(value, list):

@@ -10,14 +10,7 @@ from jaxtyping import Float
 from covariant import models, scoring
 from covariant._linalg import known_rms
 from covariant._names import refuse_unknown
-from covariant.calibration import (
-    Fit,
-    PredictionErrors,
-    RobotFit,
-    Windows,
-    fit_robot,
-    relations,
-)
+from covariant.calibration import Fit, PredictionErrors, RobotFit, Windows, fit_robot, relations
 from covariant.calibration.identification import (
     FITTED,
     better_reading,

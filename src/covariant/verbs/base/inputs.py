@@ -143,7 +143,7 @@ class Loaded(NamedTuple):
 
     def record_for(self, observer: AbstractObserver) -> Record:
         """The record as an observer measures it: for one with sensors, their readings follow each configuration."""
-        if not getattr(observer, "sensors", ()) or self.readings is None:
+        if not observer.sensors or self.readings is None:
             return self.record
         y = np.asarray(self.record.y)
         return self.record._replace(y=np.concatenate([y.reshape(len(y), -1), self.readings], axis=1))
@@ -294,7 +294,7 @@ def densest_rate(t: np.ndarray, time: float) -> float:
 def refuse_delays(job: Job, loaded: Loaded, observer: AbstractObserver, why: str) -> None:
     """Refuse a log whose positions, or readings of the sensors of an observer, are late."""
     delays = {"measurement.delay": loaded.file.delay}
-    if getattr(observer, "sensors", ()):
+    if observer.sensors:
         delays |= {f"sensors.{part.sensor.name}.delay": part.delay for part in loaded.sensors}
     late = {key: delay for key, delay in delays.items() if np.any(delay)}
     if late:
@@ -347,7 +347,7 @@ def _delay_note(file: models.ModelFile) -> str:
 
 def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Record) -> None:
     """Raise `MisfitError` where the model explains nothing of the motion, or another unit of the log explains it."""
-    if getattr(file.model, "feet", None) is not None:  # the ground's forces explain it, and are not in the log
+    if file.model.feet is not None:  # the ground's forces explain it, and are not in the log
         return
     if log.whole is None:
         finding = misfit(file, log.record)

@@ -102,7 +102,7 @@ class AbstractMechanical(AbstractKind):
             )
             if stated is not None
         ]
-        filters = getattr(observer, "slow_names", ()) or getattr(observer, "sensors", ())
+        filters = observer.slow_names or observer.sensors
         if asked and (name == WITH_FORCE or not filters):
             text = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
         if file.torque_std is not None and name not in USE_TORQUES:

@@ -31,7 +31,7 @@ def as_logs(log: Any) -> tuple[Any, ...]:
     return each
 
 
-def check_model_output(model: Any, path: str | Path | None, overwrite: bool = False, urdf: bool = False) -> None:
+def check_model_output(model: object, path: str | Path | None, overwrite: bool = False, urdf: bool = False) -> None:
     """Check that a model file may be written, before anything is computed.
 
     Args:
@@ -93,7 +93,7 @@ def _refuse_source(path: Path, robot: Path | None) -> None:
         )
 
 
-def read_sources(model: Any) -> dict[Path, bytes]:
+def read_sources(model: object) -> dict[Path, bytes]:
     """Read the files that a model with other numbers is written from: its own, and that of its robot."""
     if not isinstance(model, str | os.PathLike):
         return {}
@@ -102,7 +102,7 @@ def read_sources(model: Any) -> dict[Path, bytes]:
     return {path: read_bytes(path, ROBOT) for path in paths if path is not None and path.is_file()}
 
 
-def model_hash(model: Any) -> list[str]:
+def model_hash(model: object) -> list[str]:
     """Hashes of all files that a model is read from: its own, those of its robot, and modules of its code."""
     contents = read_sources(model)
     spec, folder = (os.fspath(model) if isinstance(model, str | os.PathLike) else ""), None

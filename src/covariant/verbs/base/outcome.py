@@ -13,6 +13,7 @@ import numpy as np
 from covariant.engine import EngineName as Engine, run_log
 from covariant.models import ModelFile
 from covariant.observers import REGISTRY, AbstractObserver
+from covariant.observers.base import Diagnostics
 from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
 from covariant.verbs.base.inputs import Job, Loaded, numbered
@@ -136,10 +137,10 @@ def scored(observer: AbstractObserver, run: Run, loaded: Loaded, engine: str) ->
     return Outcome(run, velocity, mean_nis(run.info, loaded), score, math.nan, engine, _slow_names(observer))
 
 
-def _slow_names(observer: Any) -> tuple[str, ...]:
+def _slow_names(observer: AbstractObserver) -> tuple[str, ...]:
     """Names of what an observer estimates along with the motion, behind a gate or a delay, too."""
     inner = getattr(observer, "observer", None)
-    return getattr(observer, "slow_names", ()) if inner is None else _slow_names(inner)
+    return observer.slow_names if inner is None else _slow_names(inner)
 
 
 def engine_is_notable(by: str, asked: Engine) -> bool:
@@ -147,18 +148,18 @@ def engine_is_notable(by: str, asked: Engine) -> bool:
     return asked != "auto" or not (by == "c" or by.startswith("jax: fewer than"))
 
 
-def known(info: Any, name: str) -> np.ndarray | None:
+def known(info: Diagnostics, name: str) -> np.ndarray | None:
     """Read a field of an observer's info."""
     return np.asarray(getattr(info, name)) if name in info._fields else None
 
 
-def deviations(info: Any) -> np.ndarray | None:
+def deviations(info: Diagnostics) -> np.ndarray | None:
     """Read standard deviations from an observer's info."""
     fields = [known(info, name) for name in ("velocity_std", "state_std")]
     return next((std for std in fields if std is not None), None)
 
 
-def _score(velocity: np.ndarray, info: Any, loaded: Loaded) -> Score:
+def _score(velocity: np.ndarray, info: Diagnostics, loaded: Loaded) -> Score:
     reference: Any = loaded.reference
     std, holes = deviations(info), loaded.holes
 
@@ -176,7 +177,7 @@ def _score(velocity: np.ndarray, info: Any, loaded: Loaded) -> Score:
     return score._replace(apart=of(known & ~holes.concerned), holes=of(known & holes.concerned))
 
 
-def mean_nis(info: Any, loaded: Loaded) -> float:
+def mean_nis(info: Diagnostics, loaded: Loaded) -> float:
     """Mean normalised innovation squared for each measured number.
 
     Refused measurements are left out, and so is the first, from which the state starts.
@@ -188,7 +189,7 @@ def mean_nis(info: Any, loaded: Loaded) -> float:
     return float(nis[accepted].sum() / count) if count else math.nan
 
 
-def counted(info: Any, loaded: Loaded) -> tuple[np.ndarray, int]:
+def counted(info: Diagnostics, loaded: Loaded) -> tuple[np.ndarray, int]:
     """Samples whose innovations count."""
     measured = ~np.asarray(jax.vmap(loaded.model.manifold.missing)(jnp.asarray(loaded.record.y)))
     accepted = np.asarray(info.result) < StepCode.OUTLIER  # codes grow with how bad a sample is

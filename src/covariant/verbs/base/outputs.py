@@ -102,7 +102,7 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> Path:
     A text that a spreadsheet would compute, such as the name "=1+1.csv", gets an apostrophe, by which it stays a text.
     """
 
-    def cell(value: Any) -> Any:
+    def cell(value: object) -> Any:
         if isinstance(value, str):
             return f"'{value}" if value.lstrip()[:1] in FORMULAS else value
         return "" if isinstance(value, float) and math.isnan(value) else value

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
 
 from covariant import models
 from covariant.verbs.base.arguments import Overrides
@@ -24,7 +23,7 @@ def marked(values: Sequence[float]) -> str:
     return f"# {MARK} {', '.join(map(str, values))}"
 
 
-def placeholders(model: Any, overrides: Overrides) -> dict[str, float]:
+def placeholders(model: object, overrides: Overrides) -> dict[str, float]:
     """Parameters by name, such as `mass[0]`, that still have the value with which `init` marked them."""
     if not isinstance(model, str | PathLike) or not str(model).endswith(".toml"):
         return {}

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.models import Motion
 from covariant.models.robots import robot_space
 from covariant.report import PALETTE, MovingBody, PlottedCurve, write_rerun
 from covariant.signals import StepCode
@@ -67,12 +68,12 @@ def _rows_of_frames(t: np.ndarray) -> np.ndarray:
 
 def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:
     """The bodies of a robot, each in the frame of its first link, at its estimated configurations."""
-    space = robot_space(getattr(result.loaded.model, "space", None))
+    space = robot_space(result.loaded.model.space)
     if space is None:
         return []
     estimate = result.run.estimate
-    q = jnp.asarray(getattr(estimate, "q", estimate))[rows]
-    q = q if hasattr(estimate, "q") else q[:, : len(result.loaded.model.coordinates)]
+    on_group = isinstance(estimate, Motion)
+    q = jnp.asarray(estimate.q if on_group else estimate[:, : len(result.loaded.model.coordinates)])[rows]
     tree, links = space.tree, space.links
     first = {body: i for i, body in reversed(list(enumerate(links.bodies)))}
     names = {body: links.names[i] for body, i in first.items()}

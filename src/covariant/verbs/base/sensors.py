@@ -10,8 +10,9 @@ from jaxtyping import Float
 
 from covariant import logs
 from covariant.models import MechanicalSystem, ModelFile, Motion, acceleration, input_count
-from covariant.observers import Instant, Sensor
+from covariant.observers import AbstractObserver, Instant, Sensor
 from covariant.observers.sensors import SENSOR_KINDS
+from covariant.verbs.base.arguments import Amounts
 from scalargraph.errors import InputError
 
 LOGGED = ("kind", "columns", "units", "delay", "attitude")
@@ -112,9 +113,9 @@ def readings(parts: Sequence[FileSensor], log: logs.Log) -> tuple[Float[np.ndarr
     return np.concatenate(filled, axis=1), note
 
 
-def reading_delays(observer: Any, delay: Any, parts: Sequence[FileSensor], y: np.ndarray) -> Any:
+def reading_delays(observer: AbstractObserver, delay: Amounts, parts: Sequence[FileSensor], y: np.ndarray) -> Any:
     """Delay [s] of a measurement of an observer: one for all, or with sensors one for each of its entries."""
-    if not getattr(observer, "sensors", ()):
+    if not observer.sensors:
         return delay
     late = [np.full(part.sensor.count, part.delay) for part in parts]
     size = len(y) - sum(map(len, late))

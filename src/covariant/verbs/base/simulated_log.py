@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import logs, models, simulation
-from covariant.models import ModelFile, Overrides, Parametric
+from covariant.models import MechanicalSystem, ModelFile, Overrides, Parametric
 from covariant.signals import Record
 from covariant.simulation import PiecewiseInputs, PositionSensor
 from covariant.verbs.base.arguments import amounts, numbers
@@ -115,7 +115,7 @@ def _motion(
     return motion, (f"{began}; {remedy}" + " for another motion" * moves,)
 
 
-def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: Any) -> tuple[str, ...]:
+def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: np.ndarray) -> tuple[str, ...]:
     """A warning if joints of a robot leave their limits."""
     space = models.robots.robot_space(file.need_mechanical("", "").space) if file.mechanical else None
     if space is None:
@@ -171,7 +171,7 @@ def _add_push(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Call
     return pushed(model, lambda t, q: force(t)), force
 
 
-def pushed(model: Any, force: Callable[[Any, Any], Any]) -> Any:
+def pushed(model: MechanicalSystem, force: Callable[[Any, Any], Any]) -> MechanicalSystem:
     """The model with a force (n,) of time and configuration that acts on it."""
 
     def dissipation(t, q, v, u):

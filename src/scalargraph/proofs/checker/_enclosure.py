@@ -124,7 +124,7 @@ class TaylorEnclosure:
             [{(): np.where(attributed, 1.0, -1.0)}, {(k,): np.where(attributed, shares[k], 0.0) for k in free}, {}], 0.0
         )
 
-    def _judge(self, holds: Any, *entries: Taylor) -> None:
+    def _judge(self, holds: np.ndarray | bool, *entries: Taylor) -> None:
         """Record boxes on which a condition first fails, and how much each variable widens its numbers there."""
         lost = self._good & ~np.asarray(holds)
         if not lost.any():

@@ -64,7 +64,7 @@ CHOICES: dict[str, Callable] = {
 def _evaluate_body(body: ClosedJaxpr, x: Sequence) -> list:
     known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *x], strict=True))
 
-    def read(atom: Any) -> Any:
+    def read(atom):
         return atom.val if hasattr(atom, "val") else known[atom]
 
     for eqn in equations(body.jaxpr):

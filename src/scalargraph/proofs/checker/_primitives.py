@@ -95,7 +95,7 @@ def _contains_no_integer(a: Taylor) -> Any:
     return (below < a.middle - a.away) & (np.floor(a.middle + a.away) == below)
 
 
-def settled(which: Any, *cases: Taylor) -> Any:
+def settled(which: Taylor | bool | np.bool_, *cases: Taylor) -> Any:
     """Whether a truth value is known, or the choice by it between two numbers does not jump."""
     if isinstance(which, bool | np.bool_) or (len(cases) == 2 and continuous(which, *cases)):
         return True
@@ -128,7 +128,7 @@ def each(function: Callable, *x: Any) -> np.ndarray:
     return np.asarray(np.frompyfunc(function, len(x), 1)(*x), object)
 
 
-def _total(x: np.ndarray, axes: Any) -> Any:
+def _total(x: np.ndarray, axes: tuple[int, ...]) -> Any:
     return np.sum(x, axis=axes, initial=ZERO)  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 

@@ -39,7 +39,7 @@ def _all(x: Any, count: int) -> Coefficients:
 def _expand_body(body: ClosedJaxpr, arguments: Sequence) -> list:
     known = dict(zip([*body.jaxpr.constvars, *body.jaxpr.invars], [*body.consts, *arguments], strict=True))
 
-    def read(atom: Any) -> Any:
+    def read(atom):
         return atom.val if hasattr(atom, "val") else known[atom]
 
     for eqn in equations(body.jaxpr):

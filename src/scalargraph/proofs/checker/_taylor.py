@@ -10,7 +10,6 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -59,7 +58,7 @@ class Taylor:
 
     compared: "tuple[Taylor, Taylor] | None" = None
 
-    def __init__(self, terms: Sequence[dict], radius: Any):
+    def __init__(self, terms: Sequence[dict], radius: np.ndarray | float):
         # TINY covers underflow in the operation that made this number, for which relative bounds do not hold.
         self.terms, self.middle, self.radius = terms, terms[0][()], radius + TINY
         self.sizes = [sum(map(abs, part.values()), 0.0) for part in terms]
@@ -130,12 +129,12 @@ def _product(a: Taylor, b: Taylor) -> Taylor:
     return narrower(product, hull, ranges)
 
 
-def number(middle: Any, radius: Any = 0.0) -> Taylor:
+def number(middle: np.ndarray | float, radius: np.ndarray | float = 0.0) -> Taylor:
     """A number between `middle − radius` and `middle + radius`, without terms."""
     return Taylor([{(): middle}, {}, {}], radius)
 
 
-def narrower(a: Taylor, b: Taylor, among: Any) -> Taylor:
+def narrower(a: Taylor, b: Taylor, among: np.ndarray | bool) -> Taylor:
     """The narrower of two enclosures of the same number, box by box."""
     better = among & np.asarray(b.away < a.away)
     if not better.any():
