@@ -23,7 +23,7 @@ Wrappers of an observer, such as a gate or a buffer for late sensors, use `predi
 import abc
 import math
 from collections.abc import Collection
-from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -128,7 +128,7 @@ class Fields(Protocol):
     @property
     def _fields(self) -> tuple[str, ...]: ...
 
-    def _replace(self, **fields: object) -> Self: ...
+    def _replace(self, **fields: object) -> Any: ...
 
 
 @runtime_checkable

@@ -8,7 +8,7 @@ applied to a square root of the covariance, and `corrected` for the correction a
 """
 
 import abc
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, final, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, final, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -73,7 +73,7 @@ class GatedFields(Fields, Protocol):
 State = TypeVar("State", bound=GatedFields)
 
 
-class Moved(NamedTuple, Generic[State]):
+class Moved(NamedTuple):
     """A state after its estimate was moved by an error.
 
     Attributes:
@@ -82,11 +82,11 @@ class Moved(NamedTuple, Generic[State]):
             before: the covariance at the moved estimate is 𝒥P𝒥ᵀ.
     """
 
-    state: State
+    state: Any
     reset: Float[Array, "N N"]
 
 
-class Used(NamedTuple, Generic[State]):
+class Used(NamedTuple):
     """A correction by the entries of a measurement that are used.
 
     Attributes:
@@ -95,12 +95,12 @@ class Used(NamedTuple, Generic[State]):
         reset: The reset 𝒥 (N, N) of this move.
     """
 
-    state: State
+    state: Any
     error: Float[Array, "N"]
     reset: Float[Array, "N N"]
 
 
-class Corrected(NamedTuple, Generic[State, Report]):
+class Corrected(NamedTuple):
     """A correction in the form that a smoother needs.
 
     Attributes:
@@ -110,9 +110,9 @@ class Corrected(NamedTuple, Generic[State, Report]):
         restarted: Whether the estimate restarted, so that `used` was dropped.
     """
 
-    state: State
-    info: Report
-    used: Used[State]
+    state: Any
+    info: Any
+    used: Used
     restarted: Flag
 
 
@@ -140,7 +140,7 @@ class AbstractGatedFilter(AbstractObserver[State, Report]):
         return state, info
 
     @final
-    def corrected(self, state: State, u: Float[Array, "m"], y: Array) -> Corrected[State, Report]:
+    def corrected(self, state: State, u: Float[Array, "m"], y: Array) -> Corrected:
         """Correct as `correct` does, and also return the correction and the reset."""
         # If this class had a field `gate`, it would precede the fields of a filter and change the order of arguments.
         gate: Gate | None = self.gate
@@ -171,7 +171,7 @@ class AbstractGatedFilter(AbstractObserver[State, Report]):
     def innovation(self, state: State, u: Float[Array, "m"], y: Array) -> Vector:
         return self._expected(state, u, y).innovation
 
-    def _rescaled(self, state: State, step: Used[State], restart: Flag, corrected: State) -> State:
+    def _rescaled(self, state: State, step: Used, restart: Flag, corrected: State) -> State:
         """The corrected state, with the noise size that prediction and correction suggest if the filter adapts."""
         return corrected
 
@@ -188,7 +188,7 @@ class AbstractGatedFilter(AbstractObserver[State, Report]):
         """The state with the covariance of another square root."""
 
     @abc.abstractmethod
-    def moved(self, state: State, error: Float[Array, "N"]) -> Moved[State]:
+    def moved(self, state: State, error: Float[Array, "N"]) -> Moved:
         """Move the estimate of a state by an error, as a correction does."""
 
     @abc.abstractmethod
@@ -209,7 +209,7 @@ class AbstractGatedFilter(AbstractObserver[State, Report]):
         """The measurement together with the filter's prediction of it."""
 
     @abc.abstractmethod
-    def _used(self, state: State, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used[State]:
+    def _used(self, state: State, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
         """A correction by the entries of the measurement that are `used` (n,)."""
 
     @abc.abstractmethod
