@@ -52,7 +52,7 @@ def formulas(function: Callable[..., Any], *names: Sequence[str], most: int = MO
     lowered = lower(function, *(np.zeros(len(each)) for each in names))
     inputs = [*itertools.chain(*names)]
     rules = _Rules(inputs, most)
-    for op in {node.op for node in lowered.graph.nodes} - {*rules, "input"}:
+    for op in sorted({node.op for node in lowered.graph.nodes} - {*rules, "input"}):
         raise InputError(f"the operation '{op}' has no formula")
     return [rules.text(value) for value in evaluate(lowered, rules, [{((name, 1),): Fraction(1)} for name in inputs])]
 
@@ -81,12 +81,9 @@ class _Rules(dict):
             powers = [dict(monomial).get(name, 0) for monomial in a]
             least = min([0, *powers])
             if any(powers):
-                terms = [
-                    (_merged(m, ((name, least - k),)), x, k - least)
-                    for (m, x), k in zip(a.items(), powers, strict=True)
-                ]
-                products = [_times({m: x}, _raised(factor, missing)) for m, x, missing in terms]
-                a = _collected(each for product in products for each in product.items())
+                over = [(_merged(m, ((name, -k),)), x) for (m, x), k in zip(a.items(), powers, strict=True)]
+                products = [_times({m: x}, _raised(factor, k - least)) for (m, x), k in zip(over, powers, strict=True)]
+                a = _times(_collected(term for each in products for term in each.items()), {((name, least),): ONE[()]})
         for name, factor in self.factors.items():
             while any(pair[0] == name for pair in next(iter(a), ())) and (shorter := _divided(a, factor)) is not None:
                 a = _times(shorter, {((name, 1),): Fraction(1)})
@@ -95,6 +92,8 @@ class _Rules(dict):
         return a
 
     def quotient(self, a: Polynomial, b: Polynomial) -> Polynomial:
+        if not b:
+            raise InputError("a quotient by zero has no formula")
         (monomial, number), rest = _content(b)
         for name, factor in self.factors.items():
             while len(rest) > 1 and (shorter := _divided(rest, factor)) is not None:
@@ -106,11 +105,10 @@ class _Rules(dict):
         return self["mul"](a, {_merged((), monomial, -1): 1 / (number * rest[()])})
 
     def function(self, name: str, a: Polynomial) -> Polynomial:
-        text = self.text(a)
-        if name in ("sin", "cos") and text.startswith("-"):
+        if name in ("sin", "cos") and a and a[min(a)] < 0:
             opposite = self.function(name, self["neg"](a))
             return opposite if name == "cos" else self["neg"](opposite)
-        symbol = rf"\{name}{{{text}}}" if name == "sqrt" else rf"\{name}({text})"
+        symbol = rf"\{name}{{{self.text(a)}}}" if name == "sqrt" else rf"\{name}({self.text(a)})"
         for each in (symbol, symbol.replace(r"\sin(", r"\cos(", 1)):  # the square of the sine has the cosine
             self.rank.setdefault(each, len(self.rank))
         return {((symbol, 1),): Fraction(1)}
@@ -135,11 +133,8 @@ class _Rules(dict):
 
     def total(self, a: Polynomial) -> str:
         """The sum as text, positive terms first and then those of low degree."""
-        terms = [
-            (x < 0, sum(k for _, k in m), sorted(self.rank[name] for name, _ in m), self.text({m: x}))
-            for m, x in a.items()
-        ]
-        return " + ".join(text for *_, text in sorted(terms)).replace("+ -", "- ")
+        place = {m: (x < 0, sum(k for _, k in m), sorted(self.rank[name] for name, _ in m)) for m, x in a.items()}
+        return " + ".join(self.text({m: a[m]}) for m in sorted(a, key=place.__getitem__)).replace("+ -", "- ")
 
 
 def _number(value: float) -> Polynomial:

@@ -9,7 +9,7 @@ import numpy as np
 
 from covariant import models
 from covariant.models import Overrides, robots
-from covariant.verbs.base.equations import equations as formulated
+from covariant.verbs.base.equations import write_equations
 from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
@@ -35,7 +35,7 @@ def describe_model(
         samples: Number of configurations at which the geometry is measured, within the limits of a robot's joints.
         seed: Seed of the configurations.
         equations: Print metric, Christoffel symbols, curvature and the intrinsic observer instead, as Markdown with
-            LaTeX. A file or a robot with many joints has formulas that are too large; the text says so.
+            LaTeX. This is refused where the formulas are too large, as they are of a robot with many joints.
         overrides: Values that replace those of the model file.
         progress: Called with a description of the work.
 
@@ -43,7 +43,7 @@ def describe_model(
         Names, units and geometry of the model, and of a robot its tree.
 
     Raises:
-        ValueError: For a model that cannot be loaded, or whose equations cannot be printed.
+        ValueError: For a model that cannot be loaded, or whose equations are not printed.
 
     Example:
         >>> from covariant import verbs
@@ -66,7 +66,7 @@ def describe_model(
     if equations:
         progress(f"writing the equations of {file.name}")
         system = file.need_mechanical(name, "equations are printed of")
-        facts |= {"equations": formulated(system, file.name, file.columns.u)}
+        facts |= {"equations": write_equations(system, file.name, file.columns.u)}
     elif file.mechanical:
         progress(f"measuring the geometry of {file.name}")
         survey = models.survey(file.need_mechanical(name, ""), box, samples, seed)

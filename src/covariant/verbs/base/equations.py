@@ -18,7 +18,7 @@ from scalargraph.formulas import formulas
 GREEK = "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi"
 
 
-def equations(model: MechanicalSystem, name: str, inputs: Sequence[str]) -> str:
+def write_equations(model: MechanicalSystem, name: str, inputs: Sequence[str]) -> str:
     """Write a mechanical system and its intrinsic observer (5) as Markdown with LaTeX.
 
     Args:
@@ -27,7 +27,7 @@ def equations(model: MechanicalSystem, name: str, inputs: Sequence[str]) -> str:
         inputs: Names of the inputs.
 
     Raises:
-        InputError: The system is not in coordinates, or one of its formulas is too large to be read.
+        InputError: The system is not in independent coordinates, or a formula is too large to be read.
     """
     instead = "`covariant export` writes the observer as C, and `observers.Intrinsic` runs it"
     if not model.manifold.commuting:
@@ -43,6 +43,8 @@ def _sections(model: MechanicalSystem, name: str, u: list[str]) -> Iterator[str]
     estimate, velocity, basis = _marked("hat", q), _of(r"\hat{v}", q), jnp.eye(n)
     rate, error = _marked("dot", estimate), [f"({hat} - {x})" for hat, x in zip(_marked("hat", q), q, strict=True)]
 
+    if formulas(space.projected, q, _of("S", q)) != _of("S", q):
+        raise InputError("its coordinates depend on each other")
     yield f"# Equations of {name}\n\nMetric g:"
     rows = [" & ".join(row) for row in np.reshape(formulas(space, q), (n, n))]
     yield _block("g", r"\begin{pmatrix} " + r" \\ ".join(rows) + r" \end{pmatrix}")
