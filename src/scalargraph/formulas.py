@@ -120,9 +120,10 @@ class _Rules(dict):
         fraction = 1 < number.denominator < 10
         whole = abs(number.numerator) if fraction else abs(number)
         decimal = re.sub(r"e(-?)\+?0*(\d+)", r" \\cdot 10^{\1\2}", f"{float(whole):.15g}")
-        powers = sorted(monomial, key=lambda power: self.rank[power[0]])
-        above = [decimal] * (whole != 1) + [_power(name, k) for name, k in powers if k > 0]
-        below = [str(number.denominator)] * fraction + [_power(name, -k) for name, k in powers if k < 0]
+        ordered = sorted(monomial, key=lambda power: self.rank[power[0]])
+        powers = [(name + f"^{{{abs(k)}}}" * (abs(k) > 1), k) for name, k in ordered]
+        above = [decimal] * (whole != 1) + [text for text, k in powers if k > 0]
+        below = [str(number.denominator)] * fraction + [text for text, k in powers if k < 0]
         if len(below) == 1 and below[0] in self.factors:
             below = [below[0][1:-1]]
         if len(rest) > 1:
@@ -204,7 +205,3 @@ def _divided(top: Polynomial, factor: Polynomial) -> Polynomial | None:
         quotient[step] = number
         rest = _collected([*rest.items(), *((_merged(step, m), -number * x) for m, x in factor.items())])
     return quotient
-
-
-def _power(name: str, k: int) -> str:
-    return name + f"^{{{k}}}" * (k > 1)

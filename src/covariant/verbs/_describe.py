@@ -66,7 +66,7 @@ def describe_model(
     if equations:
         progress(f"writing the equations of {file.name}")
         system = file.need_mechanical(name, "equations are printed of")
-        facts |= {"equations": write_equations(system, file.name, file.columns.u)}
+        facts["equations"] = write_equations(system, file.name, file.columns.u)
     elif file.mechanical:
         progress(f"measuring the geometry of {file.name}")
         survey = models.survey(file.need_mechanical(name, ""), box, samples, seed)

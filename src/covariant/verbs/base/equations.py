@@ -29,13 +29,12 @@ def write_equations(model: MechanicalSystem, name: str, inputs: Sequence[str]) -
     Raises:
         InputError: The system is not in independent coordinates, or a formula is too large to be read.
     """
-    instead = "`covariant export` writes the observer as C, and `observers.Intrinsic` runs it"
-    if not model.manifold.commuting:
-        raise InputError(f"{name}: equations are printed in coordinates, which attitudes do not have; {instead}")
     try:
         return "\n\n".join(_sections(model, name, [_symbol(u) for u in inputs]))
     except InputError as error:
-        raise InputError(f"{name}: {error}, so its equations are not printed; {instead}") from error
+        raise InputError(
+            f"{name}: {error}, so its equations are not printed; `covariant export` writes its observer as C"
+        ) from error
 
 
 def _sections(model: MechanicalSystem, name: str, u: list[str]) -> Iterator[str]:
@@ -43,8 +42,8 @@ def _sections(model: MechanicalSystem, name: str, u: list[str]) -> Iterator[str]
     estimate, velocity, basis = _marked("hat", q), _of(r"\hat{v}", q), jnp.eye(n)
     rate, error = _marked("dot", estimate), [f"({hat} - {x})" for hat, x in zip(_marked("hat", q), q, strict=True)]
 
-    if formulas(space.projected, q, _of("S", q)) != _of("S", q):
-        raise InputError("its coordinates depend on each other")
+    if not model.manifold.commuting or formulas(space.projected, q, _of("S", q)) != _of("S", q):
+        raise InputError("it has attitudes or closed loops, and no independent coordinates")
     yield f"# Equations of {name}\n\nMetric g:"
     rows = [" & ".join(row) for row in np.reshape(formulas(space, q), (n, n))]
     yield _block("g", r"\begin{pmatrix} " + r" \\ ".join(rows) + r" \end{pmatrix}")
