@@ -54,7 +54,7 @@ def _sections(model: MechanicalSystem, name: str, u: list[str]) -> Iterator[str]
     for i, j, k in np.ndindex(n, n, n):
         if j <= k and texts[j, k, i] != "0":
             pairs = dict.fromkeys([(j, k), (k, j)])  # one symbol where j = k
-            yield _block(*(rf"\Gamma^{{{q[i]}}}_{{{q[a]} {q[b]}}}" for a, b in pairs), texts[j, k, i])
+            yield _block(*(rf"\Gamma^{{{q[i]}}}_{{{q[a]} {q[b]}}}" for a, b in pairs), str(texts[j, k, i]))
 
     yield "Acceleration S by potential and inputs:"
     yield from map(_block, _of("S", q), formulas(lambda t, x, u: source(model, t[0], x, u), ["t"], q, u))
