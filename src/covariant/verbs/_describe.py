@@ -9,13 +9,20 @@ import numpy as np
 
 from covariant import models
 from covariant.models import Overrides, robots
+from covariant.verbs.base.equations import write_equations
 from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
 
 
 def describe_model(
-    model: Any, *, samples: int = 200, seed: int = 0, overrides: Overrides = (), progress: Progress = notebook_line
+    model: Any,
+    *,
+    samples: int = 200,
+    seed: int = 0,
+    equations: bool = False,
+    overrides: Overrides = (),
+    progress: Progress = notebook_line,
 ) -> "ModelResult":
     """Describe a model: its coordinates and inputs, the tree of a robot, and the curvature of its metric.
 
@@ -27,6 +34,8 @@ def describe_model(
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
         samples: Number of configurations at which the geometry is measured, within the limits of a robot's joints.
         seed: Seed of the configurations.
+        equations: Print metric, Christoffel symbols, curvature and the intrinsic observer instead, as Markdown with
+            LaTeX. This is refused where the formulas are too large, as they are of a robot with many joints.
         overrides: Values that replace those of the model file.
         progress: Called with a description of the work.
 
@@ -34,7 +43,7 @@ def describe_model(
         Names, units and geometry of the model, and of a robot its tree.
 
     Raises:
-        ValueError: For a model that cannot be loaded.
+        ValueError: For a model that cannot be loaded, or whose equations are not printed.
 
     Example:
         >>> from covariant import verbs
@@ -54,7 +63,11 @@ def describe_model(
     if robot is not None:
         facts |= _of_robot(robot)
         box = _limits(robot, file.model.coordinates)
-    if file.mechanical:
+    if equations:
+        progress(f"writing the equations of {file.name}")
+        system = file.need_mechanical(name, "equations are printed of")
+        facts["equations"] = write_equations(system, file.name, file.columns.u)
+    elif file.mechanical:
         progress(f"measuring the geometry of {file.name}")
         survey = models.survey(file.need_mechanical(name, ""), box, samples, seed)
         facts |= {"samples": samples, "conditioning": survey.conditioning, "curvature": survey.curvature}
@@ -67,7 +80,8 @@ class ModelResult(AbstractResult):
 
     Attributes:
         facts: Names, units and geometry, as plain data; of a robot also its joints, masses [kg] and motors.
-            "conditioning" and "curvature" [1/(kg m²)] are the lowest and highest values at the samples.
+            "conditioning" and "curvature" [1/(kg m²)] are the lowest and highest values at the samples, and
+            "equations", where they are asked for, is Markdown.
 
     Example:
         >>> from covariant import verbs
@@ -89,7 +103,7 @@ class ModelResult(AbstractResult):
         return self.facts
 
     def __str__(self) -> str:
-        return "\n".join(_lines(self.facts))
+        return self.facts.get("equations") or "\n".join(_lines(self.facts))
 
 
 def _commands(file: models.ModelFile) -> dict[str, float]:

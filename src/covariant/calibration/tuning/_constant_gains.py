@@ -319,4 +319,4 @@ def _descend(cost: Callable[[np.ndarray], float], start: np.ndarray, most: int) 
 
 
 def _within(value: float, bounds: tuple[float, float] | np.ndarray) -> float:
-    return float(np.clip(value, *bounds))
+    return float(np.clip(value, bounds[0], bounds[1]))

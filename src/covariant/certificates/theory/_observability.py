@@ -319,7 +319,8 @@ def _sample_conditions(model: StateSpace, metric: StateField, points: np.ndarray
     away = points - points.mean(axis=0)
     lengths = np.einsum("ki,ij,kj->k", away, np.asarray(_at_start(metric)(jnp.asarray(points.mean(axis=0)))), away)
     size = float(np.sqrt(lengths.max())) if lengths.max() > 0 else np.inf
-    sampled = _Sampled(points, *(np.asarray(a) for a in values), size)
+    rates, bends, roundings, directions = (np.asarray(a) for a in values)
+    sampled = _Sampled(points, rates, bends, roundings, directions, size)
     for name, numbers in (("contraction rate", sampled.rates), ("bending", sampled.bends)):
         if np.isnan(numbers).any():
             raise InputError(f"the {name} is not a number at {_text(points[int(np.isnan(numbers).argmax())])}")
