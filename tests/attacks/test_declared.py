@@ -176,7 +176,7 @@ def test_the_coupling_of_a_craft_is_that_of_its_transformation():
 
 def beam(metric):
     model = models.Lagrangian(metric, lambda q: 0.0 * q[0], None, coordinates=("r", "theta"), units=("m", "rad"))
-    return observers.ImplicitGeodesic(model, alpha=1900.0, beta=38000.0), observers.Intrinsic(model, 5.0, 10.0)
+    return observers.LagrangianMetric(model, alpha=1900.0, beta=38000.0), observers.Intrinsic(model, 5.0, 10.0)
 
 
 def polar(q):

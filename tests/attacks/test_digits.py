@@ -135,7 +135,7 @@ def test_nothing_is_proved_in_single_precision():
             certify(observers.Intrinsic(model, 10.0, 50.0), position=(-1.0, 1.0), velocity=1.0, error=0.1)
         with pytest.raises(ValueError, match="certify_distance needs doubles"):
             certify_distance(
-                observers.ImplicitGeodesic(models.ball_and_beam(), 1.0, 4.0),
+                observers.LagrangianMetric(models.ball_and_beam(), 1.0, 4.0),
                 interval=0.01,
                 position=(-0.1, 0.1),
                 velocity=0.1,

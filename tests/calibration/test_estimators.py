@@ -35,11 +35,11 @@ from covariant.observers import (
     Gated,
     Geodesic,
     HighGain,
-    ImplicitGeodesic,
     Intrinsic,
     IntrinsicForce,
     IntrinsicKalman,
     JointKalman,
+    LagrangianMetric,
     ModelCopy,
     SavitzkyGolay,
     run,
@@ -128,7 +128,7 @@ def test_all_estimators_come_from_one_data_sheet():
         "intrinsic2": Intrinsic,
         "intrinsic-force": IntrinsicForce,  # which learns no force without one on the sheet
         "geodesic": Geodesic,
-        "implicit-geodesic": ImplicitGeodesic,
+        "lagrangian-metric": LagrangianMetric,
         "copy": ModelCopy,
     }.items():
         assert isinstance(estimators[name], kind)
@@ -173,7 +173,7 @@ def test_a_motion_that_makes_no_sense_is_named(field, number):
 def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
-    gains = ("intrinsic", "intrinsic2", "intrinsic-force", "geodesic", "implicit-geodesic", "copy")
+    gains = ("intrinsic", "intrinsic2", "intrinsic-force", "geodesic", "lagrangian-metric", "copy")
     anywhere = (*gains, "intrinsic-kalman", "ekf", "ukf")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
@@ -183,7 +183,7 @@ def test_a_model_is_offered_the_estimators_that_fit_it():
 def test_on_groups_all_have_the_same_gains_and_noise():
     top = heavy_top((0.1, 0.2, 0.6))
     chosen, made = observer_gains(SHEET, RATE), ungated(tuned_estimators(top, 3, SHEET, RATE))
-    for name in ("intrinsic", "intrinsic2", "geodesic", "implicit-geodesic", "copy"):
+    for name in ("intrinsic", "intrinsic2", "geodesic", "lagrangian-metric", "copy"):
         assert (made[name].alpha, made[name].beta) == (chosen.alpha, chosen.beta)
     mean = 0.3  # Salcudean's gains, of the mean principal inertia
     assert made["salcudean"].kv == pytest.approx(2 * mean * chosen.alpha)

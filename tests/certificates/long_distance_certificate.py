@@ -12,7 +12,7 @@ from covariant import geometry, models
 from covariant.certificates import certify_distance
 from covariant.certificates.theory._distance_certificate import _curvature, _Model, _stiffness
 from covariant.models import source
-from covariant.observers import ImplicitGeodesic
+from covariant.observers import LagrangianMetric
 from scalargraph.proofs import box
 
 BEAM = np.array([-2.5, -4.0]), np.array([2.5, 4.0])
@@ -20,7 +20,7 @@ BEAM = np.array([-2.5, -4.0]), np.array([2.5, 4.0])
 
 def with_part(model, part, sigma, interval):
     alpha = part / (interval * (1 - part))
-    return ImplicitGeodesic(model, alpha, sigma * alpha)
+    return LagrangianMetric(model, alpha, sigma * alpha)
 
 
 @pytest.mark.exhaustive
@@ -62,7 +62,7 @@ def test_the_ball_and_beam_is_proved():
     assert certificate.statement.proved
     assert certificate.decay.rate > 14
     # AR's gains are too slow for this at once.
-    slow = ImplicitGeodesic(models.ball_and_beam(), math.sqrt(2), 0.5)
+    slow = LagrangianMetric(models.ball_and_beam(), math.sqrt(2), 0.5)
     refused = certify_distance(slow, interval=0.01, position=BEAM, velocity=0.25, error=0.25)
     assert refused.statement.verdict == "undecided"
 

@@ -11,7 +11,7 @@ import pytest
 from covariant.certificates import CurvedErrors, part_limits, proved_decay
 from covariant.geometry import Budget, Euclidean, hyperbolic, sphere
 from covariant.models import Lagrangian, free_body
-from covariant.observers import ImplicitGeodesic
+from covariant.observers import LagrangianMetric
 
 GRAVITY = 9.81
 
@@ -45,7 +45,7 @@ def worst_share(part, m0, count, h=H):
     """Over pairs near the top and the bottom or anywhere, apart by 1e-3 to 1000 rad, at all ratios of ξ and w."""
     rng = np.random.default_rng(1)
     gain = part / (h * (1 - part))  # negative for θ > 1, which the observer itself refuses
-    observer = ImplicitGeodesic(PENDULUM, 1.0, 1.0, substeps=4)
+    observer = LagrangianMetric(PENDULUM, 1.0, 1.0, substeps=4)
     observer = eqx.tree_at(lambda o: (o.alpha, o.beta), observer, (jnp.array(gain), jnp.array(SIGMA * gain)))
     angle, size = rng.uniform(0, 2 * np.pi, count), 10 ** rng.uniform(-3, 3, count)
     q = np.where(rng.uniform(size=count) < 0.5, np.pi * rng.integers(2, size=count), rng.uniform(-np.pi, np.pi, count))
@@ -142,7 +142,7 @@ def test_a_correction_follows_the_jacobi_field(name):
     """`ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`: on a curved space w does not stay as it is."""
     model, q, y, kappa = SPACES[name]
     y = model.manifold.retract(q, y) if y.shape != q.shape else y
-    observer = ImplicitGeodesic(model, 12.0, 60.0, BUDGET)
+    observer = LagrangianMetric(model, 12.0, 60.0, BUDGET)
     n = 3 if name == "SO(3)" else 2
     v, xi, w = np.random.default_rng(2).normal(size=(3, n))
     given = (observer, q, jnp.asarray(v), y, jnp.array(0.15), jnp.asarray(xi), jnp.asarray(w))
@@ -199,7 +199,7 @@ def worst_growth(model, m0, part, d, speed, q, h):
     """Over the configurations given, at speeds up to one, for samples up to a distance away."""
     rng = np.random.default_rng(3)
     gain = part / (h * (1 - part))
-    observer = ImplicitGeodesic(model, 1.0, 1.0, BUDGET, 4)
+    observer = LagrangianMetric(model, 1.0, 1.0, BUDGET, 4)
     observer = eqx.tree_at(lambda o: (o.alpha, o.beta), observer, (jnp.array(gain), jnp.array(6.0 * gain)))
     v = directions(model, q, speed * rng.uniform(size=len(q)) ** 0.2, rng)
     towards = directions(model, q, d * rng.uniform(size=len(q)) ** 0.2, rng)

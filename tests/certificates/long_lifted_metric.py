@@ -60,7 +60,7 @@ def test_no_start_within_the_set_converges_more_slowly_than_claimed():
     m, rng = gain.decay.before, np.random.default_rng(2)
     q = np.array([[m + SIGMA**2, -SIGMA], [-SIGMA, 1.0]])
     metric = tangent_metric(BEAM.space, 2 * q)
-    observer = observers.ImplicitGeodesic(BEAM, gain.alpha, gain.beta, Budget())
+    observer = observers.LagrangianMetric(BEAM, gain.alpha, gain.beta, Budget())
     t = jnp.linspace(0.0, 0.6, 4)
     apart = jax.jit(jax.vmap(lambda a, b: distance(lambda x: metric(jnp.zeros(()), x), a, b)))
     for _ in range(3):

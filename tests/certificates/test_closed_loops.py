@@ -71,7 +71,7 @@ ENTRIES = {
     "certify": lambda model: certificates.certify(observer(model), **REGION),
     "certify, sampled": lambda model: certificates.certify(observer(model), interval=(0.01, 0.01), **REGION),
     "certify_distance": lambda model: certificates.certify_distance(
-        observer(model, observers.ImplicitGeodesic), interval=0.01, **REGION
+        observer(model, observers.LagrangianMetric), interval=0.01, **REGION
     ),
     "error_system": lambda model: certificates.error_system(observer(model), np.eye(2)),
     "error_system, exact": lambda model: certificates.error_system(observer(model, observers.Geodesic), np.eye(2)),

@@ -6,7 +6,7 @@ import pytest
 from covariant import models, observers
 from covariant.certificates import certify_distance
 from covariant.models import Lagrangian
-from covariant.observers import ImplicitGeodesic
+from covariant.observers import LagrangianMetric
 
 FLAT = Lagrangian(lambda q: jnp.diag(jnp.array([1.0, 4.0])), lambda q: q[0] ** 2, coordinates=("x", "y"), inputs=2)
 
@@ -14,8 +14,8 @@ FLAT = Lagrangian(lambda q: jnp.diag(jnp.array([1.0, 4.0])), lambda q: q[0] ** 2
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ImplicitGeodesic(models.pendulum_chain(viscous=(0.1, 0.1)), 1.0, 1.0), "friction"),
-        (lambda: ImplicitGeodesic(models.pendulum_chain((1.0,), (1.0,)), 1.0, 1.0), "two coordinates"),
+        (lambda: LagrangianMetric(models.pendulum_chain(viscous=(0.1, 0.1)), 1.0, 1.0), "friction"),
+        (lambda: LagrangianMetric(models.pendulum_chain((1.0,), (1.0,)), 1.0, 1.0), "two coordinates"),
         (lambda: observers.Intrinsic(FLAT, 1.0, 1.0), "Intrinsic"),
     ],
 )

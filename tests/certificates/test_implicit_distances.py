@@ -71,7 +71,7 @@ class Surface:
         return z, np.where(np.linalg.norm(f, axis=-1) < 1e-7, length, math.inf)
 
     def correct(self, sigma, q, v, y, part):
-        """The correction of `ImplicitGeodesic`, and the geodesic to y."""
+        """The correction of `LagrangianMetric`, and the geodesic to y."""
         m, none = np.full(len(q), math.inf), np.zeros_like(q)
         z, length = self.shoot(0.0, m, (q, none), (y, none), np.concatenate([y - q, none], -1))
         assert not np.isnan(length).all()

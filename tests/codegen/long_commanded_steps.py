@@ -34,7 +34,7 @@ def test_the_model_alone_follows_the_machine():
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ["intrinsic", "ekf", "implicit-geodesic"])
+@pytest.mark.parametrize("name", ["intrinsic", "ekf", "lagrangian-metric"])
 def test_a_velocity_is_estimated_from_commands(name, file):
     log, x = servo_machine.run()
     result = covariant.estimate(file, log, observer=name)

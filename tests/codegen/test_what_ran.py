@@ -160,7 +160,7 @@ MEMBERS = {
     "kalman": Member("intrinsic-kalman"),
     "holes": Member("intrinsic-kalman", hole=HOLES[0]),
     "ekf": Member("ekf", suite="exhaustive"),
-    "implicit": Member("implicit-geodesic", suite="exhaustive"),
+    "implicit": Member("lagrangian-metric", suite="exhaustive"),
     "geodesic": Member("geodesic", suite="exhaustive"),
     "late": Member("copy", (MODEL + FASTER).replace("std = 1e-3", "std = 1e-3\ndelay = 0.023"), suite="exhaustive"),
     "sent": Member("copy", INPUTS + "delay = 0.013\nlag = 0.02\nlead = 0.015"),

@@ -16,8 +16,8 @@ from covariant.observers import (
     AbstractObserver,
     FilteredDerivative,
     Geodesic,
-    ImplicitGeodesic,
     Intrinsic,
+    LagrangianMetric,
     ModelCopy,
     SavitzkyGolay,
 )
@@ -98,7 +98,7 @@ def _with_gains(kind: Callable[..., AbstractObserver]) -> Callable[[Lagrangian],
 MODEL_BASED = {
     "intrinsic": _with_gains(Intrinsic),
     "geodesic": _with_gains(Geodesic),
-    "implicit-geodesic": _with_gains(ImplicitGeodesic),
+    "lagrangian-metric": _with_gains(LagrangianMetric),
     "copy": _with_gains(ModelCopy),
     "ekf": lambda model: EKF(model, jnp.array([[4.0]]), jnp.array([[1e-6]])),
 }

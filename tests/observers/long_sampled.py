@@ -11,7 +11,7 @@ from covariant import geometry
 from covariant._integrate import rk8
 from covariant.geometry._functions import norm
 from covariant.models import Lagrangian, pendulum_chain
-from covariant.observers import EKF, Geodesic, ImplicitGeodesic, Intrinsic, ModelCopy, SavitzkyGolay, run
+from covariant.observers import EKF, Geodesic, Intrinsic, LagrangianMetric, ModelCopy, SavitzkyGolay, run
 from covariant.observers.base._sampled import predict
 from covariant.signals import Record, StepCode
 
@@ -133,7 +133,7 @@ CURVED = Lagrangian(
 
 
 @pytest.mark.exhaustive("Geodesic")
-@pytest.mark.parametrize("kind", [Intrinsic, Geodesic, ImplicitGeodesic, ModelCopy])
+@pytest.mark.parametrize("kind", [Intrinsic, Geodesic, LagrangianMetric, ModelCopy])
 def test_fine_samples_follow_the_flow_to_first_order(kind):
     """The error of the sampled observer against the integrated flow, both fed the same smooth measurement."""
     observer = kind(CURVED, 3.0, 4.0, substeps=1)

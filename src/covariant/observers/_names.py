@@ -5,7 +5,7 @@ OBSERVER_NAMES = (
     "intrinsic2",
     "intrinsic-force",
     "geodesic",
-    "implicit-geodesic",
+    "lagrangian-metric",
     "copy",
     "intrinsic-kalman",
     "ekf",

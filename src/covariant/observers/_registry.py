@@ -17,9 +17,9 @@ from covariant.models.robots import Legs
 from covariant.observers.base import AbstractObserver, Covariance
 from covariant.observers.constant_gain import (
     Geodesic,
-    ImplicitGeodesic,
     Intrinsic,
     IntrinsicForce,
+    LagrangianMetric,
     ModelCopy,
     Salcudean,
     of_mean_inertia,
@@ -220,13 +220,13 @@ REGISTRY = (
         promises=("error law", "coordinate-free"),
     ),
     Entry(
-        name="implicit-geodesic",
-        observer=ImplicitGeodesic,
-        make=ImplicitGeodesic,
+        name="lagrangian-metric",
+        observer=LagrangianMetric,
+        make=LagrangianMetric,
         tuned_by="gains",
-        about="an implicit step along the geodesic to each sample, the model between; the same in all coordinates",
-        when="high gain at few samples, long gaps, errors of any size",
-        source="an addition; Rockafellar 1976 for the step",
+        about="the model, and an implicit step along the geodesic to each sample; the same in all coordinates",
+        when="a first error of any size at high gain, few samples, long gaps",
+        source="Sanfelice & Praly 2015, (3), in the lifted kinetic-energy metric; Rockafellar 1976 for the step",
         promises=("coordinate-free",),
     ),
     Entry(

@@ -120,7 +120,7 @@ def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, 
         >>> from covariant.calibration import with_gains
         >>> from covariant.models import oscillator
         >>> list(with_gains(oscillator(), alpha=10.0, beta=50.0))
-        ['intrinsic', 'intrinsic2', 'geodesic', 'implicit-geodesic', 'copy']
+        ['intrinsic', 'intrinsic2', 'geodesic', 'lagrangian-metric', 'copy']
     """
     fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
     return {entry.name: entry.construct(model, alpha, beta) for entry in fitting}

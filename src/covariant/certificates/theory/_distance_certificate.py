@@ -1,4 +1,4 @@
-"""Certifies by distances that the estimate of `ImplicitGeodesic` approaches the truth from large errors, at any gain.
+"""Certifies by distances that the estimate of `LagrangianMetric` approaches the truth from large errors, at any gain.
 
 `certificates.distance_decay` has the argument and the numbers for samples, and `certificates.lifted_gain` for dense
 measurements. What they need of the model is proved here on a box of
@@ -43,7 +43,7 @@ from covariant.certificates.base import (
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
 from covariant.certificates.theory._lifted_metric import dense_decay, least_gain
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
-from covariant.observers import ImplicitGeodesic
+from covariant.observers import LagrangianMetric
 from scalargraph import LoweringError, lower, numbers
 from scalargraph.errors import InputError
 from scalargraph.proofs import MOST_BOXES, Box, Form, Proof, check_box, derivative_form, prove
@@ -99,7 +99,7 @@ class DistanceCertificate(NamedTuple):
 
 @check_numbers
 def certify_distance(
-    observer: ImplicitGeodesic,
+    observer: LagrangianMetric,
     *,
     interval: NotNegative,
     position: Bounds,
@@ -131,7 +131,7 @@ def certify_distance(
         finish.
 
     Raises:
-        TypeError: the observer is not an `ImplicitGeodesic`, or is of a subclass.
+        TypeError: the observer is not a `LagrangianMetric`, or is of a subclass.
         ValueError: the model is on a group, has friction or a force that depends on time, or does not have two
             coordinates; bounds are not finite and in order, or allow no error at all; or the recipe is of another
             model.
@@ -141,15 +141,15 @@ def certify_distance(
 
         >>> from covariant import models, observers
         >>> from covariant.certificates import certify_distance
-        >>> observer = observers.ImplicitGeodesic(models.ball_and_beam(), alpha=1900.0, beta=38000.0)
+        >>> observer = observers.LagrangianMetric(models.ball_and_beam(), alpha=1900.0, beta=38000.0)
         >>> certificate = certify_distance(
         ...     observer, interval=0.01, position=([-2.5, -4.0], [2.5, 4.0]), velocity=0.25, error=0.25
         ... )
         >>> certificate.statement.short, certificate.decay.rate > 10
         ('holds (proved)', True)
     """
-    if type(observer) is not ImplicitGeodesic:
-        raise TypeError(f"certify_distance is about ImplicitGeodesic itself; got {type(observer).__name__}")
+    if type(observer) is not LagrangianMetric:
+        raise TypeError(f"certify_distance is about LagrangianMetric itself; got {type(observer).__name__}")
     model = observer.model
     need_known(model)
     if not model.manifold.commuting or dimension(model) != 2:
@@ -205,7 +205,7 @@ def certify_distance(
     )
     about = (
         f"model: {'one that was given as an object' if recipe is None else recipe_text(recipe)}",
-        f"observer: implicit-geodesic, alpha = {alpha!r} 1/s, beta = {beta!r} 1/s², "
+        f"observer: lagrangian-metric, alpha = {alpha!r} 1/s, beta = {beta!r} 1/s², "
         + (f"a sample every {interval!r} s" if interval else "in continuous time"),
         f"positions: {known.domain}" + (f"; the true ones stay from its border by {names}" if names else ""),
         f"true velocities up to {speeds.tolist()}, |v| ≤ {bounds.speed:.6g} in the metric",

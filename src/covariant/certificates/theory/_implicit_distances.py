@@ -1,4 +1,4 @@
-"""Bounds how distances between the estimates of `ImplicitGeodesic` and the truth decrease on a curved space.
+"""Bounds how distances between the estimates of `LagrangianMetric` and the truth decrease on a curved space.
 
 `proved_decay` follows lengths of curves, which a correction on a curved space enlarges. The distance of an estimate
 x̂ = (q̂, v̂) from the truth x = (q, v) need not grow with them. In the metric `m|ξ|² + |w|²`, w = ζ − σξ, it is
@@ -114,7 +114,7 @@ def distance_decay(h: Positive, part: Share, sigma: Positive, bounds: DistanceBo
 
     Args:
         h: Time between two measurements [s].
-        part: Part θ of the error that a sample removes, αh/(1 + αh) for `ImplicitGeodesic`.
+        part: Part θ of the error that a sample removes, αh/(1 + αh) for `LagrangianMetric`.
         sigma: Ratio σ = β/α of the gains [1/s].
         bounds: Bounds of the true motion, of the first error, of stiffness and curvature.
 

@@ -1,4 +1,4 @@
-"""Bounds interval, gain and rate for which the sampled error of `ImplicitGeodesic` provably decreases.
+"""Bounds interval, gain and rate for which the sampled error of `LagrangianMetric` provably decreases.
 
 Let ξ be the error of the position, ζ of the velocity, `w = ζ − σξ`, `K = R(·, v)v − ∇S` with its spectrum in [k₋, k₊],
 F = ∇_v of the friction in [f₋, f₊], f₊ ≤ 0, and 0 ≤ ρ < σ. Along the model `ξ' = w + σξ` and
@@ -66,7 +66,7 @@ class PartLimits(NamedTuple):
 
     Attributes:
         least: The least θ.
-        most: The largest θ, `2 − least`; `ImplicitGeodesic` itself stays below 1.
+        most: The largest θ, `2 − least`; `LagrangianMetric` itself stays below 1.
         before: Weight m₀ of |ξ|² after a correction [1/s²].
         after: Weight m_h of |ξ|² before the next correction [1/s²].
 
@@ -105,7 +105,7 @@ class ProvedDecay(NamedTuple):
 
 
 class ImplicitGains(NamedTuple):
-    """Gains of `ImplicitGeodesic` for a rate of the error.
+    """Gains of `LagrangianMetric` for a rate of the error.
 
     Attributes:
         alpha: Gain α [1/s].
@@ -306,7 +306,7 @@ def proved_decay(
 
     Args:
         h: Time between two measurements [s].
-        part: Part θ of the error that a sample removes, αh/(1 + αh) for `ImplicitGeodesic`.
+        part: Part θ of the error that a sample removes, αh/(1 + αh) for `LagrangianMetric`.
         sigma: Ratio σ = β/α of the gains [1/s].
         k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
         k_plus: Largest eigenvalue of K [1/s²].
@@ -363,7 +363,7 @@ def implicit_gains(
     rate: NotNegative | None = None,
     friction: Damping = (0.0, 0.0),
 ) -> ImplicitGains:
-    """Compute the least gains of `ImplicitGeodesic` that prove a rate of the error, for n = 1 or a flat metric.
+    """Compute the least gains of `LagrangianMetric` that prove a rate of the error, for n = 1 or a flat metric.
 
     The least gains are best, since a smaller part θ admits less noise of each sample. Choose the ratio σ by how fast
     the

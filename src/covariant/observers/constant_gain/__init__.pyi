@@ -1,9 +1,9 @@
 from ._contracting import Contracting as Contracting, craft_observer as craft_observer
 from ._copy import ModelCopy as ModelCopy
 from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, GeodesicState as GeodesicState
-from ._implicit_geodesic import ImplicitGeodesic as ImplicitGeodesic
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
 from ._intrinsic_force import IntrinsicForce as IntrinsicForce, IntrinsicForceState as IntrinsicForceState
+from ._lagrangian_metric import LagrangianMetric as LagrangianMetric
 from ._passive_ship import (
     PassiveShip as PassiveShip,
     lyapunov_gains as lyapunov_gains,

@@ -1,4 +1,9 @@
-"""Defines an observer with implicit corrections along geodesics, stable for any gain α, the same in all coordinates.
+"""Defines the observer of a lifted kinetic-energy metric, which converges from any first error at a large enough gain.
+
+In continuous time it is the observer of Sanfelice & Praly's part II in the metric `P = m|ξ|² + |w|²` of the states, with
+the position error ξ, the velocity error ζ and `w = ζ − σξ`:
+
+    q̂' = v̂ + α log_q̂ y,   ∇v̂ = S(q̂) + β log_q̂ y,   β = σα
 
 Between samples the estimate follows the model. A sample y, a time h after the previous one, moves the estimate along
 the geodesic to y and changes its velocity in the same direction:
@@ -6,15 +11,16 @@ the geodesic to y and changes its velocity in the same direction:
     q̂ ← exp_q̂(θ log_q̂ y),   v̂ ← Π(v̂ + σθ log_q̂ y),   θ = αh/(1 + αh),   σ = β/α,
 
 where Π is the parallel transport along that geodesic. θ is the fraction of the error that an implicit Euler step of
-`ξ' = −αξ` removes; it is below 1 for all α and h. For the position error ξ and the velocity error ζ, let `w = ζ − σξ`:
-the correction is the proximal step of `½αh d(q, y)²` in the metric `|ξ|² + |w|²` of the states. In a flat metric it
+`ξ' = −αξ` removes; it is below 1 for all α and h. The correction is the proximal step of `½αh d(q, y)²` in the metric
+`|ξ|² + |w|²`, so that no α makes it unstable. In a flat metric it
 reduces ξ to (1 − θ)ξ and leaves w unchanged, however large the errors are. It uses neither the source nor the curvature
 at y, and neglects no terms of higher order.
 
 The model alone acts on w between samples. That limits σ and h, but not α.
 
-Source: an addition. Rockafellar 1976, Monotone operators and the proximal point algorithm, SIAM J. Control Optim.
-14(5), for the step; Kalata 1984, The tracking index, IEEE TAES 20(2), for constant gains θ and σθh beside a prediction.
+Source: Sanfelice & Praly 2015, (3), with half of the squared distance as δ. Rockafellar 1976, Monotone operators and the
+proximal point algorithm, SIAM J. Control Optim. 14(5), for the step; Kalata 1984, The tracking index, IEEE TAES 20(2),
+for constant gains θ and σθh beside a prediction.
 """
 
 import equinox as eqx
@@ -38,8 +44,11 @@ from covariant.observers.base import (
 from covariant.observers.constant_gain._geodesic import GeodesicInfo, GeodesicState, path_to
 
 
-class ImplicitGeodesic(AbstractMechanicalObserver):
-    """Predict with the model; correct position and velocity by an implicit step along the geodesic to the sample.
+class LagrangianMetric(AbstractMechanicalObserver):
+    """Follow the model, corrected along the geodesic to the measurement; converges from far away at high gains.
+
+    It is an observer of Sanfelice & Praly in the lifted kinetic-energy metric, `q̂' = v̂ + α log_q̂ y`,
+    `∇v̂ = S(q̂) + β log_q̂ y`, whose samples are implicit steps.
 
     A sample at the time h after the previous one removes the fraction `θ = αh/(1 + αh)` of the error along the geodesic
     to the measurement, and adds `σ = β/α` times that displacement to the velocity. Unlike `Geodesic` it does not
@@ -47,7 +56,8 @@ class ImplicitGeodesic(AbstractMechanicalObserver):
     `K = R(·, v)v − ∇S`. In exchange no α is too large and, in a flat metric, no error is. β/α must be well below 2/h.
     If no geodesic is found, the first-order error of `Intrinsic` replaces it, and `result` says `NOT_CONVERGED`.
 
-    Use it for a high gain at a low sampling rate, long gaps, or errors of any size.
+    Use it for a high gain at a low sampling rate, long gaps, or errors of any size: `certificates.least_gain` computes
+    the gain that a first error needs. At low gains on a curved space it may not converge where `Intrinsic` does.
 
     Attributes:
         model: The mechanical system.
@@ -67,7 +77,7 @@ class ImplicitGeodesic(AbstractMechanicalObserver):
         >>> import numpy as np
         >>> from covariant import Record, models, observers
         >>> pendulum = models.Lagrangian(lambda q: jnp.eye(1), lambda q: -9.81 * jnp.cos(q[0]))
-        >>> observer = observers.ImplicitGeodesic(pendulum, alpha=60.0, beta=360.0)
+        >>> observer = observers.LagrangianMetric(pendulum, alpha=60.0, beta=360.0)
         >>> t = 0.05 * np.arange(100)
         >>> y = np.zeros((100, 1))  # at rest
         >>> y[0] = 628.0
@@ -83,7 +93,7 @@ class ImplicitGeodesic(AbstractMechanicalObserver):
     substeps: int | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
-        check_positive("ImplicitGeodesic", alpha=self.alpha, beta=self.beta)
+        check_positive("LagrangianMetric", alpha=self.alpha, beta=self.beta)
 
     def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
         q, v, t, last_input, age = at_rest(self.model, y, t)

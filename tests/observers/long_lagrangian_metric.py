@@ -1,4 +1,4 @@
-"""What takes long of `test_implicit_geodesic.py`."""
+"""What takes long of `test_lagrangian_metric.py`."""
 
 import equinox as eqx
 import jax
@@ -8,7 +8,7 @@ import pytest
 
 from covariant.geometry import Euclidean, Pullback, distance, exp, log, sphere, transport
 from covariant.models import Lagrangian
-from covariant.observers import ImplicitGeodesic, Intrinsic
+from covariant.observers import Intrinsic, LagrangianMetric
 from covariant.signals import StepCode
 
 ALPHA, BETA = 12.0, 60.0
@@ -17,7 +17,7 @@ ALPHA, BETA = 12.0, 60.0
 @pytest.mark.exhaustive
 def test_a_sample_counts_for_the_time_since_the_last_one():
     """Rows without a measurement change nothing, and the next one has waited for all of them."""
-    observer = ImplicitGeodesic(Lagrangian(Euclidean(), inputs=1), 6.0, 12.0)
+    observer = LagrangianMetric(Lagrangian(Euclidean(), inputs=1), 6.0, 12.0)
     state, u, y = observer.init(jnp.zeros(1)), jnp.zeros(1), jnp.array([8.0])
     once, _ = observer.step(state, u, y, 0.5)
     state, info = observer.step(state, u, jnp.array([jnp.nan]), 0.3)
@@ -29,7 +29,7 @@ def test_a_sample_counts_for_the_time_since_the_last_one():
 
 def test_the_largest_gain_takes_the_measurement():
     """And moves the velocity by σ times the error, however large α is."""
-    observer = ImplicitGeodesic(Lagrangian(Euclidean(), inputs=1), 1e12, 2e12)
+    observer = LagrangianMetric(Lagrangian(Euclidean(), inputs=1), 1e12, 2e12)
     state, _ = observer.step(observer.init(jnp.zeros(1)), jnp.zeros(1), jnp.array([100.0]), 0.1)
     np.testing.assert_allclose([state.q.item(), state.v.item()], [100.0, 200.0], rtol=1e-10)
 
@@ -38,7 +38,7 @@ ROUND = Lagrangian(sphere(), lambda q: 0.4 * q[0] + 0.3 * q[0] * q[1])
 
 
 def test_a_step_on_the_sphere_is_along_the_geodesic():
-    observer = ImplicitGeodesic(ROUND, ALPHA, BETA)
+    observer = LagrangianMetric(ROUND, ALPHA, BETA)
     y, v, h = jnp.array([0.5, -0.3]), jnp.array([0.4, 0.9]), 0.05
     state = observer.init(jnp.array([-0.4, 0.6]))._replace(v=v, age=jnp.array(h))
     new, info = observer.correct(state, jnp.zeros(2), y)
@@ -87,7 +87,7 @@ BENT_ROUND = Lagrangian(Pullback(sphere(), unbend, bend), lambda z: ROUND.potent
 
 @pytest.mark.exhaustive
 def test_samples_give_the_same_estimate_in_two_charts_of_the_sphere():
-    plain, bent = (ImplicitGeodesic(model, ALPHA, BETA, substeps=20) for model in (ROUND, BENT_ROUND))
+    plain, bent = (LagrangianMetric(model, ALPHA, BETA, substeps=20) for model in (ROUND, BENT_ROUND))
     assert gap_between_charts(plain, bent) < 1e-8
     plain, bent = (Intrinsic(model, ALPHA, BETA, substeps=20) for model in (ROUND, BENT_ROUND))
     assert gap_between_charts(plain, bent) > 1e-3

@@ -5,13 +5,13 @@ import numpy as np
 
 from covariant.geometry import Euclidean
 from covariant.models import Lagrangian
-from covariant.observers import ImplicitGeodesic
+from covariant.observers import LagrangianMetric
 
 
 def test_a_step_in_a_flat_space_in_numbers():
     """α h = 3 takes three quarters of the error away, and σ = 2 times that is added to the velocity."""
     free = Lagrangian(Euclidean(), inputs=1)
-    observer = ImplicitGeodesic(free, 6.0, 12.0)
+    observer = LagrangianMetric(free, 6.0, 12.0)
     state = observer.init(jnp.zeros(1))._replace(v=jnp.ones(1))
     state, info = observer.step(state, jnp.zeros(1), jnp.array([8.5]), 0.5)
     assert info.innovation.tolist() == [8.0]
