@@ -1,7 +1,7 @@
 """Defines the observer of a lifted kinetic-energy metric, which converges from any first error at a large enough gain.
 
-In continuous time it is the observer of Sanfelice & Praly's part II in the metric `P = m|ξ|² + |w|²` of the states, with
-the position error ξ, the velocity error ζ and `w = ζ − σξ`:
+In continuous time it is the observer of Sanfelice & Praly's part II in the metric `P = m|ξ|² + |w|²` of the states,
+with the position error ξ, the velocity error ζ and `w = ζ − σξ`:
 
     q̂' = v̂ + α log_q̂ y,   ∇v̂ = S(q̂) + β log_q̂ y,   β = σα
 
@@ -12,15 +12,14 @@ the geodesic to y and changes its velocity in the same direction:
 
 where Π is the parallel transport along that geodesic. θ is the fraction of the error that an implicit Euler step of
 `ξ' = −αξ` removes; it is below 1 for all α and h. The correction is the proximal step of `½αh d(q, y)²` in the metric
-`|ξ|² + |w|²`, so that no α makes it unstable. In a flat metric it
-reduces ξ to (1 − θ)ξ and leaves w unchanged, however large the errors are. It uses neither the source nor the curvature
-at y, and neglects no terms of higher order.
+`|ξ|² + |w|²`, so that no α makes it unstable. In a flat metric it reduces ξ to (1 − θ)ξ and leaves w unchanged, however
+large the errors are. It uses neither the source nor the curvature at y, and neglects no terms of higher order.
 
 The model alone acts on w between samples. That limits σ and h, but not α.
 
-Source: Sanfelice & Praly 2015, (3), with half of the squared distance as δ. Rockafellar 1976, Monotone operators and the
-proximal point algorithm, SIAM J. Control Optim. 14(5), for the step; Kalata 1984, The tracking index, IEEE TAES 20(2),
-for constant gains θ and σθh beside a prediction.
+Source: Sanfelice & Praly 2015, (3), with half of the squared distance as δ. Rockafellar 1976, Monotone operators and
+the proximal point algorithm, SIAM J. Control Optim. 14(5), for the step; Kalata 1984, The tracking index, IEEE TAES
+20(2), for constant gains θ and σθh beside a prediction.
 """
 
 import equinox as eqx
