@@ -18,6 +18,8 @@ Code = Int[Array, ""]
 
 MatrixField = Callable[[Array], Array]
 """A metric written in coordinates: `q (n,) -> (n, n)`, symmetric positive definite."""
+StateField = MatrixField | Callable[[Scalar, Array], Array]
+"""A metric on states: `x (n,) -> (n, n)`, or `(t, x) -> (n, n)` where it depends on time."""
 
 Bounds = tuple[Float[Array, "n"], Float[Array, "n"]]
 """Lower and upper bounds of coordinates."""

@@ -1,5 +1,10 @@
 from ._characteristic import Characteristic as Characteristic, metric_through as metric_through
-from ._equation import Equation as Equation, lie_derivative as lie_derivative, right_side as right_side
+from ._equation import (
+    Equation as Equation,
+    lie_derivative as lie_derivative,
+    right_side as right_side,
+    with_time as with_time,
+)
 from ._grid import Grid as Grid
 from ._high_gain import high_gain as high_gain
 from ._map import map_grid as map_grid

@@ -1,11 +1,14 @@
 """The Riccati equation of a contraction metric, and its two sides."""
 
+import inspect
+from collections.abc import Callable
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from covariant._linalg import half_solve
-from covariant._typing import Matrix, MatrixField, Number, Vector
+from covariant._typing import Matrix, MatrixField, Number, Scalar, StateField, Vector
 from covariant.models import StateSpace
 from scalargraph import along, jacobian
 from scalargraph.errors import InputError
@@ -56,12 +59,22 @@ class Equation(eqx.Module):
         return None if q is None else jnp.asarray(q, x.dtype)
 
 
-def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[Array, "m"] | None = None) -> Matrix:
+def with_time(metric: StateField) -> Callable[[Scalar, Vector], Matrix]:
+    """The metric as a function `(t, x) -> (n, n)`, from a function of both or of the state alone."""
+    try:
+        arguments = inspect.signature(metric).parameters.values()
+    except (TypeError, ValueError):  # some built-in functions have no signature
+        arguments = ()
+    required = [each for each in arguments if each.default is each.empty and each.kind <= each.POSITIONAL_OR_KEYWORD]
+    return metric if len(required) > 1 else lambda t, x: metric(x)
+
+
+def lie_derivative(model: StateSpace, metric: StateField, x: Vector, u: Float[Array, "m"] | None = None) -> Matrix:
     """Lie derivative `L_f P = Ṗ + P f_x + f_xᵀ P` of a metric; G-8 of the paper.
 
     Args:
         model: system with state x (n,) and output y (p,).
-        metric: P as a function `x -> (n, n)`.
+        metric: P as a function `x -> (n, n)`, or `(t, x) -> (n, n)`, which is taken at t = 0.
         x: state (n,).
         u: constant input (m,), zero by default.
 
@@ -77,7 +90,7 @@ def lie_derivative(model: StateSpace, metric: MatrixField, x: Vector, u: Float[A
         [[-2.0]]
     """
     input_held, t0 = model_input(model, u, x.dtype), jnp.zeros((), x.dtype)
-    p, change = along(metric, (x,), (model.f(t0, x, input_held),))
+    p, change = along(with_time(metric), (t0, x), (jnp.ones_like(t0), model.f(t0, x, input_held)))
     a = jacobian(lambda y: model.f(t0, y, input_held), x)
     return change + p @ a + a.T @ p
 

@@ -17,6 +17,7 @@ from jaxtyping import Array
 from covariant._domains import ABOVE_ZERO, FINITE, KNOWN, check_numbers
 from covariant._linalg import solve, whiten
 from covariant._typing import Matrix, Scalar, Vector
+from covariant.geometry import AbstractSpace
 from scalargraph import along, jacobian
 from scalargraph.errors import InputError
 
@@ -33,6 +34,7 @@ class StateMetric(NamedTuple):
         coframe: `(t, x) -> Θ (n, n)`, which gives the components of a variation δx in a moving frame.
         frame: `(t, x) -> Θ⁻¹ (n, n)`; its columns are the vectors of that frame.
         gram: `(t, x) -> N (n, n)`, symmetric positive definite: the inner products of these vectors.
+        lift: the metric on configurations of which this one is the lift by `tangent_metric`; None (default) otherwise.
 
     Example:
         >>> import jax.numpy as jnp
@@ -45,6 +47,7 @@ class StateMetric(NamedTuple):
     coframe: StateMatrix
     frame: StateMatrix
     gram: StateMatrix
+    lift: AbstractSpace | None = None
 
     def __call__(self, t: Scalar, x: Vector) -> Matrix:
         """Evaluate the metric M (n, n) in coordinates.

@@ -244,7 +244,7 @@ def tangent_metric(metric: MatrixField, q: Annotated[TwoByTwo, FINITE]) -> State
         # V = ½(a|ξ|² + 2c<ξ, ζ> + b|ζ|²) is the squared length, hence the half.
         return jnp.kron(jnp.asarray(q / 2, x.dtype), geometry(jnp.split(x, 2)[0]))
 
-    return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram)
+    return StateMetric(coframe, lambda t, x: coframe(t, x, -1.0), gram, geometry)
 
 
 def lowered_christoffel(change: Float[Array, "n n n"]) -> Float[Array, "n n n"]:

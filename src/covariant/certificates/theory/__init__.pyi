@@ -26,6 +26,7 @@ from ._implicit_limits import (
     part_limits as part_limits,
     proved_decay as proved_decay,
 )
+from ._lifted_metric import LiftedGain as LiftedGain, least_gain as least_gain, lifted_gain as lifted_gain
 from ._lmi import (
     MetricDesign as MetricDesign,
     common_metric as common_metric,

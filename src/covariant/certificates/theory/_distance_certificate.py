@@ -1,6 +1,7 @@
 """Certificates by distance: the estimate of `ImplicitGeodesic` approaches the truth from large errors, at any gain.
 
-`certificates.distance_decay` has the argument and the numbers. What it needs of the model is proved here on a box of
+`certificates.distance_decay` has the argument and the numbers for samples, and `certificates.lifted_gain` for dense
+measurements. What they need of the model is proved here on a box of
 positions, from the graphs of metric and force and their derivatives:
 
 - the sectional curvature of the plane of both coordinates, and the covariant Hessian −∇S within bounds;
@@ -22,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from covariant._domains import NOT_NEGATIVE, Count, NotNegative, Positive, check_numbers
+from covariant._domains import NOT_NEGATIVE, Count, NotNegative, check_numbers
 from covariant.certificates.base import (
     ANALYTIC,
     PERIODIC,
@@ -39,6 +40,7 @@ from covariant.certificates.base import (
     region_of,
 )
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
+from covariant.certificates.theory._lifted_metric import dense_decay, least_gain
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
 from covariant.observers import ImplicitGeodesic
 from scalargraph import LoweringError, lower, numbers
@@ -56,11 +58,11 @@ AGREES = 1e-8
 ASSUMED_OF_DISTANCES = (
     "the true motion solves the model, with the input that the observer is given, and keeps to the bounds of "
     "velocities and inputs, and away from the border of the region as stated",
-    "measurements are exact, of all coordinates, unwrapped, and come at the stated interval",
+    "measurements are exact, of all coordinates, unwrapped, and come as often as stated",
     "predictions, geodesics and transport are computed exactly, and the geodesic to the measurement is the shortest",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles, the formulas of "
-    "`certificates.distance_decay` in doubles, and what is argued on paper there",
+    "`certificates.distance_decay` and `lifted_gain` in doubles, and what is argued on paper there",
 )
 """What such a statement assumes."""
 
@@ -97,7 +99,7 @@ class DistanceCertificate(NamedTuple):
 def certify_distance(
     observer: ImplicitGeodesic,
     *,
-    interval: Positive,
+    interval: NotNegative,
     position: Bounds,
     velocity: Annotated[ArrayLike, SPEED],
     error: Annotated[ArrayLike, NOT_NEGATIVE],
@@ -106,11 +108,11 @@ def certify_distance(
     recipe: dict[str, Any] | None = None,
     boxes: Count = MOST_BOXES,
 ) -> DistanceCertificate:
-    """Prove that the distance of the estimate from the truth falls from sample to sample, from large errors.
+    """Prove that the distance of the estimate from the truth falls from large errors, with samples or without.
 
     Args:
         observer: the observer, with a model of two coordinates without friction, and its gains.
-        interval: time [s] between two measurements.
+        interval: time [s] between two measurements; 0 for the observer in continuous time, which measures always.
         position: least and largest positions, (2,) each, of truth and estimates; on circles a whole turn is
             everywhere.
         velocity: bound of each true velocity [unit/s], a number or (2,).
@@ -163,19 +165,25 @@ def certify_distance(
     found = _prove_bounds(known, speeds, errors, boxes)
     bounds = found.bounds if velocity_error is None else found.bounds._replace(velocity_error=float(velocity_error))
     alpha, beta = float(observer.alpha), float(observer.beta)
-    part = alpha * interval / (1 + alpha * interval)
-    decay = distance_decay(interval, part, beta / alpha, bounds)
+    sigma, part = beta / alpha, alpha * interval / (1 + alpha * interval)
+    decay = distance_decay(interval, part, sigma, bounds) if interval else dense_decay(alpha, sigma, bounds)
+    remedy = "another α or β, or a shorter interval, may do; else smaller bounds"
+    if not interval:
+        least = least_gain(sigma, sigma / 2, bounds).alpha
+        remedy = f"α = {least:.4g}, β = {sigma * least:.4g} does" if least < math.inf else "smaller errors may do"
     # A curve changes a coordinate by no more than its length times that of the coordinate's differential.
     border = (0.0 if math.isnan(decay.reach) else decay.reach) * np.sqrt(found.widest) * (1 + 1e-12)
     circles = np.array([i in model.manifold.circles for i in range(2)])
     border = np.where(circles & (region.true.high - region.true.low >= 2 * math.pi), 0.0, border)
     fits = bool((2 * border < region.true.high - region.true.low).all())
     gains = Hypothesis(
-        "the part of an error that a sample takes away, and σ = β/α, suffice for these bounds at the interval",
+        "the part of an error that a sample takes away, and σ = β/α, suffice for these bounds at the interval"
+        if interval
+        else "α and σ = β/α suffice for these bounds",
         "proved",
         "holds" if decay.rate > 0 else "undecided",
         decay.rate if decay.rate > 0 else None,
-        "" if decay.rate > 0 else "another α or β, or a shorter interval, may do; else smaller bounds",
+        "" if decay.rate > 0 else remedy,
     )
     turns = Hypothesis(PERIODIC, "proved")
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
@@ -193,23 +201,24 @@ def certify_distance(
     )
     about = (
         f"model: {'one that was given as an object' if recipe is None else recipe_text(recipe)}",
-        f"observer: implicit-geodesic, alpha = {alpha!r} 1/s, beta = {beta!r} 1/s², a sample every {interval!r} s",
+        f"observer: implicit-geodesic, alpha = {alpha!r} 1/s, beta = {beta!r} 1/s², "
+        + (f"a sample every {interval!r} s" if interval else "in continuous time"),
         f"positions: {known.domain}" + (f"; the true ones stay from its border by {names}" if names else ""),
         f"true velocities up to {speeds.tolist()}, |v| ≤ {bounds.speed:.6g} in the metric",
         f"inputs from {region.inputs[0].tolist()} to {region.inputs[1].tolist()}",
         f"first errors of the position up to {errors.tolist()}, {bounds.error:.6g} in the metric; of the velocity "
         f"{bounds.velocity_error:.6g} in the metric",
-        f"metric: m|ξ|² + |w|², w = ζ − σξ, m = {decay.before:.6g} after a sample and {decay.after:.6g} before the "
-        "next",
+        f"metric: m|ξ|² + |w|², w = ζ − σξ, m = {decay.before:.6g}"
+        + (f" after a sample and {decay.after:.6g} before the next" if interval else ""),
         f"radius {decay.radius:.6g} in it; positions within {decay.reach:.6g} of the true ones, speeds up to "
-        f"{decay.fastest:.6g}, λ = {decay.turning:.4g} < π",
+        f"{decay.fastest:.6g}, λ = {decay.turning:.4g} < {'π' if interval else 'π/2'}",
         f"proved bounds: curvature {_pair(bounds.curvature)}, −∇S {_pair(bounds.stiffness)} 1/s², one shortest "
         f"geodesic, and errors of circles below half a turn, up to {bounds.injectivity:.4g}",
     )
+    rate = math.floor(1e4 * decay.rate) / 1e4 if decay.rate > 0 else 0.0
     claim = (
-        "the distance of an estimate from the truth falls from sample to sample, whatever the motion between these "
-        f"bounds, at the rate {math.floor(1e4 * decay.rate) / 1e4 if decay.rate > 0 else 0.0} 1/s or faster, from any "
-        "error within the radius"
+        f"the distance of an estimate from the truth falls{' from sample to sample' if interval else ''}, whatever the "
+        f"motion between these bounds, at the rate {rate} 1/s or faster, from any error within the radius"
     )
     assumed = (Hypothesis(text, "assumed") for text in ASSUMED_OF_DISTANCES)
     statement = Statement(claim, about, (*hypotheses, *assumed), decay.rate, str(known.domain))

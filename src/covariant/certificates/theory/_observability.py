@@ -20,10 +20,17 @@ from jaxtyping import Array, Float
 
 from covariant._domains import FINITE, KNOWN, Finite, check_numbers
 from covariant._linalg import half_solve, solve, whiten
-from covariant._typing import MatrixField, Scalar, Vector
-from covariant.certificates.base import Hypothesis, Statement, lowered_christoffel, show_no_jumps
+from covariant._typing import MatrixField, Scalar, StateField, Vector
+from covariant.certificates.base import (
+    Hypothesis,
+    Statement,
+    StateMetric,
+    Verdict,
+    lowered_christoffel,
+    show_no_jumps,
+)
 from covariant.geometry import Budget, exp
-from covariant.metrics import lie_derivative
+from covariant.metrics import lie_derivative, with_time
 from covariant.models import StateSpace
 from scalargraph import LoweringError, jacobian, lower, to_jax
 from scalargraph.errors import InputError
@@ -33,8 +40,14 @@ DEPENDENT = 1e-9
 """Least ratio of the singular values of dh from which its rows count as independent."""
 RANK_BOXES = 2000
 """Boxes after which the proof that the rows of dh are independent is given up; only the points speak for it then."""
-ROUNDING = 1e-7
-"""Bending below this fraction of the terms whose difference it is counts as zero."""
+ROUNDING = 64
+"""Roundings, for each state and unit of conditioning, of the terms whose difference counts as zero."""
+NO_OBSTACLE = 1e-6
+"""Bending of a level set, times the size of the region of the points, below which it is straight there."""
+LENGTHS = tuple(10.0**-k for k in range(1, 6))
+"""Lengths of the geodesics that are tried for a witness, as fractions of the level set's radius of curvature."""
+VIOLATES = 1e-6
+"""Fraction of the change of the output by which it has to return along a geodesic that is shown as a witness."""
 
 
 class Observability(NamedTuple):
@@ -72,16 +85,15 @@ class Observability(NamedTuple):
         if self.condition_2.verdict == "fails":
             at = ", ".join(f"{entry:.3g}" for entry in self.condition_2.point)
             return f"local only: the output's level sets bend by {self.condition_2.margin:.3g} at ({at})"
-        where = f"as sampled at {self.condition_1.domain}"
         if self.condition_2.verdict == "undecided":
-            return f"at least local, {where}: the second condition was not decided"
-        return f"local, and from any distance for a large enough gain, {where}"
+            return f"at least local, as sampled at {self.condition_1.domain}: the second condition was not decided"
+        return f"local, and from any distance for a large enough gain, as sampled at {self.condition_2.domain}"
 
 
 @check_numbers
 def detectability_rate(
     model: StateSpace,
-    metric: MatrixField,
+    metric: StateField,
     x: Annotated[Vector, FINITE],
     u: Annotated[Float[Array, "m"], FINITE] | None = None,
 ) -> Annotated[Scalar, KNOWN]:
@@ -92,7 +104,7 @@ def detectability_rate(
 
     Args:
         model: the system, with its output h.
-        metric: `x -> P (n, n)`.
+        metric: `x -> P (n, n)`, or `(t, x) -> P`, which is taken at t = 0.
         x: state (n,).
         u: constant input (m,), zero by default.
 
@@ -117,14 +129,14 @@ def detectability_rate(
         return jnp.where(independent, jnp.inf, -jnp.inf).astype(x.dtype)
     change = hidden.T @ lie_derivative(model, metric, x, u) @ hidden
     # Finsler's lemma: a ρ exists exactly where the inequality holds on the kernel of dh.
-    rate = -jnp.linalg.eigvalsh(whiten(hidden.T @ metric(x) @ hidden, change))[-1]
+    rate = -jnp.linalg.eigvalsh(whiten(hidden.T @ _at_start(metric)(x) @ hidden, change))[-1]
     return jax.lax.select(independent, rate, jnp.full_like(rate, -jnp.inf))
 
 
 @check_numbers
 def bending(
     model: StateSpace,
-    metric: MatrixField,
+    metric: StateField,
     x: Annotated[Vector, FINITE],
     u: Annotated[Float[Array, "m"], FINITE] | None = None,
 ) -> tuple[Annotated[Scalar, KNOWN], Vector]:
@@ -136,7 +148,7 @@ def bending(
 
     Args:
         model: the system, with its output h.
-        metric: `x -> P (n, n)`.
+        metric: `x -> P (n, n)`, or `(t, x) -> P`, which is taken at t = 0.
         x: state (n,).
         u: constant input (m,), zero by default.
 
@@ -156,23 +168,31 @@ def bending(
     return curvature, direction
 
 
-def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
-    """The bending, the size of the terms whose difference it is, and the direction."""
+def _bending(model: StateSpace, metric: StateField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
+    """The bending, its rounding, and the direction."""
     hidden, dh = _directions(model, x, u)
     if not hidden.shape[1]:  # level sets are points
         return jnp.zeros((), x.dtype), jnp.zeros((), x.dtype), jnp.zeros_like(x)
-    p = metric(x)
+    p, n = _at_start(metric)(x), len(x)
     unit = half_solve(hidden.T @ p @ hidden, hidden.T).T  # orthonormal in the metric
     t0, _, u0 = _arguments(model, x, u)
 
     def derivative_of_output(y):
         return jacobian(lambda z: model.h(t0, z, u0), y)
 
+    def on_unit(tensor, vectors):
+        return jnp.einsum("pij,ia,jb->abp", tensor.reshape(-1, n, n), vectors, vectors)
+
     # Second covariant derivative of h: ∇²h(v, w) = ∂²h(v, w) − dh(Γ(v, w)).
-    symbols = solve(p, lowered_christoffel(jacobian(metric, x)).reshape(-1, len(x)).T)
-    of_output = jnp.einsum("pij,ia,jb->abp", jacobian(derivative_of_output, x), unit, unit)
-    of_connection = jnp.einsum("pk,kij,ia,jb->abp", dh, symbols.reshape(-1, len(x), len(x)), unit, unit)
-    forms, sizes = of_output - of_connection, jnp.abs(of_output) + jnp.abs(of_connection)  # (k, k, p)
+    change, second = jacobian(_at_start(metric), x), jacobian(derivative_of_output, x)
+    inverse = solve(p, jnp.eye(n, dtype=x.dtype))
+    forms = on_unit(second, unit) - on_unit(dh @ inverse @ lowered_christoffel(change).reshape(-1, n).T, unit)
+    # The sizes of all terms before anything cancels, in the inverse and in Γ too, and what a rounding of them can be.
+    size = jnp.abs(change)
+    size = (jnp.transpose(size, (2, 0, 1)) + jnp.transpose(size, (0, 2, 1)) + size) / 2
+    size = jnp.abs(dh) @ jnp.abs(inverse) @ size.reshape(-1, n).T
+    sizes = on_unit(jnp.abs(second), jnp.abs(unit)) + on_unit(size, jnp.abs(unit))
+    rounding = ROUNDING * n * jnp.finfo(x.dtype).eps * jnp.linalg.cond(p)
     # Lengths of normal vectors: |a dh|² = aᵀ (dh P⁻¹ dhᵀ)⁻¹ a for the normal vector with dh(normal) = a.
     normal = half_solve(dh @ solve(p, dh.T), jnp.moveaxis(forms, -1, 0).reshape(dh.shape[0], -1))
     normal = jnp.moveaxis(normal.reshape(dh.shape[0], *forms.shape[:2]), 0, -1)
@@ -182,13 +202,13 @@ def _bending(model: StateSpace, metric: MatrixField, x: Vector, u: Array | None)
     best = jnp.argmax(jnp.abs(values))
     k = values.shape[1]
     direction = unit @ vectors[best // k][:, best % k]
-    return jnp.abs(values).reshape(-1)[best], scale * jnp.max(sizes), direction
+    return jnp.abs(values).reshape(-1)[best], rounding * scale * jnp.max(sizes), direction
 
 
 @check_numbers
 def observability(
     model: StateSpace,
-    metric: MatrixField,
+    metric: StateField,
     points: Annotated[Float[np.ndarray, "k n"], FINITE],
     *,
     u: Annotated[Float[Array, "m"], FINITE] | None = None,
@@ -207,7 +227,7 @@ def observability(
 
     Args:
         model: the system, with its output h.
-        metric: `x -> P (n, n)`.
+        metric: `x -> P (n, n)`, or `(t, x) -> P`, which is taken at t = 0.
         points: states (k, n), at least one.
         u: constant input (m,), zero by default.
         rate: rate [1/s]; the first condition holds where `detectability_rate` exceeds it at all points.
@@ -234,7 +254,8 @@ def observability(
     points = np.asarray(points, float)
     if points.ndim != 2 or not len(points):
         raise InputError(f"observability needs states `points` (k, n), at least one; got {points.shape}")
-    _check_premises(model, metric, points, u)
+    field = _at_start(metric)
+    _check_premises(model, field, points, u)
     sampled = _sample_conditions(model, metric, points, u)
     premises = (
         Hypothesis("the metric is positive definite at each of the points", "sampled"),
@@ -244,18 +265,12 @@ def observability(
         Hypothesis("it holds at other times, and under other inputs than the constant one given", "assumed"),
     )
     first = _contracting(sampled, rate, _describe_kernel(model, points, u), premises)
+    if isinstance(metric, StateMetric) and metric.lift is not None and _sees_positions(model, points, u):
+        return Observability(first, _straight_fibres(sampled, premises), None, None)
+    states, outputs = _witness(model, field, sampled, u, budget) if sampled.bent else (None, None)
     single_output = jax.eval_shape(model.h, *_arguments(model, jnp.asarray(points[0]), u)).shape == (1,)
-    second = _totally_geodesic(sampled, single_output, premises)
-    if not sampled.bent:
-        return Observability(first, second, None, None)
-    k = sampled.worst
-    shift = 0.1 / sampled.bends[k] * sampled.directions[k]
-    # Custom derivative rules of the metric are removed: with them, the geodesic would be that of another metric.
-    with contextlib.suppress(LoweringError):
-        metric = to_jax(lower(metric, jnp.asarray(points[k])))
-    states = _witness(metric, jnp.asarray(points[k]), jnp.asarray(shift), budget)
-    outputs = jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
-    return Observability(first, second, np.asarray(states), np.asarray(outputs))
+    verdict = "fails" if states is not None else "holds" if single_output and not sampled.bent else "undecided"
+    return Observability(first, _totally_geodesic(sampled, verdict, single_output, premises), states, outputs)
 
 
 class _Sampled(NamedTuple):
@@ -265,15 +280,17 @@ class _Sampled(NamedTuple):
         points: The states.
         rates: `detectability_rate` at each.
         bends: Largest principal curvature of the level sets of the output at each.
-        sizes: Sizes of the terms of which these are sums.
+        roundings: What roundings can make of a curvature that is zero.
         directions: The directions (k, n) in which the level sets bend most.
+        size: Largest distance of a point from their centre, to first order; infinite for a single point.
     """
 
     points: np.ndarray
     rates: np.ndarray
     bends: np.ndarray
-    sizes: np.ndarray
+    roundings: np.ndarray
     directions: np.ndarray
+    size: float
 
     @property
     def domain(self) -> str:
@@ -284,20 +301,24 @@ class _Sampled(NamedTuple):
     @property
     def worst(self) -> int:
         """The point where the bending exceeds rounding most."""
-        return int((self.bends - ROUNDING * self.sizes).argmax())
+        return int((self.bends - self.roundings).argmax())
 
     @property
     def bent(self) -> bool:
-        return bool(self.bends[self.worst] > ROUNDING * self.sizes[self.worst])
+        bend = self.bends[self.worst]
+        return bool(bend > self.roundings[self.worst] and bend * self.size > NO_OBSTACLE)
 
 
-def _sample_conditions(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> _Sampled:
+def _sample_conditions(model: StateSpace, metric: StateField, points: np.ndarray, u: Array | None) -> _Sampled:
     @eqx.filter_jit
     def conditions_at(x):
         return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
 
     values = jax.lax.map(conditions_at, jnp.asarray(points), batch_size=64)
-    sampled = _Sampled(points, *(np.asarray(a) for a in values))
+    away = points - points.mean(axis=0)
+    lengths = np.einsum("ki,ij,kj->k", away, np.asarray(_at_start(metric)(jnp.asarray(points.mean(axis=0)))), away)
+    size = float(np.sqrt(lengths.max())) if lengths.max() > 0 else np.inf
+    sampled = _Sampled(points, *(np.asarray(a) for a in values), size)
     for name, numbers in (("contraction rate", sampled.rates), ("bending", sampled.bends)):
         if np.isnan(numbers).any():
             raise InputError(f"the {name} is not a number at {_text(points[int(np.isnan(numbers).argmax())])}")
@@ -325,14 +346,16 @@ def _contracting(sampled: _Sampled, rate: float, hidden: str, premises: tuple[Hy
     )
 
 
-def _totally_geodesic(sampled: _Sampled, single_output: bool, premises: tuple[Hypothesis, ...]) -> Statement:
+def _totally_geodesic(
+    sampled: _Sampled, verdict: Verdict, single_output: bool, premises: tuple[Hypothesis, ...]
+) -> Statement:
     """The second condition."""
     largest, point = float(sampled.bends[sampled.worst]), sampled.points[sampled.worst]
     geodesic_levels = Hypothesis(
         "the level sets of the output do not bend at any of the points"
         + ("" if single_output else "; of several outputs this is known of one at a time only"),
         "sampled",
-        "fails" if sampled.bent else "holds" if single_output else "undecided",
+        verdict,
         largest,
         _text(point),
     )
@@ -346,7 +369,42 @@ def _totally_geodesic(sampled: _Sampled, single_output: bool, premises: tuple[Hy
     )
 
 
-def _check_premises(model: StateSpace, metric: MatrixField, points: np.ndarray, u: Array | None) -> None:
+def _straight_fibres(sampled: _Sampled, premises: tuple[Hypothesis, ...]) -> Statement:
+    """The second condition for the lift of a metric on configurations, with all configurations measured.
+
+    Velocities at one configuration are a totally geodesic set in the lift, and a geodesic's shadow only turns: while it
+    turns by less than a right angle, the distance of its configurations grows, whatever the number of outputs.
+    """
+    hypotheses = (
+        Hypothesis(
+            "the metric is a lift, whose fibres, the level sets of the positions, are totally geodesic", "proved"
+        ),
+        Hypothesis("the output is the position at each of the points", "sampled"),
+        Hypothesis(
+            "along geodesics the position turns by less than π/2 and has one shortest path to where it began; "
+            "`lifted_gain` says how far and fast that is",
+            "assumed",
+        ),
+    )
+    return Statement(
+        "level sets of the output are totally geodesic, and along geodesics that turn by less than π/2 the distance of "
+        "the outputs grows",
+        (f"states: {sampled.domain}",),
+        (*hypotheses, *premises),
+        0.0,
+        f"{sampled.domain}, where geodesics turn by less than π/2",
+    )
+
+
+def _sees_positions(model: StateSpace, points: np.ndarray, u: Array | None) -> bool:
+    """Whether the output is the first half of the state, at the points."""
+    n = points.shape[1] // 2
+    outputs = jax.lax.map(lambda x: model.h(*_arguments(model, x, u)), jnp.asarray(points))
+    dh = jax.lax.map(lambda x: _differentiate_output(model, x, u), jnp.asarray(points))
+    return np.array_equal(outputs, points[:, :n]) and np.array_equal(dh, np.broadcast_to(np.eye(n, 2 * n), dh.shape))
+
+
+def _check_premises(model: StateSpace, metric: StateField, points: np.ndarray, u: Array | None) -> None:
     """Raise `ValueError` where outputs are dependent, or the metric is none, at one of the points."""
 
     @eqx.filter_jit
@@ -416,12 +474,35 @@ def _names(model: StateSpace, n: int) -> tuple[str, ...]:
     return model.coordinates or tuple(f"x{k + 1}" for k in range(n))
 
 
-@eqx.filter_jit
-def _witness(metric: MatrixField, x: Vector, velocity: Vector, budget: Budget) -> Float[Array, "3 n"]:
-    """States before, at and after x on the geodesic with that velocity, which touches the level set at x."""
-    # Tangent to the level set, so that outputs of both ends differ little from each other, and more from that of x.
-    ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-velocity, 0.9 * velocity]))
-    return jnp.stack([ends[0], x, ends[1]])
+def _at_start(metric: StateField) -> MatrixField:
+    """The metric as a function of the state alone, at time zero."""
+    timed = with_time(metric)
+    return lambda x: timed(jnp.zeros((), x.dtype), x)
+
+
+def _witness(
+    model: StateSpace, metric: MatrixField, sampled: _Sampled, u: Array | None, budget: Budget
+) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+    """Three successive states on a geodesic that touches a level set, and their outputs, which return; or None."""
+    k = sampled.worst
+    x, radius = jnp.asarray(sampled.points[k]), sampled.directions[k] / sampled.bends[k]
+    # Custom derivative rules of the metric are removed: with them, the geodesic would be that of another metric.
+    with contextlib.suppress(LoweringError):
+        metric = to_jax(lower(metric, x))
+
+    @eqx.filter_jit
+    def around(velocity):
+        # Tangent to the level set, so that outputs of both ends differ little from each other, and more from that of x.
+        ends = jax.vmap(lambda v: exp(metric, x, v, budget))(jnp.stack([-velocity, 0.9 * velocity]))
+        states = jnp.stack([ends[0], x, ends[1]])
+        return states, jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
+
+    for length in LENGTHS:
+        states, outputs = map(np.asarray, around(jnp.asarray(length * radius)))
+        there, back = np.linalg.norm(outputs[1:] - outputs[0], axis=1)
+        if np.isfinite(states).all() and there - back > VIOLATES * there:
+            return states, outputs
+    return None, None
 
 
 def _directions(model: StateSpace, x: Vector, u: Array | None) -> tuple[Float[Array, "n k"], Float[Array, "p n"]]:

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from covariant._integrate import rk4
 from covariant._linalg import half_solve, pivots, solve
-from covariant._typing import Code, Flag, Matrix, MatrixField, Number, Scalar, Vector
-from covariant.metrics import Equation, RiccatiMetric
+from covariant._typing import Code, Flag, Matrix, Number, Scalar, StateField, Vector
+from covariant.metrics import Equation, RiccatiMetric, with_time
 from covariant.models import StateSpace
 from covariant.observers.base import (
     AbstractFlowObserver,
@@ -65,8 +65,9 @@ class Riccati(AbstractFlowObserver):
 
     Attributes:
         model: The system, with n states and p outputs.
-        metric: P, any function `x (n,) -> (n, n)`: `metrics.RiccatiMetric` computes it along the characteristic of the
-            estimate, a field designed on a grid interpolates it, and `metrics.high_gain` gives the high-gain observer.
+        metric: P, any function `x (n,) -> (n, n)` or `(t, x) -> (n, n)`: `metrics.RiccatiMetric` computes it along the
+            characteristic of the estimate, a field designed on a grid interpolates it, `metrics.high_gain` gives the
+            high-gain observer, and `certificates.tangent_metric` lifts a kinetic-energy metric.
         start: First estimate (n,).
         gain: k_E, a number or a function of x̂; ¼ by default. With P from an equation with rate λ, ¼ makes the distance
             in P decay at the rate λ/2, which a smaller gain may not reach; ½ is the stationary Kalman filter.
@@ -87,7 +88,7 @@ class Riccati(AbstractFlowObserver):
     """
 
     model: StateSpace
-    metric: MatrixField
+    metric: StateField
     start: Vector
     gain: Scalar | Callable[[Array], Array] = eqx.field(default=0.25, converter=as_gain)
     measurement_cov: Float[Array, "p p"] | None = None
@@ -117,7 +118,7 @@ class Riccati(AbstractFlowObserver):
     def flow(self, t: Scalar, state: Estimate, u: Float[Array, "m"], y: Float[Array, "p"]) -> Estimate:
         x = state.x
         output = _output(self.model, self.measurement_cov, t, x, u, y)
-        p = self._metric(x, u)
+        p = self._metric(t, x, u)
         correction = jnp.where(_is_metric(p), 2 * self._gain(x) * solve(p, output.jacobian.T @ output.error), 0.0)
         slope = self.model.f(t, x, u) - correction
         return Estimate(slope, jnp.ones_like(state.t), still(state.last_input), still(state.dt))
@@ -139,17 +140,17 @@ class Riccati(AbstractFlowObserver):
         """
         x, weight = state.x, 2 * self._gain(state.x) * step_length(state)
         output = _output(self.model, self.measurement_cov, state.t, x, u, y)
-        corrected, info = _correct(x, self._metric(x, u), weight, output)
+        corrected, info = _correct(x, self._metric(state.t, x, u), weight, output)
         return state._replace(x=corrected), info
 
     def _gain(self, x: Vector) -> Number:
         return self.gain(x) if callable(self.gain) else self.gain
 
-    def _metric(self, x: Vector, u: Array) -> Matrix:
+    def _metric(self, t: Scalar, x: Vector, u: Array) -> Matrix:
         if isinstance(self.metric, RiccatiMetric) and self.model.inputs:
             # The characteristic, which runs backwards in time, is computed with the present input.
             return eqx.tree_at(lambda m: m.u, self.metric, u, is_leaf=lambda leaf: leaf is None)(x)
-        return self.metric(x)
+        return with_time(self.metric)(t, x)
 
 
 class InformationState(NamedTuple):
