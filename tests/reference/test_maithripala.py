@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from covariant import models
 from covariant.geometry.lie import SO3
@@ -99,6 +100,7 @@ TOP = models.heavy_top(tuple(INERTIA))
 ROUND = models.heavy_top((1.0, 1.0, 1.0))
 
 
+@pytest.mark.long
 def test_a_misprint_adds_to_the_velocity_equation_what_is_said():
     """The effects listed for (19), (21), (8), S and (44), with the bracket of so(3), the vector product."""
     added, error, _, s, *_ = misprint(TOP, "transport")
