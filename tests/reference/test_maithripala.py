@@ -8,7 +8,7 @@ import pytest
 from covariant import models
 from covariant.geometry.lie import SO3
 from covariant.models import source
-from covariant.observers import Intrinsic
+from covariant.observers import Intrinsic, Salcudean
 from covariant.papers._errata import PrintedGroup
 
 INERTIA = np.array([1.0, 2.0, 3.5])
@@ -129,3 +129,26 @@ def test_with_the_printed_source_the_true_motion_is_no_solution():
     )
     np.testing.assert_allclose(right, true, atol=1e-10)
     np.testing.assert_allclose(wrong - right, weight - weight / INERTIA, atol=1e-10)
+
+
+def test_the_lyapunov_function_of_salcudean_falls_from_any_attitude():
+    """Reference [18]: V = ½|h̃|² + k_p(1 − e₀) has V' = −½k_p k_v e·I₀⁻¹e, also beyond a quarter turn."""
+    kp, kv, h = 9.0, 6.0, 1e-4
+    observer = Salcudean(models.free_body(tuple(INERTIA)), kp, kv)
+    flow = jax.jit(lambda state, y: observer.flow(state.t, state, jnp.zeros(3), y))
+    for angle in (0.3, 2.0, 3.0):
+        g, axis = turn(RNG.normal(size=3)), RNG.normal(size=3)
+        error = turn(angle * axis / np.linalg.norm(axis))  # in space, R R̂ᵀ
+        estimate, velocity, momentum = error.T @ g, RNG.normal(size=3), RNG.normal(size=3)
+        true_momentum = g @ (INERTIA * velocity)  # constant, of a free body
+        state = observer.init(jnp.asarray(g))._replace(q=jnp.asarray(estimate), momentum=jnp.asarray(momentum))
+        rate = flow(state, jnp.asarray(g))
+
+        def value(t, g=g, estimate=estimate, velocity=velocity, momentum=momentum, rate=rate, total=true_momentum):
+            attitude = g @ turn(t * velocity) @ (estimate @ turn(t * np.asarray(rate.q))).T
+            off = total - momentum - t * np.asarray(rate.momentum)
+            return off @ off / 2 + kp * (1 - np.sqrt(1 + np.trace(attitude)) / 2)
+
+        e = np.sin(angle / 2) * rotation_vector(error) / angle
+        slope = (value(h) - value(-h)) / (2 * h)
+        assert slope == pytest.approx(-kp * kv / 2 * (g.T @ e) @ (g.T @ e / INERTIA), rel=1e-5)
