@@ -130,6 +130,13 @@ def test_theorem_2_of_a_linear_system_that_turns(spread, converges):
         assert slopes.max() > 0.5
 
 
+def test_what_the_print_calls_contracting_at_two_and_a_half_grows_at_one_half():
+    """Effect of the misprint of Theorem 2: A = B = C = 1, G = −3, K = ½, and A + BG − KC = −2.5."""
+    path = runge_kutta(lambda t, x: np.array([x[0], x[1] + (x[0] - x[1]) / 2]) - 3 * x[1], [1.0, 0.5], 2.0, 200)
+    assert (path[-1, 0] - path[-1, 1]) / 0.5 == pytest.approx(np.exp(0.5 * 2.0), rel=1e-6)
+    assert 1 + 1 * -3 - 0.5 * 1 == -2.5
+
+
 def test_conditions_with_theta_are_those_with_p_and_hold_for_the_gains_of_the_ship():
     """(55)–(57): the generalised Jacobian of the observer of a moored ship in Θ_i = P_i^½, at several headings."""
     station = marine.Station(marine.supply_vessel(mooring=np.diag([5e4, 5e4, 5e7])))
