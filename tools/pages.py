@@ -97,14 +97,17 @@ def _paper_table(title: str, rows: list[list[str]]) -> str:
 
 
 def _paper_row(place: str, subject: str, code: str, test: str, page: str) -> str:
-    named, reason = subject.replace("misprint", "**misprint**"), test.removeprefix("not done: ")
-    cells = (
-        place,
-        f"[{named}]({page})" if page else named,
-        f"`{code}`" if code else "",
-        f"`{test}`" if reason == test else f"*not done*: {reason}",
-    )
+    named = subject.replace("misprint", "**misprint**")
+    cells = (place, f"[{named}]({page})" if page else named, f"`{code}`" if code else "", _paper_test(test))
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _paper_test(test: str) -> str:
+    """A test by its path; a drawing, an open question and what is not done in words."""
+    state, _, reason = test.partition(": ")
+    if state in ("not done", "open"):
+        return f"*{state}*: {reason}"
+    return "*a drawing*" if test == "drawing" else f"`{test}`"
 
 
 def benchmarks_table() -> str:

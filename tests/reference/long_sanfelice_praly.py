@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from covariant import models
+from covariant.geometry import Budget, distance
 from covariant.metrics import Equation, RiccatiMetric
-from covariant.observers import InformationEKF, Riccati, run
+from covariant.models import state_space
+from covariant.observers import LagrangianMetric, InformationEKF, Riccati, run
 from covariant.papers import sanfelice_praly
 from covariant.report import new_figure, save_figure
 from covariant.signals import Record
@@ -28,8 +30,45 @@ def test_errors_of_figure_1(rate):
 
 def test_small_entries_hide_a_metric_that_is_far_off():
     """At λ = 8 the entries are right to 1e-3 and the weakest direction wrong by a factor of hundreds."""
-    assert sanfelice_praly.figure1(8.0)["distance"][-1] > np.log(500.0)
+    assert np.exp(sanfelice_praly.figure1(8.0)["distance"][-1]) == pytest.approx(700.0, rel=0.05)
     assert sanfelice_praly.figure1(1.0)["distance"][-1] < np.log(2.0)
+
+
+def injection(metric, slope, gain):
+    """`−k_E P⁻¹ h_xᵀ (∂δ/∂y_a)ᵀ` of (3) for an output of the first coordinates, with the slope of δ at (h(x̂), y)."""
+    return -gain * np.linalg.solve(metric, np.concatenate([slope, np.zeros(len(metric) - len(slope))]))
+
+
+def differences(delta, at, h=1e-4):
+    return np.array([float(delta(at + h * e) - delta(at - h * e)) / (2 * h) for e in np.eye(len(at))])
+
+
+def test_equation_3_with_the_square_of_a_difference_and_of_a_distance():
+    """(3) in matrices is `Riccati` for δ = |y_a − y_b|², and `LagrangianMetric` for δ = ½d² and the lifted metric."""
+    model, rate, gain, none = models.unknown_frequency(), 2.0, 0.4, jnp.zeros(0)
+    x, y = jnp.array([0.4, 1.2, 0.9]), np.array([0.1])
+    observer = Riccati(model, sanfelice_praly.analytic_metric(rate), x, gain)
+    state = observer.init(jnp.asarray(y))
+    moved = observer.flow(state.t, state, none, jnp.asarray(y)).x - model.f(state.t, x, none)
+    slope = differences(lambda a: np.sum((a - y) ** 2), np.asarray(x[:1]))
+    gramian = np.asarray(sanfelice_praly.quadrature(x, rate, 30.0, 2000))
+    np.testing.assert_allclose(moved, injection(gramian, slope, gain), rtol=1e-6)
+
+    beam, m, sigma, gain = models.ball_and_beam(), 3.0, 1.5, 12.0
+    q, v, y, u = np.array([0.7, 0.3]), np.array([0.9, -1.1]), np.array([0.1, 0.8]), jnp.zeros(1)
+    observer = LagrangianMetric(beam, gain / m, sigma * gain / m, Budget())
+    state = observer.init(jnp.asarray(q))._replace(v=jnp.asarray(v))
+    flow = jax.jit(lambda y: observer.flow(state.t, state, u, y))(jnp.asarray(y))
+    plant = state_space(beam).f(state.t, jnp.asarray([*q, *v]), u)
+    apart = jax.jit(lambda a: distance(beam.space, a, jnp.asarray(y)))
+    slope = differences(lambda a: apart(jnp.asarray(a)) ** 2 / 2, q)
+    r, g = q[0], np.diag([1.0, 1 + q[0] ** 2])
+    # ζ = δv + Γ(v, δq): the columns of Γ(v, ·).
+    bend = np.array([[0.0, -r * v[1]], [r * v[1] / (1 + r**2), r * v[0] / (1 + r**2)]])
+    frame = np.block([[np.eye(2), np.zeros((2, 2))], [bend, np.eye(2)]])
+    metric = frame.T @ np.kron(np.array([[m + sigma**2, -sigma], [-sigma, 1.0]]), g) @ frame
+    found = np.concatenate([flow.q, flow.v]) - np.asarray(plant)
+    np.testing.assert_allclose(found, injection(metric, slope, gain), rtol=1e-5)
 
 
 class Swing(NamedTuple):

@@ -110,7 +110,7 @@ ERRATA: tuple[Erratum, ...] = (
         "Ω_e = ψ/(2 sin ψ) (R̃Rᵀ − RR̃ᵀ), v_e = W⁻¹(Rᵀb̃ − R̃ᵀb)",
         "Ω_e = ψ/(2 sin ψ) (RᵀR̃ − R̃ᵀR), v_e = W⁻¹Rᵀ(b̃ − b)",
         "not the logarithm of g⁻¹g̃: one is the rotation vector in space, the other subtracts vectors of two frames",
-        "the correction points elsewhere wherever the attitude is far from the identity, by an angle of first order",
+        "the correction of the attitude is turned by the attitude itself: it is right at the identity only",
         _GROUPS,
         "logarithm",
     ),
