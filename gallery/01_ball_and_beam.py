@@ -7,7 +7,7 @@ the gains ask for, with the double pole −0.7071 1/s. Without its curvature ter
 output injection (the copy observer), and neither ever arrives.
 
 Scenario: Aghannan & Rouchon 2003, figure 4, without noise. A second figure, `01_ball_and_beam_basin.png`, shows from
-which first errors three observers converge, for gains α = 2ω, β = ω²: below ω = 0.6 1/s the exact observer, with
+which first errors four observers converge, for gains α = 2ω, β = ω²: below ω = 0.6 1/s the exact observer, with
 geodesics, may lock to a motion several metres off, where the one to first order in the error converges.
 
 Figure: after 30 s the error of the intrinsic observer is 7e-8, as the double pole of the theory asks; without the
@@ -20,8 +20,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.geometry import Budget
 from covariant.models import ball_and_beam
-from covariant.observers import Intrinsic, ModelCopy
+from covariant.observers import Intrinsic, LagrangianMetric, ModelCopy
 from covariant.papers import aghannan_rouchon as paper
 from covariant.report import PALETTE, new_figure, save_figure
 from covariant.simulation import observe
@@ -92,18 +93,20 @@ figure, axes = new_figure(
 )
 error, basin = axes[0]
 t = np.linspace(0.0, 80.0, 81)
-for name, mark in (("exact", "o"), ("approximate", "s"), ("copy", "^")):
-    look = {"color": getattr(PALETTE, paper.COLORS[name]), "label": paper.LABELS[name]}
+for name, mark in (("exact", "o"), ("approximate", "s"), ("copy", "^"), ("lifted metric", "D")):
+    look = {"color": getattr(PALETTE, paper.COLORS.get(name, "olive")), "label": paper.LABELS.get(name, name)}
     largest = []
     for omega in omegas:
-        observer = paper.figure4_observers(2 * omega, omega**2)[name]
+        gains = 2 * omega, omega**2
+        compared = paper.figure4_observers(*gains) | {"lifted metric": LagrangianMetric(plant, *gains, Budget(steps=4))}
+        observer = compared[name]
         runs = paper.figure4_batch(observer, t, [(False, scale, 1e-6) for scale in scales])
         vanishes = np.array([run.error[-1] < 0.01 for run in runs])
         # Up to this one all of them vanish. Beyond, the basin may have islands.
         count = int(np.argmin([*vanishes, False]))
         largest.append(count / 10)
         islands = scales[count:][vanishes[count:]]
-        basin.plot(np.full(len(islands), omega), islands, mark, markerfacecolor="none", color=look["color"])
+        basin.plot(np.full(len(islands), omega), islands, mark, fillstyle="none", color=look["color"])
         print(
             f"{name}, ω = {omega} 1/s: errors up to {largest[-1]} times that of figure 4 vanish", *islands, flush=True
         )
@@ -111,7 +114,7 @@ for name, mark in (("exact", "o"), ("approximate", "s"), ("copy", "^")):
             off = runs[9].error
             error.semilogy(t, np.where(np.isfinite(off), off, np.nan), f"{mark}-", markevery=10, **look)
     basin.plot(omegas, largest, f"{mark}-", color=look["color"])
-basin.plot([], [], "s", markerfacecolor="none", color=PALETTE.text, label="but a smaller one does not")
+basin.plot([], [], "s", fillstyle="none", color=PALETTE.text, label="but a smaller one does not")
 for scale, text in ((1.0, "figure 4"), (scales[-1], "largest tried")):
     basin.axhline(scale, linestyle=":", color=PALETTE.text)
     basin.annotate(text, (2.0, scale + 0.01), ha="right", va="bottom", color=PALETTE.text)

@@ -11,7 +11,7 @@ from covariant import models
 from covariant.geometry import Budget, distance
 from covariant.metrics import Equation, RiccatiMetric
 from covariant.models import state_space
-from covariant.observers import LagrangianMetric, InformationEKF, Riccati, run
+from covariant.observers import InformationEKF, LagrangianMetric, Riccati, run
 from covariant.papers import sanfelice_praly
 from covariant.report import new_figure, save_figure
 from covariant.signals import Record
