@@ -248,6 +248,33 @@ class ReachClaim(AbstractClaim):
 
 
 @dataclasses.dataclass(frozen=True)
+class RemainderClaim(AbstractClaim):
+    """A tensor is at most `√square` long; from all of them follows how far observer (2) is from its approximation (5).
+
+    Attributes:
+        row: index of the tensor in `TENSORS`.
+        square: square of the bound of |T(u, …)|, for unit vectors u in the metric.
+    """
+
+    row: int
+    square: float
+
+    kind = "remainder"
+    TENSORS: ClassVar[tuple[str, ...]] = ("Γ(u, w)", "(∂Γ)(u, w, x)", "S", "R(u, v)v", "(∂R)(u, w, v)v")
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        count = len(cls.TENSORS) if setting.order is None else 0
+        return count, count
+
+    def text(self, terms: Terms) -> str:
+        del terms
+        return (
+            f"{self.TENSORS[self.row]} is at most {rounded_up(math.sqrt(self.square))} long, for unit vectors u, w, x"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
 class DisturbanceClaim(AbstractClaim):
     """Errors of measurement and force, relative to their sizes and in the unit ball, add at most `√square` to the flow.
 
@@ -393,6 +420,7 @@ class StartClaim(AbstractClaim):
 CLAIMS: dict[str, type[AbstractClaim]] = {
     "contraction": ContractionClaim,
     "reach": ReachClaim,
+    "remainder": RemainderClaim,
     "disturbance": DisturbanceClaim,
     "correction": CorrectionClaim,
     "missing": MissingClaim,

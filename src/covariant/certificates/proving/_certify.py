@@ -41,6 +41,8 @@ from covariant.certificates.base import (
     Intrinsics,
     ReachClaim,
     Region,
+    Remainder,
+    RemainderClaim,
     Resolved,
     Sampling,
     TwoByTwo,
@@ -52,6 +54,7 @@ from covariant.certificates.base import (
     disturbance_bound,
     disturbance_sizes,
     error_system,
+    first_order,
     first_velocity,
     force_bounds,
     force_slopes,
@@ -59,6 +62,7 @@ from covariant.certificates.base import (
     observer_document,
     reach_squares,
     region_of,
+    remainder_bound,
     squared_widths,
     start_claim,
     steady_of,
@@ -78,6 +82,7 @@ from covariant.certificates.sampled import (
     sampled_claims,
 )
 from covariant.models import MechanicalSystem
+from covariant.observers import Geodesic
 from scalargraph import Lowered, lower, numbers
 from scalargraph.errors import InputError
 from scalargraph.proofs import MOST_BOXES, Box, check_box
@@ -190,11 +195,17 @@ def certify(
         )
     if interval is None and (lost or lost_rows != "empty"):
         raise InputError("certify: lost samples need interval, the shortest and longest time between two samples")
+    exact = isinstance(observer, Geodesic)
+    if exact and (assumed.noise.any() or assumed.disturbance.any()):
+        raise InputError(
+            "certify: noise and disturbance are not covered for Geodesic; leave them out, or certify Intrinsic"
+        )
     region = region_of(observer.model, position, input, times)
     check_recipe(observer.model, recipe)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
-        system, domain, bounds, first = _in_continuous_time(observer, matrix, target, assumed, region, effort)
+        approximate = first_order(observer)
+        system, domain, bounds, first = _in_continuous_time(approximate, matrix, target, assumed, region, effort)
         corrections = []
     else:
         # The force depends on the input alone, so that no error of the position changes it.
@@ -208,6 +219,7 @@ def certify(
     if first.proof.verdict == "holds":
         limits = limits_of(domain, assumed.velocity, assumed.noise, sampled=sampling is not None)
         claims += _reach(system, limits, effort)
+        claims += _remainders(system, observer.curvature, effort) if exact else ()
         sizes = disturbance_sizes(bounds)
         if sampling is not None and assumed.disturbance.any():
             claims.append(force_claim(system, assumed.disturbance, effort))
@@ -221,6 +233,7 @@ def certify(
             claims += prediction_claims(observer, sampling, matrix, target, bounds, claims, allowed, effort)
         claims += start_claim(observer.model, system, claims, effort)
         radius = _radius(claims, limits, steady_of(sampling, matrix, target, bounds, claims))
+        radius = _exact_radius(observer, matrix, target, claims, radius) if exact else radius
     document = Document(
         "the proof",
         recipe,
@@ -287,6 +300,40 @@ def _reach(system: ErrorSystem, limits: np.ndarray, effort: Effort) -> Iterator[
             wider,
             WIDENINGS,
         )
+
+
+def _remainders(system: ErrorSystem, curvature: bool, effort: Effort) -> Iterator[RemainderClaim]:
+    """Claims on the tensors in which the exact observer differs from its approximation."""
+    for row, tensor in enumerate(RemainderClaim.TENSORS):
+        # The matrix is square G − TᵀgT, so that its values for 0 and 1 give the largest |T|², relative to G.
+        none, one = (
+            _sample_function(
+                remainder_bound(system, row, square, curvature).graph(jnp.asarray(effort.domain.low)).entries,
+                effort.domain,
+                2000,
+            )
+            for square in (0.0, 1.0)
+        )
+        largest = float(np.linalg.eigvals(np.linalg.solve(one - none, -none)).real.max())
+        yield effort.prove_claim(
+            f"bound of {tensor}",
+            RemainderClaim(UNPROVED, row, SLACK * largest + 1e-12),
+            lambda claim: remainder_bound(system, claim.row, claim.square, curvature),
+            lambda claim, point: dataclasses.replace(claim, square=claim.square * SLACK),
+            WIDENINGS,
+        )
+
+
+def _exact_radius(
+    observer: Intrinsics, q: TwoByTwo, rate: float, claims: Sequence[AbstractClaim], most: float
+) -> float:
+    """Largest radius, of some, within which the exact observer keeps half of the rate; zero below a hundredth."""
+    gains = float(observer.alpha), float(observer.beta)
+    for radius in most * np.geomspace(1.0, 0.01, 45):
+        remainder = Remainder.of(gains, q, claims, float(radius))
+        if remainder.rate <= rate / 4 and remainder.turn < 1:
+            return float(radius)
+    return 0.0
 
 
 def _radius(claims: Sequence[AbstractClaim], limits: np.ndarray, steady: float) -> float:
