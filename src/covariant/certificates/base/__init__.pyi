@@ -91,7 +91,7 @@ from ._recipe import (
     is_same_observer as is_same_observer,
 )
 from ._region import SPEED as SPEED, Bounds as Bounds, Region as Region, amount as amount, region_of as region_of
-from ._remainder import Remainder as Remainder
+from ._remainder import Remainder as Remainder, gain_length as gain_length
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
 from ._smoothness import ANALYTIC as ANALYTIC, show_no_jumps as show_no_jumps
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of

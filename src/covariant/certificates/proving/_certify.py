@@ -93,6 +93,8 @@ PATIENCE = 10.0
 """Time [s] that the checker has even where the proof took less."""
 SLACK = 1.05
 """Factor of margin on the square of a sampled width, so that the bound can be proved quickly."""
+REMAINDER_SLACK = 1.2
+"""The same for tensors, of whose bounds a few percent matter less than boxes."""
 WIDENINGS = 8
 """How often a bound that a counterexample refutes is tried again with a larger square."""
 
@@ -317,7 +319,7 @@ def _remainders(system: ErrorSystem, curvature: bool, effort: Effort) -> Iterato
         largest = float(np.linalg.eigvals(np.linalg.solve(one - none, -none)).real.max())
         yield effort.prove_claim(
             f"bound of {tensor}",
-            RemainderClaim(UNPROVED, row, SLACK * largest + 1e-12),
+            RemainderClaim(UNPROVED, row, REMAINDER_SLACK * largest + 1e-12),
             lambda claim: remainder_bound(system, claim.row, claim.square, curvature),
             lambda claim, point: dataclasses.replace(claim, square=claim.square * SLACK),
             WIDENINGS,
