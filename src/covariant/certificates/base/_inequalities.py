@@ -101,7 +101,8 @@ def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
 def remainder_bound(error_system: ErrorSystem, row: int, square: float, curvature: bool = True) -> Form:
     """Build the matrix `square g⊗…⊗g − TᵀgT` of a tensor T of `RemainderClaim`, with a column for all its vectors.
 
-    It is positive definite where |T(u, …)| < √square for all unit vectors; without the curvature term R is zero.
+    It is positive definite where |T(u, …)| < √square for all unit vectors. R is zero on a line, and counts as zero
+    where the observer has no curvature term.
     """
 
     def tensors(t, x, z):
@@ -114,7 +115,7 @@ def remainder_bound(error_system: ErrorSystem, row: int, square: float, curvatur
             return jax.vmap(lambda b: space.connection(place, a, b), out_axes=1)(each)
 
         def curved(a):
-            return space.curvature(place, a, v, v) if curvature else jnp.zeros_like(v)
+            return space.curvature(place, a, v, v) if curvature and n > 1 else jnp.zeros_like(v)
 
         if row < 2:
             tensor = jax.vmap(connection, out_axes=1)(each)

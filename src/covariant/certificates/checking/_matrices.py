@@ -83,7 +83,7 @@ def remainder(about: ErrorSystem, row: int, square: float, curvature: bool) -> M
             return jnp.stack([jnp.stack([space.connection(q, a, b) for b in unit], axis=-1) for a in unit], axis=-1)
 
         def curved(q):
-            return float(curvature) * jnp.stack([space.curvature(q, a, v, v) for a in unit], axis=-1)
+            return float(curvature and n > 1) * jnp.stack([space.curvature(q, a, v, v) for a in unit], axis=-1)
 
         tensor = (
             lambda: christoffel(q),

@@ -9,6 +9,9 @@ distance decreases as `e^(−λt/2)`.
 With bounds of the measurement error and of an unmodelled force there is a fourth claim: what these add to the flow has
 at most the length D. Then the true motion is a solution of the observer's own flow up to D, so that the distance ends
 below 2D/λ. An estimate within ε stays so where 2D/λ < ε.
+
+The exact observer (2) is (5) with a disturbance of second order in the error, which takes part of the rate, see
+`covariant.certificates.base._remainder`.
 Source: Aghannan & Rouchon 2003, Theorems 1 and 2, and Fig. 2; Lohmiller & Slotine 1998, section 3.7 for D.
 """
 
@@ -95,6 +98,8 @@ SLACK = 1.05
 """Factor of margin on the square of a sampled width, so that the bound can be proved quickly."""
 REMAINDER_SLACK = 1.2
 """The same for tensors, of whose bounds a few percent matter less than boxes."""
+LEAST_REMAINDER = 1e-4
+"""Least square of their bounds: that a tensor vanishes is hard to prove, and nothing is lost by little of it."""
 WIDENINGS = 8
 """How often a bound that a counterexample refutes is tried again with a larger square."""
 
@@ -124,6 +129,10 @@ def certify(
 ) -> ContractionCertificate:
     """Prove that an intrinsic observer converges at a rate, from within a radius, on a region.
 
+    For `Geodesic`, observer (2) of the paper, the contraction of (5) is proved, and how far the two flows differ. The
+    radius is then such that at least half of the rate remains, and the rate of closer estimates approaches λ/2. What is
+    not proved is that its search finds a geodesic: `info.result` and `info.distance` tell at run time.
+
     Use it for an observer that you have built, such as `Intrinsic` with gains of your own; the verb `covariant.certify`
     starts from a model file and designs the gains. The result holds for every motion within the bounds, unlike a
     simulation. λ is the rate of squared lengths, so that errors decrease at λ/2, and the radius is in the metric Q.
@@ -131,7 +140,7 @@ def certify(
     tighter bounds, and does not refute the claim.
 
     Args:
-        observer: the observer, with model and gains.
+        observer: the observer, with model and gains: an `Intrinsic`, or a `Geodesic` in coordinates.
         velocity: bound of each true velocity [unit/s], a number or (n,). There is no certificate without it: the tube
             of Theorem 1 shrinks as the velocity grows.
         error: bound of the error of the estimated position [unit], in coordinates or as `log(g⁻¹ g̃)`, a number or
@@ -172,9 +181,9 @@ def certify(
 
     Raises:
         ValueError: an argument without its bound, an error up to which a logarithm is not unique, friction or force
-            that are not covered, a `q` that is not symmetric positive definite, the recipe of another model, or
-            another word for `checker`; with `interval`, two times that are not positive and in order, or `q`;
-            without it, lost samples.
+            that are not covered, noise or disturbance of a `Geodesic`, a `q` that is not symmetric positive definite,
+            the recipe of another model, or another word for `checker`; with `interval`, two times that are not positive
+            and in order, or `q`; without it, lost samples.
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """
@@ -319,7 +328,7 @@ def _remainders(system: ErrorSystem, curvature: bool, effort: Effort) -> Iterato
         largest = float(np.linalg.eigvals(np.linalg.solve(one - none, -none)).real.max())
         yield effort.prove_claim(
             f"bound of {tensor}",
-            RemainderClaim(UNPROVED, row, REMAINDER_SLACK * largest + 1e-12),
+            RemainderClaim(UNPROVED, row, max(REMAINDER_SLACK * largest, LEAST_REMAINDER)),
             lambda claim: remainder_bound(system, claim.row, claim.square, curvature),
             lambda claim, point: dataclasses.replace(claim, square=claim.square * SLACK),
             WIDENINGS,
