@@ -93,7 +93,7 @@ def bound(gains, matrix, sizes, d):
     radius = d / np.sqrt(2 * matrix[1, 1] / np.linalg.det(matrix))
     claims = [RemainderClaim(UNPROVED, row, float(size) ** 2 + 1e-300) for row, size in enumerate(sizes)]
     remainder = Remainder.of(gains, matrix, claims, radius)
-    assert remainder.turn < 1
+    assert remainder.rate < np.inf
     return remainder.rate * radius / d**2
 
 
@@ -172,8 +172,12 @@ def test_prover_and_checker_have_the_same_sum(certificate):
     gains = {"alpha": FAST[0], "beta": FAST[1]}
     document = SimpleNamespace(q=certificate.q, radius=certificate.radius, observer=gains)
     remainder = Remainder.of(FAST, certificate.q, certificate.claims, certificate.radius)
-    checked = _matrices.remainder_rate(document, bounds)
-    np.testing.assert_allclose(checked, (remainder.rate, remainder.turn), rtol=1e-4)
+    assert _matrices.remainder_rate(document, bounds) == pytest.approx(remainder.rate, rel=1e-4)
+    # Where K d or K'd² is so large that a second geodesic may lead to the measurement, both say nothing.
+    for sizes in ((3.0, 0.01, 0, 0, 0), (0.01, 1e3, 0, 0, 0), (100.0, 0.01, 0, 0, 0)):
+        claims = [RemainderClaim(UNPROVED, row, size**2) for row, size in enumerate(sizes)]
+        assert Remainder.of(FAST, certificate.q, claims, 0.1).rate == np.inf
+        assert _matrices.remainder_rate(SimpleNamespace(**vars(document) | {"radius": 0.1}), list(sizes)) == np.inf
 
 
 def starts(certificate, count, seed=0):

@@ -40,38 +40,31 @@ class Remainder(NamedTuple):
     """What the exact observer loses against its approximation within a radius.
 
     Attributes:
-        rate: largest loss [1/s] of the decay rate of distances, `L₂ d²/d_G` at the radius.
+        rate: largest loss `L₂ d²/d_G` [1/s] of the decay rate of distances; infinite where two geodesics of this length
+            may lead to the measurement.
         distance: largest length d of the geodesic to the measurement, in the metric on configurations.
-        turn: a number below 1 where no two geodesics of this length lead to the measurement.
     """
 
     rate: float = 0.0
     distance: float = 0.0
-    turn: float = 0.0
 
     @classmethod
     def of(
-        cls,
-        gains: tuple[float, float],
-        q: Float[np.ndarray, "2 2"],
-        claims: Sequence[AbstractClaim],
-        radius: float,
+        cls, gains: tuple[float, float], q: Float[np.ndarray, "2 2"], claims: Sequence[AbstractClaim], radius: float
     ) -> "Remainder":
         """Compute it from the claims on remainders; nothing is lost where there are none."""
         bounds = [math.sqrt(claim.square) for claim in select(claims, RemainderClaim)]
         if not bounds or not radius:
             return cls()
-        k, k1, s, r, r1 = bounds
-        (a, c), (_, b) = q.tolist()
+        (k, k1, s, r, r1), (a, c, b) = bounds, (q[0, 0], q[0, 1], q[1, 1])
         distance = math.sqrt(2 * b / (a * b - c * c)) * radius * (1 + ROUND)
-        if k * distance * math.exp(k * distance) >= 1:
-            return cls(math.inf, distance, math.inf)
-        stretch = math.exp(k * distance)
-        length = gain_length(gains, q)
+        stretch = math.exp(min(k * distance, 1.0))
+        chords = stretch / max(1 - k * distance * stretch, 1e-3)
+        if chords**4 * (k1 * distance**2 / 4 + k * distance) >= 1:
+            return cls(math.inf, distance)
         of_acceleration = s * (k1 + 3 * k * k) / 2 + r1 + 1.5 * k * r
-        largest = stretch**2 * (k * length / 2 + math.sqrt(b / 2) * of_acceleration)
-        turn = (stretch / (1 - k * distance * stretch)) ** 4 * (k1 * distance**2 / 4 + k * distance)
-        return cls(largest * distance**2 / radius * (1 + ROUND), distance, turn * (1 + ROUND))
+        largest = stretch**2 * (k * gain_length(gains, q) / 2 + math.sqrt(b / 2) * of_acceleration)
+        return cls(float(largest * distance**2 / radius * (1 + ROUND)), float(distance))
 
 
 def gain_length(gains: tuple[float, float], q: Float[np.ndarray, "2 2"]) -> float:

@@ -188,8 +188,7 @@ def _complete(resolved: Resolved) -> None:
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
     if remainders := select(claims, RemainderClaim):
         _need(not disturbance, "given: noise and disturbance are not covered for the exact observer")
-        lost, turn = matrices.remainder_rate(document, [math.sqrt(claim.square) for claim in remainders])
-        _need(turn < 1, f"radius: within {radius:.6g} a second geodesic may lead to the measurement")
+        lost = matrices.remainder_rate(document, [math.sqrt(claim.square) for claim in remainders])
         left = f"{lost:.6g} 1/s, and the rate falls from {document.rate / 2:.6g} to {document.decay:.6g} 1/s"
         _need(0 < document.decay <= document.rate / 2 - lost, f"radius: the exact observer may lose {left}")
     if document.sampling is not None:

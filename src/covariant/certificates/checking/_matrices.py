@@ -101,23 +101,22 @@ def remainder(about: ErrorSystem, row: int, square: float, curvature: bool) -> M
     return matrix
 
 
-def remainder_rate(document: Document, bounds: list[float]) -> tuple[float, float]:
-    """Bound what (2) loses [1/s] against (5), and the number below 1 where geodesics to the measurement are unique."""
+def remainder_rate(document: Document, bounds: list[float]) -> float:
+    """Bound what (2) loses [1/s] against (5): infinite where geodesics to the measurement may not be unique."""
     (a, c), (_, b) = document.q.tolist()
     alpha, beta = document.observer["alpha"], document.observer["beta"]
     connection, slope, source, curvature, change = bounds
     per_radius = math.sqrt(2 * b / (a * b - c * c))
     bend = connection * per_radius * document.radius
-    if not bend * math.exp(bend) < 1:
-        return math.inf, math.inf
+    chord = 1 / (math.exp(-bend) - bend) if bend < 0.5 else math.inf
+    if not chord**4 * (slope * (per_radius * document.radius) ** 2 / 4 + bend) < 1 - ROUND:
+        return math.inf
     # Second-order terms: of the logarithm, of the parallel transport of the source, and of the curvature.
     of_log = connection / 2 * math.sqrt((a * alpha**2 + 2 * c * alpha * beta + b * beta**2) / 2)
     of_transport = source * (slope + 3 * connection**2) / 2
     of_curvature = change + 3 * connection * curvature / 2
     terms = of_log + math.sqrt(b / 2) * (of_transport + of_curvature)
-    rate = math.exp(2 * bend) * terms * per_radius**2 * document.radius
-    chord = math.exp(bend) / (1 - bend * math.exp(bend))
-    return rate * (1 + ROUND), chord**4 * (slope * (bend / connection) ** 2 / 4 + bend) * (1 + ROUND)
+    return math.exp(2 * bend) * terms * per_radius**2 * document.radius * (1 + ROUND)
 
 
 def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:

@@ -215,8 +215,9 @@ def certify(
     check_recipe(observer.model, recipe)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
-        approximate = first_order(observer)
-        system, domain, bounds, first = _in_continuous_time(approximate, matrix, target, assumed, region, effort)
+        system, domain, bounds, first = _in_continuous_time(
+            first_order(observer), matrix, target, assumed, region, effort
+        )
         corrections = []
     else:
         # The force depends on the input alone, so that no error of the position changes it.
@@ -244,7 +245,13 @@ def certify(
             claims += prediction_claims(observer, sampling, matrix, target, bounds, claims, allowed, effort)
         claims += start_claim(observer.model, system, claims, effort)
         radius = _radius(claims, limits, steady_of(sampling, matrix, target, bounds, claims))
-        radius = _exact_radius(observer, matrix, target, claims, radius) if exact else radius
+        if exact:
+            # The largest, of some, with which half of the rate remains; none below a hundredth of the tube of (5).
+            gains, tried = (
+                (float(observer.alpha), float(observer.beta)),
+                (radius * np.geomspace(1.0, 0.01, 45)).tolist(),
+            )
+            radius = next((r for r in tried if Remainder.of(gains, matrix, claims, r).rate <= target / 4), 0.0)
     document = Document(
         "the proof",
         recipe,
@@ -317,14 +324,9 @@ def _remainders(system: ErrorSystem, curvature: bool, effort: Effort) -> Iterato
     """Claims on the tensors in which the exact observer differs from its approximation."""
     for row, tensor in enumerate(RemainderClaim.TENSORS):
         # The matrix is square G − TᵀgT, so that its values for 0 and 1 give the largest |T|², relative to G.
-        none, one = (
-            _sample_function(
-                remainder_bound(system, row, square, curvature).graph(jnp.asarray(effort.domain.low)).entries,
-                effort.domain,
-                2000,
-            )
-            for square in (0.0, 1.0)
-        )
+        forms = (remainder_bound(system, row, square, curvature) for square in (0.0, 1.0))
+        low = jnp.asarray(effort.domain.low)
+        none, one = (_sample_function(form.graph(low).entries, effort.domain, 2000) for form in forms)
         largest = float(np.linalg.eigvals(np.linalg.solve(one - none, -none)).real.max())
         yield effort.prove_claim(
             f"bound of {tensor}",
@@ -333,18 +335,6 @@ def _remainders(system: ErrorSystem, curvature: bool, effort: Effort) -> Iterato
             lambda claim, point: dataclasses.replace(claim, square=claim.square * SLACK),
             WIDENINGS,
         )
-
-
-def _exact_radius(
-    observer: Intrinsics, q: TwoByTwo, rate: float, claims: Sequence[AbstractClaim], most: float
-) -> float:
-    """Largest radius, of some, within which the exact observer keeps half of the rate; zero below a hundredth."""
-    gains = float(observer.alpha), float(observer.beta)
-    for radius in most * np.geomspace(1.0, 0.01, 45):
-        remainder = Remainder.of(gains, q, claims, float(radius))
-        if remainder.rate <= rate / 4 and remainder.turn < 1:
-            return float(radius)
-    return 0.0
 
 
 def _radius(claims: Sequence[AbstractClaim], limits: np.ndarray, steady: float) -> float:
