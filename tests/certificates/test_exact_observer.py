@@ -132,7 +132,7 @@ def test_the_exact_observer_has_a_certificate(certificate):
     premise = next(h.text for h in statement.hypotheses if "`info.distance`" in h.text)
     remainder = Remainder.of(FAST, certificate.q, certificate.claims, certificate.radius)
     assert f"shorter than {remainder.distance:.4g}" in premise
-    assert f"adds {gain_length(FAST, certificate.q):.4g} r" in premise
+    assert f"adds {gain_length(FAST, certificate.q):.4g} r to the flow" in premise
     matrix, ratio, d, sizes = sampled(BEAM, FAST, (-0.3, -0.3), (0.3, 0.3), 0.03, 0.3, 0.5)
     np.testing.assert_allclose(matrix, certificate.q)
     assert d < remainder.distance

@@ -269,9 +269,7 @@ class RemainderClaim(AbstractClaim):
 
     def text(self, terms: Terms) -> str:
         del terms
-        return (
-            f"{self.TENSORS[self.row]} is at most {rounded_up(math.sqrt(self.square))} long, for unit vectors u, w, x"
-        )
+        return f"{self.TENSORS[self.row]} is at most {rounded_up(math.sqrt(self.square))} long, where u, w and x are 1 long"
 
 
 @dataclasses.dataclass(frozen=True)

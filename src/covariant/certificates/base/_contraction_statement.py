@@ -77,9 +77,10 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
     terms = Terms(document.rate, document.radius, document.sampling, entries)
     yield from (claim.hypothesis(terms, evidence) for claim in document.claims)
     if all(claim.proof.verdict == "holds" for claim in document.claims):
-        if select(document.claims, RemainderClaim):
+        if exact := select(document.claims, RemainderClaim):
             yield _remainder(document, evidence)
-        yield _radius(document, evidence)
+        if document.radius or not exact:
+            yield _radius(document, evidence)
         if select(document.claims, MissingClaim):
             yield _factor(document, evidence)
         if select(document.claims, PredictionClaim):
@@ -139,8 +140,8 @@ def _geodesic(document: Document) -> str:
     gain = gain_length((document.observer["alpha"], document.observer["beta"]), document.q)
     return (
         f"the geodesics that the observer finds are shorter than {document.remainder.distance:.4g}, as `info.distance` "
-        "tells (then each is the shortest one), and exact: `info.result` reports those that are not, and an error r of "
-        f"a logarithm adds {gain:.4g} r to the flow by the gains"
+        "tells (then each is the shortest one), and exact: `info.residual` tells by how much one misses, and by the "
+        f"gains an error r of its logarithm adds {gain:.4g} r to the flow"
     )
 
 

@@ -131,7 +131,7 @@ def certify(
 
     For `Geodesic`, observer (2) of the paper, the contraction of (5) is proved, and how far the two flows differ. The
     radius is then such that at least half of the rate remains, and the rate of closer estimates approaches λ/2. What is
-    not proved is that its search finds a geodesic: `info.result` and `info.distance` tell at run time.
+    not proved is that its search finds a geodesic: `info.residual` and `info.distance` tell at run time.
 
     Use it for an observer that you have built, such as `Intrinsic` with gains of your own; the verb `covariant.certify`
     starts from a model file and designs the gains. The result holds for every motion within the bounds, unlike a
@@ -247,10 +247,8 @@ def certify(
         radius = _radius(claims, limits, steady_of(sampling, matrix, target, bounds, claims))
         if exact:
             # The largest, of some, with which half of the rate remains; none below a hundredth of the tube of (5).
-            gains, tried = (
-                (float(observer.alpha), float(observer.beta)),
-                (radius * np.geomspace(1.0, 0.01, 45)).tolist(),
-            )
+            gains = float(observer.alpha), float(observer.beta)
+            tried = (radius * np.geomspace(1.0, 0.01, 45)).tolist()
             radius = next((r for r in tried if Remainder.of(gains, matrix, claims, r).rate <= target / 4), 0.0)
     document = Document(
         "the proof",
