@@ -269,7 +269,8 @@ class RemainderClaim(AbstractClaim):
 
     def text(self, terms: Terms) -> str:
         del terms
-        return f"{self.TENSORS[self.row]} is at most {rounded_up(math.sqrt(self.square))} long, where u, w and x are 1 long"
+        size = rounded_up(math.sqrt(self.square))
+        return f"{self.TENSORS[self.row]} is at most {size} long, where u, w and x are 1 long"
 
 
 @dataclasses.dataclass(frozen=True)
