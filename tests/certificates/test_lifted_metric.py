@@ -82,13 +82,13 @@ BOUNDS = {"position": ([-2.5, -4.0], [2.5, 4.0]), "velocity": 0.25, "error": 0.2
 
 
 def test_a_ball_on_a_beam_converges_from_where_it_is_said_to():
-    statement = certify_distance(observers.LagrangianMetric(BEAM, 80.0, 400.0), interval=0.0, **BOUNDS).statement
+    statement = certify_distance(observers.LagrangianMetric(BEAM, 80.0, 400.0), **BOUNDS).statement
     assert statement.short == "holds (proved)"
-    low = certify_distance(observers.LagrangianMetric(BEAM, 4.0, 20.0), interval=0.0, **BOUNDS)
+    low = certify_distance(observers.LagrangianMetric(BEAM, 4.0, 20.0), **BOUNDS)
     assert low.statement.short == "undecided"
     remedy = next(h.place for h in low.statement.hypotheses if h.verdict == "undecided")
     alpha, beta = (float(part.split(" = ")[1].split(" ")[0]) for part in remedy.split(","))
-    again = certify_distance(observers.LagrangianMetric(BEAM, 1.01 * alpha, 1.01 * beta), interval=0.0, **BOUNDS)
+    again = certify_distance(observers.LagrangianMetric(BEAM, 1.01 * alpha, 1.01 * beta), **BOUNDS)
     assert again.statement.short == "holds (proved)"
-    far = certify_distance(observers.LagrangianMetric(BEAM, 80.0, 400.0), interval=0.0, **BOUNDS | {"error": 5.0})
+    far = certify_distance(observers.LagrangianMetric(BEAM, 80.0, 400.0), **BOUNDS | {"error": 5.0})
     assert far.statement.short == "undecided"

@@ -168,7 +168,7 @@ def _by_distance(
     without = {key: settings[key] for key in ("times", "rate", "q", "noise", "disturbance", "lost")} | {"find": find}
     if given := [key for key, value in without.items() if value is not None and np.any(value)]:
         raise InputError(f"a certificate of {BY_DISTANCE} has no {', '.join(given)}; leave it out")
-    shortest, longest = settings["interval"] or (0.0, 0.0)
+    shortest, longest = settings["interval"] or (None, None)
     if shortest != longest:
         raise InputError(f"a certificate of {BY_DISTANCE} is about one interval; got {shortest:g} to {longest:g} s")
     kept = {key: settings[key] for key in ("position", "velocity", "error", "input", "boxes")}

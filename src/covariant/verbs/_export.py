@@ -155,7 +155,7 @@ def export(
     read = tuple(name for part in designed.sensors for name in part.signals)
     units = {**program.units, **designed.units}
     program = program._replace(signals=kind_of(file).signals(program.u, read), units=units)
-    substeps = getattr(getattr(runs, "observer", runs), "substeps", None)
+    substeps = getattr(runs, "observer", runs).substeps or None
     code = _Code(program, prefix, about + sentences, measured, codegen.Facts(rate, substeps, proved, refusals))
     files, lacks = _write_unit(code, out, fmi, overwrite) if unit else _write_folder(code, out, packages, overwrite)
     warnings = tuple(line for line in (assumed, unbounded, *lacks) if line)

@@ -10,6 +10,7 @@ from ._claims import (
     MissingClaim as MissingClaim,
     PredictionClaim as PredictionClaim,
     ReachClaim as ReachClaim,
+    RemainderClaim as RemainderClaim,
     Setting as Setting,
     StartClaim as StartClaim,
     reach_squares as reach_squares,
@@ -54,6 +55,7 @@ from ._inequalities import (
     joint_force_bound as joint_force_bound,
     length_change as length_change,
     missing_bound as missing_bound,
+    remainder_bound as remainder_bound,
     squared_widths as squared_widths,
     width_bound as width_bound,
 )
@@ -65,6 +67,7 @@ from ._intrinsic import (
     configuration_shape as configuration_shape,
     dimension as dimension,
     error_system as error_system,
+    first_order as first_order,
     frame_of as frame_of,
     friction_of as friction_of,
     need_joint_friction as need_joint_friction,
@@ -86,6 +89,7 @@ from ._recipe import (
     is_same_observer as is_same_observer,
 )
 from ._region import SPEED as SPEED, Bounds as Bounds, Region as Region, amount as amount, region_of as region_of
+from ._remainder import Remainder as Remainder, gain_length as gain_length
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
 from ._smoothness import ANALYTIC as ANALYTIC, show_no_jumps as show_no_jumps
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of

@@ -248,6 +248,32 @@ class ReachClaim(AbstractClaim):
 
 
 @dataclasses.dataclass(frozen=True)
+class RemainderClaim(AbstractClaim):
+    """A tensor is at most `√square` long; from all of them follows how far observer (2) is from its approximation (5).
+
+    Attributes:
+        row: index of the tensor in `TENSORS`.
+        square: square of the bound of |T(u, …)|, for unit vectors u in the metric.
+    """
+
+    row: int
+    square: float
+
+    kind = "remainder"
+    TENSORS: ClassVar[tuple[str, ...]] = ("Γ(u, w)", "(∂Γ)(u, w, x)", "S", "R(u, v)v", "(∂R)(u, w, v)v")
+
+    @classmethod
+    def count(cls, setting: Setting) -> tuple[int, int]:
+        count = len(cls.TENSORS) if setting.order is None else 0
+        return count, count
+
+    def text(self, terms: Terms) -> str:
+        del terms
+        size = rounded_up(math.sqrt(self.square))
+        return f"{self.TENSORS[self.row]} is at most {size} long, where u, w and x are 1 long"
+
+
+@dataclasses.dataclass(frozen=True)
 class DisturbanceClaim(AbstractClaim):
     """Errors of measurement and force, scaled to the unit ball by their bounds, add at most `√square` to the flow.
 
@@ -393,6 +419,7 @@ class StartClaim(AbstractClaim):
 CLAIMS: dict[str, type[AbstractClaim]] = {
     "contraction": ContractionClaim,
     "reach": ReachClaim,
+    "remainder": RemainderClaim,
     "disturbance": DisturbanceClaim,
     "correction": CorrectionClaim,
     "missing": MissingClaim,

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from covariant.certificates.base._assumed import ASSUMED, ASSUMED_WITH_SAMPLES
-from covariant.certificates.base._claims import CLAIMS, MissingClaim, PredictionClaim, Terms, select
+from covariant.certificates.base._claims import CLAIMS, MissingClaim, PredictionClaim, RemainderClaim, Terms, select
 from covariant.certificates.base._document import Document, Resolved
 from covariant.certificates.base._intrinsic import observer_document
 from covariant.certificates.base._properties import PERIODIC, SYMMETRIC
+from covariant.certificates.base._remainder import gain_length
 from covariant.certificates.base._sampling import Sampling
 from covariant.certificates.base._start import start_of
 from covariant.certificates.base._statement import Evidence, Hypothesis, Statement, exact, rounded_down
@@ -43,6 +44,8 @@ def _converges(document: Document) -> str:
         if bounds.any():
             conditions.append(f"{label} up to {', '.join(f'{bound:.4g}' for bound in bounds)}")
     end = f" to {document.steady:.4g} or less" if document.steady else ""
+    if document.remainder.rate:
+        end = f", which approaches {rounded_down(document.rate / 2)} 1/s"
     if document.sampling is not None:
         conditions.append(_samples(document.sampling))
     return (
@@ -74,7 +77,10 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
     terms = Terms(document.rate, document.radius, document.sampling, entries)
     yield from (claim.hypothesis(terms, evidence) for claim in document.claims)
     if all(claim.proof.verdict == "holds" for claim in document.claims):
-        yield _radius(document, evidence)
+        if exact := select(document.claims, RemainderClaim):
+            yield _remainder(document, evidence)
+        if document.radius or not exact:
+            yield _radius(document, evidence)
         if select(document.claims, MissingClaim):
             yield _factor(document, evidence)
         if select(document.claims, PredictionClaim):
@@ -107,9 +113,36 @@ def _assumptions(document: Document) -> Iterator[Hypothesis]:
     yield from (
         Hypothesis(line, "assumed") for line in (ASSUMED if document.sampling is None else ASSUMED_WITH_SAMPLES)
     )
+    if document.radius and select(document.claims, RemainderClaim):
+        yield Hypothesis(_geodesic(document), "assumed")
     if document.sampling is not None:
         absent = (kind for kind in CLAIMS.values() if kind.assumed_without and not select(document.claims, kind))
         yield from (Hypothesis(kind.assumed_without, "assumed") for kind in absent)
+
+
+def _remainder(document: Document, evidence: Evidence) -> Hypothesis:
+    """That the exact observer converges where its approximation does, on what is left of the rate."""
+    text = "the exact observer differs little enough from its approximation (5), which is proved to contract"
+    if document.radius:
+        left = rounded_down(document.decay)
+        return Hypothesis(
+            f"{text}: of {document.rate / 2:.4g} 1/s it leaves {left} 1/s", evidence, margin=document.decay
+        )
+    reason = (
+        "the exact observer may differ too much from its approximation (5), by tensors whose bounds are above; ask for "
+        "a higher rate, give a smaller velocity, error, position or input, or certify Intrinsic"
+    )
+    return Hypothesis(text, evidence, "undecided", None, reason)
+
+
+def _geodesic(document: Document) -> str:
+    """What is assumed of the geodesics that the exact observer finds."""
+    gain = gain_length((document.observer["alpha"], document.observer["beta"]), document.q)
+    return (
+        f"the geodesics that the observer finds are shorter than {document.remainder.distance:.4g}, as `info.distance` "
+        "tells (then each is the shortest one), and exact: `info.residual` tells by how much one misses, and by the "
+        f"gains an error r of its logarithm adds {gain:.4g} r to the flow"
+    )
 
 
 def _factor(document: Document, evidence: Evidence) -> Hypothesis:

@@ -18,6 +18,7 @@ from covariant.certificates.base._box import Given, first_velocity
 from covariant.certificates.base._claims import CLAIMS, AbstractClaim, Setting, reach_squares
 from covariant.certificates.base._error_system import ErrorSystem
 from covariant.certificates.base._intrinsic import OBSERVERS, Intrinsics
+from covariant.certificates.base._remainder import Remainder
 from covariant.certificates.base._sampling import Loss, Sampling, unit_reach
 from covariant.certificates.base._steady import claimed_drift, loss_of, steady_of
 from scalargraph.errors import InputError
@@ -121,9 +122,14 @@ class Document(NamedTuple):
         return loss_of(self.sampling, self.q, self.rate, self.claims)
 
     @property
+    def remainder(self) -> Remainder:
+        """What the exact observer loses against its approximation; nothing for any other."""
+        return Remainder.of((self.observer["alpha"], self.observer["beta"]), self.q, self.claims, self.radius)
+
+    @property
     def decay(self) -> float:
         """Rate [1/s] at which distances decrease."""
-        return self.rate / 2 - self.loss.rate
+        return self.rate / 2 - self.loss.rate - self.remainder.rate
 
     @property
     def steady(self) -> float:

@@ -1,5 +1,6 @@
 """Builds the inequalities of a proof: symmetric matrices that must be positive definite on a region."""
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -95,6 +96,43 @@ def width_bound(error_system: ErrorSystem, row: int, square: float) -> Form:
         return square * point.metric.gram(t, point.x) - jnp.outer(r, r)
 
     return as_form(matrix)
+
+
+def remainder_bound(error_system: ErrorSystem, row: int, square: float, curvature: bool = True) -> Form:
+    """Build the matrix `square g⊗…⊗g − TᵀgT` of a tensor T of `RemainderClaim`, with a column for all its vectors.
+
+    It is positive definite where |T(u, …)| < √square for all unit vectors. R is zero on a line, and counts as zero
+    where the observer has no curvature term.
+    """
+
+    def tensors(t, x, z):
+        space = error_system.at(z).metric.lift
+        place, v = jnp.split(x, 2)
+        n = len(place)
+        each = jnp.eye(n, dtype=x.dtype)
+
+        def connection(a):
+            return jax.vmap(lambda b: space.connection(place, a, b), out_axes=1)(each)
+
+        def curved(a):
+            return space.curvature(place, a, v, v) if curvature and n > 1 else jnp.zeros_like(v)
+
+        if row < 2:
+            tensor = jax.vmap(connection, out_axes=1)(each)
+        else:
+            tensor = space.raise_(place, z[3 * n : 4 * n]) if row == 2 else jax.vmap(curved, out_axes=1)(each)
+        return space(place), tensor
+
+    def parts(derivatives, nodes, count):
+        g, tensor = nodes
+        return g, derivatives.each(tensor, range(1, 1 + count // 2)) if row in (1, 4) else tensor
+
+    def formula(g, tensor):
+        columns = tensor.reshape(len(g), -1)
+        grams = functools.reduce(jnp.kron, [g] * (tensor.ndim - 1), jnp.ones((1, 1)))
+        return square * grams - columns.T @ g @ columns
+
+    return derivative_form(tensors, lambda z: error_system.at(z).x, parts, formula)
 
 
 def squared_widths(error_system: ErrorSystem, z: Vector) -> Float[Array, "two_n"]:
@@ -246,6 +284,7 @@ def missing_bound(error_system: ErrorSystem, square: float, limit: float, reach:
 FORMS: dict[str, Callable[[Resolved, Any], Form]] = {
     "contraction": lambda of, claim: contraction(of.about, of.document.rate),
     "reach": lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    "remainder": lambda of, claim: remainder_bound(of.about, claim.row, claim.square, of.observer.curvature),
     "correction": lambda of, claim: correction(
         of.about, of.document.given.noise if claim.squares else None, claim.squares
     ),

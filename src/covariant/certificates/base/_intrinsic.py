@@ -87,6 +87,15 @@ def error_system(observer: Intrinsics, q: Annotated[TwoByTwo, FINITE], joint_fri
     )
 
 
+def first_order(observer: Intrinsics) -> Intrinsic:
+    """Return observer (5) for the exact one (2): that of the same model, gains and curvature; any other unchanged."""
+    if not isinstance(observer, Geodesic):
+        return observer
+    if not observer.model.manifold.commuting:
+        raise InputError("the exact observer is covered in coordinates, where its geodesics stay in a box")
+    return Intrinsic(observer.model, observer.alpha, observer.beta, curvature=observer.curvature)
+
+
 def configuration_shape(model: MechanicalSystem, n: int) -> tuple[int, ...]:
     """Return the shape of a configuration: (n,) for coordinates, or the shape of a matrix of the group."""
     return (n,) if model.manifold.commuting else jax.eval_shape(model.manifold.origin).shape
@@ -273,11 +282,6 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
 
     Errors must be below half a turn: in each circle, and in each rotation at the farthest corner of the box.
     """
-    if isinstance(observer, Geodesic):
-        raise InputError(
-            "the exact observer searches its geodesic, and that it finds the shortest one is not proved; certify the "
-            "approximate one, Intrinsic"
-        )
     model = observer.model
     if model.manifold.rotations is None:
         raise InputError(
@@ -308,7 +312,7 @@ def observer_document(observer: Intrinsics) -> dict[str, Any]:
         value = getattr(observer, field.name)
         if field.name in OBSERVERS[kind]:
             content[field.name] = value
-        elif field.name not in ("model", "alpha", "beta", "substeps") and value != field.default:
+        elif field.name not in ("model", "alpha", "beta", "substeps", "budget") and value != field.default:
             raise InputError(f"an observer with {field.name} = {value!r} cannot be written into a certificate")
     return content
 

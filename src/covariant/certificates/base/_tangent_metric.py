@@ -1,7 +1,8 @@
 """Builds the metric on the tangent bundle in which an intrinsic observer contracts.
 
 A variation (δq, δv) of a state (q, v) has the components `ξ = δq` and `ζ = δv + Γ(v, δq)`, both tangent vectors at q.
-The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, where the matrix `Q = [[a, c], [c, b]]` is chosen for the gains.
+The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, where the matrix `Q = [[a, c], [c, b]]` is chosen for the gains. For
+Q = I it is half of the metric of Sasaki (1958).
 
 Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt lacks a factor ½.
 """
@@ -209,6 +210,14 @@ def optimal_lyapunov(alpha: Annotated[Number, FINITE], beta: Annotated[Number, F
 @check_numbers
 def tangent_metric(metric: MatrixField, q: Annotated[TwoByTwo, FINITE]) -> StateMetric:
     """Build the metric on states x = (q, v) from a metric on configurations and a matrix Q, in the frame (ξ, ζ).
+
+    Its squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`. For Q = I it is half of Sasaki's metric, in which horizontal
+    displacements ξ (v transported in parallel) and vertical ones ζ are orthogonal. Of another Q, a and b scale the two,
+    and c ≠ 0 tilts them against each other, as the feedback couples position and velocity errors. It is positive
+    definite on all of the tangent bundle TQ, at every velocity, wherever the metric on configurations is.
+
+    Source: Sasaki 1958, On the differential geometry of tangent bundles of Riemannian manifolds, Tôhoku Math. J. 10;
+    Aghannan & Rouchon 2003, section IV.
 
     Args:
         metric: metric `q (n,) -> (n, n)` on configurations, or a space of `covariant.geometry`.

@@ -24,6 +24,7 @@ from covariant.certificates.base import (
     Document,
     PredictionClaim,
     ReachClaim,
+    RemainderClaim,
     Resolved,
     StartClaim,
     check_unique,
@@ -186,6 +187,11 @@ def _complete(resolved: Resolved) -> None:
     for row, (claim, r, available) in enumerate(zip(reaches, widths, limits, strict=True)):
         what = f"claims[{row + 1}].limit: row {row} reaches {r:.6g}, may reach {claim.limit:.6g}"
         _need(r <= claim.limit <= available, f"{what}, and has {available:.6g} of room")
+    if remainders := select(claims, RemainderClaim):
+        _need(not disturbance, "given: noise and disturbance are not covered for the exact observer")
+        lost = matrices.remainder_rate(document, [math.sqrt(claim.square) for claim in remainders])
+        left = f"{lost:.6g} 1/s, and the rate falls from {document.rate / 2:.6g} to {document.decay:.6g} 1/s"
+        _need(0 < document.decay <= document.rate / 2 - lost, f"radius: the exact observer may lose {left}")
     if document.sampling is not None:
         sampled.need_sampled_rate_and_radius(document)
     elif disturbance:

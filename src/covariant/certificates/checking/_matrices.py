@@ -4,6 +4,7 @@ Like the matrices of the prover, they are built from the observer's flow and the
 the checker uses JAX derivatives, after removing custom derivative rules.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -66,6 +67,54 @@ def width_bound(about: ErrorSystem, row: int, square: float) -> Matrix:
         return square * point.metric.gram(jnp.zeros(()), point.x) - jnp.outer(r, r)
 
     return matrix
+
+
+def remainder(about: ErrorSystem, row: int, square: float, curvature: bool) -> Matrix:
+    """Build `square g⊗…⊗g − TᵀgT` for the tensor of a row of the claims on remainders, all in coordinates."""
+
+    def matrix(z):
+        x, space = about.at(z).x, about.at(z).metric.lift
+        (q, v), n = jnp.split(x, 2), len(x) // 2
+        unit = np.eye(n)
+
+        def christoffel(q):
+            return jnp.stack([jnp.stack([space.connection(q, a, b) for b in unit], axis=-1) for a in unit], axis=-1)
+
+        def curved(q):
+            return float(curvature and n > 1) * jnp.stack([space.curvature(q, a, v, v) for a in unit], axis=-1)
+
+        tensor = (
+            lambda: christoffel(q),
+            lambda: jacobian(christoffel, q),
+            lambda: space.raise_(q, z[3 * n : 4 * n]),
+            lambda: curved(q),
+            lambda: jacobian(curved, q),
+        )[row]()
+        g, grams = space(q), jnp.ones((1, 1))
+        for _ in range(tensor.ndim - 1):
+            grams = jnp.kron(grams, g)
+        columns = tensor.reshape(n, -1)
+        return square * grams - columns.T @ g @ columns
+
+    return matrix
+
+
+def remainder_rate(document: Document, bounds: list[float]) -> float:
+    """Bound what (2) loses [1/s] against (5): infinite where geodesics to the measurement may not be unique."""
+    (a, c), (_, b) = document.q.tolist()
+    alpha, beta = document.observer["alpha"], document.observer["beta"]
+    connection, slope, source, curvature, change = bounds
+    per_radius = math.sqrt(2 * b / (a * b - c * c))
+    bend = connection * per_radius * document.radius
+    chord = 1 / (math.exp(-bend) - bend) if bend < 0.5 else math.inf
+    if not chord**4 * (slope * (per_radius * document.radius) ** 2 / 4 + bend) < 1 - ROUND:
+        return math.inf
+    # Second-order terms: of the logarithm, of the parallel transport of the source, and of the curvature.
+    of_log = connection / 2 * math.sqrt((a * alpha**2 + 2 * c * alpha * beta + b * beta**2) / 2)
+    of_transport = source * (slope + 3 * connection**2) / 2
+    of_curvature = change + 3 * connection * curvature / 2
+    terms = of_log + math.sqrt(b / 2) * (of_transport + of_curvature)
+    return math.exp(2 * bend) * terms * per_radius**2 * document.radius * (1 + ROUND)
 
 
 def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
@@ -282,6 +331,7 @@ def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Matrix:
 MATRICES: dict[str, Callable[[Resolved, Any], Matrix]] = {
     "contraction": lambda of, claim: contraction(of.about, of.document.rate),
     "reach": lambda of, claim: width_bound(of.about, claim.row, claim.square),
+    "remainder": lambda of, claim: remainder(of.about, claim.row, claim.square, of.observer.curvature),
     "disturbance": _disturbance,
     "correction": lambda of, claim: correction(
         of.about, of.document.given.noise if claim.squares else None, claim.squares

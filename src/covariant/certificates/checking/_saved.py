@@ -12,6 +12,7 @@ from covariant.certificates.base import (
     Sampling,
     check_replacement,
     error_system,
+    first_order,
     frame_of,
 )
 from covariant.certificates.sampled import sampled_system
@@ -47,7 +48,7 @@ def system_of(
 ) -> ErrorSystem:
     """Return the error system of an observer and its metric, in continuous time or with samples."""
     if sampling is None:
-        return error_system(observer, q, joint_friction)
+        return error_system(first_order(observer), q, joint_friction)
     if not isinstance(observer, Intrinsic):
         raise TypeError(f"sampling is covered for Intrinsic alone; got {type(observer).__name__}")
     return sampled_system(observer, q, sampling)

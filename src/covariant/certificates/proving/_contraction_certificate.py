@@ -15,6 +15,7 @@ from covariant.certificates.base import (
     Intrinsics,
     PredictionClaim,
     Recursion,
+    Remainder,
     Resolved,
     Sampling,
     Start,
@@ -128,9 +129,12 @@ class ContractionCertificate(NamedTuple):
         """Decay rate μ [1/s]: distances decrease as `e^(−μt)`.
 
         Returns:
-            λ/2; with sampled measurements less the loss by the factor of the correction.
+            λ/2; with sampled measurements less the loss by the factor of the correction. For `Geodesic` less what it
+            differs from `Intrinsic` at the radius; the rate of closer estimates approaches λ/2.
         """
-        return self.rate / 2 - loss_of(self.sampling, self.q, self.rate, self.claims).rate
+        gains = float(self.observer.alpha), float(self.observer.beta)
+        remainder = Remainder.of(gains, self.q, self.claims, self.radius)
+        return self.rate / 2 - loss_of(self.sampling, self.q, self.rate, self.claims).rate - remainder.rate
 
     @property
     def steady(self) -> float:

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from covariant._domains import NOT_NEGATIVE, Count, NotNegative, check_numbers
+from covariant._domains import NOT_NEGATIVE, Count, NotNegative, Positive, check_numbers
 from covariant.certificates.base import (
     ANALYTIC,
     PERIODIC,
@@ -101,10 +101,10 @@ class DistanceCertificate(NamedTuple):
 def certify_distance(
     observer: LagrangianMetric,
     *,
-    interval: NotNegative,
     position: Bounds,
     velocity: Annotated[ArrayLike, SPEED],
     error: Annotated[ArrayLike, NOT_NEGATIVE],
+    interval: Positive | None = None,
     velocity_error: NotNegative | None = None,
     input: Bounds | ArrayLike = 0.0,
     recipe: dict[str, Any] | None = None,
@@ -114,11 +114,11 @@ def certify_distance(
 
     Args:
         observer: the observer, with a model of two coordinates without friction, and its gains.
-        interval: time [s] between two measurements; 0 for the observer in continuous time, which measures always.
         position: least and largest positions, (2,) each, of truth and estimates; on circles a whole turn is
             everywhere.
         velocity: bound of each true velocity [unit/s], a number or (2,).
         error: bound of the error of each estimated position [unit] before the first correction, a number or (2,).
+        interval: time [s] between two measurements; without it the observer runs in continuous time.
         velocity_error: bound of `|Πv̂ − v|` at that time, a length in the metric, with v̂ transported to the true
             position; by
             default the largest true speed, as for an observer that starts at rest.
@@ -169,8 +169,11 @@ def certify_distance(
     found = _prove_bounds(known, speeds, errors, boxes)
     bounds = found.bounds if velocity_error is None else found.bounds._replace(velocity_error=float(velocity_error))
     alpha, beta = float(observer.alpha), float(observer.beta)
-    sigma, part = beta / alpha, alpha * interval / (1 + alpha * interval)
-    decay = distance_decay(interval, part, sigma, bounds) if interval else dense_decay(alpha, sigma, bounds)
+    sigma = beta / alpha
+    if interval:
+        decay = distance_decay(interval, alpha * interval / (1 + alpha * interval), sigma, bounds)
+    else:
+        decay = dense_decay(alpha, sigma, bounds)
     remedy = "another α or β, or a shorter interval, may do; else smaller bounds"
     if not interval:
         least = least_gain(sigma, sigma / 2, bounds).alpha

@@ -116,6 +116,7 @@ def _quarter(curvature: float) -> float:
     return math.pi / 2 / math.sqrt(curvature) * (1 - SLACK) if curvature > 0 else math.inf
 
 
+@check_numbers
 def least_gain(sigma: Positive, rate: Positive, bounds: DistanceBounds) -> LiftedGain:
     """Find the weight m with the least gain of `lifted_gain`.
 
