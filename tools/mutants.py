@@ -121,7 +121,6 @@ RELEVANT = {
     "calibration/*": "calibration/test_estimators calibration/test_gain_rule calibration/test_speeds "
     "calibration/test_tune",
     "codegen/_fm*.py": "codegen/test_fmu",
-    "codegen/_python_control.py": "codegen/test_python_control",
     "codegen/templates/*": "codegen/test_python_package",
     "codegen/*": "codegen/test_export",
     "engine/_cache*.py": "engine/test_cache",

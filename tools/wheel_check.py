@@ -99,17 +99,6 @@ TRIALS = {
             ("covariant", "certify", "--check", "proved.json"),
         )
     ),
-    "control": Trial(
-        (
-            (
-                "python",
-                "-c",
-                "import jax.numpy as jnp; from covariant import codegen, models; f = lambda t, x, u: -x + u; "
-                "model = models.StateSpace(f, lambda t, x, u: x, coordinates=('x',), inputs=1); "
-                "print(codegen.plant(model))",
-            ),
-        )
-    ),
     "scale": Trial(
         (("covariant", "design", "metric", "unknown_frequency", "--grid", "5", "--rate", "8", "-o", "P.zarr"),)
     ),

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.certificates import CurvedErrors, part_limits, proved_decay
+from covariant.certificates import part_limits
 from covariant.geometry import Budget, Euclidean, hyperbolic, sphere
 from covariant.models import Lagrangian, free_body
 from covariant.observers import LagrangianMetric
@@ -147,96 +147,3 @@ def test_a_correction_follows_the_jacobi_field(name):
     v, xi, w = np.random.default_rng(2).normal(size=(3, n))
     given = (observer, q, jnp.asarray(v), y, jnp.array(0.15), jnp.asarray(xi), jnp.asarray(w))
     np.testing.assert_allclose(jnp.stack(corrected(*given)), by_jacobi_field(*given, kappa), rtol=0, atol=1e-7)
-
-
-@eqx.filter_jit
-def growth(observer, m0, q, v, towards, h):
-    """Largest growth of `√(m₀|ξ|² + |w|²)` over a step (K,) to samples some displacement away from the prediction."""
-    space, manifold, sigma = observer.model.space, observer.model.manifold, observer.beta / observer.alpha
-    n = v.shape[-1]
-    zero = jnp.zeros(n)
-
-    def step(q, v, y):
-        state = observer.init(q)._replace(v=v)
-        new = observer.correct(observer.predict(state, zero, h), zero, y)[0]
-        return new.q, new.v
-
-    def root(q):
-        return jnp.linalg.cholesky(space(q)).T  # to orthonormal components
-
-    def one(q, v, towards):
-        predicted = observer.predict(observer.init(q)._replace(v=v), zero, h)
-        y = space.transport_along(predicted.q, towards, zero, BUDGET).q
-        new_q, new_v = step(q, v, y)
-
-        def response(xi, w):
-            """(√m₀ ξ⁺, w⁺) in orthonormal components, from the same before."""
-            xi, w = jnp.linalg.solve(root(q), jnp.stack([xi / jnp.sqrt(m0), w]).T).T
-            shift = w + sigma * xi - space.connection(q, xi, v)
-
-            def nearby(s, v):
-                moved_q, moved_v = step(manifold.retract(q, s), v, y)
-                return manifold.local(new_q, moved_q), moved_v
-
-            _, (xi_new, change) = jax.jvp(nearby, (zero, v), (xi, shift))
-            w_new = change + space.connection(new_q, xi_new, new_v) - sigma * xi_new
-            return jnp.concatenate([jnp.sqrt(m0) * root(new_q) @ xi_new, root(new_q) @ w_new])
-
-        axes = jnp.eye(2 * n)
-        return jnp.linalg.norm(jax.vmap(lambda e: response(e[:n], e[n:]))(axes), 2)
-
-    return jax.vmap(one)(q, v, towards)
-
-
-def directions(model, q, size, rng):
-    """Vectors (K, n) of some lengths at configurations, in the metric."""
-    draws = rng.normal(size=(len(q), model.manifold.zero(q[0]).shape[0]))
-    length = jax.vmap(model.space.norm)(q, jnp.asarray(draws))
-    return jnp.asarray(draws * (size / np.asarray(length))[:, None])
-
-
-def worst_growth(model, m0, part, d, speed, q, h):
-    """Over the configurations given, at speeds up to one, for samples up to a distance away."""
-    rng = np.random.default_rng(3)
-    gain = part / (h * (1 - part))
-    observer = LagrangianMetric(model, 1.0, 1.0, BUDGET, 4)
-    observer = eqx.tree_at(lambda o: (o.alpha, o.beta), observer, (jnp.array(gain), jnp.array(6.0 * gain)))
-    v = directions(model, q, speed * rng.uniform(size=len(q)) ** 0.2, rng)
-    towards = directions(model, q, d * rng.uniform(size=len(q)) ** 0.2, rng)
-    return float(growth(observer, jnp.asarray(m0), q, v, towards, jnp.asarray(h)).max())
-
-
-def near_the_origin(count):
-    """The chart has one point less than the sphere: geodesics over it are to stay away."""
-    return jnp.asarray(np.random.default_rng(4).uniform(-0.1, 0.1, (count, 2)))
-
-
-def rotations(count):
-    return jnp.broadcast_to(jnp.eye(3), (count, 3, 3))  # all are alike
-
-
-ROUND = {
-    "sphere": (Lagrangian(sphere()), near_the_origin, 1.0),
-    "SO(3)": (free_body((1.0, 1.0, 1.0)), rotations, 0.25),
-}
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", ROUND)
-def test_no_error_on_a_curved_space_falls_more_slowly_than_proved(name):
-    """At any distance, speed and part; without the terms of curvature, or with half of the least part, some do."""
-    model, places, kappa = ROUND[name]
-    root = math.sqrt(kappa)
-    q, h, sigma, tightest = places(200), 0.05, 6.0, 0.0
-    for x, speed in ((0.1, 0.5), (0.6, 2.0), (1.4, 1.0), (2.2, 1.0), (2.8, 0.5)):
-        k, d = (0.0, kappa * speed**2), x / root
-        for part in (0.3, 0.6, 0.95):
-            decay = proved_decay(h, part, sigma, *k, curved=CurvedErrors(d, kappa, kappa, speed))
-            share = worst_growth(model, decay.before, part, d, speed, q, h) / math.exp(-decay.rate * h)
-            assert share <= 1 + 1e-8, (x, speed, part)
-            tightest = max(tightest, share)
-    assert tightest > 0.98
-    flat = proved_decay(h, 0.3, sigma, 0.0, kappa)
-    assert worst_growth(model, flat.before, 0.3, 1.4 / root, 1.0, q, h) > 1.1 * math.exp(-flat.rate * h)
-    least = part_limits(h, sigma, 0.0, 0.0)
-    assert worst_growth(model, least.before, least.least / 2, 0.1, 0.5, q, h) > 1.05

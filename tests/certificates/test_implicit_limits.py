@@ -4,7 +4,6 @@ Every bound is also tried where it must fail: below the least gain, and beyond t
 """
 
 import math
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -12,13 +11,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from covariant.certificates import (
-    CurvedErrors,
     implicit_gains,
     longest_interval,
     part_limits,
     proved_decay,
 )
-from covariant.certificates.theory._implicit_limits import _growth, weight_of
+from covariant.certificates.theory._implicit_limits import weight_of
 
 UNIFORM = [(4.0, 1.0), (4.0, 5.0), (0.0, 3.0), (-4.0, 5.0), (-4.0, 1.0), (9.81, 6.0)]
 """k and σ."""
@@ -124,23 +122,3 @@ def test_the_gains_have_the_rate_that_they_were_designed_for():
 def test_numbers_that_make_no_sense_are_refused(spoil):
     with pytest.raises(ValueError, match=r"part_limits|longest_interval|implicit_gains"):
         implicit_gains(**{"h": 0.05, "sigma": 6.0, "k_minus": -9.81, "k_plus": 9.81, **spoil})
-
-
-# A pendulum, with errors of any size
-
-
-# Curved spaces
-
-
-def test_the_growth_does_not_cancel_where_both_roots_are_one():
-    """There the difference of nearly equal numbers was wrong by √ε, on the side of a faster rate."""
-    after = 1.0
-    for tiny in (1e-8, 1e-9, 1e-10, -1e-8, -1e-9, -1e-10):
-        assert abs(_growth(1 + tiny, after, 1.0, 0.0) - max(1 + tiny, 1.0)) < 1e-15
-    exact = Fraction(1, 2**30)  # with m₀j² = m_h the roots are 1 + s/2 ± √(s + s²/4)
-    assert abs(_growth(1.0, after, 1.0, 2.0**-15) - (1 + float(exact) / 2 + math.sqrt(exact + exact**2 / 4))) < 1e-15
-
-
-def test_where_a_conjugate_point_may_be_nothing_is_said():
-    with pytest.raises(ValueError, match="π/√κ"):
-        proved_decay(0.05, 0.5, 6.0, 0.0, 1.0, curved=CurvedErrors(3.2, 1.0, 1.0, 1.0))

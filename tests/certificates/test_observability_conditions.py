@@ -38,7 +38,7 @@ def test_circles_in_the_plane_bend_by_one_over_their_radius():
     curved = jax.jit(jax.vmap(lambda x: bending(model, eye, x)))
     for radius in (0.1, 1.0, 30.0):
         x = radius * jnp.array([[1.0, 0.0], [0.6, -0.8]])
-        curvature, direction = curved(x)
+        curvature, _, direction = curved(x)
         np.testing.assert_allclose(curvature, 1 / radius, rtol=1e-12)
         np.testing.assert_allclose(jnp.sum(direction * x, axis=1), 0.0, atol=1e-12 * radius)
         np.testing.assert_allclose(jnp.linalg.norm(direction, axis=1), 1.0, rtol=1e-12)
@@ -52,7 +52,7 @@ def test_circles_of_latitude_bend_by_the_cotangent_and_the_equator_does_not():
     model = system(still, lambda x: x[:1])
     polar = jnp.array([0.3, 1.0, np.pi / 2, 2.0])
     points = jnp.stack([polar, jnp.linspace(0.0, 2.0, 4)], axis=1)
-    curvature, _ = jax.jit(jax.vmap(lambda x: bending(model, polar_sphere, x)))(points)
+    curvature, *_ = jax.jit(jax.vmap(lambda x: bending(model, polar_sphere, x)))(points)
     np.testing.assert_allclose(curvature, np.abs(1 / np.tan(polar)), rtol=1e-10, atol=1e-12)
 
 
@@ -60,7 +60,7 @@ def test_a_sphere_in_space_has_the_largest_of_its_principal_curvatures():
     """An ellipsoid's curvatures at its tip (0, 0, c) are c/a² and c/b²."""
     a, b, c = 2.0, 3.0, 1.5
     model = system(still, lambda x: ((x[0] / a) ** 2 + (x[1] / b) ** 2 + (x[2] / c) ** 2)[None], 3)
-    curvature, direction = bends(model, eye, jnp.array([0.0, 0.0, c]))
+    curvature, _, direction = bends(model, eye, jnp.array([0.0, 0.0, c]))
     assert curvature == pytest.approx(c / a**2, rel=1e-12)
     np.testing.assert_allclose(np.abs(direction), [1.0, 0.0, 0.0], atol=1e-12)
 

@@ -24,7 +24,6 @@ ABOUT = {
     "filterpy": "FilterPy's extended and unscented Kalman filter on the same models and logs as those here. The models "
     "are written again in NumPy for it.",
     "fmi": "FMPy validates exported units of both versions of FMI, and its simulation is compared with Python.",
-    "control": "python-control's vertical take-off aircraft, with an observer of this library in its loop.",
     "sysid": "MuJoCo's system identification beside `covariant fit`, on one log of a servo.",
     "dynamics": "Every included robot, and random trees, beside MuJoCo and Pinocchio (`tools/compare_robots.py`).",
 }

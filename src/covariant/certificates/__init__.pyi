@@ -40,7 +40,6 @@ from .sampled import (
 from .theory import (
     CascadeCertificate as CascadeCertificate,
     Corners as Corners,
-    CurvedErrors as CurvedErrors,
     DistanceBounds as DistanceBounds,
     DistanceCertificate as DistanceCertificate,
     MetricDesign as MetricDesign,

@@ -11,7 +11,6 @@ from ._program import (
     trace_program as trace_program,
     with_open_numbers as with_open_numbers,
 )
-from ._python_control import closed_loop as closed_loop, observer_system as observer_system, plant as plant
 from ._python_package import python_files as python_files
 from ._ros_package import ros_files as ros_files
 from ._source import write_source as write_source
@@ -19,4 +18,4 @@ from ._vectors import ROWS as ROWS, vectors as vectors
 from ._wasm import check_wasm_compiler as check_wasm_compiler, wasm_files as wasm_files
 from ._write import check_export as check_export, export_texts as export_texts, write_folder as write_folder
 
-__all__ = ["Program", "closed_loop", "fmu", "program", "write_fmu", "write_source"]
+__all__ = ["Program", "fmu", "program", "write_fmu", "write_source"]

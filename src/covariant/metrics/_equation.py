@@ -61,10 +61,7 @@ class Equation(eqx.Module):
 
 def with_time(metric: StateField) -> Callable[[Scalar, Vector], Matrix]:
     """The metric as a function `(t, x) -> (n, n)`, from a function of both or of the state alone."""
-    try:
-        arguments = inspect.signature(metric).parameters.values()
-    except (TypeError, ValueError):  # some built-in functions have no signature
-        arguments = ()
+    arguments = inspect.signature(metric).parameters.values()
     required = [each for each in arguments if each.default is each.empty and each.kind <= each.POSITIONAL_OR_KEYWORD]
     return metric if len(required) > 1 else lambda t, x: metric(x)
 

@@ -257,31 +257,6 @@ def carry(n: int, g: Element, tracer: Modes) -> Modes:
     return _coefficients(n, g.conj().T @ _matrix(n, tracer) @ g)
 
 
-def casimirs(n: int, v: Vector) -> Float[Array, "k"]:
-    """Casimirs `(2π)²/n · tr Ωᵏ` for k = 2, …, n, with Ω = Σ ω_m T_m: the discrete counterpart of `∫ωᵏdx`.
-
-    These n − 1 numbers determine the coadjoint orbit of the vorticity; without viscosity all of them are conserved.
-
-    Args:
-        n: Number of frequencies in each direction.
-        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
-
-    Returns:
-        The Casimirs (n − 1,) [m²/sᵏ].
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.models import fluid
-        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
-        >>> square = fluid.casimirs(3, fluid.velocity_coordinates(3, stream))[0]  # ∫ω²dx
-        >>> bool(jnp.isclose(square, 2 * jnp.pi**2))
-        True
-    """
-    # The matrix is Hermitian, since the field is real. μ' = [μ, ζ] keeps its eigenvalues, whose power sums are traces.
-    values = jnp.linalg.eigvalsh(_matrix(n, vorticity_modes(n, v)))
-    return (2 * np.pi) ** 2 / n * jnp.sum(values[:, None] ** jnp.arange(2, n + 1, dtype=values.dtype)[None], axis=0)
-
-
 class ParticleMaps(SU):
     """SU(n) in the coordinates of `lie.SU`, for large n: the logarithm's derivative takes n³ operations, not n⁶.
 

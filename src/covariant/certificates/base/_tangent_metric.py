@@ -1,8 +1,8 @@
 """Builds the metric on the tangent bundle in which an intrinsic observer contracts.
 
 A variation (δq, δv) of a state (q, v) has the components `ξ = δq` and `ζ = δv + Γ(v, δq)`, both tangent vectors at q.
-The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, where the matrix `Q = [[a, c], [c, b]]` is chosen for the gains. For
-Q = I it is half of the metric of Sasaki (1958).
+The squared length is `½(a<ξ,ξ> + 2c<ξ,ζ> + b<ζ,ζ>)`, where the matrix `Q = [[a, c], [c, b]]` is chosen for the gains.
+For Q = I it is half of the metric of Sasaki (1958).
 
 Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt lacks a factor ½.
 """

@@ -181,9 +181,9 @@ def certify(
 
     Raises:
         ValueError: a required bound is missing; an error is so large that its logarithm is not unique; friction or
-            force are not covered, or noise or disturbance of a `Geodesic`; `q` is not symmetric positive definite; the recipe is of another model; or `checker`
-            is an unknown word. With `interval`: its times are not positive and in order, or `q` is given; without it:
-            samples are lost.
+            force are not covered, or noise or disturbance of a `Geodesic`; `q` is not symmetric positive definite; the
+            recipe is of another model; or `checker` is an unknown word. With `interval`: its times are not positive and
+            in order, or `q` is given; without it: samples are lost.
         TypeError: another kind of observer.
         ImportError: with `interval`, the solver clarabel is missing.
     """

@@ -20,7 +20,6 @@ from ._implicit_distances import (
     distance_decay as distance_decay,
 )
 from ._implicit_limits import (
-    CurvedErrors as CurvedErrors,
     implicit_gains as implicit_gains,
     longest_interval as longest_interval,
     part_limits as part_limits,

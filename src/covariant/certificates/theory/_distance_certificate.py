@@ -172,11 +172,9 @@ def certify_distance(
     sigma = beta / alpha
     if interval:
         decay = distance_decay(interval, alpha * interval / (1 + alpha * interval), sigma, bounds)
+        remedy = "another α or β, or a shorter interval, may do; else smaller bounds"
     else:
-        decay = dense_decay(alpha, sigma, bounds)
-    remedy = "another α or β, or a shorter interval, may do; else smaller bounds"
-    if not interval:
-        least = least_gain(sigma, sigma / 2, bounds).alpha
+        decay, least = dense_decay(alpha, sigma, bounds), least_gain(sigma, sigma / 2, bounds).alpha
         remedy = f"α = {least:.4g}, β = {sigma * least:.4g} does" if least < math.inf else "smaller errors may do"
     # A curve changes a coordinate by no more than its length times that of the coordinate's differential.
     border = (0.0 if math.isnan(decay.reach) else decay.reach) * np.sqrt(found.widest) * (1 + 1e-12)

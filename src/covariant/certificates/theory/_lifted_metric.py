@@ -29,11 +29,9 @@ import math
 from typing import NamedTuple
 
 from covariant._domains import Positive, check_numbers
-from covariant.certificates.theory._implicit_distances import NOTHING, DistanceBounds, DistanceDecay
+from covariant.certificates.theory._implicit_distances import NOTHING, SLACK, DistanceBounds, DistanceDecay
 from scalargraph.errors import InputError
 
-SLACK = 1e-9
-"""Relative margin for roundings of the formulas below."""
 STEPS = 40
 """Bisections for a rate."""
 
@@ -101,19 +99,15 @@ def lifted_gain(m: Positive, sigma: Positive, rate: Positive, bounds: DistanceBo
     riemann = max(-low, high) if bounds.riemann is None else bounds.riemann
     turning = riemann * fastest * radius / m * (1 + SLACK)
     # Beyond a quarter of the way round, distances from a point no longer grow convexly.
-    if turning >= math.pi / 2 * (1 - SLACK) or reach >= min(bounds.injectivity, _quarter(high)):
+    quarter = math.pi / 2 / math.sqrt(high) * (1 - SLACK) if high > 0 else math.inf
+    if turning >= math.pi / 2 * (1 - SLACK) or reach >= min(bounds.injectivity, quarter):
         return LiftedGain(math.inf, math.inf, math.inf, math.nan, turning, NOTHING)
     soft, hard = bounds.stiffness[0] + low * fastest**2, bounds.stiffness[1] + high * fastest**2
     weight, q = m + sigma**2, 2 * rate
     mixed = max(abs(weight - q * sigma - soft), abs(weight - q * sigma - hard))
     rho = max(2 * sigma * hard + q * weight + mixed**2 / (2 * sigma - q), 0.0) * (1 + SLACK)
     k = rho * (turning / math.sin(2 * turning) if turning > SLACK else 0.5) * (1 + SLACK)
-    decay = DistanceDecay(rate, radius, reach, fastest, m, m, turning)
-    return LiftedGain(k / m, sigma * k / m, k, rho, turning, decay)
-
-
-def _quarter(curvature: float) -> float:
-    return math.pi / 2 / math.sqrt(curvature) * (1 - SLACK) if curvature > 0 else math.inf
+    return LiftedGain(k / m, sigma * k / m, k, rho, turning, DistanceDecay(rate, radius, reach, fastest, m, m, turning))
 
 
 @check_numbers

@@ -44,8 +44,6 @@ ROUNDING = 64
 """Roundings, for each state and unit of conditioning, of the terms whose difference counts as zero."""
 NO_OBSTACLE = 1e-6
 """Bending of a level set, times the size of the region of the points, below which it is straight there."""
-LENGTHS = tuple(10.0**-k for k in range(1, 6))
-"""Lengths of the geodesics that are tried for a witness, as fractions of the level set's radius of curvature."""
 VIOLATES = 1e-6
 """Fraction of the change of the output by which it has to return along a geodesic that is shown as a witness."""
 
@@ -140,7 +138,7 @@ def bending(
     metric: StateField,
     x: Annotated[Vector, FINITE],
     u: Annotated[Float[Array, "m"], FINITE] | None = None,
-) -> tuple[Annotated[Scalar, KNOWN], Vector]:
+) -> tuple[Annotated[Scalar, KNOWN], Scalar, Vector]:
     """Compute the curvature of the level set of the output through x in the metric.
 
     It is the largest principal curvature |II(v, v)|. The second fundamental form II is the component of
@@ -154,23 +152,18 @@ def bending(
         u: constant input (m,), zero by default.
 
     Returns:
-        The curvature, in the inverse of the metric's unit of length, and the unit direction (n,) of most curvature.
+        The curvature, in the inverse of the metric's unit of length; what roundings can make of a curvature that is
+        zero; and the unit direction (n,) of most curvature.
 
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.certificates.theory import bending
         >>> from covariant.models import StateSpace
         >>> model = StateSpace(lambda t, x, u: -x, lambda t, x, u: x[:1] ** 2 + x[1:] ** 2, coordinates=("a", "b"))
-        >>> curvature, direction = bending(model, lambda x: jnp.eye(2), jnp.array([2.0, 0.0]))
+        >>> curvature, rounding, direction = bending(model, lambda x: jnp.eye(2), jnp.array([2.0, 0.0]))
         >>> round(float(curvature), 6)  # a circle of radius 2
         0.5
     """
-    curvature, _, direction = _bending(model, metric, x, u)
-    return curvature, direction
-
-
-def _bending(model: StateSpace, metric: StateField, x: Vector, u: Array | None) -> tuple[Scalar, Scalar, Vector]:
-    """The bending, its rounding, and the direction."""
     hidden, dh = _directions(model, x, u)
     if not hidden.shape[1]:  # level sets are points
         return jnp.zeros((), x.dtype), jnp.zeros((), x.dtype), jnp.zeros_like(x)
@@ -313,7 +306,7 @@ class _Sampled(NamedTuple):
 def _sample_conditions(model: StateSpace, metric: StateField, points: np.ndarray, u: Array | None) -> _Sampled:
     @eqx.filter_jit
     def conditions_at(x):
-        return detectability_rate(model, metric, x, u), *_bending(model, metric, x, u)
+        return detectability_rate(model, metric, x, u), *bending(model, metric, x, u)
 
     values = jax.lax.map(conditions_at, jnp.asarray(points), batch_size=64)
     away = points - points.mean(axis=0)
@@ -499,8 +492,8 @@ def _witness(
         states = jnp.stack([ends[0], x, ends[1]])
         return states, jax.vmap(lambda x: model.h(*_arguments(model, x, u)))(states)
 
-    for length in LENGTHS:
-        states, outputs = map(np.asarray, around(jnp.asarray(length * radius)))
+    for k in range(1, 6):  # shorter and shorter fractions of the level set's radius of curvature
+        states, outputs = map(np.asarray, around(jnp.asarray(10.0**-k * radius)))
         there, back = np.linalg.norm(outputs[1:] - outputs[0], axis=1)
         if np.isfinite(states).all() and there - back > VIOLATES * there:
             return states, outputs
