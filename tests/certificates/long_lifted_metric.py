@@ -9,7 +9,7 @@ from test_lifted_metric import BEAM, NEAR, SIGMA, M, Q
 
 from covariant import observers
 from covariant.certificates import least_gain, tangent_metric
-from covariant.geometry import Budget, distance, exp, inner, log
+from covariant.geometry import Budget, distance, exp, log
 from covariant.simulation import observe
 
 
@@ -47,7 +47,7 @@ def test_geodesics_of_the_lift_turn_by_no_more_than_the_curvature_allows():
         turning = np.trapezoid(area / (1 + q[:, 0] ** 2) ** 2, dx=1 / 40) / M
         end = jnp.asarray(q[-1])
         away = -np.asarray(log(BEAM.space, end, jnp.asarray(q[0])))
-        cosine = float(inner(BEAM.space, end, away, speed[-1])) / norm(q[-1], away) / sizes[-1]
+        cosine = float(BEAM.space.lower(end, away) @ speed[-1]) / norm(q[-1], away) / sizes[-1]
         assert math.acos(min(cosine, 1.0)) <= turning + 1e-4
         assert norm(q[-1], away) >= sizes[0] * math.sin(turning) / turning * (1 - 1e-6)
         bent = max(bent, turning)
