@@ -9,7 +9,7 @@ systems, Automatica 34(6); Theorem 2 of Aghannan & Rouchon 2003.
 """
 
 from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -17,7 +17,6 @@ from jaxtyping import Array
 from covariant._domains import FINITE, KNOWN, check_numbers
 from covariant._linalg import whiten
 from covariant._typing import Matrix, Scalar, Vector
-from covariant.geometry import AbstractSpace
 from scalargraph import along, jacobian
 
 Flow = Callable[[Scalar, Vector], Array]
@@ -47,7 +46,7 @@ class StateMetric(NamedTuple):
     coframe: StateMatrix
     frame: StateMatrix
     gram: StateMatrix
-    lift: AbstractSpace | None = None
+    lift: Any = None
 
     def __call__(self, t: Scalar, x: Vector) -> Matrix:
         """Evaluate the metric M (n, n) in coordinates.

@@ -75,7 +75,7 @@ def remainder(about: ErrorSystem, row: int, square: float, curvature: bool) -> M
     def matrix(z):
         x, space = about.at(z).x, about.at(z).metric.lift
         (q, v), n = jnp.split(x, 2), len(x) // 2
-        unit = np.eye(n)
+        unit = jnp.eye(n)
 
         def christoffel(q):
             return jnp.stack([jnp.stack([space.connection(q, a, b) for b in unit], axis=-1) for a in unit], axis=-1)
