@@ -105,9 +105,8 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == "the logarithm" else pytest.mark.long) for name in PLACES]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", PLACES)
 def test_the_flows_differ_by_no_more_than_the_bound_and_by_more_without_its_term(name):
     rows, model, gains, *where = PLACES[name]
     matrix, ratio, d, sizes = sampled(model, gains, *where)
@@ -141,6 +140,7 @@ def test_the_exact_observer_has_a_certificate(certificate):
     assert (sizes <= np.sqrt(squares)).all()
 
 
+@pytest.mark.long
 def test_its_file_is_checked_with_the_same_tensors_formed_anew(certificate, tmp_path, monkeypatch):
     path = certificate.save(tmp_path / "exact.json")
     assert check(path).statement.claim == certificate.statement.claim
@@ -236,7 +236,8 @@ def starts(certificate, count, seed=0):
     return float((np.asarray(d) / allowed).max())
 
 
-@pytest.mark.parametrize("kind", [observers.Geodesic, pytest.param(observers.Intrinsic, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [observers.Geodesic, observers.Intrinsic])
 def test_no_start_within_the_radius_converges_slower_than_claimed(certificate, kind):
     proved = certificate if kind is observers.Geodesic else certify(kind(BEAM, *FAST), **REGION, checker="off")
     assert 0.1 < starts(proved, 200) <= 1

@@ -52,6 +52,7 @@ def test_the_first_condition_holds_at_twice_sigma_and_the_second_where_geodesics
     assert (found.condition_2.verdict, found.witness) == ("undecided", None)
 
 
+@pytest.mark.long
 def test_an_output_that_is_no_position_is_not_taken_for_one():
     model = models.StateSpace(
         state_space(BEAM).f, lambda t, x, u: x[:2] + 0.1 * x[2:], coordinates=("r", "theta", "v", "w"), inputs=2
