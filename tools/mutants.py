@@ -72,6 +72,7 @@ RELEVANT = {
     "observers/_copy.py": "observers/test_sampled reference/test_aghannan_rouchon",
     "observers/_intrinsic_kalman.py": "observers/test_kalman observers/test_intrinsic_kalman",
     "observers/_slow.py": "observers/test_slow_states observers/test_external_force",
+    "observers/_states.py": "observers/test_gains_of_a_sample observers/test_sampled laws/test_observers",
     "observers/_protocol.py": "observers/test_gains_of_a_sample observers/test_sampled laws/test_observers",
     "observers/_ticks.py": "observers/test_ticks",
     "observers/_ukf.py": "observers/test_kalman observers/test_ukf",

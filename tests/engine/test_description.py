@@ -141,7 +141,7 @@ def test_complex_numbers_and_zeros_are_no_arguments_unless_they_differ():
         [[1, 2], [1], 0, None, None],
         [[1, 2, 3], [1], 0, {"class": ["os", "stat_result"], "fields": []}, None],
         [[1, 2, 3], [1], 0, {"class": ["covariant.observers", "REGISTRY"], "fields": []}, None],
-        [[1, 2, 3], [1], 0, {"class": ["covariant.observers.base._protocol", "Info"], "fields": [None]}, None],
+        [[1, 2, 3], [1], 0, {"class": ["covariant.observers.base._states", "Info"], "fields": [None]}, None],
         [[1, 2, 3], [1], 0, {"shape": "x", "dtype": "float64"}, None],
         [[1, 2, 3], [1], 0, {"shape": [1], "dtype": "thing"}, None],
     ],

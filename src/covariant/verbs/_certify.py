@@ -6,17 +6,18 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
 from covariant._names import unknown
-from covariant.certificates import Attempt, CheckerName, ContractionCertificate, DistanceCertificate, LostRows
+from covariant.certificates import Attempt, CheckerName, ContractionCertificate, LostRows
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
-from covariant.verbs.base.certify_sentences import in_degrees, verdict
+from covariant.verbs.base.by_distance import BY_DISTANCE, DistanceResult, by_distance
+from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
 from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
 from covariant.verbs.base.inputs import numbered
@@ -29,8 +30,6 @@ from scalargraph.proofs import read_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BY_DISTANCE = "lagrangian-metric"
-"""The observer whose certificate is about the distance from the truth."""
 OBSERVERS = "intrinsic", "geodesic", BY_DISTANCE
 """The observers that there are certificates for."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
@@ -154,67 +153,11 @@ def certify(
     prove = functools.partial(_prove, designed, recipe, progress, **settings)
     notes = designed.notes + runs_otherwise(file, observer)
     if observer == BY_DISTANCE:
-        return _by_distance(name, designed, recipe, settings, find)
+        return by_distance(name, designed, recipe, settings, find)
     if find is None:
         return CertifyResult(name, prove(), notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)
     return CertifyResult(name, certificate, notes, FIND[find], attempts)
-
-
-def _by_distance(
-    name: str, designed: Design, recipe: dict[str, Any] | None, settings: dict[str, Any], find: str | None
-) -> "DistanceResult":
-    """Prove the statement about distances, which has no other settings than these."""
-    without = {key: settings[key] for key in ("times", "rate", "q", "noise", "disturbance", "lost")} | {"find": find}
-    if given := [key for key, value in without.items() if value is not None and np.any(value)]:
-        raise InputError(f"a certificate of {BY_DISTANCE} has no {', '.join(given)}; leave it out")
-    shortest, longest = settings["interval"] or (None, None)
-    if shortest != longest:
-        raise InputError(f"a certificate of {BY_DISTANCE} is about one interval; got {shortest:g} to {longest:g} s")
-    kept = {key: settings[key] for key in ("position", "velocity", "error", "input", "boxes")}
-    certificate = certificates.certify_distance(designed.inner, interval=longest, recipe=recipe, **kept)
-    return DistanceResult(name, certificate, designed.notes)
-
-
-@dataclass(frozen=True, repr=False)
-class DistanceResult(AbstractResult):
-    """Verdict on a statement that the distance of an estimate from the truth falls.
-
-    Attributes:
-        model_name: The model, by its path or name.
-        certificate: The statement with its proofs.
-        design: A sentence on where the gains come from.
-
-    Example:
-        >>> import covariant
-        >>> bounds = {"velocity": 0.2, "error": 0.1, "region": {"r": (-1.0, 1.0), "theta": (-1.0, 1.0)}}
-        >>> covariant.certify("ball_and_beam", observer="lagrangian-metric", alpha=40.0, beta=200.0, **bounds).holds
-        True
-    """
-
-    model_name: str
-    certificate: DistanceCertificate
-    design: str
-
-    wrong: ClassVar[bool] = False
-
-    @property
-    def holds(self) -> bool:
-        """Whether the statement is proved."""
-        return self.certificate.statement.verdict == "holds"
-
-    @property
-    def headline(self) -> str:
-        verdict = VERDICTS[self.certificate.statement.verdict]
-        return f"{self.model_name}, {verdict}: rate μ = {max(self.certificate.decay.rate, 0.0):.4g} 1/s"
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        numbers = self.certificate.decay._asdict() if self.holds else {}
-        return {"model": self.model_name, **self.certificate.statement.document(), **numbers}
-
-    def __str__(self) -> str:
-        return f"{self.certificate.statement}\n\n{self.design}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -282,7 +225,7 @@ class CertifyResult(AbstractResult):
             "radius": cert.radius,
             "steady": cert.steady if math.isfinite(cert.steady) else None,
             "half_widths": cert.half_widths.tolist() if self.holds else None,
-            "start": None if cert.start is None else _start(cert.start),
+            "start": None if cert.start is None else start_errors(cert.start),
             "attempts": [attempt._asdict() for attempt in self.attempts],
             "velocity": cert.velocity.tolist(),
             "domain": {name: [low, high] for name, low, high in ends},
@@ -290,7 +233,7 @@ class CertifyResult(AbstractResult):
             "seconds": cert.seconds,
             "checker_seconds": cert.checker_seconds,
             "open": len(cert.open),
-            "open_share": {claim.kind: claim.proof.open_share for claim in _undecided_claims(cert)},
+            "open_share": {claim.kind: claim.proof.open_share for claim in undecided_claims(cert)},
             "counterexample": wrong,
         }
 
@@ -322,7 +265,7 @@ class CertifyResult(AbstractResult):
         lines += [
             f"{claim.kind}: {len(claim.proof.open)} boxes remain, {claim.proof.open_share:.2%} of the domain; more "
             "boxes, smaller bounds or a lower rate may decide it"
-            for claim in _undecided_claims(cert)
+            for claim in undecided_claims(cert)
         ]
         lines.append(f"{cert.boxes} boxes, {cert.seconds:.1f} s; checker {cert.checker_seconds:.1f} s")
         if self.wrong:
@@ -582,13 +525,3 @@ def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] |
     if not (a > 0 and a * b > c * c):  # Sylvester's criterion
         raise InputError(f"q: [[a, c], [c, b]] must be positive definite, a > 0 and ab > c²; got {a:g}, {c:g}, {b:g}")
     return np.array([[a, c], [c, b]])
-
-
-def _start(start: certificates.Start) -> dict[str, dict[str, float]]:
-    """The errors of a start by name, in radians and metres."""
-    rows = zip(start.names, start.together.tolist(), start.alone.tolist(), start.farthest.tolist(), strict=True)
-    return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
-
-
-def _undecided_claims(certificate: ContractionCertificate) -> list[certificates.AbstractClaim]:
-    return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]

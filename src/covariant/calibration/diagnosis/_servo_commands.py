@@ -10,11 +10,7 @@ from jaxtyping import Bool
 from covariant.calibration.diagnosis._case import Case
 from covariant.calibration.diagnosis._columns import COUNTS
 from covariant.calibration.diagnosis._finding import quoted_list
-from covariant.calibration.diagnosis._servo_errors import (
-    JointServos,
-    Prepared,
-    errors,
-)
+from covariant.calibration.diagnosis._servo_errors import JointServos, Prepared, errors
 from covariant.calibration.diagnosis._suspicion import Suspicion
 
 UNIT_RATIO = 3.0

@@ -24,9 +24,7 @@ from covariant.calibration.diagnosis._servo_errors import (
 from covariant.calibration.diagnosis._servo_numbers import servo_numbers
 from covariant.calibration.diagnosis._servo_off import lets_go, with_servos, with_strength
 from covariant.calibration.diagnosis._suspicion import BLOCKS, Suspicion, choose, compare_all
-from covariant.calibration.diagnosis._thresholds import (
-    THRESHOLDS,
-)
+from covariant.calibration.diagnosis._thresholds import THRESHOLDS
 
 MAX_ACCEPTED = 4
 """Largest number of suspicions that are accepted one after another."""

@@ -13,9 +13,7 @@ from covariant._domains import Finite, check_numbers
 from covariant._linalg import solve
 from covariant._typing import Vector
 from covariant.certificates.base._box import first_velocity
-from covariant.certificates.base._claims import (
-    reach_squares,
-)
+from covariant.certificates.base._claims import reach_squares
 from covariant.certificates.base._contraction import lengths
 from covariant.certificates.base._document import Resolved
 from covariant.certificates.base._error_system import ErrorSystem, corrections, values

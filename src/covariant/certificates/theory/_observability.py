@@ -21,14 +21,7 @@ from jaxtyping import Array, Float
 from covariant._domains import FINITE, KNOWN, Finite, check_numbers
 from covariant._linalg import half_solve, solve, whiten
 from covariant._typing import MatrixField, Scalar, StateField, Vector
-from covariant.certificates.base import (
-    Hypothesis,
-    Statement,
-    StateMetric,
-    Verdict,
-    lowered_christoffel,
-    show_no_jumps,
-)
+from covariant.certificates.base import Hypothesis, Statement, StateMetric, Verdict, lowered_christoffel, show_no_jumps
 from covariant.geometry import Budget, exp
 from covariant.metrics import lie_derivative, with_time
 from covariant.models import StateSpace

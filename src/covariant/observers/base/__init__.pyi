@@ -12,15 +12,7 @@ from ._protocol import (
     AbstractMechanicalObserver as AbstractMechanicalObserver,
     AbstractObserver as AbstractObserver,
     AbstractWrapper as AbstractWrapper,
-    Diagnostics as Diagnostics,
-    Fields as Fields,
-    Info as Info,
-    LastInput as LastInput,
-    MechanicalState as MechanicalState,
-    Report as Report,
     Rows as Rows,
-    SampledState as SampledState,
-    State as State,
     aged as aged,
     as_gain as as_gain,
     as_numbers as as_numbers,
@@ -63,5 +55,15 @@ from ._square_root import (
     normalised_square as normalised_square,
     updated as updated,
     white_acceleration as white_acceleration,
+)
+from ._states import (
+    Diagnostics as Diagnostics,
+    Fields as Fields,
+    Info as Info,
+    LastInput as LastInput,
+    MechanicalState as MechanicalState,
+    Report as Report,
+    SampledState as SampledState,
+    State as State,
 )
 from ._ticks import Encoded as Encoded, Readings as Readings, take as take

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from covariant.certificates import ContractionCertificate
+from covariant.certificates import AbstractClaim, ContractionCertificate, Start
 
 
 def verdict(cert: ContractionCertificate) -> str:
@@ -48,3 +48,14 @@ def in_degrees(value: float, unit: str, low: float | None = None) -> str:
     each = unit.removeprefix("rad")
     start = "" if low is None else f"{math.degrees(low):.4g} to "
     return f" ({start}{math.degrees(value):.4g}°{each})"
+
+
+def start_errors(start: Start) -> dict[str, dict[str, float]]:
+    """The errors of a start by name, in radians and metres."""
+    rows = zip(start.names, start.together.tolist(), start.alone.tolist(), start.farthest.tolist(), strict=True)
+    return {name: {"together": a, "alone": b, "farthest": c} for name, a, b, c in rows}
+
+
+def undecided_claims(certificate: ContractionCertificate) -> list[AbstractClaim]:
+    """The claims that a proof left open."""
+    return [claim for claim in certificate.claims if claim.proof.verdict == "undecided"]
