@@ -74,8 +74,7 @@ def test_a_second_process_writes_nothing_and_finds_the_same_to_the_bit(tmp_path)
 
 
 CHANGES = """
-from covariant.engine import KernelForm
-from covariant.engine._kernel import _prepared, prepared
+from covariant.engine._kernel import KernelForm, _prepared, prepared
 
 def show(model, *gains, **settings):
     _prepared.cache_clear()  # in one process an equal observer is given again

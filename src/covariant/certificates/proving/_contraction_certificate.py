@@ -68,13 +68,15 @@ class ContractionCertificate(NamedTuple):
 
     Example:
         >>> import numpy as np
+        >>> from covariant import models, observers
         >>> from covariant.certificates import ContractionCertificate, Hypothesis, Statement
         >>> from covariant.certificates.base import Given
         >>> from scalargraph.proofs import box
         >>> statement = Statement("the observer contracts", (), (Hypothesis("it contracts", "proved"),), 2.0)
         >>> domain = box(v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
         >>> given = Given(*np.zeros((2, 2, 1)), np.zeros(2), *np.zeros((2, 1)), np.zeros((1, 1)))
-        >>> entries = statement, 2.0, 0.1, None, np.eye(2), None, domain, np.ones(1), given, (), None
+        >>> observer = observers.Intrinsic(models.oscillator(), 4.0, 8.0)
+        >>> entries = statement, 2.0, 0.1, observer, np.eye(2), None, domain, np.ones(1), given, (), None
         >>> certificate = ContractionCertificate(*entries)  # usually from `certify`
         >>> certificate.decay, certificate.steady, certificate.kinds
         (1.0, 0.0, ('velocity', 'error', 'force'))

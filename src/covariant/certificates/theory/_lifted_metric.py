@@ -50,7 +50,7 @@ class LiftedGain(NamedTuple):
     Example:
         >>> from covariant.certificates import DistanceBounds, lifted_gain
         >>> gain = lifted_gain(4.0, 1.0, 0.5, DistanceBounds(0.0, 0.5, 0.0, (-1.0, 1.0)))  # flat: k = ρ/2
-        >>> gain.turning, gain.k / gain.rho
+        >>> gain.turning, round(gain.k / gain.rho, 6)
         (0.0, 0.5)
     """
 
@@ -96,7 +96,7 @@ def lifted_gain(m: Positive, sigma: Positive, rate: Positive, bounds: DistanceBo
     fastest = bounds.speed + math.sqrt(1 + sigma**2 / m) * radius
     reach = radius / math.sqrt(m)
     low, high = min(bounds.curvature[0], 0.0), max(bounds.curvature[1], 0.0)
-    riemann = max(-low, high) if bounds.riemann is None else bounds.riemann
+    riemann = max(abs(low), high) if bounds.riemann is None else bounds.riemann
     turning = riemann * fastest * radius / m * (1 + SLACK)
     # Beyond a quarter of the way round, distances from a point no longer grow convexly.
     quarter = math.pi / 2 / math.sqrt(high) * (1 - SLACK) if high > 0 else math.inf
