@@ -4,6 +4,7 @@ Source: Aghannan & Rouchon 2003, equation (2), with the curvature sign of `covar
 Dayawansa 2004, equation (17), for groups.
 """
 
+import abc
 from typing import NamedTuple
 
 import equinox as eqx
@@ -119,7 +120,67 @@ def path_to(model: MechanicalSystem, q: Array, guess: Vector, y: Array, budget: 
     return Path(log, back, residual, jnp.maximum(readability(model, q, y), shot.result), exact, measured)
 
 
-class Geodesic(AbstractMechanicalObserver):
+class AbstractGeodesicObserver(AbstractMechanicalObserver):
+    """Start, flow and move along the geodesic to the measurement of the observers that search for it."""
+
+    model: MechanicalSystem
+    alpha: Scalar = eqx.field(converter=as_gain)
+    beta: Scalar = eqx.field(converter=as_gain)
+    budget: Budget = eqx.field(default=Budget(newton=1, steps=4), static=True)
+
+    def __check_init__(self):
+        check_positive(type(self).__name__, alpha=self.alpha, beta=self.beta)
+
+    def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
+        q, v, t, last_input, age = at_rest(self.model, y, t)
+        return GeodesicState(q, v, t, jnp.zeros_like(v), last_input, age)
+
+    def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
+        # A time derivative reports no result, so conjugate points are not counted.
+        path, drive = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
+        # ξ = −log, hence plus α and plus β.
+        w = state.v + self.alpha * path.log
+        v_dot = drive + self.beta * path.log + friction(self.model, t, state.q, state.v, u)
+        v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
+        # The log is only a warm start: it follows the computed geodesic, and the estimate does not depend on it.
+        log_dot = 10 * self.alpha * (path.back - state.log)
+        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.last_input), still(state.age))
+
+    def predict(self, state: GeodesicState, u: Float[Array, "m"], dt: Scalar) -> GeodesicState:
+        return predicted(self.model, state, u, dt, self.substeps)
+
+    @abc.abstractmethod
+    def _correction(
+        self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget
+    ) -> tuple[Path, Vector]:
+        """The geodesic to the measurement, and the acceleration that the flow has without friction and feedback."""
+
+    def _moved(
+        self,
+        state: GeodesicState,
+        u: Float[Array, "m"],
+        y: Array,
+        path: Path,
+        part: Scalar,
+        velocity: Vector,
+        turned: Vector,
+        code: Code,
+    ) -> tuple[GeodesicState, GeodesicInfo]:
+        """Move along the geodesic by a part of it, and transport the velocity with it; on a straight path, `turned`."""
+        space, q, displacement = self.model.space, state.q, part * path.log
+        end = space.transport_along(q, displacement, velocity, self.budget)
+        new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
+        new_v = jnp.where(
+            path.exact, end.w, space.projected(new_q, velocity - space.connection(q, displacement, turned))
+        )
+        result = outcome(new_q, new_v, space.manifold.seen(q, y), code)
+        info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
+        # The same geodesic seen from the measurement; it is shortened, so its initial velocity shrinks with its length.
+        log = (1 - part) * path.back
+        return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
+
+
+class Geodesic(AbstractGeodesicObserver):
     """Observer (2) of Aghannan & Rouchon for any `MechanicalSystem`.
 
     With ξ = −log_q̂(q) it is
@@ -161,50 +222,17 @@ class Geodesic(AbstractMechanicalObserver):
         0.1
     """
 
-    model: MechanicalSystem
-    alpha: Scalar = eqx.field(converter=as_gain)
-    beta: Scalar = eqx.field(converter=as_gain)
-    budget: Budget = eqx.field(default=Budget(newton=1, steps=4), static=True)
     curvature: bool = eqx.field(default=True, static=True)
     substeps: int | None = eqx.field(default=None, static=True)
 
-    def __check_init__(self):
-        check_positive("Geodesic", alpha=self.alpha, beta=self.beta)
-
-    def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
-        q, v, t, last_input, age = at_rest(self.model, y, t)
-        return GeodesicState(q, v, t, jnp.zeros_like(v), last_input, age)
-
-    def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
-        # A time derivative reports no result, so conjugate points are not counted.
-        path, drive = self._correction(t, state, u, y, self.budget._replace(conjugate=False))
-        # ξ = −log, hence plus α and plus β.
-        w = state.v + self.alpha * path.log
-        v_dot = drive + self.beta * path.log + friction(self.model, t, state.q, state.v, u)
-        v_dot = v_dot - self.model.space.connection(state.q, w, state.v)
-        # The log is only a warm start: it follows the computed geodesic, and the estimate does not depend on it.
-        log_dot = 10 * self.alpha * (path.back - state.log)
-        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(state.last_input), still(state.age))
-
-    def predict(self, state: GeodesicState, u: Float[Array, "m"], dt: Scalar) -> GeodesicState:
-        return predicted(self.model, state, u, dt, self.substeps)
-
     def correct(self, state: GeodesicState, u: Float[Array, "m"], y: Array) -> tuple[GeodesicState, GeodesicInfo]:
-        space, (q, v, t), waited = self.model.space, state[:3], time_since_measurement(state)
+        (q, v, t), waited = state[:3], time_since_measurement(state)
         path, drive = self._correction(t, state, u, y, self.budget)
         missing = drive - source(self.model, t, q, u)  # acceleration missing in the prediction, which used S(q̂)
         gains = sampled_gains(self.alpha, self.beta, waited)
-        correction = sampled_correction(space, Motion(q, v), gains, waited, -path.log, missing)
-        # Move along the geodesic by the fraction `part`, and transport the velocity with it.
-        corrected, displacement = v + correction.velocity, correction.part * path.log
-        end = space.transport_along(q, displacement, corrected, self.budget)
-        new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
-        new_v = jnp.where(path.exact, end.w, space.projected(new_q, corrected - space.connection(q, displacement, v)))
-        result = outcome(new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, path.result))
-        info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
-        # The same geodesic seen from the measurement; it is shortened, so its initial velocity shrinks with its length.
-        log = (1 - correction.part) * path.back
-        return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
+        correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, -path.log, missing)
+        code = step_result(correction, path.result)
+        return self._moved(state, u, y, path, correction.part, v + correction.velocity, v, code)
 
     def _correction(
         self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget

@@ -23,27 +23,22 @@ the proximal point algorithm, SIAM J. Control Optim. 14(5), for the step; Kalata
 """
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Number, Scalar
+from covariant._typing import Scalar, Vector
 from covariant.geometry import Budget
-from covariant.models import MechanicalSystem, friction, source
-from covariant.observers.base import (
-    AbstractMechanicalObserver,
-    aged,
-    as_gain,
-    at_rest,
-    check_positive,
-    outcome,
-    predicted,
-    still,
-    time_since_measurement,
+from covariant.models import source
+from covariant.observers.base import time_since_measurement
+from covariant.observers.constant_gain._geodesic import (
+    AbstractGeodesicObserver,
+    GeodesicInfo,
+    GeodesicState,
+    Path,
+    path_to,
 )
-from covariant.observers.constant_gain._geodesic import GeodesicInfo, GeodesicState, path_to
 
 
-class LagrangianMetric(AbstractMechanicalObserver):
+class LagrangianMetric(AbstractGeodesicObserver):
     """Follow the model, corrected along the geodesic to the measurement; converges from far away at high gains.
 
     It is an observer of Sanfelice & Praly in the lifted kinetic-energy metric, `q̂' = v̂ + α log_q̂ y`,
@@ -85,45 +80,16 @@ class LagrangianMetric(AbstractMechanicalObserver):
         True
     """
 
-    model: MechanicalSystem
-    alpha: Scalar = eqx.field(converter=as_gain)
-    beta: Scalar = eqx.field(converter=as_gain)
-    budget: Budget = eqx.field(default=Budget(newton=1, steps=4), static=True)
     substeps: int | None = eqx.field(default=None, static=True)
 
-    def __check_init__(self):
-        check_positive("LagrangianMetric", alpha=self.alpha, beta=self.beta)
-
-    def init(self, y: Array, t: Number = 0.0) -> GeodesicState:
-        q, v, t, last_input, age = at_rest(self.model, y, t)
-        return GeodesicState(q, v, t, jnp.zeros_like(v), last_input, age)
-
-    def flow(self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array) -> GeodesicState:
-        # The limit of ever more frequent samples. A flow reports no result, so conjugate points are not counted.
-        q, v, _, log, last_input, age = state
-        path = path_to(self.model, q, log, y, self.budget._replace(conjugate=False))
-        w = v + self.alpha * path.log
-        v_dot = source(self.model, t, q, u) + friction(self.model, t, q, v, u) + self.beta * path.log
-        v_dot = v_dot - self.model.space.connection(q, w, v)
-        # A warm start, on which the estimate does not depend; see `Geodesic`.
-        log_dot = 10 * self.alpha * (path.back - log)
-        return GeodesicState(w, v_dot, jnp.ones_like(state.t), log_dot, still(last_input), still(age))
-
-    def predict(self, state: GeodesicState, u: Float[Array, "m"], dt: Scalar) -> GeodesicState:
-        return predicted(self.model, state, u, dt, self.substeps)
-
     def correct(self, state: GeodesicState, u: Float[Array, "m"], y: Array) -> tuple[GeodesicState, GeodesicInfo]:
-        space, q, v = self.model.space, state.q, state.v
-        path = path_to(self.model, q, state.log, y, self.budget)
-        waited = time_since_measurement(state)
+        path, waited = path_to(self.model, state.q, state.log, y, self.budget), time_since_measurement(state)
         part = self.alpha * waited / (1 + self.alpha * waited)  # θ
-        displacement, kicked = part * path.log, v + self.beta * waited / (1 + self.alpha * waited) * path.log  # σθ
         # The change of velocity is along the geodesic, so transport maps it to the same multiple of the velocity there.
-        end = space.transport_along(q, displacement, kicked, self.budget)
-        new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
-        new_v = jnp.where(path.exact, end.w, space.projected(new_q, kicked - space.connection(q, displacement, kicked)))
-        result = outcome(new_q, new_v, space.manifold.seen(q, y), path.result)
-        info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
-        # The remaining geodesic, seen from the measurement; the next search starts from it.
-        log = (1 - part) * path.back
-        return state._replace(q=new_q, v=new_v, log=log, age=aged(self.model, state, y)), info
+        kicked = state.v + self.beta * waited / (1 + self.alpha * waited) * path.log  # σθ
+        return self._moved(state, u, y, path, part, kicked, kicked, path.result)
+
+    def _correction(
+        self, t: Scalar, state: GeodesicState, u: Float[Array, "m"], y: Array, budget: Budget
+    ) -> tuple[Path, Vector]:
+        return path_to(self.model, state.q, state.log, y, budget), source(self.model, t, state.q, u)
