@@ -86,7 +86,8 @@ def certify(
         region: Ends of the positions by coordinate; rotations need none. On another group the entries of its
             matrices, named g11, g12, ….
         observer: "intrinsic", "geodesic", or "lagrangian-metric", which converges from far away at high gains and has a
-            statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`, `lost`, `find` and a file.
+            statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`, `lost`, `seconds`,
+            `processes`, `find`, a checker and a file.
         alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file.
         beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
@@ -153,7 +154,7 @@ def certify(
     prove = functools.partial(_prove, designed, recipe, progress, **settings)
     notes = designed.notes + runs_otherwise(file, observer)
     if observer == BY_DISTANCE:
-        return by_distance(name, designed, recipe, settings, find)
+        return by_distance(name, designed._replace(notes=notes), recipe, settings, find)
     if find is None:
         return CertifyResult(name, prove(), notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)

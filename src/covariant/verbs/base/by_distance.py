@@ -18,7 +18,8 @@ def by_distance(
     name: str, designed: Design, recipe: dict[str, Any] | None, settings: dict[str, Any], find: str | None
 ) -> "DistanceResult":
     """Prove the statement about distances, which has no other settings than these."""
-    without = {key: settings[key] for key in ("times", "rate", "q", "noise", "disturbance", "lost")} | {"find": find}
+    without = {key: settings[key] for key in ("times", "rate", "q", "noise", "disturbance", "lost", "seconds")}
+    without |= {"find": find, "checker": settings["checker"] == "all", "processes": settings["processes"] > 1}
     if given := [key for key, value in without.items() if value is not None and np.any(value)]:
         raise InputError(f"a certificate of {BY_DISTANCE} has no {', '.join(given)}; leave it out")
     shortest, longest = settings["interval"] or (None, None)
