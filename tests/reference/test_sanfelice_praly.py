@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_jouffroy_fossen import runge_kutta
 
 from covariant import models
 from covariant.metrics import Equation, metric_through, spd_distance
@@ -92,21 +93,14 @@ def swapped(a):
 
 def riccati(x, start, duration, steps):
     """Π along the solutions from x by Runge–Kutta steps, all instants (steps + 1, k, 3, 3)."""
-    square, h = np.diag([1.0, 0.0, 0.0]), duration / steps
+    square = np.diag([1.0, 0.0, 0.0])
 
     def rate(t, p):
         at = solution(x, t)
         turned = p @ slope(at)
         return -turned - swapped(turned) + square - p @ noise(at) @ p
 
-    all_p = [np.broadcast_to(start, (len(x), 3, 3))]
-    for i in range(steps):
-        t, p = i * h, all_p[-1]
-        k1 = rate(t, p)
-        k2 = rate(t + h / 2, p + h / 2 * k1)
-        k3 = rate(t + h / 2, p + h / 2 * k2)
-        all_p.append(p + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(t + h, p + h * k3)))
-    return np.array(all_p)
+    return runge_kutta(rate, np.broadcast_to(start, (len(x), 3, 3)), duration, steps)
 
 
 def transition(x, t, h=1e-5):
