@@ -79,6 +79,17 @@ def test_more_curvature_speed_or_error_needs_more_gain_and_far_starts_have_none(
         lifted_gain(M, SIGMA, 2.0, NEAR)
 
 
+@pytest.mark.parametrize("kappa", [1.0, 0.04])
+def test_speeds_and_velocity_errors_of_any_size_have_a_gain_and_positions_up_to_a_right_angle(kappa):
+    limit = math.sqrt(math.pi / 2 / kappa)
+    for error, speed in ((0.97 * limit, 0.1), (0.5 * limit, 100.0)):
+        fast = DistanceBounds(speed, error, speed, (-1.0, 1.0), (-kappa, 0.0))
+        assert least_gain(2.0, 0.1, fast).alpha < math.inf
+        assert least_gain(2.0, 0.1, fast._replace(error=1.01 * limit)).alpha == math.inf
+    flat = DistanceBounds(100.0, 1e4, 100.0, (-1.0, 1.0))
+    assert least_gain(2.0, 0.1, flat).alpha < math.inf
+
+
 BOUNDS = {"position": ([-2.5, -4.0], [2.5, 4.0]), "velocity": 0.25, "error": 0.25}
 
 

@@ -225,7 +225,7 @@ REGISTRY = (
         make=LagrangianMetric,
         tuned_by="gains",
         about="the model, and an implicit step along the geodesic to each sample; the same in all coordinates",
-        when="a first error of any size at high gain, few samples, long gaps",
+        when="a large first error at high gain, few samples, long gaps",
         source="Sanfelice & Praly 2015, (3), in the lifted kinetic-energy metric; Rockafellar 1976 for the step",
         promises=("coordinate-free",),
     ),

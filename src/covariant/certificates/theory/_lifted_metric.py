@@ -18,7 +18,9 @@ by at most ω = κ V D/m, with |R(a, b)c| ≤ κ|a ∧ b||c| and V the largest s
 - If `L_f P ≤ ρ dh⊗dh − 2μP` along it and k ≥ ρω/sin 2ω, then D decays at the rate μ.
 
 ρ is the largest eigenvalue of `2σ sym K + 2μ(m + σ²) + MᵀM/(2σ − 2μ)`, M = m + σ² − 2μσ − K, K = R(·, V)V − ∇S.
-It grows as m²/(2σ − 2μ) and ω falls as 1/m: every bounded set of states and first errors has a gain.
+It grows as m²/(2σ − 2μ), and ω falls with m towards κe², with e the first error of the position: all speeds and errors
+of the velocity have a gain, and all e with κe² < π/2. A farther one may converge, but nothing here excludes that its
+whole distance, √m e for large m, turns into velocity before it falls.
 
 Source: an addition; Sanfelice & Praly 2015, section I, and 2016, IEEE TAC 61(10), part II of their work, for the
 observer; Aghannan & Rouchon 2003 for the metric; Sasaki 1958, On the differential geometry of tangent bundles of
