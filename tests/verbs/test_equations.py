@@ -104,7 +104,8 @@ def test_a_pendulum_chain_with_friction_is_printed_as_it_is_observed(tmp_path):
         ("heavy_top", "has attitudes"),
         ("panda", "more than 400 operations"),
         ("lorenz", "state-space model"),
-        (models.Lagrangian(lambda q: jnp.eye(2), coordinates=("x", "beta")), "beta has the name of a gain"),
+        (models.Lagrangian(lambda q: jnp.eye(2), coordinates=("x", "beta")), "have one symbol"),
+        (models.Lagrangian(lambda q: jnp.eye(2), coordinates=("theta1", "theta_1")), "have one symbol"),
     ],
 )
 def test_what_cannot_be_printed_is_refused_in_one_line(model, reason):

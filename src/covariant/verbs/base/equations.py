@@ -42,8 +42,8 @@ def _sections(model: MechanicalSystem, name: str, u: list[str]) -> Iterator[str]
     estimate, velocity, basis = _marked("hat", q), _of(r"\hat{v}", q), jnp.eye(n)
     rate, error = _marked("dot", estimate), [f"({hat} - {x})" for hat, x in zip(_marked("hat", q), q, strict=True)]
 
-    if taken := {"alpha", "beta", "t"} & {*model.coordinates}:
-        raise InputError(f"its coordinate {min(taken)} has the name of a gain or of the time")
+    if len({*(symbols := [*q, *u, r"\alpha", r"\beta", "t"])}) < len(symbols):
+        raise InputError(f"two of its coordinates, inputs, gains and the time have one symbol, {', '.join(symbols)}")
     if not model.manifold.commuting or formulas(space.projected, q, _of("S", q)) != _of("S", q):
         raise InputError("it has attitudes or closed loops, and no independent coordinates")
     yield f"# Equations of {name}\n\nMetric g:"
