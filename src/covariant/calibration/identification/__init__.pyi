@@ -17,20 +17,27 @@ from ._excitation import (
 from ._expected import ExpectedErrors as ExpectedErrors, Sensing as Sensing
 from ._fit import (
     Fit as Fit,
+    Solved as Solved,
+    again as again,
+    block_losses as block_losses,
     fit as fit,
     profile as profile,
     relations as relations,
     search as search,
-    window_losses as window_losses,
 )
 from ._fourier import FourierMotion as FourierMotion
+from ._likelihood import (
+    descend as descend,
+    levels as levels,
+    total_loss as total_loss,
+    window_errors as window_errors,
+)
 from ._predict import (
     PredictionErrors as PredictionErrors,
     error_growth as error_growth,
     errors_ahead as errors_ahead,
-    family_errors as family_errors,
-    machine_errors as machine_errors,
     mean_square as mean_square,
+    needed_substeps as needed_substeps,
     predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
 )
@@ -49,11 +56,11 @@ from ._servo_fit import fit_servos as fit_servos
 from ._servo_motion import predict_servos as predict_servos
 from ._servo_units import DraftedServo as DraftedServo
 from ._unknowns import Unknowns as Unknowns
-from ._windows import (
+from ._rows import (
     FITTED as FITTED,
-    Windows as Windows,
-    cut_windows as cut_windows,
+    Rows as Rows,
+    gather as gather,
     held_out_logs as held_out_logs,
+    held_out_rows as held_out_rows,
     horizon as horizon,
-    split_windows as split_windows,
 )
