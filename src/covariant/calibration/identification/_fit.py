@@ -6,7 +6,8 @@ the innovations, or from the scatter of its blocks where that is clearly larger.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -43,6 +44,9 @@ SCALED = 10.0
 FIRST = "the first values"
 FAR_OFF = 50.0
 """Twice the negative log-likelihood above what is worth going on, from which a search is given up."""
+ACCURACY = 1e-5
+"""Relative accuracy of a number, however little noise there is: that of integration with inputs that are even in a
+step."""
 DIFFERENT = 1.5
 """Ratio of the standard error from the scatter of blocks to that from the information, above which something is wrong
 with the model, and the larger one holds."""
@@ -209,9 +213,10 @@ def search(
     point, step_count = ends[won]
     tried = sorted((ends[name][0].loss(free) - point.loss(free), name) for name in ends)
     solved = Solved(family, None, rough, point, free, rough)  # pyright: ignore[reportArgumentType]
-    solved, loss, steps = _alternate(solved, bounds, progress)
+    rounds = itertools.count(1)
+    solved, loss, steps = _alternate(solved, bounds, progress, rounds)
     # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
-    quiet, quiet_loss, more = _alternate(solved, bounds, progress, quiet=True, worth=loss + 2 * (len(bounds) - 1))
+    quiet, quiet_loss, more = _alternate(solved, bounds, progress, rounds, True, loss + 2 * (len(bounds) - 1))
     step_count += steps + more
     starts = tuple((name, behind) for behind, name in tried)
     return _conclude(quiet if quiet_loss < loss + 2 * (len(bounds) - 1) else solved, step_count, starts)
@@ -221,6 +226,7 @@ def _alternate(
     solved: Solved,
     bounds: Float[NumpyArray, "k 2"],
     progress: Callable[[int, int], object],
+    rounds: Iterator[int],
     quiet: bool = False,
     worth: float = np.inf,
 ) -> tuple[Solved, float, int]:
@@ -232,7 +238,7 @@ def _alternate(
         problem = problem._replace(substeps=_needed_substeps(family, problem, point.z))
         problem, loss = problem.likelier(point.blocks.rest, bounds, NOISE_STEPS, quiet)
         point = Point.at(problem, point.z, point.blocks.rest)
-        point, steps = minimise(problem, point, fixed, functools.partial(progress, k), ROUND_STEPS)
+        point, steps = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)
         step_count += steps
         if k > 2 and loss > worth + FAR_OFF:
             break
@@ -270,7 +276,7 @@ def _conclude(solved: Solved, step_count: int, tried: tuple[tuple[str, float], .
     # Relative to the value, or for a value of zero to the unit.
     rows = combination_rows(fixed.directions, slopes / np.where(values == 0, 1.0, values))
     combined_change = np.sqrt(np.sum(rows**2, axis=0))
-    variance = slopes**2 * certain + (values * combined_change * UNKNOWN) ** 2
+    variance = slopes**2 * certain + (values * combined_change * UNKNOWN) ** 2 + (ACCURACY * values) ** 2
     # The last search may have reduced a parameter so far that it has lost its influence.
     separate = np.asarray(family.positive) & (combined_change < PURE)
     small = separate & (certain > UNKNOWN**2)
@@ -292,7 +298,7 @@ def again(solved: Solved, rows: Rows, progress: Callable[[int, int], object] = l
     point = Point.at(problem, solved.point.z)
     bounds = first_noise(problem.unknowns, rows, None)[1]
     quiet = solved.quiet
-    solved, _, steps = _alternate(solved._replace(problem=problem, point=point), bounds, progress, quiet)
+    solved, _, steps = _alternate(solved._replace(problem=problem, point=point), bounds, progress, itertools.count(), quiet)
     return _conclude(solved, solved.fit.steps + steps, solved.fit.starts)
 
 

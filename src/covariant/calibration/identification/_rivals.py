@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from covariant.calibration._least_squares import PRIOR
+from covariant.calibration._least_squares import Fixed, Point, minimise
 from covariant.calibration.identification._contradictions import LEAST_FREE
 from covariant.calibration.identification._fit import Solved, block_losses, search
 from covariant.calibration.identification._likelihood import window_errors
@@ -30,6 +30,8 @@ SURE, LIKELY = 3.0, 2.0
 search."""
 LESS = 0.8
 """Size of the errors with another reading, over that without, below which it is believed."""
+STEPS = 2
+"""Steps of the search with the noise that explains the whole motion."""
 
 
 class Rival(NamedTuple):
@@ -139,14 +141,16 @@ def _suspects(
     """The best reading for the blocks of each machine, or −1 for those of all, if it explains them clearly better."""
     unknowns = solved.rough.unknowns
 
+    places = np.zeros(len(solved.point.z)), solved.point.z
+
     def regressed(read: Rows) -> tuple[Float[np.ndarray, "B"], Float[np.ndarray, "p"]]:
-        """Losses of the blocks after one step, by its own prediction, and the unknowns there."""
-        read = read._replace(start=solved.point.blocks.rest.run)
-        z = solved.point.z
-        blocks = solved.rough._replace(rows=jax.tree.map(jnp.asarray, read)).blocks(z)
-        dz = -np.linalg.solve(blocks.zz + np.eye(len(z)) / PRIOR**2, np.sum(blocks.z, axis=0))
-        change = blocks.z @ dz + np.einsum("p,bpq,q->b", dz, blocks.informations, dz) / 2
-        return blocks.loss + change, solved.rough.moved(z, dz)
+        """Losses of the blocks after some steps, and the unknowns there."""
+        rows = jax.tree.map(jnp.asarray, read._replace(start=solved.point.blocks.rest.run))
+        problem = solved.rough._replace(rows=rows)
+        nothing = Fixed.nothing(len(places[0]))
+        ends = [minimise(problem, Point.at(problem, z), nothing, most=STEPS)[0] for z in places]
+        best = min(ends, key=lambda end: end.loss(nothing))
+        return best.blocks.loss, best.z
 
     (now, _), tried = regressed(rows), [(rival, *regressed(rival.read(rows))) for rival in readings]
     for machine, group in groups.items():

@@ -89,7 +89,8 @@ def fit_to_logs(
     after = problem.fitted_errors(best, part)
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, part)
-    found = problem.whole(best, part)
+    better = not predicts_worse(before, after) and not suspicion
+    found = problem.ended(best, part if better else None)
     values = np.array([float(f"{value:.{DIGITS}g}") for value in found.values])[problem.family.parts]
     contents = {
         machine: problem.family.with_values(part) for machine, part in zip(problem.machines, values, strict=True)
@@ -199,9 +200,9 @@ class _PredictionProblem(NamedTuple):
         n = self.logs.references[0].shape[1]
         return None if quantum is None else np.broadcast_to(np.asarray(quantum, float), n) / np.sqrt(12)
 
-    def whole(self, best: Solved, part: _Part) -> Fit:
-        """The fit to all rows, after profiles of the likelihood."""
-        return profile(again(best, part.rows)).fit
+    def ended(self, best: Solved, part: _Part | None) -> Fit:
+        """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
+        return profile(best if part is None else again(best, part.rows)).fit
 
     def suspicion(self, best: Solved, part: _Part) -> str:
         """A sentence on a reversed input or late positions, where they explain the logs better than the fit; or ""."""
@@ -281,7 +282,7 @@ class _RobotProblem(NamedTuple):
 
         return fit_robot(self.family, records, half, progress, start, machines)
 
-    def whole(self, best: RobotFit, part: _Part) -> RobotFit:
+    def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
         del part
         return best
 
@@ -375,7 +376,7 @@ class _ServoProblem(NamedTuple):
             late=_late(self.logs.logs[0]),
         )
 
-    def whole(self, best: RobotFit, part: _Part) -> RobotFit:
+    def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
         del part
         return best
 
