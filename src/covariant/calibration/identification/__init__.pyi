@@ -63,4 +63,5 @@ from ._rows import (
     held_out_logs as held_out_logs,
     held_out_rows as held_out_rows,
     horizon as horizon,
+    stretch as stretch,
 )

@@ -47,6 +47,9 @@ class NoiseLevels(NamedTuple):
         force: Standard deviation of the change of an unknown force in one second [N or N m], one for all components or
             one for each (n,); 0 for no such force. With a `force_time` it is that of the force itself.
         force_time: Time constant [s] after which the force is forgotten; infinite for a random walk, by default.
+        wiggle: Standard deviation (n,) of what readings are off together, as those of a joint on an elastic belt or of
+            an encoder off its centre [rad or m]; 0 for none, by default.
+        wiggle_time: Time constant [s] after which that is forgotten.
 
     Example:
         >>> import jax.numpy as jnp
@@ -59,6 +62,8 @@ class NoiseLevels(NamedTuple):
     measurement: Vector
     force: Scalar | Vector
     force_time: Scalar | float = jnp.inf
+    wiggle: Scalar | Vector | float = 0.0
+    wiggle_time: Scalar | float = jnp.inf
 
 
 class ErrorModel(NamedTuple):
@@ -224,18 +229,18 @@ def smoothed(
         estimate = past.x - past.cov @ adjoint
 
         def correct(adjoint, number):
-            i, gain, innovation, variance, present = number
+            shows, gain, innovation, variance, present = number
             # λ ← (I − K H)ᵀ λ − Hᵀ e/S of each correction, the last one first.
             change = adjoint @ gain + innovation / variance
-            return adjoint.at[i].add(jnp.where(present, -change, 0.0)), None
+            return adjoint - jnp.where(present, change, 0.0) * shows, None
 
-        numbers = jnp.arange(n), past.gain, past.innovation, past.variance, present
+        numbers = _shown(n), past.gain, past.innovation, past.variance, present
         adjoint = jax.lax.scan(correct, adjoint, numbers, reverse=True)[0]
         return jnp.where(fresh, 0.0, past.transition.T @ adjoint), estimate
 
     pasts = jax.lax.scan(forwards, start, errors)[1]
     rows = pasts, errors.present, errors.fresh
-    return jax.lax.scan(backwards, jnp.zeros(3 * n), rows, reverse=True)[1]
+    return jax.lax.scan(backwards, jnp.zeros(4 * n), rows, reverse=True)[1][:, : 3 * n]
 
 
 def from_later(
@@ -264,20 +269,20 @@ def from_later(
 def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: Scalar | float) -> Any:
     n, variance = errors.residual.shape[1], noise.measurement**2
     # Nothing is known: positions and velocities far beyond their size, and a force far beyond its own.
-    first = VAGUE**2 * _first(noise, speed, n)
+    first = VAGUE**2 * _first(noise, speed, n)[: 3 * n, : 3 * n]
     later = jax.tree.map(lambda column: jnp.roll(column, -1, axis=0), (errors, inverse))
 
     def step(state, rows):
         row, (then, back), last = rows
         x: Any
-        whole, defect, added = _transition(then, noise)
+        whole, defect, added = (each[tuple([slice(3 * n)] * each.ndim)] for each in _transition(then, noise))
         push, decay = whole[: 2 * n, 2 * n :], whole[2 * n :, 2 * n :]
         remains = jnp.diag(1 / jnp.diag(decay))
         back = jnp.block([[back, -back @ push @ remains], [jnp.zeros((n, 2 * n)), remains]])
         x = jnp.where(last, 0.0, back @ (state[0] - defect))
         cov = jnp.where(last, first, _symmetric(back @ (state[1] + added) @ back.T))
         estimate = x[: 2 * n], jnp.sqrt(jnp.diag(cov)[n : 2 * n])
-        numbers = jnp.arange(n), row.residual, variance, row.present
+        numbers = jnp.eye(n, 3 * n), row.residual, variance, row.present
         return jax.lax.scan(lambda both, number: (_reading(*both, *number)[:2], None), (x, cov), numbers)[0], estimate
 
     rows = errors, later, later[0].fresh.at[-1].set(True)
@@ -294,19 +299,19 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, do
         x, cov, slope = state
         whole, defect, added = _transition(row, noise)
         x = whole @ x + defect
-        slope = whole @ slope + jnp.concatenate([row.slopes, jnp.zeros((n, p))])
+        slope = whole @ slope + jnp.concatenate([row.slopes, jnp.zeros((2 * n, p))])
         cov = _symmetric(whole @ cov @ whole.T + added)
-        current = jax.tree.map(lambda *both: jnp.where(row.fresh, *both), (jnp.zeros(3 * n), first), (x, cov))
+        current = jax.tree.map(lambda *both: jnp.where(row.fresh, *both), (jnp.zeros(4 * n), first), (x, cov))
 
         def correct(current, number):
-            i, residual, variance, present = number
+            shows, residual, variance, present = number
             *now, slope = current
-            *after, results = _reading(*now, i, residual, variance, present)
-            gain, felt = results[3], -slope[i]
+            *after, results = _reading(*now, shows, residual, variance, present)
+            gain, felt = results[3], -shows @ slope
             return (*after, slope + jnp.outer(gain, felt)), (*results, jnp.where(present, felt, 0.0))
 
         # Their noise is independent, so they correct one after the other.
-        numbers = jnp.arange(n), row.residual, variance, row.present
+        numbers = _shown(n), row.residual, variance, row.present
         current, corrections = jax.lax.scan(correct, (*current, jnp.where(row.fresh, 0.0, slope)), numbers)
         loss, innovation, std, gains, used, felt = corrections
         x, cov, _ = current
@@ -316,7 +321,12 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, do
         result = Filtered(loss, innovation, std, x[: 2 * n], gain, velocity_std, felt)
         return current, result, _Past(whole, x, cov, gains, innovation, used)
 
-    return (jnp.zeros(3 * n), first, jnp.zeros((3 * n, p))), step
+    return (jnp.zeros(4 * n), first, jnp.zeros((4 * n, p))), step
+
+
+def _shown(n: int) -> Float[Array, "n n4"]:
+    """What a reading of each coordinate shows of errors, force and wiggle."""
+    return jnp.concatenate([jnp.eye(n, 3 * n), jnp.eye(n)], axis=1)
 
 
 def _symmetric(cov: Array) -> Array:
@@ -324,25 +334,28 @@ def _symmetric(cov: Array) -> Array:
     return (cov + cov.T) / 2
 
 
-def _first(noise: NoiseLevels, speed: Scalar | float, n: int, doubt: float = 1.0) -> Float[Array, "n3 n3"]:
-    """Covariance of the errors and the force before any measurement.
+def _first(noise: NoiseLevels, speed: Scalar | float, n: int, doubt: float = 1.0) -> Float[Array, "n4 n4"]:
+    """Covariance of the errors, the force and the wiggle before any measurement.
 
     A random walk then has its variance of one second, and a force with a time its usual one.
     """
-    force = jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
-    return jnp.diag(jnp.concatenate([(doubt * noise.measurement) ** 2, jnp.full(n, speed**2), force]))
+    force, wiggle = (jnp.broadcast_to(jnp.asarray(each) ** 2, n) for each in (noise.force, noise.wiggle))
+    return jnp.diag(jnp.concatenate([(doubt * noise.measurement) ** 2, jnp.full(n, speed**2), force, wiggle]))
 
 
 def _transition(row: ErrorModel, noise: NoiseLevels) -> tuple[Array, Array, Array]:
-    """Transition (3n, 3n) of errors and force to a row, its defect (3n,), and the covariance that it adds."""
+    """Transition (4n, 4n) of errors, force and wiggle to a row, its defect (4n,), and the covariance that it adds."""
     n = row.residual.shape[0]
     # The force is constant over a step, at its mean.
     mean, decay, added = forgotten(row.dt, noise.force_time)
+    _, remains, moved = forgotten(row.dt, noise.wiggle_time)
     push = mean * jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
-    whole = jnp.block([[row.transition, push], [jnp.zeros((n, 2 * n)), decay * jnp.eye(n)]])
-    force = added * jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
-    walk = jnp.zeros((3 * n, 3 * n)).at[2 * n :, 2 * n :].set(jnp.diag(force))
-    return whole, jnp.concatenate([row.defect, jnp.zeros(n)]), walk + _white(noise.acceleration, row.dt, n)
+    rest = jnp.diag(jnp.concatenate([jnp.full(n, decay), jnp.full(n, remains)]))
+    above = jnp.concatenate([row.transition, push, jnp.zeros((2 * n, n))], axis=1)
+    whole = jnp.concatenate([above, jnp.concatenate([jnp.zeros((2 * n, 2 * n)), rest], axis=1)])
+    grown = [jnp.broadcast_to(share * jnp.asarray(size) ** 2, n) for share, size in ((added, noise.force), (moved, noise.wiggle))]
+    walk = jnp.diag(jnp.concatenate([jnp.zeros(2 * n), *grown]))
+    return whole, jnp.concatenate([row.defect, jnp.zeros(2 * n)]), walk + _white(noise.acceleration, row.dt, n)
 
 
 def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]:
@@ -358,20 +371,22 @@ def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]
 
 
 def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:
-    """Covariance (3n, 3n) that white acceleration adds to position, velocity and force in a step."""
+    """Covariance (4n, 4n) that white acceleration adds to position, velocity and force in a step."""
     # The integral of [s, 1]ᵀ [s, 1] over the step, times the spectral density.
     block = acceleration**2 * jnp.stack([jnp.stack([dt**3 / 3, dt**2 / 2]), jnp.stack([dt**2 / 2, dt])])
-    return jnp.zeros((3 * n, 3 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(block, jnp.eye(n)))
+    return jnp.zeros((4 * n, 4 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(block, jnp.eye(n)))
 
 
-def _reading(x: Vector, cov: Array, i: Any, residual: Scalar, variance: Scalar, present: Flag):
-    """Correct the state by one number; beyond `CREDIBLE` deviations its noise is that of an outlier of its size."""
-    innovation, total_variance = residual - x[i], cov[i, i] + variance
+def _reading(x: Vector, cov: Array, shows: Vector, residual: Scalar, variance: Scalar, present: Flag):
+    """Correct the state by one number, which shows so much of each entry; beyond `CREDIBLE` deviations its noise is that
+    of an outlier of its size."""
+    shown = cov @ shows
+    innovation, total_variance = residual - shows @ x, shows @ shown + variance
     square = innovation**2 / total_variance
     limit = CREDIBLE**2
     # With the noise enlarged so, the corrected innovation has exactly `CREDIBLE` deviations.
     inflation = jnp.maximum(square / limit, 1.0)
-    gain = jnp.where(present, cov[:, i] / (total_variance * inflation), 0.0)
+    gain = jnp.where(present, shown / (total_variance * inflation), 0.0)
     # Joseph's form (I − KH) P (I − KH)ᵀ + K R Kᵀ, in which R is the enlarged variance of an outlier, multiplied out.
     cov = cov - total_variance * inflation * jnp.outer(gain, gain)
     # Beyond the limit the square grows as its logarithm only, continuously with its slope.

@@ -57,9 +57,9 @@ ROUGH = 0.2
 """A parameter with a larger relative standard error may be zero: its influence need not be linear down to zero."""
 CONFIDENCE = 2.0
 """Standard errors within which a parameter cannot be distinguished from zero."""
-FAR, PROFILE_STEPS = 8.0, 10
+FAR, PROFILE_STEPS = 8.0, 5
 """Factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
-RESTARTS = 2
+RESTARTS = 1
 """How often a search begins anew from a better place that a profile has found."""
 SHOWN = 0.03
 """Weights of a combination below this fraction of the largest are not shown."""
@@ -240,9 +240,9 @@ def _alternate(
         point = Point.at(problem, point.z, point.blocks.rest)
         point, steps = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)
         step_count += steps
-        if k > 2 and loss > worth + FAR_OFF:
+        if loss > worth + (FAR_OFF if k > 2 else np.isfinite(np.asarray(problem.rows.y)).sum()):
             break
-        if before - loss < GAINED and steps < ROUND_STEPS:
+        if before - loss < GAINED:
             if fixed.directions.any() or not (held := point.blocks.undetermined).any():
                 break
             fixed = Fixed(held, problem.unknowns.fixed_at(point.z))
@@ -268,7 +268,7 @@ def _conclude(solved: Solved, step_count: int, tried: tuple[tuple[str, float], .
     family, _, problem, point, fixed, *_ = solved
     inverse = point.blocks.inverse(fixed.directions)
     simple, scattered = np.diagonal(inverse), np.diagonal(point.blocks.covariance(fixed.directions))
-    scatter = np.sqrt(np.divide(scattered, simple, out=np.ones_like(simple), where=simple > 0))
+    scatter = np.sqrt(np.divide(scattered, simple, out=np.ones_like(simple), where=(simple > 0) & (scattered > 0)))
     certain = np.where(scatter > DIFFERENT, scattered, simple)
     # The undetermined combinations are fixed by a large but finite weight: remove the small change that it permits.
     z = point.z - fixed.directions @ (point.z - fixed.at)
@@ -453,7 +453,7 @@ def _perhaps_zero(
     uncorrelated_variance = np.diagonal(point.blocks.inverse(fixed.directions))
     for j in np.flatnonzero(possible):
         # Fixed at e^−PRIOR times its value the parameter is all but zero.
-        without, _ = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR))
+        without, _ = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR), most=PROFILE_STEPS)
         rise = float(np.sum(without.blocks.loss) - np.sum(point.blocks.loss))
         # Errors that are alike within a block enlarge the variance, and by the same factor the rise due to chance.
         possible[j] = rise < CONFIDENCE**2 / 2 * variance[j] / uncorrelated_variance[j]

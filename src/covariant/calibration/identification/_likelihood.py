@@ -47,6 +47,8 @@ GAINED = 0.2
 """Decrease of twice the negative log-likelihood in a step below which a search for noise ends."""
 FASTER = 3.0
 """Standard deviation of the velocity at the start of a stretch, in largest velocities of the reference."""
+BEYOND = 1e100
+"""Error in standard deviations that is as good as any larger one."""
 MOVES = 4
 """How often the motion of a window is moved to the best one with the model's equations."""
 
@@ -83,7 +85,8 @@ class Likelihood(NamedTuple):
         e, slope, spread = (np.asarray(each) for each in (result.innovation, result.slope, result.spread))
         seen = spread > 0
         size = np.where(seen, spread, 1.0)
-        e, slope = e / size, slope / size[:, :, None]
+        # Far from the truth a motion may be beyond all numbers; what is not finite is refused by the search.
+        e, slope = np.clip(e / size, -BEYOND, BEYOND), slope / size[:, :, None]
         loss, weight = robust(e)
         first = np.flatnonzero(np.diff(np.asarray(self.rows.block), prepend=-1))
 
@@ -127,7 +130,7 @@ class Likelihood(NamedTuple):
         start = np.clip(logarithms(self.noise, n), *bounds.T)
         free = np.arange(1, 1 + n) if quiet else np.arange(len(start))
         if quiet:
-            start[[0, *range(1 + n, 1 + 2 * n)]] = QUIET
+            start[[0, *range(1 + n, 1 + 2 * n), *range(2 + 2 * n, 2 + 3 * n)]] = QUIET
         best, loss = descend(start, free, bounds, [system], None, self.speed, steps, VAGUE)
         return self._replace(noise=levels(best, n), pushes=pushes), loss
 
@@ -187,11 +190,12 @@ def first_noise(
     gains = np.asarray(_pushes(unknowns, jnp.zeros(len(unknowns.first)), rows.start, rows))
     force = float(np.sqrt(np.mean(acceleration**2))) / np.sqrt(np.mean(gains**2, axis=(0, 1)))
     white = 1e-3 * float(np.sqrt(np.mean(acceleration**2))) * np.sqrt(step)
-    usual = np.log([white, *noise, *force, 8 * step])
+    usual = np.log([white, *noise, *force, 8 * step, *noise, 8 * step])
     lower, upper = usual - np.log(RANGE), usual + np.log(RANGE)
     n = v.shape[1]
     lower[1 : 1 + n] = np.log(floor)
-    lower[-1], upper[-1] = np.log(4 * step), np.log(max(step * count, 8 * step))
+    times = [1 + 2 * n, -1]
+    lower[times], upper[times] = np.log(4 * step), np.log(max(step * count, 8 * step))
     return levels(usual, n), np.stack([lower, upper], axis=1)
 
 
@@ -201,15 +205,20 @@ def _steps(manifold: Any, q: Array) -> Array:
 
 
 def levels(z: AnyArray, n: int) -> NoiseLevels:
-    """Noise of the logarithms of the noise of acceleration, readings (n,) and force (n,), and of the force's time."""
+    """Noise of the logarithms of the noise of acceleration, readings (n,) and force (n,), of the force's time, and, if
+    there are so many, of wiggles (n,) and their time."""
     each = jnp.exp(jnp.asarray(z))
-    return NoiseLevels(each[0], each[1 : 1 + n], each[1 + n : 1 + 2 * n], each[1 + 2 * n])
+    noise = NoiseLevels(each[0], each[1 : 1 + n], each[1 + n : 1 + 2 * n], each[1 + 2 * n])
+    if len(each) == 2 + 2 * n:
+        return noise
+    return noise._replace(wiggle=each[2 + 2 * n : -1], wiggle_time=each[-1])
 
 
 def logarithms(noise: NoiseLevels, n: int) -> Float[NumpyArray, "k"]:
     """The logarithms that `levels` makes a noise of."""
     force = np.broadcast_to(np.asarray(noise.force), n)
-    return np.log([float(noise.acceleration), *np.asarray(noise.measurement), *force, float(noise.force_time)])
+    own = [float(noise.acceleration), *np.asarray(noise.measurement), *force, float(noise.force_time)]
+    return np.log([*own, *np.asarray(noise.wiggle), float(noise.wiggle_time)])
 
 
 @eqx.filter_jit

@@ -110,9 +110,7 @@ def gather(
     offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(int)
     steps = np.diff(t, prepend=t[:1] - BETWEEN_LOGS)
     steps[offsets[:-1]] = BETWEEN_LOGS
-    fresh = np.concatenate(
-        [np.diff(own[0], prepend=-np.inf) > LONGEST_GAP * np.median(np.diff(own[0])) for own in logs]
-    )
+    fresh = np.concatenate([_begins(own[0]) for own in logs])
     # Where a turn of a joint counts as none, the motion is one without jumps.
     q = np.concatenate([_filled(own[0], unwrap(own[1], manifold.circles)) for own in logs])
     v = np.concatenate([_filled(own[0], np.asarray(velocity)) for own, velocity in zip(logs, velocities, strict=True)])
@@ -135,6 +133,19 @@ def gather(
     begins = pad(fresh) | (np.arange(size) >= count)
     start = Motion(pad(q), pad(v))
     return Rows(pad(t), seen, start, pad(np.arange(len(t))), u, steps, begins, block, machine, count)
+
+
+def stretch(t: AnyArray, y: AnyArray, u: AnyArray, run: Motion) -> Rows:
+    """The rows of one log, with a motion along them, as one block without padding."""
+    steps = np.diff(np.asarray(t), prepend=np.asarray(t)[:1] - BETWEEN_LOGS)
+    rows, none = np.arange(len(steps)), np.zeros(len(steps), int)
+    return Rows(t, y, run, rows, u, steps, _begins(np.asarray(t)), none, np.zeros(1, int), len(rows))
+
+
+def _begins(t: Float[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
+    """Rows (T,) of a log at which a stretch without a gap begins."""
+    steps = np.diff(t)
+    return np.concatenate([[True], steps > LONGEST_GAP * np.median(steps)])
 
 
 def _filled(t: np.ndarray, column: np.ndarray) -> np.ndarray:
