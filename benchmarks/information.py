@@ -12,6 +12,7 @@ prints a table of the results in the file, and computes those that are missing. 
 """
 
 import argparse
+import functools
 import json
 import sys
 import tempfile
@@ -23,7 +24,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from information_systems import Case, cases
+from information_systems import System, systems
 
 import covariant
 from covariant import models
@@ -39,17 +40,12 @@ OFF = 0.6, 1.7
 """Factors by which first values are off."""
 
 
-class Batch(NamedTuple):
-    """Simulated logs: states and forces (B, T, …), inputs (B, T, m), noise of the force (B, T, S, d), outputs, lengths
-    (B,) in rows, and random generators for what follows."""
+class Log(NamedTuple):
+    """A log, the bounds (p,) of standard errors, and the values (p,) from which the fit starts."""
 
-    x: Any
-    w: jax.Array
-    u: jax.Array
-    noise: jax.Array
-    y: jax.Array
-    rows: np.ndarray
-    randoms: list[np.random.Generator]
+    record: Record
+    bound: np.ndarray
+    first: np.ndarray
 
 
 def is_mechanical(model) -> bool:
@@ -88,10 +84,10 @@ def rate(model, x, u, force):
     return (v if model.manifold.commuting else q @ model.manifold.hat(v)), model.space.acceleration(q, v, covector)
 
 
-def step(case: Case, model, x, w, u, noise):
+def step(system: System, model, x, w, u, noise):
     """State and force, in units of its RMS, after a row; the noise (S, d) changes the force between substeps."""
-    h = 1 / case.rate / SUBSTEPS
-    stays = np.exp(-h / case.correlation)
+    h = 1 / system.rate / SUBSTEPS
+    stays = np.exp(-h / system.correlation)
 
     def substep(now, noise):
         x, w = now
@@ -99,7 +95,7 @@ def step(case: Case, model, x, w, u, noise):
         def stage(stages, factors):
             slope, total = stages
             place = jax.tree.map(lambda a, b: a + factors[0] * h * b, x, slope)
-            slope = rate(model, place, u, w * np.array(case.force))
+            slope = rate(model, place, u, w * np.array(system.force))
             return (slope, jax.tree.map(lambda a, b: a + factors[1] * h * b, total, slope)), None
 
         end = jax.lax.scan(stage, (jax.tree.map(jnp.zeros_like, x), x), RUNGE_KUTTA)[0][1]
@@ -112,136 +108,114 @@ def output(model, x, u):
     return x[0] if is_mechanical(model) else model.h(0.0, x, u)
 
 
-def simulate(name: str, case: Case, with_force: bool, logs: list[int]) -> Batch:
-    """Logs of a system with these numbers; a log does not depend on the others."""
-    model = case.model()(jnp.asarray(case.truth))
-    randoms = [np.random.default_rng([zlib.crc32(name.encode()), with_force, log]) for log in logs]
-    t = np.arange(round(case.seconds[1] * case.rate)) / case.rate
-    rows = np.array([round(random.uniform(*case.seconds) * case.rate) for random in randoms])
-    first = jnp.array([case.centre + np.array(case.spread) * r.uniform(-1, 1, len(case.centre)) for r in randoms])
-    inputs = jnp.array([case.inputs(random, t) for random in randoms])
-    size = len(case.force)
-    w0 = jnp.array([with_force * random.normal(size=size) for random in randoms])
-    noise = jnp.array([with_force * random.normal(size=(len(t), SUBSTEPS, size)) for random in randoms])
-    errors = jnp.array([np.array(case.std) * random.normal(size=(len(t), len(case.std))) for random in randoms])
-    gains = np.zeros((inputs.shape[2], len(case.centre))) if case.feedback is None else np.array(case.feedback)
-    zero = origin(model)
+@functools.cache
+def programs(system: System) -> tuple[Any, Any]:
+    """Compiled functions of a system.
 
-    def log(first, inputs, w0, noise, errors):
+    The first one gives states, forces, inputs and outputs (T, …) of a log, from its first state and force, inputs
+    before feedback, noise of the force (T, S, d) and errors of the outputs. The second one gives the Jacobians of the
+    next state and force, and of the output, in each row: by the state (N), the force (d), the noise of the force (S d),
+    and the numbers (p).
+    """
+    make, truth, size = system.make, jnp.asarray(system.truth), len(system.first["half"])
+    cuts = np.cumsum([size, len(system.force), SUBSTEPS * len(system.force)])
+
+    def log(first, w, inputs, noise, errors):
+        model = make(truth)
+        zero = origin(model)
+
         def row(now, given):
-            u = given[0] - gains @ difference(model, zero, now[0]) if case.feedback is not None else given[0]
-            return step(case, model, *now, u, given[1]), (*now, u)
+            u = given[0]
+            if system.feedback is not None:
+                u = u - np.array(system.feedback, float) @ difference(model, zero, now[0])
+            y = model.manifold.retract(output(model, now[0], u), given[2])
+            return step(system, model, *now, u, given[1]), (*now, u, y)
 
-        x, w, u = jax.lax.scan(row, (displace(model, zero, first), w0), (inputs, noise))[1]
-        return x, w, u, jax.vmap(lambda x, u, e: model.manifold.retract(output(model, x, u), e))(x, u, errors)
+        return jax.lax.scan(row, (displace(model, zero, first), w), (inputs, noise, errors))[1]
 
-    x, w, u, y = jax.jit(jax.vmap(log))(first, inputs, w0, noise, errors)
-    return Batch(x, w, u, noise, y, rows, randoms)
-
-
-def linearise(case: Case, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
-    """Jacobians along the true motions, by state (N), force (d), noise of the force (S d) and numbers (p): of the next
-    state and force (B, T, N + d, …), and of the output (B, T, m, …)."""
-    make, truth = case.model(), jnp.asarray(case.truth)
-    n, d = len(case.centre), len(case.force)
-    cuts = [n, n + d, n + d + SUBSTEPS * d]
-
-    def row(x, w, u, noise):
+    def jacobians(x, w, u, noise):
         true = make(truth)
-        next_x, next_w = step(case, true, x, w, u, noise)
+        next_x, next_w = step(system, true, x, w, u, noise)
 
         def moved(z):
             change, of_force, of_noise, numbers = jnp.split(z, cuts)
             model, start = make(truth + numbers), displace(true, x, change)
-            end, force = step(case, model, start, w + of_force, u, noise + of_noise.reshape(noise.shape))
+            end, force = step(system, model, start, w + of_force, u, noise + of_noise.reshape(noise.shape))
             error = true.manifold.towards(output(true, x, u), output(model, start, u))
             return jnp.concatenate([difference(true, next_x, end), force - next_w]), error
 
         return jax.jacfwd(moved)(jnp.zeros(cuts[-1] + len(truth)))
 
-    rows = jax.jit(jax.vmap(row))
-    logs = [rows(*jax.tree.map(lambda part, k=k: part[k], batch[:4])) for k in range(len(batch.rows))]
-    return tuple(np.stack([np.asarray(log[i]) for log in logs]) for i in range(2))  # type: ignore[return-value]
+    return jax.jit(log), jax.jit(jax.vmap(jacobians))
 
 
-def bounds(case: Case, batch: Batch, with_force: bool) -> np.ndarray:
-    """Cramér–Rao bounds (B, p) of the standard errors of the numbers."""
-    next_state, outputs = linearise(case, batch)
-    n, d, p = len(case.centre), len(case.force), len(case.numbers)
-    live = np.arange(outputs.shape[1]) < batch.rows[:, None]
-    r = np.diag(np.square(case.std))
-    information = (_of_filter if with_force else _of_trajectory)(next_state, outputs, live, r, n, d, p)
-    scale = np.sqrt(np.diagonal(information, axis1=1, axis2=2))  # numbers and states have different units
-    covariance = np.linalg.inv(information / scale[:, :, None] / scale[:, None, :])
-    return (np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)) / scale)[:, :p]
+def simulate(name: str, system: System, with_force: bool, log: int) -> Log:
+    """A log of a system and its bound; the same whatever other logs there are."""
+    random = np.random.default_rng([zlib.crc32(name.encode()), with_force, log])
+    rows = round(random.uniform(*system.seconds) * system.rate)
+    middle, half = (np.array(system.first[key], float) for key in ("middle", "half"))
+    first, inputs = middle + half * random.uniform(-1, 1, len(half)), system.inputs(random)
+    w = with_force * random.normal(size=len(system.force))
+    noise = with_force * random.normal(size=(len(inputs), SUBSTEPS, len(system.force)))
+    errors = np.array(system.noise) * random.normal(size=(len(inputs), len(system.noise)))
+    run, linearise = programs(system)
+    x, w, u, y = run(first, w, inputs, noise, errors)
+    next_state, outputs = (np.asarray(jacobian)[:rows] for jacobian in linearise(x, w, u, noise))
+    limits = bound(next_state, outputs, system, with_force)
+    record = Record(np.arange(rows) / system.rate, np.asarray(u)[:rows], np.asarray(y)[:rows])
+    return Log(record, limits, system.truth * np.exp(random.uniform(*np.log(OFF), len(system.truth))))
 
 
-def _of_trajectory(next_state, outputs, live, r, n, d, p) -> np.ndarray:
-    """Information (B, p + n, p + n) of outputs with white noise on the numbers and the first state."""
-    batch, (a, h) = len(live), (next_state[:, :, :n, :n], outputs[..., :n])
-    inverse = np.linalg.inv(r)
-    s = np.concatenate([np.zeros((batch, n, p)), np.broadcast_to(np.eye(n), (batch, n, n))], axis=2)
-    information = np.zeros((batch, p + n, p + n))
-    for k in range(live.shape[1]):
-        j = h[:, k] @ s
-        j[:, :, :p] += outputs[:, k, :, -p:]
-        information += live[:, k, None, None] * (j.mT @ inverse @ j)
-        s = a[:, k] @ s
-        s[:, :, :p] += next_state[:, k, :n, -p:]
-    return information
+def bound(next_state: np.ndarray, outputs: np.ndarray, system: System, with_force: bool) -> np.ndarray:
+    """Cramér–Rao bounds (p,) of the standard errors of the numbers, from the Jacobians of the T rows of a log.
 
-
-def _of_filter(next_state, outputs, live, r, n, d, p) -> np.ndarray:
-    """Information (B, p, p) of the innovations of a Kalman filter for state and force, with a diffuse first state."""
-    size, batch = n + d, len(live)
-    covariance = np.broadcast_to(np.diag([PRIOR**2] * n + [1.0] * d), (batch, size, size))
-    s, information = np.zeros((batch, size, p)), np.zeros((batch, p, p))
-    for k in range(live.shape[1]):
-        a, g, b = np.split(next_state[:, k], [size, next_state.shape[-1] - p], axis=2)
-        h = outputs[:, k, :, :size]
-        sensitivity = h @ s + outputs[:, k, :, -p:]
-        inverse = np.linalg.inv(h @ covariance @ h.mT + r)
-        information += live[:, k, None, None] * (sensitivity.mT @ inverse @ sensitivity)
-        gain = covariance @ h.mT @ inverse
-        rest = np.eye(size) - gain @ h
-        covariance = rest @ covariance @ rest.mT + gain @ r @ gain.mT  # Joseph's form stays positive
+    The information is that of the innovations of a Kalman filter whose first state is free. Without a force there is no
+    noise in its states, and this is the information of the outputs on the numbers and the first state.
+    """
+    n, d, p = len(system.first["half"]), len(system.force), len(system.numbers)
+    size, r = n + d, np.diag(np.square(system.noise))
+    covariance = np.diag([PRIOR**2] * n + [float(with_force)] * d)
+    s, information = np.zeros((size, p)), np.zeros((p, p))
+    for by, h in zip(next_state, outputs, strict=True):
+        a, g, b = np.split(by, [size, size + SUBSTEPS * d], axis=1)
+        of_state = h[:, :size]
+        sensitivity = of_state @ s + h[:, -p:]
+        inverse = np.linalg.inv(of_state @ covariance @ of_state.T + r)
+        information += sensitivity.T @ inverse @ sensitivity
+        gain = covariance @ of_state.T @ inverse
+        rest = np.eye(size) - gain @ of_state
+        covariance = rest @ covariance @ rest.T + gain @ r @ gain.T  # Joseph's form stays positive
+        covariance = a @ covariance @ a.T + with_force * g @ g.T
         s = a @ (s - gain @ sensitivity) + b
-        covariance = a @ covariance @ a.mT + g @ g.mT
-    return information
+    scale = np.sqrt(np.diag(information))  # the numbers have different units
+    return np.sqrt(np.diag(np.linalg.inv(information / np.outer(scale, scale)))) / scale
 
 
-def fit(case: Case, record: Record, random: np.random.Generator) -> dict[str, Any]:
+def fit(system: System, log: Log) -> dict[str, Any]:
     """Errors and standard errors of the fit of a log, or why it is refused."""
-    truth = case.truth
-    first = truth * np.exp(random.uniform(*np.log(OFF), len(truth)))
     start = time.process_time()
     try:
-        result = covariant.fit(case.spec, record, list(case.numbers), overrides=case.overrides(first))
+        result = covariant.fit(system.spec, log.record, system.numbers, overrides=system.overrides(log.first))
     except ValueError as error:
         return {"refused": str(error).splitlines()[0], "seconds": time.process_time() - start}
-    order = [list(result.columns["parameter"]).index(name) for name in case.numbers]
+    order = [list(result.columns["parameter"]).index(name) for name in system.numbers]
     return {
-        "first": first.tolist(),
-        "error": (result.values[order] - truth).tolist(),
+        "error": (result.values[order] - system.truth).tolist(),
         "standard_error": result.standard_errors[order].tolist(),
         "written": result.better,
         "seconds": time.process_time() - start,
     }
 
 
-def compute(name: str, case: Case, force: str, logs: list[int], out: Path) -> None:
-    """Add the results of these logs to a file."""
-    batch = simulate(name, case, force == "with", logs)
-    limits = bounds(case, batch, force == "with")
-    for k, log in enumerate(logs):
-        rows = slice(int(batch.rows[k]))
-        stamps = np.arange(batch.rows[k]) / case.rate
-        record = Record(stamps, np.asarray(batch.u[k, rows]), np.asarray(batch.y[k, rows]))
-        line = {"system": name, "force": force, "log": log, "rows": int(batch.rows[k]), "bound": limits[k].tolist()}
-        line |= fit(case, record, batch.randoms[k])
-        with out.open("a") as file:
-            file.write(json.dumps(line) + "\n")
-        print(f"{name} {force} {log}: {line.get('refused') or np.round(line['error'] / limits[k], 2)}", file=sys.stderr)
+def compute(name: str, system: System, force: str, number: int, out: Path) -> None:
+    """Add the result of a log to a file."""
+    log = simulate(name, system, force == "with", number)
+    line = {"system": name, "force": force, "log": number, "rows": len(log.record.t)}
+    line |= {"bound": log.bound.tolist(), "first": log.first.tolist()} | fit(system, log)
+    with out.open("a") as file:
+        file.write(json.dumps(line) + "\n")
+    message = line.get("refused") or np.round(np.array(line["error"]) / log.bound, 2)
+    print(f"{name}, {force} force, log {number}: {message}", file=sys.stderr, flush=True)
 
 
 def table_row(results: list[dict[str, Any]], numbers: tuple[str, ...]) -> str:
@@ -267,15 +241,15 @@ def main() -> None:
     options = parser.parse_args()
     options.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        known = cases(Path(folder))
+        known = systems(Path(folder))
         chosen = [name.strip() for name in options.systems.split(",")] if options.systems else list(known)
         kinds = ("without", "with") if options.force == "both" else (options.force,)
         pairs = [(name, force) for name in chosen for force in kinds]
         results: dict[tuple[str, str], dict[int, Any]] = {pair: {} for pair in pairs}
         for name, force in pairs:
             read(options.out, results)
-            if missing := [log for log in range(options.logs) if log not in results[name, force]]:
-                compute(name, known[name], force, missing, options.out)
+            for number in sorted(set(range(options.logs)) - set(results[name, force])):
+                compute(name, known[name], force, number, options.out)
         read(options.out, results)
     print("| system | force | logs | refused | not written | error/bound | worst | z | beyond 3 | CPU s |")
     print("|---|---|--:|--:|--:|--:|--:|--:|--:|--:|")
