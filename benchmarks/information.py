@@ -218,13 +218,14 @@ def compute(name: str, system: System, force: str, number: int, out: Path) -> No
     print(f"{name}, {force} force, log {number}: {message}", file=sys.stderr, flush=True)
 
 
-def table_row(results: list[dict[str, Any]], numbers: tuple[str, ...]) -> str:
-    """A line of the table on the logs of a system."""
+def table_row(results: list[dict[str, Any]], numbers: list[str]) -> str:
+    """A line of the table on the logs of a system; z is of numbers with a standard error, and others are counted."""
     fits = [line for line in results if "error" in line]
-    head = f"| {len(results)} | {len(results) - len(fits)} | {sum(not line['written'] for line in fits)} |"
+    head = f"{len(results)} | {len(results) - len(fits)} | {sum(not line['written'] for line in fits)} |"
     if not fits:
-        return f"{head} – | – | – | – | – | refused: {results[0]['refused']}"
+        return f"{head} – | – | – | – | – | – | refused: {results[0]['refused'] if results else 'no log'}"
     error, bound, std = (np.array([line[key] for line in fits]) for key in ("error", "bound", "standard_error"))
+    head += f" {np.sum(~np.isfinite(std))} of {std.size} |"
     ratio, z = np.sqrt(np.mean((error / bound) ** 2, axis=0)), (error / std)[np.isfinite(std)]
     worst = f"{ratio.max():.2f} ({numbers[int(np.argmax(ratio))]})"
     of_z = f"{np.sqrt(np.mean(z**2)):.2f} | {np.mean(np.abs(z) > 3):.1%}" if len(z) else "– | –"
@@ -243,6 +244,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         known = systems(Path(folder))
         chosen = [name.strip() for name in options.systems.split(",")] if options.systems else list(known)
+        if unknown := set(chosen) - set(known):
+            parser.error(f"no system is named {', '.join(unknown)}; there are: {', '.join(known)}")
         kinds = ("without", "with") if options.force == "both" else (options.force,)
         pairs = [(name, force) for name in chosen for force in kinds]
         results: dict[tuple[str, str], dict[int, Any]] = {pair: {} for pair in pairs}
@@ -251,10 +254,12 @@ def main() -> None:
             for number in sorted(set(range(options.logs)) - set(results[name, force])):
                 compute(name, known[name], force, number, options.out)
         read(options.out, results)
-    print("| system | force | logs | refused | not written | error/bound | worst | z | beyond 3 | CPU s |")
-    print("|---|---|--:|--:|--:|--:|--:|--:|--:|--:|")
+    print(
+        "| system | force | logs | refused | not written | undetermined | error/bound | worst | z | beyond 3 | CPU s |"
+    )
+    print("|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|")
     for name, force in pairs:
-        print(f"| {name} | {force} {table_row(list(results[name, force].values()), known[name].numbers)}")
+        print(f"| {name} | {force} | {table_row(list(results[name, force].values()), known[name].numbers)}")
 
 
 def read(path: Path, results: dict[tuple[str, str], dict[int, Any]]) -> None:
