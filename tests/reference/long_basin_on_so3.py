@@ -102,7 +102,6 @@ def test_the_table_says_where_it_converges_and_within_which_time():
     """Motions that do not converge are chaotic, so that another processor may count one or two others."""
     written = re.findall(r"^\| ([\d.]+) \| ([\d.]+) \| (.*) \|$", PAGE.read_text(), re.MULTILINE)
     computed = table()
-    print(*computed, sep="\n")
     assert len(written) == len(computed)
     for (alpha, ratio, cells), (*gains, counts, latest) in zip(written, computed, strict=True):
         assert [float(alpha), float(ratio)] == gains
@@ -115,6 +114,12 @@ def test_the_table_says_where_it_converges_and_within_which_time():
 
 
 @pytest.mark.exhaustive
+def test_a_small_angle_helps_little_if_the_velocity_is_unknown():
+    failures = (from_rest()[2] >= UNITS).sum(axis=(0, 1, 3))
+    assert failures[0] > 0.7 * failures[-1]
+
+
+@pytest.mark.exhaustive
 def test_what_has_not_converged_by_then_seldom_converges_later_and_else_never_comes_near():
     x, arguments, last, _ = from_rest()
     late = last.ravel() >= UNITS
@@ -124,7 +129,6 @@ def test_what_has_not_converged_by_then_seldom_converges_later_and_else_never_co
         x, last, nearest = (jax.tree.map(np.asarray, a) for a in advance(x, *rest))
         least = np.minimum(least, nearest)
     later = last < UNITS
-    print(len(later), later.sum(), least[~later].min())
     assert later.sum() < 0.1 * len(later)
     assert least[~later].min() > 0.3
 
@@ -132,7 +136,7 @@ def test_what_has_not_converged_by_then_seldom_converges_later_and_else_never_co
 @pytest.mark.exhaustive
 def test_from_small_errors_of_both_it_converges_for_every_gain():
     """The linear law has s² + αs + β at any speed; 0.01 rad and 0.01 rad/s are small enough for all gains here."""
-    x, arguments, shape = starts((0.01,), 0.01)
+    x, arguments, _ = starts((0.01,), 0.01)
     assert np.asarray(advance(x, *arguments)[1]).max() < 10
 
 

@@ -1,4 +1,4 @@
-"""The tracking controller on Lie groups: its error equations, by differences of a simulated motion and plain algebra."""
+"""The tracking controller on Lie groups: its error equations, by differences of simulated motions and plain algebra."""
 
 import jax
 import jax.numpy as jnp
@@ -96,8 +96,8 @@ def test_errors_obey_the_equations_of_the_class_with_any_error_of_the_estimated_
 
 BAD = {
     "kp": (models.free_body, {"kp": -1.0, "kd": 1.0}, "kp must be symmetric positive definite"),
-    "two fans": (models.hovercraft, {"kp": 1.0, "kd": 1.0}, "needs a GroupSystem with a force on each velocity"),
-    "coordinates": (models.oscillator, {"kp": 1.0, "kd": 1.0}, "needs a GroupSystem"),
+    "two fans": (models.hovercraft, {"kp": 1.0, "kd": 1.0}, "a force on each velocity; got"),
+    "coordinates": (models.oscillator, {"kp": 1.0, "kd": 1.0}, "needs a system on a group"),
 }
 
 

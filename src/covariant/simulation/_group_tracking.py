@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from covariant._typing import Element, Matrix, Numbers, Scalar, Vector
+from covariant.geometry.lie import AbstractGroup
 from covariant.models import GroupSystem, Motion, applied_force, resistance
 from covariant.simulation._backstepping import gain_matrix
 from covariant.simulation._reference import Path
@@ -35,7 +36,8 @@ class GroupTracking(eqx.Module):
         kd: Gain K_d of the velocity error [N s/m, N m s/rad], likewise.
 
     Raises:
-        ValueError: The model is not on a group or has fewer inputs than velocities, or a gain is not positive definite.
+        ValueError: The model is not on a group, or has fewer or more inputs than velocities; or a gain is not symmetric positive
+            definite.
 
     Example:
         A body that should turn about its third axis at 2 rad/s, and is 0.1 rad behind:
@@ -57,9 +59,9 @@ class GroupTracking(eqx.Module):
     kd: Matrix
 
     def __init__(self, model: GroupSystem, path: Path, kp: Numbers, kd: Numbers):
-        n = model.manifold.dimension if isinstance(model, GroupSystem) else None
-        if n is None or model.inputs not in (None, n):
-            raise InputError(f"GroupTracking needs a GroupSystem with a force on each velocity; got {model!r}")
+        if not isinstance(model.manifold, AbstractGroup) or model.inputs not in (None, model.manifold.dimension):
+            raise InputError(f"GroupTracking needs a system on a group with a force on each velocity; got {model!r}")
+        n = model.manifold.dimension
         self.model, self.path = model, path
         self.kp, self.kd = gain_matrix("kp", kp, n), gain_matrix("kd", kd, n)
 
