@@ -29,15 +29,15 @@ class GroupTracking(eqx.Module):
     potential is cancelled. K_p and K_d must be symmetric positive definite.
 
     Args:
-        model: The body, a `GroupSystem` whose input (n,) is the force in its frame.
+        model: The body, a `GroupSystem` whose input (n,) is the force in its frame [N, N m].
         path: The reference to follow, `t -> Reference` whose position is an element (N, N): `follow` of a function
             `t -> g_d`.
         kp: Gain K_p [N/m, N m/rad], a matrix (n, n), a vector (n,) for a diagonal one, or a number.
         kd: Gain K_d of the velocity error [N s/m, N m s/rad], likewise.
 
     Raises:
-        ValueError: The model is not on a group, or has fewer or more inputs than velocities; or a gain is not symmetric positive
-            definite.
+        ValueError: The model is not on a group, or has fewer or more inputs than velocities; or a gain is not symmetric
+            positive definite.
 
     Example:
         A body that should turn about its third axis at 2 rad/s, and is 0.1 rad behind:
@@ -80,7 +80,7 @@ class GroupTracking(eqx.Module):
         inverse = group.inverse(desired.position)
         rate, error = inverse @ desired.velocity, inverse @ q
         back = group.inverse(error)
-        # (g⁻¹g')' = g⁻¹g″ − (g⁻¹g')² is in the algebra, while its two terms are not.
+        # (g⁻¹g')' = g⁻¹g″ − (g⁻¹g')² is in the algebra. Its two terms are not, which shows on SE(3).
         turning = group.vee(inverse @ desired.acceleration - rate @ rate)
         return group.log(error), group.adjoint(back, group.vee(rate)), group.adjoint(back, turning)
 
