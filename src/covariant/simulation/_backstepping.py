@@ -54,7 +54,7 @@ class Backstepping(eqx.Module):
     def __init__(self, craft: Craft, path: Path, kp: Numbers, kd: Numbers, lam: Numbers):
         self.craft, self.path = craft, path
         n = len(craft.coordinates)
-        self.kp, self.kd, self.lam = (_gain(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
+        self.kp, self.kd, self.lam = (gain_matrix(name, g, n) for name, g in (("kp", kp), ("kd", kd), ("lam", lam)))
         product = np.asarray(self.kp @ self.lam)
         # In V', only the symmetric part of K_pΛ matters. `not … > 0` is true for NaN as well.
         if not np.linalg.eigvalsh(product + product.T)[0] > 0:
@@ -116,7 +116,7 @@ class Backstepping(eqx.Module):
         return nu_r, mass @ nu_r_dot + self.craft.restoring(z) - spring - kd @ (nu - nu_r)
 
 
-def _gain(name: str, values: Numbers, n: int) -> Matrix:
+def gain_matrix(name: str, values: Numbers, n: int) -> Matrix:
     array = np.asarray(values, float)
     matrix = np.diag(np.broadcast_to(array, (n,))) if array.ndim < 2 and array.size in (1, n) else array
     if matrix.shape != (n, n):
