@@ -200,13 +200,13 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
     metric with a cross term shows it in all cases. The paper's `K2 = I − K_p` is unstable for K_p > 1.
 
     Args:
-        craft: The craft, with n coordinates.
+        craft: The craft, with n coordinates and m velocities.
         k1: Gain K1 (n, n) [1/s].
         k2: Gain K2 (n, n) [N/m, N m].
-        start: First estimate (η, ν) (2n,), by default at rest at the origin.
+        start: First estimate (η, ν) (n + m,), by default at rest at the origin.
 
     Returns:
-        The observer, which estimates (η, ν) (2n,).
+        The observer, which estimates (η, ν) (n + m,).
 
     Raises:
         ValueError: A gain is not (n, n).
@@ -235,4 +235,5 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
         nu = x[n:]
         return jnp.concatenate([craft.transform(z) @ nu, craft.acceleration(z, nu, u)])
 
-    return Contracting(state_space(craft), gain, jnp.zeros(2 * n) if start is None else start, injected)
+    start = jnp.zeros(n + len(craft.velocities)) if start is None else start
+    return Contracting(state_space(craft), gain, start, injected)
