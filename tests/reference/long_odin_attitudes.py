@@ -8,8 +8,10 @@ import pytest
 
 from covariant.certificates import at_corners, contraction, crossed_metric, virtual
 from covariant.geometry.lie import SO3, rotation_from_quaternion
-from covariant.models import marine
+from covariant.models import marine, state_space
 from covariant.observers import craft_observer
+from covariant.papers import jouffroy_fossen as paper
+from covariant.simulation import observe
 from scalargraph.proofs import Box
 
 K1, K2 = np.diag([1.7] * 3 + [3.0] * 4), np.diag([240.0] * 3 + [600.0] * 4)
@@ -78,6 +80,13 @@ def test_observer_with_a_quaternion_is_proved_to_contract_at_all_attitudes(rate,
     assert certificate(rate, speed, spin, turn, CROSS / less).statement.verdict == "holds"
 
 
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("pitch", "verdict"), [(0.7, "holds"), (0.8, "fails")])
+def test_in_euler_angles_the_claim_ends_between_40_and_46_degrees_of_pitch(pitch, verdict):
+    found = paper.odin_certificate(0.01, paper.odin_box(pitch=pitch, roll=3.15))
+    assert found.statement.verdict == verdict
+
+
 @pytest.mark.parametrize(("speed", "turn"), [(4.4, 0.4), (0.5, 0.6)])
 def test_one_cross_term_ends_at_some_speed(speed, turn):
     """Speed multiplies the drag linearly, and the square of its product with the cross term by the square."""
@@ -99,6 +108,24 @@ def test_without_a_cross_term_distances_never_grow_at_any_attitude_speed_or_turn
     matrix = jax.jit(jax.vmap(contraction(linear, 0.999 * rate)))
     values = np.asarray(matrix(points(linear, unit(500), sizes * RNG.normal(size=(500, 3)), np.zeros((500, 6)))))
     assert (np.linalg.eigvalsh(values)[:, 0] > 0).all()
+
+
+def test_it_converges_from_far_away_and_its_lyapunov_function_never_grows():
+    """A vehicle that tumbles, an estimate that is upside down, 30 m away and 20 m/s wrong."""
+    robot = marine.odin(quaternion=True)
+    observer = craft_observer(robot, K1, K2)
+    x0 = jnp.zeros(13).at[3].set(1.0)
+    far = jnp.array([30.0, -20.0, 10.0, -1.0, 0.5, 0.0, 0.5, 20.0, -10.0, 5.0, 3.0, -4.0, 5.0])
+    t = jnp.linspace(0.0, 30.0, 301)
+    start = observer.init(x0[:7])._replace(x=far)
+    x, state = observe(
+        state_space(robot), observer, x0, start, t, lambda s, x: jnp.array([20.0, 0.0, 5.0, 30.0, 60.0, 5.0])
+    )
+    error = np.asarray(x - state.x)
+    metric = np.diag([*np.diag(K2), *np.diag(robot.mass)])
+    lyapunov = np.einsum("ti,ij,tj->t", error, metric, error)
+    assert (np.diff(lyapunov) <= 1e-9 * lyapunov[:-1] + 1e-15).all()
+    assert lyapunov[-1] < 1e-12 * lyapunov[0]
 
 
 @pytest.mark.parametrize(("speed", "proved"), [(0.3, True), (0.35, False)])
