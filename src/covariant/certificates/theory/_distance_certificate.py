@@ -213,21 +213,29 @@ def certify_distance(
         f"inputs from {region.inputs[0].tolist()} to {region.inputs[1].tolist()}",
         f"first errors of the position up to {errors.tolist()}, {bounds.error:.6g} in the metric; of the velocity "
         f"{bounds.velocity_error:.6g} in the metric",
+        *(_metric(decay, interval) if decay.rate > 0 else ()),
+        f"proved bounds: curvature {_pair(bounds.curvature)}, −∇S {_pair(bounds.stiffness)} 1/s², one shortest "
+        f"geodesic, and errors of circles below half a turn, up to {bounds.injectivity:.4g}",
+    )
+    claim = (
+        f"the distance of an estimate from the truth falls{' from sample to sample' if interval else ''}, whatever the "
+        "motion between these bounds"
+    )
+    if decay.rate > 0:
+        claim += f", at the rate {math.floor(1e4 * decay.rate) / 1e4} 1/s or faster, from any error within the radius"
+    assumed = (Hypothesis(text, "assumed") for text in ASSUMED_OF_DISTANCES)
+    statement = Statement(claim, about, (*hypotheses, *assumed), decay.rate, str(known.domain))
+    return DistanceCertificate(statement, decay, bounds, border, found.proofs)
+
+
+def _metric(decay: DistanceDecay, interval: float | None) -> tuple[str, str]:
+    """Lines of the statement on the metric and the radius, which are numbers only if there is a rate."""
+    return (
         f"metric: m|ξ|² + |w|², w = ζ − σξ, m = {decay.before:.6g}"
         + (f" after a sample and {decay.after:.6g} before the next" if interval else ""),
         f"radius {decay.radius:.6g} in it; positions within {decay.reach:.6g} of the true ones, speeds up to "
         f"{decay.fastest:.6g}, λ = {decay.turning:.4g} < {'π' if interval else 'π/2'}",
-        f"proved bounds: curvature {_pair(bounds.curvature)}, −∇S {_pair(bounds.stiffness)} 1/s², one shortest "
-        f"geodesic, and errors of circles below half a turn, up to {bounds.injectivity:.4g}",
     )
-    rate = math.floor(1e4 * decay.rate) / 1e4 if decay.rate > 0 else 0.0
-    claim = (
-        f"the distance of an estimate from the truth falls{' from sample to sample' if interval else ''}, whatever the "
-        f"motion between these bounds, at the rate {rate} 1/s or faster, from any error within the radius"
-    )
-    assumed = (Hypothesis(text, "assumed") for text in ASSUMED_OF_DISTANCES)
-    statement = Statement(claim, about, (*hypotheses, *assumed), decay.rate, str(known.domain))
-    return DistanceCertificate(statement, decay, bounds, border, found.proofs)
 
 
 def _pair(ends: tuple[float, float]) -> str:
