@@ -43,7 +43,7 @@ def test_ship_obeys_the_rate_of_its_lyapunov_function(reproduced):
     bound = np.exp(-2 * found["rate"] * found["t"]) * found["lyapunov"][0]
     assert (found["lyapunov"] <= bound * (1 + 1e-9)).all()
     assert found["fitted"] >= found["rate"] >= found["printed"] > 0
-    assert reproduced["ship"]["rate"] == found["rate"]
+    assert reproduced["ship"]["fitted"] >= reproduced["ship"]["rate"] > 0
 
 
 @pytest.mark.exhaustive
@@ -136,6 +136,7 @@ def test_theorem_3_on_odin_is_stable_under_refinement_and_depends_on_units_as_pr
     c = fine["constants"]
     np.testing.assert_allclose(c["c3"], 50.0, rtol=1e-6)  # the smallest of K_pΛ and K_d
     np.testing.assert_allclose([2 * c["c1"], 2 * c["c2"], c["c4"]], [8.0, 187.5, 187.5], rtol=1e-6)  # of M and K_p
+    assert fine["closed_form"] == {"c1": 4.0, "c2": 93.75, "c3": 50.0, "c4": 187.5}  # printed beside the sampled ones
     np.testing.assert_allclose(fine["bound"], 4 * c["c3"] * c["lambda_q"] / c["c4"] ** 2, rtol=1e-12)
 
 

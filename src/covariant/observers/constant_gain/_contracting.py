@@ -220,7 +220,7 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
         >>> observer.gain(0.0, jnp.zeros(3)).diagonal().tolist()  # K1 above M⁻¹JᵀK2
         [2.0, 2.0, 2.0]
     """
-    n = len(craft.coordinates)
+    n, m = len(craft.coordinates), len(craft.velocities)
     gains = [np.asarray(k, float) for k in (k1, k2)]
     for name, k in zip(("k1", "k2"), gains, strict=True):
         if k.shape != (n, n):
@@ -235,5 +235,4 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
         nu = x[n:]
         return jnp.concatenate([craft.transform(z) @ nu, craft.acceleration(z, nu, u)])
 
-    start = jnp.zeros(n + len(craft.velocities)) if start is None else start
-    return Contracting(state_space(craft), gain, start, injected)
+    return Contracting(state_space(craft), gain, jnp.zeros(n + m) if start is None else start, injected)

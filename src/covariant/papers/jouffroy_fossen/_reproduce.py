@@ -21,7 +21,7 @@ from covariant.papers.jouffroy_fossen._sea import sea, sea_cost, sea_table
 from covariant.papers.jouffroy_fossen._ship import ship_decay, ship_eigenvalues
 from covariant.papers.jouffroy_fossen._somersault import somersault
 from covariant.papers.jouffroy_fossen._theorem_2 import COUNTEREXAMPLES
-from covariant.papers.jouffroy_fossen._theorem_3 import odin_cascade
+from covariant.papers.jouffroy_fossen._theorem_3 import closed_form, odin_cascade
 
 STAGES = 9
 """Number of progress reports of `reproduce`."""
@@ -83,6 +83,7 @@ def reproduce(progress: Callable[[str], None] = lambda stage: None) -> dict[str,
     certificate = odin_cascade()
     results["theorem3"] = {
         "constants": certificate.constants._asdict(),
+        "closed_form": closed_form(),
         "gamma1_squared": certificate.constants.gamma1**2,
         "bound": certificate.constants.bound,
         "printed": certificate.printed,
