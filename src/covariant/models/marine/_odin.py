@@ -1,4 +1,4 @@
-"""Models ODIN, a spherical underwater robot with eight thrusters, in Euler angles and on SE(3).
+"""Models ODIN, a spherical underwater robot with eight thrusters, in Euler angles, with a quaternion and on SE(3).
 
 Source: Jouffroy & Fossen 2004, equations (80)–(85). The paper gives no numbers. The usual ones are used here: a sphere
 of 0.31 m radius and 125 kg, half its displaced mass as added mass, the inertia of a shell, and the quadratic drag of
@@ -11,9 +11,10 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.geometry.lie import rotation_from_quaternion
 from covariant.models._mechanical import GroupSystem
 from covariant.models._parameters import Parameter, Parametric
-from covariant.models.marine._craft import Craft, coriolis_matrix, euler_transform
+from covariant.models.marine._craft import Craft, coriolis_matrix, euler_rotation, euler_transform, quaternion_transform
 from covariant.models.systems import submerged_body
 
 _BODY = "Choi, Yuh & Takashige 1995: a sphere of 0.31 m radius, neutrally buoyant"
@@ -34,11 +35,13 @@ def odin(
     stability: float = _STABILITY,
     gravity: float = 9.81,
     coriolis: bool = False,
+    quaternion: bool = False,
 ) -> Craft:
     """ODIN, a spherical underwater robot, in Euler angles: η = (north, east, down [m], roll, pitch, yaw [rad]).
 
     ν = (surge, sway, heave [m/s], p, q, r [rad/s]). The weight equals the buoyancy. At a pitch of ±90° the angles are
-    singular; `odin_on_group` has no singularity.
+    singular. Neither `odin_on_group` nor a quaternion (wxyz) in place of the angles has a singularity; the sign of
+    measured quaternions must not jump.
 
     Args:
         mass: Mass [kg].
@@ -49,6 +52,7 @@ def odin(
         stability: Distance of the centre of gravity below that of buoyancy, `z_g − z_b` [m].
         gravity: Gravity [m/s²].
         coriolis: Whether to add C(ν)ν, which the paper leaves out.
+        quaternion: Whether the attitude is a unit quaternion instead of Euler angles.
 
     Returns:
         The craft.
@@ -61,16 +65,18 @@ def odin(
         50.0
     """
     m = _inertia_matrix(mass, inertia, added_mass)
+    angles = ("qw", "qx", "qy", "qz") if quaternion else ("roll", "pitch", "yaw")
     return Craft(
         m,
-        euler_transform,
+        quaternion_transform if quaternion else euler_transform,
         Parametric(_damping, linear=drag, square=quadratic_drag),
         Parametric(_restoring, torque=stability * mass * gravity),
         coriolis_matrix(m) if coriolis else None,
-        coordinates=("north", "east", "down", "roll", "pitch", "yaw"),
-        units=("m", "m", "m", "rad", "rad", "rad"),
+        coordinates=("north", "east", "down", *angles),
+        units=("m", "m", "m", *("" if quaternion else "rad" for _ in angles)),
         velocities=("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate"),
-        circles=(3, 4, 5),
+        velocity_units=("m/s", "m/s", "m/s", "rad/s", "rad/s", "rad/s"),
+        circles=() if quaternion else (3, 4, 5),
         parameters=_parameters(mass, inertia, added_mass, drag, quadratic_drag, stability),
     )
 
@@ -117,11 +123,12 @@ def _damping(nu, linear, square):
 
 
 def _restoring(eta, torque):
-    roll, pitch = eta[3], eta[4]
-    zero = jnp.zeros_like(roll)
-    # ∂/∂(roll, pitch) of −torque cos(roll) cos(pitch), here as the moment in the body frame, Fossen 2011, (4.6).
-    tilt = [torque * jnp.cos(pitch) * jnp.sin(roll), torque * jnp.sin(pitch)]
-    return jnp.stack([zero, zero, zero, *tilt, zero])
+    # The number of coordinates says how the attitude is written.
+    rotation = euler_rotation(eta[3:]) if eta.shape == (6,) else rotation_from_quaternion(eta[3:])
+    # Moment of a weight below the buoyancy, by the direction of down in the body, the last row: Fossen 2011, (4.6).
+    return torque * jnp.concatenate(
+        [jnp.zeros(3, eta.dtype), jnp.stack([rotation[2, 1], -rotation[2, 0]]), jnp.zeros(1, eta.dtype)]
+    )
 
 
 def _potential(g, torque):  # z points down: the energy is lowest if the body's z axis is parallel to it
