@@ -6,8 +6,7 @@ import pytest
 from test_constant_gains import RECORD, TRUE, T, _gains, stationary
 
 from covariant.calibration import errors_ahead, predict_sampled_errors
-from covariant.calibration.identification import NoiseLevels
-from covariant.calibration.identification import Unknowns, stretch
+from covariant.calibration.identification import NoiseLevels, Unknowns, stretch
 from covariant.calibration.identification._error_model import ErrorModel, error_model, from_later, kalman, smoothed
 from covariant.calibration.identification._predict import size
 from covariant.calibration.tuning._constant_gains import as_poles

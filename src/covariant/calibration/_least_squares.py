@@ -163,15 +163,15 @@ def minimise(
     fixed: Fixed,
     progress: Callable[[int], object] = lambda _: None,
     most: int = MOST_STEPS,
-) -> tuple[Point, int]:
-    """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point and their number."""
+) -> Point:
+    """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point."""
     # Relative to the diagonal: the first step is nearly the full one of Gauss and Newton (Madsen et al., 3.2).
     damping, growth = 1e-3, 2.0
     for k in range(most):
         progress(k)
         dz, promised = _step(point, fixed, damping)
         if promised < TOLERANCE:
-            return point, k
+            return point
         tried = Point.at(residuals, residuals.moved(point.z, dz), point.blocks.rest)
         gain = (point.loss(fixed) - tried.loss(fixed)) / promised
         if gain > 0:  # False where the trial is not finite
@@ -180,7 +180,7 @@ def minimise(
             damping *= max(1 / 10, 1 - (2 * min(gain, 1.0) - 1) ** 3)
         else:
             damping, growth = damping * growth, 2 * growth
-    return point, most
+    return point
 
 
 def _step(point: Point, fixed: Fixed, damping: float) -> tuple[NumpyArray, float]:

@@ -4,6 +4,8 @@ Source: Bullo & Murray 1999, Tracking for fully actuated mechanical systems, Aut
 the logarithm as error; Maithripala, Berg & Dayawansa 2004 for the observer and the metric, equations (1)–(16).
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -76,7 +78,8 @@ class GroupTracking(eqx.Module):
             `e = log(g_d⁻¹g)` (n,), the velocity `w = Ad_h⁻¹ v_d` (n,) with h = g_d⁻¹g, and the acceleration
             `Ad_h⁻¹ v_d'` (n,).
         """
-        group, desired = self.model.manifold, self.path(t)
+        group: Any = self.model.manifold
+        desired = self.path(t)
         inverse = group.inverse(desired.position)
         rate, error = inverse @ desired.velocity, inverse @ q
         back = group.inverse(error)
@@ -86,7 +89,8 @@ class GroupTracking(eqx.Module):
 
     def __call__(self, t: Scalar, z: Element, estimate: Motion) -> Vector:
         """Force (n,) [N, N m] from the measured configuration z (N, N) and an estimate, whose velocity is used."""
-        model, group, v = self.model, self.model.manifold, estimate.v
+        model, v = self.model, estimate.v
+        group: Any = model.manifold
         e, w, acceleration = self.reference(t, z)
         kp, kd = (jnp.asarray(gain, v.dtype) for gain in (self.kp, self.kd))
         spring = jax.linear_transpose(lambda s: group.right_jacobian_inverse(e, s), v)(kp @ e)[0]

@@ -37,7 +37,6 @@ from ._predict import (
     error_growth as error_growth,
     errors_ahead as errors_ahead,
     mean_square as mean_square,
-    needed_substeps as needed_substeps,
     predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
 )
@@ -46,6 +45,15 @@ from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit, standing_still as standing_still
 from ._robot_torques import motor_inputs as motor_inputs
+from ._rows import (
+    FITTED as FITTED,
+    Rows as Rows,
+    gather as gather,
+    held_out_logs as held_out_logs,
+    held_out_rows as held_out_rows,
+    horizon as horizon,
+    stretch as stretch,
+)
 from ._servo_excitation import (
     ExpectedOfCommands as ExpectedOfCommands,
     command_excitation as command_excitation,
@@ -56,12 +64,3 @@ from ._servo_fit import fit_servos as fit_servos
 from ._servo_motion import predict_servos as predict_servos
 from ._servo_units import DraftedServo as DraftedServo
 from ._unknowns import Unknowns as Unknowns
-from ._rows import (
-    FITTED as FITTED,
-    Rows as Rows,
-    gather as gather,
-    held_out_logs as held_out_logs,
-    held_out_rows as held_out_rows,
-    horizon as horizon,
-    stretch as stretch,
-)

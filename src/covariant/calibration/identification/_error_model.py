@@ -114,7 +114,7 @@ class Filtered(NamedTuple):
 
 
 @eqx.filter_jit
-def error_model(unknowns: Unknowns, z: Array, run: Motion, rows: Rows, steps: int) -> ErrorModel:
+def error_model(unknowns: Unknowns, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
     """Linearise a model along a run, by forward differentiation of each step, in the state and in its unknown numbers.
 
     After a row at which a stretch begins, or a step that is not finite, the error model restarts.
@@ -151,9 +151,8 @@ def error_model(unknowns: Unknowns, z: Array, run: Motion, rows: Rows, steps: in
     present = ~jax.vmap(manifold.missing)(y)
     residual = jnp.where(present, jax.vmap(manifold.towards)(run.q, y), 0.0)
     zero, fresh = jnp.zeros_like(dt[:1]), jnp.ones(1, bool)
-    return ErrorModel(
-        *linear, residual, present, jnp.concatenate([zero, dt]), jnp.concatenate([fresh, ~valid])
-    )
+    found: Any = *linear, residual, present, jnp.concatenate([zero, dt]), jnp.concatenate([fresh, ~valid])
+    return ErrorModel(*found)
 
 
 def input_matrix(model: MechanicalSystem, q: Array) -> Float[Array, "n n"]:
@@ -163,7 +162,7 @@ def input_matrix(model: MechanicalSystem, q: Array) -> Float[Array, "n n"]:
 
 
 def _acting(unknowns: Unknowns, z: Array, rows: Rows) -> tuple[Float[Array, "T m"], Float[Array, "T m k"]]:
-    """Inputs that act in the step after each row, behind the lag of its machine, and their derivatives in its numbers."""
+    """Inputs that act in the step after each row, behind its machine's lag, and their derivatives in its numbers."""
     inputs, at = jnp.asarray(rows.inputs), jnp.asarray(rows.rows)
 
     def acting(own_z, machine):
@@ -206,9 +205,7 @@ def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt:
     return jax.lax.scan(row, start, errors)[1]
 
 
-def smoothed(
-    errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float = 1.0
-) -> Float[Array, "T n3"]:
+def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float = 1.0) -> Float[Array, "T n3"]:
     """Estimate the errors and the unknown force at each row from all rows, by the smoother that belongs to `kalman`.
 
     Of the smoothed velocity v_s, the mean given all readings, `E(v̂ − v)² = E(v̂ − v_s)² + E(v_s − v)²` for any estimate
@@ -303,12 +300,11 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, do
         cov = _symmetric(whole @ cov @ whole.T + added)
         current = jax.tree.map(lambda *both: jnp.where(row.fresh, *both), (jnp.zeros(4 * n), first), (x, cov))
 
-        def correct(current, number):
-            shows, residual, variance, present = number
+        def correct(current: Any, number: Any):
             *now, slope = current
-            *after, results = _reading(*now, shows, residual, variance, present)
-            gain, felt = results[3], -shows @ slope
-            return (*after, slope + jnp.outer(gain, felt)), (*results, jnp.where(present, felt, 0.0))
+            *after, results = _reading(*now, *number)
+            gain, felt = results[3], -number[0] @ slope
+            return (*after, slope + jnp.outer(gain, felt)), (*results, jnp.where(number[3], felt, 0.0))
 
         # Their noise is independent, so they correct one after the other.
         numbers = _shown(n), row.residual, variance, row.present
@@ -353,7 +349,10 @@ def _transition(row: ErrorModel, noise: NoiseLevels) -> tuple[Array, Array, Arra
     rest = jnp.diag(jnp.concatenate([jnp.full(n, decay), jnp.full(n, remains)]))
     above = jnp.concatenate([row.transition, push, jnp.zeros((2 * n, n))], axis=1)
     whole = jnp.concatenate([above, jnp.concatenate([jnp.zeros((2 * n, 2 * n)), rest], axis=1)])
-    grown = [jnp.broadcast_to(share * jnp.asarray(size) ** 2, n) for share, size in ((added, noise.force), (moved, noise.wiggle))]
+    grown = [
+        jnp.broadcast_to(share * jnp.asarray(size) ** 2, n)
+        for share, size in ((added, noise.force), (moved, noise.wiggle))
+    ]
     walk = jnp.diag(jnp.concatenate([jnp.zeros(2 * n), *grown]))
     return whole, jnp.concatenate([row.defect, jnp.zeros(2 * n)]), walk + _white(noise.acceleration, row.dt, n)
 
@@ -378,8 +377,8 @@ def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:
 
 
 def _reading(x: Vector, cov: Array, shows: Vector, residual: Scalar, variance: Scalar, present: Flag):
-    """Correct the state by one number, which shows so much of each entry; beyond `CREDIBLE` deviations its noise is that
-    of an outlier of its size."""
+    """Correct the state by one number, which shows so much of each entry; beyond `CREDIBLE` deviations its noise is
+    that of an outlier of its size."""
     shown = cov @ shows
     innovation, total_variance = residual - shows @ x, shows @ shown + variance
     square = innovation**2 / total_variance

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant.calibration._least_squares import (
-    MOST_STEPS,
     PRIOR,
     UNKNOWN,
     Fixed,
@@ -27,8 +26,7 @@ from covariant.calibration._least_squares import (
 )
 from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._error_model import NoiseLevels
-from covariant.calibration.identification._likelihood import FASTER, GAINED, Likelihood, first_noise
-from covariant.calibration.identification._predict import needed_substeps
+from covariant.calibration.identification._likelihood import FASTER, GAINED, Likelihood, first_noise, stable_steps
 from covariant.calibration.identification._rows import Rows, gather
 from covariant.calibration.identification._unknowns import Unknowns
 from covariant.models import Family
@@ -89,7 +87,6 @@ class Fit(NamedTuple):
         noise: Likeliest noise of readings and model.
         scatter: Standard errors (p,) from the scatter of blocks of the logs over those from the information: far above
             1 where the model is wrong somewhere.
-        steps: Number of steps of the search.
         starts: Places from which it was searched, by name, and by how much larger the negative log-likelihood was where
             the first search from each ended; the first one won.
         unlike: Sentences on machines whose logs contradict a number that all machines share.
@@ -101,7 +98,7 @@ class Fit(NamedTuple):
         >>> from covariant.calibration.identification import NoiseLevels
         >>> values, none = np.array([0.7, 0.1]), np.eye(2)[1:]
         >>> noise = NoiseLevels(jnp.array(0.05), jnp.array([1e-3]), jnp.array(0.0))
-        >>> result = Fit(("mass", "viscous"), values, values, np.array([0.01, np.nan]), none, noise, np.ones(2), 9)
+        >>> result = Fit(("mass", "viscous"), values, values, np.array([0.01, np.nan]), none, noise, np.ones(2))
         >>> dict(zip(result.names, result.determined.tolist()))
         {'mass': True, 'viscous': False}
     """
@@ -113,7 +110,6 @@ class Fit(NamedTuple):
     undetermined: Float[NumpyArray, "d p"]
     noise: NoiseLevels
     scatter: Float[NumpyArray, "p"]
-    steps: int
     starts: tuple[tuple[str, float], ...] = ()
     unlike: tuple[str, ...] = ()
 
@@ -125,7 +121,7 @@ class Fit(NamedTuple):
 
 class Solved(NamedTuple):
     """The end of a search: the fit, the point of the likelihood at it, what is fixed, the problem with the first noise,
-    and whether readings alone are noisy."""
+    bounds of the logarithms of noise, and whether readings alone are noisy."""
 
     family: Family
     fit: Fit
@@ -133,6 +129,7 @@ class Solved(NamedTuple):
     point: Point
     fixed: Fixed
     rough: Likelihood
+    bounds: Float[NumpyArray, "k 2"]
     quiet: bool = False
 
 
@@ -177,8 +174,7 @@ def fit(
         (('stiffness',), [1.0])
     """
     family.file.need_mechanical(family.file.name, "numbers are fitted for")
-    rows = gather(family.file.model.manifold, records, velocities)
-    return profile(search(family, rows, progress)).fit
+    return profile(search(family, gather(family.file.model.manifold, records, velocities), progress)).fit
 
 
 def search(
@@ -196,9 +192,9 @@ def search(
     noise, bounds = first_noise(unknowns, rows, least)
     speed = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max())
     free = Fixed.nothing(len(family.first))
-    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), jnp.asarray(1), noise, speed)
     nothing = np.zeros(len(family.first))
-    rough = rough._replace(substeps=_needed_substeps(family, rough, nothing))
+    steps = stable_steps(unknowns, nothing, rows)
+    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
     rough = rough._replace(pushes=rough.linear(nothing, rough.rows.start).input_matrix)
     places = _places(unknowns, family) if start is None else {"other inputs": unknowns.relative(start)}
     begun = {name: Point.at(rough, z) for name, z in places.items()}
@@ -209,37 +205,31 @@ def search(
     best = min(begun, key=lambda name: begun[name].loss(free))
     chosen = dict.fromkeys([next(iter(begun)), best])
     ends = {name: minimise(rough, begun[name], free, functools.partial(progress, 0)) for name in chosen}
-    won = min(ends, key=lambda name: ends[name][0].loss(free))
-    point, step_count = ends[won]
-    tried = sorted((ends[name][0].loss(free) - point.loss(free), name) for name in ends)
-    solved = Solved(family, None, rough, point, free, rough)  # pyright: ignore[reportArgumentType]
+    won = min(ends, key=lambda name: ends[name].loss(free))
+    point = ends[won]
+    tried = sorted((end.loss(free) - point.loss(free), name) for name, end in ends.items())
+    solved = Solved(family, None, rough, point, free, rough, bounds)  # pyright: ignore[reportArgumentType]
     rounds = itertools.count(1)
-    solved, loss, steps = _alternate(solved, bounds, progress, rounds)
+    solved, loss = _alternate(solved, progress, rounds)
     # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
-    quiet, quiet_loss, more = _alternate(solved, bounds, progress, rounds, True, loss + 2 * (len(bounds) - 1))
-    step_count += steps + more
+    worth = loss + 2 * (len(bounds) - 1)
+    quiet, quiet_loss = _alternate(solved._replace(quiet=True), progress, rounds, worth)
     starts = tuple((name, behind) for behind, name in tried)
-    return _conclude(quiet if quiet_loss < loss + 2 * (len(bounds) - 1) else solved, step_count, starts)
+    return _conclude(quiet if quiet_loss < worth else solved, starts)
 
 
 def _alternate(
-    solved: Solved,
-    bounds: Float[NumpyArray, "k 2"],
-    progress: Callable[[int, int], object],
-    rounds: Iterator[int],
-    quiet: bool = False,
-    worth: float = np.inf,
-) -> tuple[Solved, float, int]:
+    solved: Solved, progress: Callable[[int, int], object], rounds: Iterator[int], worth: float = np.inf
+) -> tuple[Solved, float]:
     """Rounds of searches for noise and for parameters, until neither gains, or what is reached is not `worth` going on;
-    what is not determined is fixed then. Also twice the negative log-likelihood, and the number of steps."""
-    family, _, problem, point, fixed, *_ = solved
-    before, step_count = np.inf, 0
+    what is not determined is fixed then. Also twice the negative log-likelihood."""
+    _, _, problem, point, fixed, _, bounds, quiet = solved
+    loss, before = np.inf, np.inf
     for k in range(1, ROUNDS):
-        problem = problem._replace(substeps=_needed_substeps(family, problem, point.z))
+        problem = problem._replace(substeps=stable_steps(problem.unknowns, point.z, problem.rows))
         problem, loss = problem.likelier(point.blocks.rest, bounds, NOISE_STEPS, quiet)
         point = Point.at(problem, point.z, point.blocks.rest)
-        point, steps = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)
-        step_count += steps
+        point = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)
         if loss > worth + (FAR_OFF if k > 2 else np.isfinite(np.asarray(problem.rows.y)).sum()):
             break
         if before - loss < GAINED:
@@ -247,7 +237,7 @@ def _alternate(
                 break
             fixed = Fixed(held, problem.unknowns.fixed_at(point.z))
         before = loss
-    return solved._replace(problem=problem, point=point, fixed=fixed, quiet=quiet), loss, step_count
+    return solved._replace(problem=problem, point=point, fixed=fixed), loss
 
 
 def _places(unknowns: Unknowns, family: Family) -> dict[str, Float[NumpyArray, "p"]]:
@@ -263,7 +253,7 @@ def _places(unknowns: Unknowns, family: Family) -> dict[str, Float[NumpyArray, "
     return {FIRST: first} | scaled
 
 
-def _conclude(solved: Solved, step_count: int, tried: tuple[tuple[str, float], ...]) -> Solved:
+def _conclude(solved: Solved, tried: tuple[tuple[str, float], ...]) -> Solved:
     """The fit at the end of a search: values, standard errors and undetermined combinations."""
     family, _, problem, point, fixed, *_ = solved
     inverse = point.blocks.inverse(fixed.directions)
@@ -288,7 +278,7 @@ def _conclude(solved: Solved, step_count: int, tried: tuple[tuple[str, float], .
     information = blocks.informations[each[:, :, None], theirs[:, :, None], theirs[:, None, :]]
     evidence = Evidence(machine, np.asarray(blocks.z)[each, theirs], information)
     unlike = contradictions(family.names, family.parts, values, np.diag(slopes), evidence, inverse)
-    found = Fit(family.names, family.first, values, errors, rows, problem.noise, scatter, step_count, tried, unlike)
+    found = Fit(family.names, family.first, values, errors, rows, problem.noise, scatter, tried, unlike)
     return solved._replace(fit=found)
 
 
@@ -296,10 +286,8 @@ def again(solved: Solved, rows: Rows, progress: Callable[[int, int], object] = l
     """The same numbers fitted once more to other rows, from where the search ended."""
     problem = solved.problem._replace(rows=jax.tree.map(jnp.asarray, rows))
     point = Point.at(problem, solved.point.z)
-    bounds = first_noise(problem.unknowns, rows, None)[1]
-    quiet = solved.quiet
-    solved, _, steps = _alternate(solved._replace(problem=problem, point=point), bounds, progress, itertools.count(), quiet)
-    return _conclude(solved, solved.fit.steps + steps, solved.fit.starts)
+    begun = solved._replace(problem=problem, point=point, fixed=Fixed.nothing(len(point.z)))
+    return _conclude(_alternate(begun, progress, itertools.count())[0], solved.fit.starts)
 
 
 def profile(solved: Solved, again: int = RESTARTS) -> Solved:
@@ -310,7 +298,7 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
     does determine the parameter. Where it does not rise, the other parameters are known no better than it moves them;
     and one that has vanished, though its first value explains the log as well, keeps that.
     """
-    family, fit, problem, point, _, rough, _ = solved
+    family, fit, problem, point, _, rough, bounds, _ = solved
     if not len(fit.undetermined):
         return solved
     unknowns = problem.unknowns
@@ -323,10 +311,10 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
         if again and min(rise for _, rise in ends) < -judge.chance:
             lowest = min(ends, key=lambda each: each[1])[0]
             values = np.asarray(unknowns.values(jnp.asarray(lowest.z)))
-            rows_again = jax.tree.map(np.asarray, rough.rows)
-            better = search(family, rows_again, start=values)
-            named = better.fit._replace(starts=((f"a profile of {fit.names[j]}", 0.0),))
-            return profile(better._replace(fit=named), again - 1)
+            least = np.exp(bounds[1 : 1 + point.blocks.rest.run.v.shape[1], 0])
+            better = search(family, rough.rows, start=values, least=least)
+            starts = ((f"a profile of {fit.names[j]}", 0.0),)
+            return profile(better._replace(fit=better.fit._replace(starts=starts)), again - 1)
         flat = [end.z - z for end, rise in ends if rise < judge.chance]
         if not flat:
             continue
@@ -346,8 +334,8 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
         ratio = np.asarray(unknowns.slopes(jnp.asarray(z))) / np.where(fit.values == 0, 1.0, fit.values)
         basis = np.linalg.qr((fit.undetermined[held] / ratio).T)[0]
         fixed = Fixed(basis @ basis.T, at)
-        end, steps = minimise(problem, Point.at(problem, at, point.blocks.rest), fixed)
-        free = _conclude(solved._replace(point=end, fixed=fixed), fit.steps + steps, fit.starts)
+        end = minimise(problem, Point.at(problem, at, point.blocks.rest), fixed)
+        free = _conclude(solved._replace(point=end, fixed=fixed), fit.starts)
         # A loss that rises a little, and a standard error above a factor e: it stays at its first value.
         if free.fit.determined[released].all() or len(held) == len(rows):
             solved, kept = free, held
@@ -374,7 +362,7 @@ class _Profiles(NamedTuple):
     def rise(self, z: NumpyArray, j: int) -> tuple[Point, float]:
         begin = Point.at(self.problem, z, self.point.blocks.rest)
         fixed = Fixed.nothing(len(z)).beside(j, float(z[j]))
-        end, _ = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)
+        end = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)
         rise = float(np.sum(end.blocks.loss) - np.sum(self.point.blocks.loss))
         return end, rise if np.isfinite(rise) else np.inf
 
@@ -439,12 +427,6 @@ def _values_and_slopes(unknowns: Unknowns, z: Array) -> tuple[Float[Array, "p"],
     return unknowns.values(z), unknowns.slopes(z)
 
 
-def _needed_substeps(family: Family, problem: Likelihood, z: Float[NumpyArray, "p"]) -> Array:
-    """Substeps that the stiffest of the machines needs."""
-    values = np.asarray(problem.unknowns.values(jnp.asarray(z)))
-    return jnp.asarray(max(needed_substeps(family.make(own)[0], problem.rows) for own in values[family.parts]))
-
-
 def _perhaps_zero(
     problem: Likelihood, point: Point, fixed: Fixed, variance: Float[NumpyArray, "p"]
 ) -> Bool[NumpyArray, "p"]:
@@ -453,7 +435,7 @@ def _perhaps_zero(
     uncorrelated_variance = np.diagonal(point.blocks.inverse(fixed.directions))
     for j in np.flatnonzero(possible):
         # Fixed at e^−PRIOR times its value the parameter is all but zero.
-        without, _ = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR), most=PROFILE_STEPS)
+        without = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR), most=PROFILE_STEPS)
         rise = float(np.sum(without.blocks.loss) - np.sum(point.blocks.loss))
         # Errors that are alike within a block enlarge the variance, and by the same factor the rise due to chance.
         possible[j] = rise < CONFIDENCE**2 / 2 * variance[j] / uncorrelated_variance[j]

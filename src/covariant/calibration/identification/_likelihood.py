@@ -3,8 +3,8 @@
 The innovations of a Kalman filter along the logs are white if model and noise are right, and their probability is that
 of the logs. The filter is that of the linear model of errors along a motion near the readings, as in `_error_model`;
 each evaluation moves this motion to the smoothed one, so that the filter is linearised where the motion is. A large
-process noise makes every row a prediction of its own, so that the search cannot lose the motion; as the noise falls, the
-stretches over which the model predicts grow to the whole log. There are no windows to choose.
+process noise makes every row a prediction of its own, so that the search cannot lose the motion; as the noise falls,
+the stretches over which the model predicts grow to the whole log. There are no windows to choose.
 
 Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, IEEE TIT 11(1); Bell 1994, The iterated
 Kalman smoother as a Gauss–Newton method, SIAM Journal on Optimization 4(3); Ljung 1999, System Identification, 7.4.
@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant.calibration._least_squares import STD_OF_MEDIAN, Blocks, robust
+from covariant.calibration._least_squares import Blocks, robust
 from covariant.calibration.identification._error_model import (
     VAGUE,
     ErrorModel,
@@ -29,14 +29,14 @@ from covariant.calibration.identification._error_model import (
     kalman,
     smoothed,
 )
-from covariant.calibration.identification._predict import PredictionErrors, mean_square
+from covariant.calibration.identification._predict import PredictionErrors, mean_square, needed_substeps
 from covariant.calibration.identification._rows import Rows
 from covariant.calibration.identification._unknowns import Unknowns
 from covariant.models import Motion
 from covariant.signals import AnyArray
 
-FINEST = 1e-6
-"""Least noise of a reading, as a fraction of the motion: below it is rounding."""
+USUAL, FINEST = 1e-3, 1e-6
+"""Usual and least noise of a reading, as fractions of the motion: below the least is rounding."""
 RANGE = 1e4
 """Ratio of the bounds of a noise to what explains all motion."""
 DIFFERENCE = 1e-4
@@ -117,7 +117,9 @@ class Likelihood(NamedTuple):
 
     def _moved(self, z: NumpyArray, kept: "Kept") -> Motion:
         """The smoothed motion at z, by the linear model along one near it."""
-        return _along(self.unknowns.manifold, kept.run, _smoothed_at(kept.system, z - kept.z, self.noise, self.speed))
+        return _along(
+            self.unknowns.manifold, kept.run, _smoothed_at(kept.system, jnp.asarray(z - kept.z), self.noise, self.speed)
+        )
 
     def likelier(
         self, kept: "Kept", bounds: Float[NumpyArray, "k 2"], steps: int, quiet: bool = False
@@ -177,31 +179,21 @@ def first_noise(
 
     `least` (n,) is the least noise of a reading, such as that of its quantum.
     """
-    step, v = rows.step, np.asarray(rows.start.v)[: rows.count]
-    count = rows.count
-    turns = np.asarray(_steps(unknowns.manifold, jax.tree.map(lambda part: part[:count], rows.start.q)))
-    within = ~np.asarray(rows.fresh)[1:count]
-    motion = np.maximum(np.sqrt(np.mean(v**2, axis=0)) * step * np.sqrt(count), 1e-12)
-    bend = np.abs(np.diff(turns, axis=0))[within[1:] & within[:-1]]
-    noise = STD_OF_MEDIAN * np.median(bend, axis=0) / np.sqrt(6) if len(bend) else motion
-    floor = FINEST * motion if least is None else np.maximum(FINEST * motion, least)
-    noise = np.maximum(noise, floor)
-    acceleration = np.sqrt(np.mean((np.diff(v, axis=0)[within] / step) ** 2, axis=0)) + 1e-9
+    step, v = rows.step, np.asarray(rows.start.v)[: rows.used]
+    motion = np.maximum(np.sqrt(np.mean(v**2, axis=0)) * step * np.sqrt(len(v)), 1e-12)
+    floor = np.maximum(FINEST * motion, 0.0 if least is None else least)
+    noise = np.maximum(USUAL * motion, floor)
+    within = ~np.asarray(rows.fresh)[1 : len(v)]
+    acceleration = float(np.sqrt(np.mean((np.diff(v, axis=0)[within] / step) ** 2))) + 1e-9
     gains = np.asarray(_pushes(unknowns, jnp.zeros(len(unknowns.first)), rows.start, rows))
-    force = float(np.sqrt(np.mean(acceleration**2))) / np.sqrt(np.mean(gains**2, axis=(0, 1)))
-    white = 1e-3 * float(np.sqrt(np.mean(acceleration**2))) * np.sqrt(step)
+    force, white = acceleration / np.sqrt(np.mean(gains**2, axis=(0, 1))), USUAL * acceleration * np.sqrt(step)
     usual = np.log([white, *noise, *force, 8 * step, *noise, 8 * step])
     lower, upper = usual - np.log(RANGE), usual + np.log(RANGE)
     n = v.shape[1]
     lower[1 : 1 + n] = np.log(floor)
     times = [1 + 2 * n, -1]
-    lower[times], upper[times] = np.log(4 * step), np.log(max(step * count, 8 * step))
+    lower[times], upper[times] = np.log(4 * step), np.log(step * max(len(v), 8))
     return levels(usual, n), np.stack([lower, upper], axis=1)
-
-
-@eqx.filter_jit
-def _steps(manifold: Any, q: Array) -> Array:
-    return jax.vmap(manifold.local)(q[:-1], q[1:])
 
 
 def levels(z: AnyArray, n: int) -> NoiseLevels:
@@ -238,7 +230,7 @@ def total_loss(
     """Twice the negative log-likelihood of a noise over several logs, and its derivative."""
     # Differences, all in one pass, cost a fifth of a derivative by either mode of differentiation.
     points = jnp.asarray(np.concatenate([z[None], z + DIFFERENCE * np.eye(len(z))]))
-    losses = sum(
+    losses: Any = sum(
         np.asarray(_losses(points, system, None if masks is None else jnp.asarray(masks[k]), speed, doubt))
         for k, system in enumerate(systems)
     )
@@ -274,8 +266,14 @@ def descend(
     return at(minimum.x), float(minimum.fun)
 
 
+def stable_steps(unknowns: Unknowns, z: NumpyArray, rows: Rows) -> Array:
+    """Runge–Kutta steps between rows that the stiffest of the machines needs."""
+    each = [unknowns.model(jnp.asarray(z), machine) for machine in range(len(unknowns.parts))]
+    return jnp.asarray(max(needed_substeps(model, rows) for model in each))
+
+
 def window_errors(
-    unknowns: Unknowns, z: NumpyArray, rows: Rows, substeps: int, length: float, judged: Bool[NumpyArray, "T"]
+    unknowns: Unknowns, z: NumpyArray, rows: Rows, length: float, judged: Bool[NumpyArray, "T"]
 ) -> PredictionErrors:
     """Root mean square errors of the motion that a model predicts over windows [s], each from its best first motion."""
     t = np.asarray(rows.t)
@@ -284,11 +282,11 @@ def window_errors(
     window = np.floor((t - begun) / length + 1e-9)
     rows = rows._replace(fresh=np.asarray(rows.fresh) | (np.diff(window, prepend=-1) != 0))
     v = np.asarray(rows.start.v)
-    size = np.maximum(np.sqrt(np.mean(v[: rows.count] ** 2, axis=0)) * length, 1e-12)
+    size = np.maximum(np.sqrt(np.mean(v[: rows.used] ** 2, axis=0)) * length, 1e-12)
     # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
     noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
     speed = jnp.asarray(FASTER * np.abs(v).max())
-    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), jnp.asarray(substeps), noise, speed)
+    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), stable_steps(unknowns, z, rows), noise, speed)
     run = problem.rows.start
     for _ in range(MOVES):
         run = problem.moved_run(z, run)

@@ -5,7 +5,7 @@ its prediction is thus that of the estimate, propagated to that time, plus an in
 prediction errors judge estimates without a reference.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx

@@ -86,7 +86,7 @@ def better_reading(solved: Solved, rows: Rows, judged: Bool[np.ndarray, "T"], le
         own, at = solved, np.asarray(judged)
         if rival.machine >= 0:
             theirs = rows.of_machine == rival.machine
-            chosen = _one(family, rival.machine)
+            chosen = _with_parts(family, family.parts[[rival.machine]])
             at = at & theirs
             # Of a machine with a single log nothing may be held out.
             at = at if at.any() else theirs
@@ -103,13 +103,8 @@ def _readings(rows: Rows) -> list[Rival]:
     driven = np.flatnonzero(np.ptp(np.asarray(rows.inputs), axis=0) > 0)
     if not driven.size:
         return []
-    shifts = [Rival(-1, sign * k) for k in SHIFTS if k <= rows.count / 8 for sign in (1, -1)]
+    shifts = [Rival(-1, sign * k) for k in SHIFTS if k <= rows.used / 8 for sign in (1, -1)]
     return [Rival(int(j), 0) for j in driven] + shifts
-
-
-def _one(family: Family, machine: int) -> Family:
-    """Family of one machine."""
-    return _with_parts(family, family.parts[[machine]])
 
 
 def _with_parts(family: Family, parts: Int[np.ndarray, "M k"]) -> Family:
@@ -148,7 +143,7 @@ def _suspects(
         rows = jax.tree.map(jnp.asarray, read._replace(start=solved.point.blocks.rest.run))
         problem = solved.rough._replace(rows=rows)
         nothing = Fixed.nothing(len(places[0]))
-        ends = [minimise(problem, Point.at(problem, z), nothing, most=STEPS)[0] for z in places]
+        ends = [minimise(problem, Point.at(problem, z), nothing, most=STEPS) for z in places]
         best = min(ends, key=lambda end: end.loss(nothing))
         return best.blocks.loss, best.z
 
@@ -170,13 +165,12 @@ def _growth(
     read = rival.read(rows)
     other = search(solved.family, read.only(~judged), start=start)
     falls = np.mean([block_losses(solved, each) - block_losses(other, each) for each in (solved, other)], axis=0)
-    theirs = np.ones(len(falls), bool)
-    if not _is_more(falls[theirs], rival, SURE):
+    if not _is_more(falls, rival, SURE):
         return np.inf
 
     def errors(solved: Solved, rows: Rows):
         z = solved.point.z
-        return window_errors(solved.problem.unknowns, z, rows, int(solved.problem.substeps), length, judged)
+        return window_errors(solved.problem.unknowns, z, rows, length, judged)
 
     return error_growth(errors(solved, rows), errors(other, read))
 

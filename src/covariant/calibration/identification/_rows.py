@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -46,7 +47,7 @@ class Rows(NamedTuple):
         fresh: Rows (T,) at which a stretch begins.
         block: Block (T,) that each row is in, from 0; blocks are in order.
         machine: Index (B,) of the machine of each block, of several with numbers of their own.
-        count: Number of rows before the padding.
+        used: Number of rows before the padding.
     """
 
     t: Float[AnyArray, "T"]
@@ -58,7 +59,7 @@ class Rows(NamedTuple):
     fresh: Bool[AnyArray, "T"]
     block: Int[AnyArray, "T"]
     machine: Int[AnyArray, "B"]
-    count: int
+    used: int
 
     def only(self, kept: Bool[np.ndarray, "T"]) -> "Rows":
         """The rows with readings at some of them only; programs are the same for any selection."""
@@ -75,7 +76,7 @@ class Rows(NamedTuple):
     @property
     def step(self) -> float:
         """Usual time from a row to the next [s]."""
-        steps = np.diff(np.asarray(self.t)[: self.count])[~np.asarray(self.fresh)[1 : self.count]]
+        steps = np.diff(np.asarray(self.t)[: self.used])[~np.asarray(self.fresh)[1 : self.used]]
         return float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
 
 
@@ -131,7 +132,7 @@ def gather(
     seen[count:] = np.nan
     block = np.concatenate([block, np.full(size - count, block[-1])])
     begins = pad(fresh) | (np.arange(size) >= count)
-    start = Motion(pad(q), pad(v))
+    start = Motion(jnp.asarray(pad(q)), jnp.asarray(pad(v)))
     return Rows(pad(t), seen, start, pad(np.arange(len(t))), u, steps, begins, block, machine, count)
 
 
@@ -186,7 +187,9 @@ def _padded(count: int) -> int:
     return int(octave * (1 + math.ceil(SIZES * (count / octave - 1)) / SIZES))
 
 
-def held_out_rows(rows: Rows, stamps: Sequence[Float[np.ndarray, "_"]], machines: Sequence[int]) -> Bool[np.ndarray, "T"]:
+def held_out_rows(
+    rows: Rows, stamps: Sequence[Float[np.ndarray, "_"]], machines: Sequence[int]
+) -> Bool[np.ndarray, "T"]:
     """Rows (T,) that are held out: of several logs of a machine the last, or the last third of each."""
     last = held_out_logs(stamps, machines)
     log = np.searchsorted(np.cumsum([len(t) for t in stamps]), np.asarray(rows.rows), "right")
@@ -213,19 +216,12 @@ def held_out_logs(stamps: Sequence[Float[np.ndarray, "_"]], machines: Sequence[i
 def horizon(t: Float[np.ndarray, "T"], velocity: Float[np.ndarray, "T n"]) -> float:
     """Time [s] over which predictions judge a model: twice that in which the velocity changes by its own size.
 
-    That is the least τ, of a geometric sequence, for which `v(t + τ/2) − v(t)` is as large as v itself, root mean
-    square over the log, in units of each velocity; at most a sixth of the log. Over much shorter times a position
-    hardly shows a force, and over much longer ones errors of the model grow beyond the range of a linearisation.
+    That is `2 rms(v)/rms(v')`, in units of each velocity, and at most a sixth of the log. Over much shorter times a
+    position hardly shows a force, and over much longer ones errors of the model grow beyond the range of a
+    linearisation.
     """
-    step, span = float(np.median(np.diff(t))), float(t[-1] - t[0])
-    size = known_rms(velocity)
-    relative = velocity[:, size > 0] / size[size > 0]
-    least, most = FEWEST_ROWS * step, span / 6
-    if least >= most or not relative.size:
-        return max(least, most)
-    for time in np.geomspace(least, most, 40):
-        later = np.searchsorted(t, t + time / 2)
-        inside = later < len(t)
-        if known_rms(relative[later[inside]] - relative[inside], (0, 1)) >= 1.0:
-            return float(time)
-    return float(most)
+    steps = np.diff(t)
+    change = np.diff(velocity, axis=0) / np.where(steps > 0, steps, np.nan)[:, None]
+    size, pace = known_rms(velocity), known_rms(change)
+    time = 2 / np.sqrt(np.mean((pace / np.where(size > 0, size, np.inf)) ** 2) + 1e-300)
+    return float(max(FEWEST_ROWS * np.median(steps), min(time, (t[-1] - t[0]) / 6)))

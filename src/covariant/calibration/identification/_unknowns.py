@@ -17,8 +17,8 @@ NumpyArray = np.ndarray
 
 
 class Unknowns(NamedTuple):
-    """The fitted function `make (k,) -> (model, lag)`, first values (p,), which are positive, which k of the p are those
-    of each machine, and the configurations of the model.
+    """The fitted function `make (k,) -> (model, lag)`, first values (p,), which are positive, which k of the p are
+    those of each machine, and the configurations of the model.
 
     The unknowns z (p,) are relative changes of the values.
     """
@@ -31,7 +31,13 @@ class Unknowns(NamedTuple):
 
     @classmethod
     def of(cls, family: Family) -> "Unknowns":
-        return cls(family.make, jnp.asarray(family.first), family.positive, jnp.asarray(family.parts), family.file.model.manifold)
+        return cls(
+            family.make,
+            jnp.asarray(family.first),
+            family.positive,
+            jnp.asarray(family.parts),
+            family.file.model.manifold,
+        )
 
     @classmethod
     def none(cls, model: MechanicalSystem) -> "Unknowns":

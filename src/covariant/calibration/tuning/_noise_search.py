@@ -1,8 +1,8 @@
 """Noise of the greatest likelihood of innovations, on the errors of one run as in `_error_model`.
 
 A force that the model does not know has a size in each component, and is forgotten: a Gauss–Markov process, of which a
-random walk is the limit of a long time. Its sizes start from those of the force that a smoother finds, so that the
-model need not be right in anything. The likelihood of its time constant has several maxima: several starts are tried.
+random walk is the limit of a long time. Its sizes start from a force that explains all innovations, so that the model
+need not be right in anything. The likelihood of its time constant has several maxima: several starts are tried.
 
 Source: Schweppe 1965; Ljung 1999, System Identification, section 7.4; Schwarz 1978, Estimating the dimension of a
 model, Annals of Statistics 6(2).
@@ -37,11 +37,11 @@ from covariant.signals import AnyArray
 
 LEAST = 0.01
 """Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
-TIMES, ROUNDS = 3, 3
-"""Number of time constants that the search starts from, and rounds in which a smoother measures the force for each."""
+TIMES = 3
+"""Number of time constants that the search starts from."""
 RANGE = 1e4
 """Ratio of the bounds of a noise to what explains all innovations."""
-STEPS, FIRST_STEPS = 30, 4
+STEPS, FIRST_STEPS = 30, 8
 """Largest number of steps of a search, and of that from each start."""
 
 
@@ -115,10 +115,7 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     for time in np.geomspace(8 / rate, span / 4, TIMES):
         start = np.concatenate([plain[: 1 + n], np.log(force), [np.log(time)]])
         start[0] = max(start[0] - np.log(10), lower[0])
-        for _ in range(ROUNDS):
-            start[1 + n : 1 + 2 * n] = np.log(_measured_force(parts, levels(start, n), speed, masks))
-            start = np.clip(start, lower, upper)
-        starts.append(search(start, np.arange(2 + 2 * n), FIRST_STEPS))
+        starts.append(search(np.clip(start, lower, upper), np.arange(2 + 2 * n), FIRST_STEPS))
     forced, lower_loss = search(min(starts, key=lambda each: each[1])[0], np.arange(2 + 2 * n), STEPS)
     count = sum(int(mask.sum()) for mask in masks)
     held_out = [np.asarray(system.present) & log.held_out[:, None] for log, system in zip(logs, systems, strict=True)]
@@ -126,11 +123,3 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     # Schwarz's criterion for n + 1 parameters more, and what is held out has to confirm them.
     confirmed = without - lower_loss > (n + 1) * np.log(count) and tried[1] < tried[0]
     return levels(forced if confirmed else plain, n)._replace(**({} if confirmed else {"force": jnp.asarray(0.0)}))
-
-
-def _measured_force(parts: list[ErrorModel], noise: NoiseLevels, speed: jax.Array, masks: list[np.ndarray]):
-    """Root mean square (n,) of the force that the smoother finds in the rows that count."""
-    n = masks[0].shape[1]
-    forces = [np.asarray(smoothed_errors(part, noise, speed))[:, 2 * n :] for part in parts]
-    rows = np.concatenate([force[mask.any(axis=1)] for force, mask in zip(forces, masks, strict=True)])
-    return np.maximum(np.sqrt(np.mean(rows**2, axis=0)), np.finfo(float).tiny)

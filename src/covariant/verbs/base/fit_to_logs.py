@@ -23,7 +23,6 @@ from covariant.calibration.identification import (
     fit_servos,
     gather,
     held_out_rows,
-    needed_substeps,
     predict_servos,
     predicts_worse,
     profile,
@@ -56,6 +55,7 @@ CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
+
 
 def fit_to_logs(
     jobs: list[Job],
@@ -90,7 +90,7 @@ def fit_to_logs(
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, part)
     better = not predicts_worse(before, after) and not suspicion
-    found = problem.ended(best, part if better else None)
+    found: Any = problem.ended(best, part if better else None)
     values = np.array([float(f"{value:.{DIGITS}g}") for value in found.values])[problem.family.parts]
     contents = {
         machine: problem.family.with_values(part) for machine, part in zip(problem.machines, values, strict=True)
@@ -230,9 +230,7 @@ class _PredictionProblem(NamedTuple):
 
     def _errors(self, values: Float[np.ndarray, "p"], part: _Part) -> PredictionErrors:
         unknowns = Unknowns.of(self.family)
-        models = [self.family.make(own)[0] for own in np.asarray(values)[self.family.parts]]
-        steps = max(needed_substeps(model, part.rows) for model in models)
-        return window_errors(unknowns, unknowns.relative(values), part.rows, steps, self.logs.length, part.judged)
+        return window_errors(unknowns, unknowns.relative(values), part.rows, self.logs.length, part.judged)
 
     def details(self, best: Fit) -> dict[str, Any]:
         return {"start": start_sentence(best), "undetermined": list(relations(best)), "unlike": list(best.unlike)}
@@ -309,9 +307,7 @@ class _RobotProblem(NamedTuple):
             rows = part.rows._replace(machine=np.zeros_like(part.rows.machine))
             judged = part.judged & (machine == k)
             if judged.any():
-                steps = needed_substeps(model, rows)
-                unknowns = Unknowns.none(model)
-                found.append(window_errors(unknowns, np.zeros(0), rows, steps, self.logs.length, judged))
+                found.append(window_errors(Unknowns.none(model), np.zeros(0), rows, self.logs.length, judged))
         return PredictionErrors(*(np.sqrt(np.mean(np.square(kind), axis=0)) for kind in zip(*found, strict=True)))
 
     def details(self, best: RobotFit) -> dict[str, Any]:
