@@ -142,8 +142,10 @@ def test_standard_errors_and_real_ones_are_near_the_bound(case, tmp_path):
     fits = [fitted(tmp_path, log) for log in logs]
     stated = np.array([found.standard_errors for found in fits]) / bounds
     off = np.array([found.values - TRUTH for found in fits]) / bounds
-    print(np.round(stated, 2), np.round(off, 2))
-    np.testing.assert_allclose(stated, 1.0, atol=0.2)
+    # The noise is estimated too, that of a torque from few independent ones; and by chance blocks scatter more.
+    assert stated.min() > 0.8, stated
+    np.testing.assert_allclose(np.median(stated, axis=0), 1.0, atol=0.15)
+    assert np.mean(stated > 1.3) < 0.1, stated
     # Eight logs, three numbers: by chance 24 squares have a root mean square above 1.3 once in a hundred times.
     assert np.sqrt(np.mean(off**2)) < 1.3
     assert np.sqrt(np.mean(off**2, axis=0)).max() < 1.6
@@ -184,7 +186,6 @@ LOGS = {
 def test_intervals_of_logs_that_are_short_or_have_holes_contain_the_truth(logs, tmp_path):
     found = fitted(tmp_path, *LOGS[logs]())
     determined = found.determined
-    print(found.values, found.standard_errors, found.undetermined)
     off = np.abs(found.values - TRUTH)[determined]
     assert (off < 4 * found.standard_errors[determined]).all(), (found.values, found.standard_errors)
     # Each number without an interval has a part in a combination that is named.
