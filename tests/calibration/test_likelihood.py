@@ -1,6 +1,6 @@
-"""The likelihood of logs: that of a plainly written Kalman filter, its derivatives, and logs that are hard to read."""
+"""The likelihood of logs is that of a plainly written Kalman filter, and its derivatives are those of its values."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +9,14 @@ import pytest
 from scipy.linalg import expm
 
 from covariant import models
-from covariant.calibration.identification import NoiseLevels, Rows, Unknowns, gather, total_loss
-from covariant.calibration.identification import _likelihood as likelihoods
+from covariant.calibration.identification import (
+    NoiseLevels,
+    Rows,
+    Unknowns,
+    _likelihood as likelihoods,
+    gather,
+    total_loss,
+)
 from covariant.calibration.identification._likelihood import Likelihood, logarithms
 from covariant.signals import Record
 
