@@ -148,7 +148,7 @@ def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
 
     def errors(family: models.Family, values: np.ndarray) -> PredictionErrors:
         unknowns = Unknowns.of(family)
-        return window_errors(unknowns, unknowns.relative(values), rows, 1, 0.25, held_out)
+        return window_errors(unknowns, unknowns.relative(values), rows, 0.25, held_out)
 
     found = search(wrong, rows.only(~held_out)).fit
     assert error_growth(errors(right, fits[0].values), errors(wrong, found.values)) > 3

@@ -17,7 +17,7 @@ def errors_over_a_second(t: np.ndarray, y: np.ndarray, stiffness: float) -> Pred
     unknowns = Unknowns.none(models.oscillator(stiffness=stiffness))
     record = Record(t, np.zeros((len(t), 1)), y[:, None])
     rows = gather(unknowns.manifold, [record], [-np.sin(t)[:, None]])
-    return window_errors(unknowns, np.zeros(0), rows, 4, 1.0, np.ones(len(rows.t), bool))
+    return window_errors(unknowns, np.zeros(0), rows, 1.0, np.ones(len(rows.t), bool))
 
 
 def test_outliers_do_not_hide_that_a_model_predicts_worse():

@@ -108,7 +108,7 @@ def plain_filter(log: Swing, values: np.ndarray, noise: NoiseLevels, speed: floa
     """The textbook filter of position, velocity and force, with a force that is constant over a step, at its mean."""
     stiffness, viscous, gain, load = values
     t, u, y = (np.asarray(each) for each in log.record[:3])
-    white, std, size, time = (float(np.squeeze(np.asarray(each))) for each in noise)
+    white, std, size, time = (float(np.squeeze(np.asarray(each))) for each in noise[:4])
     usual, fresh = np.median(np.diff(t)), True
     innovations, stds = np.full((2, len(t)), np.nan)
     x = cov = None

@@ -57,6 +57,8 @@ CONFIDENCE = 2.0
 """Standard errors within which a parameter cannot be distinguished from zero."""
 FAR, PROFILE_STEPS = 8.0, 5
 """Factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
+INFORMED = 1e-3
+"""Information below which a combination is not determined, however the loss rises far away."""
 RESTARTS = 1
 """How often a search begins anew from a better place that a profile has found."""
 SHOWN = 0.03
@@ -120,17 +122,21 @@ class Fit(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """The end of a search: the fit, the point of the likelihood at it, what is fixed, the problem with the first noise,
-    bounds of the logarithms of noise, and whether readings alone are noisy."""
+    """The end of a search: the fit, the point of the likelihood at it, what is fixed, bounds of the logarithms of
+    noise, and whether readings alone are noisy."""
 
     family: Family
     fit: Fit
     problem: Likelihood
     point: Point
     fixed: Fixed
-    rough: Likelihood
     bounds: Float[NumpyArray, "k 2"]
     quiet: bool = False
+
+    @property
+    def least(self) -> Float[NumpyArray, "n"]:
+        """Least noise (n,) of a reading."""
+        return np.exp(self.bounds[1 : 1 + self.point.blocks.rest.run.v.shape[1], 0])
 
 
 def fit(
@@ -208,7 +214,7 @@ def search(
     won = min(ends, key=lambda name: ends[name].loss(free))
     point = ends[won]
     tried = sorted((end.loss(free) - point.loss(free), name) for name, end in ends.items())
-    solved = Solved(family, None, rough, point, free, rough, bounds)  # pyright: ignore[reportArgumentType]
+    solved = Solved(family, None, rough, point, free, bounds)  # pyright: ignore[reportArgumentType]
     rounds = itertools.count(1)
     solved, loss = _alternate(solved, progress, rounds)
     # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
@@ -223,7 +229,7 @@ def _alternate(
 ) -> tuple[Solved, float]:
     """Rounds of searches for noise and for parameters, until neither gains, or what is reached is not `worth` going on;
     what is not determined is fixed then. Also twice the negative log-likelihood."""
-    _, _, problem, point, fixed, _, bounds, quiet = solved
+    _, _, problem, point, fixed, bounds, quiet = solved
     loss, before = np.inf, np.inf
     for k in range(1, ROUNDS):
         problem = problem._replace(substeps=stable_steps(problem.unknowns, point.z, problem.rows))
@@ -298,7 +304,7 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
     does determine the parameter. Where it does not rise, the other parameters are known no better than it moves them;
     and one that has vanished, though its first value explains the log as well, keeps that.
     """
-    family, fit, problem, point, _, rough, bounds, _ = solved
+    family, fit, problem, point, *_ = solved
     if not len(fit.undetermined):
         return solved
     unknowns = problem.unknowns
@@ -311,14 +317,16 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
         if again and min(rise for _, rise in ends) < -judge.chance:
             lowest = min(ends, key=lambda each: each[1])[0]
             values = np.asarray(unknowns.values(jnp.asarray(lowest.z)))
-            least = np.exp(bounds[1 : 1 + point.blocks.rest.run.v.shape[1], 0])
-            better = search(family, rough.rows, start=values, least=least)
+            better = search(family, problem.rows, start=values, least=solved.least)
             starts = ((f"a profile of {fit.names[j]}", 0.0),)
             return profile(better._replace(fit=better.fit._replace(starts=starts)), again - 1)
         flat = [end.z - z for end, rise in ends if rise < judge.chance]
-        if not flat:
+        along = rows[k] * fit.values / np.asarray(unknowns.slopes(jnp.asarray(z)))
+        if not flat and along @ point.blocks.information @ along > INFORMED * along @ along:
             continue
         kept.append(k)
+        if not flat:  # so far off that no step leads back, but without any information near the end of the search
+            continue
         alone = np.sum(rows[k] != 0) == 1
         if alone and abs(z[j]) > MOVED and judge.rise(np.where(np.arange(len(z)) == j, 0.0, z), j)[1] < judge.chance:
             at[j] = 0.0
@@ -389,8 +397,10 @@ def relations(fit: Fit) -> tuple[str, ...]:
     Example:
         >>> import numpy as np
         >>> from covariant.calibration import Fit, relations
+        >>> from covariant.calibration.identification import NoiseLevels
+        >>> noise = NoiseLevels(np.array(0.05), np.array([1e-3]), np.array(0.0))
         >>> first, row = np.array([1.0, 2.0]), np.array([[1.0, -1.0]])
-        >>> print(*relations(Fit(("mass", "length"), first, first, np.full(2, np.nan), row, np.array([1e-3]), 10.0, 5)))
+        >>> print(*relations(Fit(("mass", "length"), first, first, np.full(2, np.nan), row, noise, np.ones(2))))
         only the product mass · length is determined: mass and length cannot be told apart
     """
     changed = np.abs(fit.values - fit.first) > MOVED * np.abs(fit.first)

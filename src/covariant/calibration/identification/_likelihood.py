@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from covariant._linalg import known_rms
 from covariant.calibration._least_squares import Blocks, robust
 from covariant.calibration.identification._error_model import (
     VAGUE,
@@ -29,7 +30,7 @@ from covariant.calibration.identification._error_model import (
     kalman,
     smoothed,
 )
-from covariant.calibration.identification._predict import PredictionErrors, mean_square, needed_substeps
+from covariant.calibration.identification._predict import FAR, PredictionErrors, needed_substeps
 from covariant.calibration.identification._rows import Rows
 from covariant.calibration.identification._unknowns import Unknowns
 from covariant.models import Motion
@@ -43,8 +44,8 @@ DIFFERENCE = 1e-4
 """Change of the logarithm of a noise by which a derivative is taken: far above rounding, far below what counts."""
 QUIET = np.log(1e-12)
 """Logarithm of a noise that is none."""
-GAINED = 0.2
-"""Decrease of twice the negative log-likelihood in a step below which a search for noise ends."""
+GAINED, PRECISE = 0.2, 1e-3
+"""Decreases of twice the negative log-likelihood in a round, and in a step for noise, below which a search ends."""
 FASTER = 3.0
 """Standard deviation of the velocity at the start of a stretch, in largest velocities of the reference."""
 BEYOND = 1e100
@@ -169,7 +170,8 @@ def _pushes(unknowns: Unknowns, z: Array, run: Motion, rows: Rows) -> Float[Arra
     def push(q, m):
         return input_matrix(unknowns.model(z, m if len(unknowns.parts) > 1 else 0), q)
 
-    return jax.vmap(push)(run.q, machine)
+    # Those that act in the step to each row are those at the row before, as in the error model.
+    return jnp.roll(jax.vmap(push)(run.q, machine), 1, axis=0)
 
 
 def first_noise(
@@ -208,9 +210,9 @@ def levels(z: AnyArray, n: int) -> NoiseLevels:
 
 def logarithms(noise: NoiseLevels, n: int) -> Float[NumpyArray, "k"]:
     """The logarithms that `levels` makes a noise of."""
-    force = np.broadcast_to(np.asarray(noise.force), n)
+    force, wiggle = (np.broadcast_to(np.asarray(each), n) for each in (noise.force, noise.wiggle))
     own = [float(noise.acceleration), *np.asarray(noise.measurement), *force, float(noise.force_time)]
-    return np.log([*own, *np.asarray(noise.wiggle), float(noise.wiggle_time)])
+    return np.log(np.maximum([*own, *wiggle, float(noise.wiggle_time)], 1e-300))
 
 
 @eqx.filter_jit
@@ -261,7 +263,7 @@ def descend(
         return (loss, slope[free]) if valid else (np.inf, np.zeros(len(free)))
 
     inside = np.clip(start[free], *bounds[free].T)
-    options = {"maxiter": steps, "ftol": GAINED / max(abs(cost(inside)[0]), 1.0), "maxls": 10}
+    options = {"maxiter": steps, "ftol": PRECISE / max(abs(cost(inside)[0]), 1.0), "maxls": 10}
     minimum = minimize(cost, inside, jac=True, method="L-BFGS-B", bounds=bounds[free], options=options)
     return at(minimum.x), float(minimum.fun)
 
@@ -283,20 +285,22 @@ def window_errors(
     rows = rows._replace(fresh=np.asarray(rows.fresh) | (np.diff(window, prepend=-1) != 0))
     v = np.asarray(rows.start.v)
     size = np.maximum(np.sqrt(np.mean(v[: rows.used] ** 2, axis=0)) * length, 1e-12)
+    speed, steps = jnp.asarray(FASTER * np.abs(v).max()), stable_steps(unknowns, z, rows)
     # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
     noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
-    speed = jnp.asarray(FASTER * np.abs(v).max())
-    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), stable_steps(unknowns, z, rows), noise, speed)
+    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
     run = problem.rows.start
     for _ in range(MOVES):
         run = problem.moved_run(z, run)
-    system = problem.linear(z, run)
-    off, present = np.asarray(system.residual), np.asarray(system.present)
-    new = np.diff(t, prepend=-np.inf) > 0
-    speed = np.asarray(rows.start.v) - np.asarray(run.v)
+        system = problem.linear(z, run)
+        off = np.where(system.present, system.residual, np.nan)
+        # Those far off the others are left out from the next time on.
+        far = (off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)
+        problem = problem._replace(rows=problem.rows._replace(y=_without(problem.rows.y, jnp.asarray(far))))
+    slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, np.asarray(rows.start.v) - np.asarray(run.v), np.nan)
+    slow[~np.isfinite(off)] = np.nan
+    return PredictionErrors(known_rms(off), known_rms(slow))
 
-    def rms(errors: NumpyArray, mask: NumpyArray) -> NumpyArray:
-        columns = [errors[mask[:, i], i] for i in range(errors.shape[1])]
-        return np.sqrt([mean_square(column) if column.size else 0.0 for column in columns])
 
-    return PredictionErrors(rms(off, present), rms(speed, present & new[:, None]))
+def _without(y: Array, rows: Array) -> Array:
+    return jnp.where(rows.reshape(-1, *[1] * (y.ndim - 1)), jnp.nan, y)

@@ -1,8 +1,8 @@
 """Other readings of logs that would explain them better than a fitted model does: a reversed input, late positions.
 
 Parameters that are fitted to such a log make up for its fault as far as they can, with small standard errors. So the
-same fit is tried with each reading: first with the noise that explains the whole motion, where it is a regression and
-costs little, and the best of those that explain clearly more with a search of its own too. Of several machines the logs
+same fit is tried with each reading: first some steps of it, with the noise of the fit, which is large where a log is
+misread, and the best of those that explain clearly more with a search of its own too. Of several machines the logs
 of one may be misread. These are judged by a fit of that machine alone: a shared number in which it differs from the
 others is no misreading.
 """
@@ -31,7 +31,7 @@ search."""
 LESS = 0.8
 """Size of the errors with another reading, over that without, below which it is believed."""
 STEPS = 2
-"""Steps of the search with the noise that explains the whole motion."""
+"""Steps of the search with the noise of the fit."""
 
 
 class Rival(NamedTuple):
@@ -83,16 +83,16 @@ def better_reading(solved: Solved, rows: Rows, judged: Bool[np.ndarray, "T"], le
         groups = {m: group for m, group in groups.items() if np.sum(group) >= family.parts.shape[1] + LEAST_FREE}
         suspects += _suspects(_apart(solved), seen, readings, groups)
     for rival, _, values in sorted(suspects, key=lambda each: -each.fall):
-        own, at = solved, np.asarray(judged)
+        own, at, theirs = solved, np.asarray(judged), rows
         if rival.machine >= 0:
-            theirs = rows.of_machine == rival.machine
-            chosen = _with_parts(family, family.parts[[rival.machine]])
-            at = at & theirs
+            chosen = rows.of_machine == rival.machine
+            at = at & chosen
             # Of a machine with a single log nothing may be held out.
-            at = at if at.any() else theirs
-            own = search(chosen, _alone(rows.only(theirs & ~judged), rival.machine))
-            rows = _alone(rows, rival.machine)
-        growth = _growth(own, rows, at, length, rival, values)
+            at = at if at.any() else chosen
+            seen_there = _alone(rows.only(chosen & ~judged), rival.machine)
+            own = search(_with_parts(family, family.parts[[rival.machine]]), seen_there, least=solved.least)
+            theirs = _alone(rows, rival.machine)
+        growth = _growth(own, theirs, at, length, rival, values)
         if growth < LESS:
             return rival._replace(growth=growth)
     return None
@@ -124,24 +124,24 @@ def _apart(solved: Solved) -> Solved:
     """The same with all numbers of each machine its own."""
     family = _with_parts(solved.family, solved.family.parts)
     values = solved.fit.values[solved.family.parts.ravel()]
-    unknowns = type(solved.rough.unknowns).of(family)
+    unknowns = type(solved.problem.unknowns).of(family)
     point = solved.point._replace(z=unknowns.relative(values))
-    rough = solved.rough._replace(unknowns=unknowns)
-    return solved._replace(family=family, fit=solved.fit._replace(values=values), point=point, rough=rough)
+    problem = solved.problem._replace(unknowns=unknowns)
+    return solved._replace(family=family, fit=solved.fit._replace(values=values), point=point, problem=problem)
 
 
 def _suspects(
     solved: Solved, rows: Rows, readings: Sequence[Rival], groups: dict[int, Bool[np.ndarray, "B"]]
 ) -> Iterator[_Suspect]:
     """The best reading for the blocks of each machine, or −1 for those of all, if it explains them clearly better."""
-    unknowns = solved.rough.unknowns
+    unknowns = solved.problem.unknowns
 
     places = np.zeros(len(solved.point.z)), solved.point.z
 
     def regressed(read: Rows) -> tuple[Float[np.ndarray, "B"], Float[np.ndarray, "p"]]:
         """Losses of the blocks after some steps, and the unknowns there."""
         rows = jax.tree.map(jnp.asarray, read._replace(start=solved.point.blocks.rest.run))
-        problem = solved.rough._replace(rows=rows)
+        problem = solved.problem._replace(rows=rows)
         nothing = Fixed.nothing(len(places[0]))
         ends = [minimise(problem, Point.at(problem, z), nothing, most=STEPS) for z in places]
         best = min(ends, key=lambda end: end.loss(nothing))
@@ -163,7 +163,7 @@ def _growth(
 ) -> float:
     """RMS error of predictions of what is held out with a reading, over without it; infinite if that may be chance."""
     read = rival.read(rows)
-    other = search(solved.family, read.only(~judged), start=start)
+    other = search(solved.family, read.only(~judged), start=start, least=solved.least)
     falls = np.mean([block_losses(solved, each) - block_losses(other, each) for each in (solved, other)], axis=0)
     if not _is_more(falls, rival, SURE):
         return np.inf

@@ -85,8 +85,8 @@ def fit_to_logs(
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
     best, part = fits[used], parts[used]
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
-    before = problem.first_errors(parts[logs.tried[0]])
-    after = problem.fitted_errors(best, part)
+    before = problem.errors(None, parts[logs.tried[0]])
+    after = problem.errors(best, part)
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, part)
     better = not predicts_worse(before, after) and not suspicion
@@ -222,14 +222,9 @@ class _PredictionProblem(NamedTuple):
         )
         return Gain.of(held - linear)
 
-    def first_errors(self, part: _Part) -> PredictionErrors:
-        return self._errors(self.family.first, part)
-
-    def fitted_errors(self, best: Solved, part: _Part) -> PredictionErrors:
-        return self._errors(best.fit.values, part)
-
-    def _errors(self, values: Float[np.ndarray, "p"], part: _Part) -> PredictionErrors:
-        unknowns = Unknowns.of(self.family)
+    def errors(self, best: Solved | None, part: _Part) -> PredictionErrors:
+        """Errors on what is held out, of the first values where there is no fit."""
+        unknowns, values = Unknowns.of(self.family), self.family.first if best is None else best.fit.values
         return window_errors(unknowns, unknowns.relative(values), part.rows, self.logs.length, part.judged)
 
     def details(self, best: Fit) -> dict[str, Any]:
@@ -291,17 +286,13 @@ class _RobotProblem(NamedTuple):
     def gain(self, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
-    def first_errors(self, part: _Part) -> PredictionErrors:
+    def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
+        """Root mean squares over the machines, of the first values where there is no fit."""
         # At the first values the family has the program of the fitted model; but a load that it adds was not there.
         added = any(number.group == "payload" for number in self.family.numbers)
-        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.one.names)))
-        return self._errors([model] * len(self.machines), part)
-
-    def fitted_errors(self, best: RobotFit, part: _Part) -> PredictionErrors:
-        return self._errors([self.family.make(x) for x in best.coordinates[self.family.parts]], part)
-
-    def _errors(self, each: Sequence[Any], part: _Part) -> PredictionErrors:
-        """Root mean squares over the machines."""
+        x = np.zeros(len(self.family.names)) if best is None else best.coordinates
+        old = best is None and added
+        each = [self.family.file.model if old else self.family.make(own) for own in x[self.family.parts]]
         machine, found = part.rows.of_machine, []
         for k, model in enumerate(each):
             rows = part.rows._replace(machine=np.zeros_like(part.rows.machine))
@@ -379,21 +370,15 @@ class _ServoProblem(NamedTuple):
     def suspicion(self, best: RobotFit, part: _Part) -> str:
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
         del part
-        return unlike_servos(self.family, best, self.logs.logs[-1], self._errors(best.coordinates).position)
+        return unlike_servos(self.family, best, self.logs.logs[-1], self.errors(best).position)
 
     def gain(self, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
-    def first_errors(self, part: _Part) -> PredictionErrors:
-        del part
-        return self._errors(np.zeros(len(self.family.names)))
-
-    def fitted_errors(self, best: RobotFit, part: _Part) -> PredictionErrors:
-        del part
-        return self._errors(best.coordinates)
-
-    def _errors(self, x: Float[np.ndarray, "p"]) -> PredictionErrors:
+    def errors(self, best: RobotFit | None, part: _Part | None = None) -> PredictionErrors:
         """Errors of the motion predicted from the first row and the commands of what is held out."""
+        del part
+        x = np.zeros(len(self.family.names)) if best is None else best.coordinates
         several = len(self.logs.logs) > 1
         chosen = range(self.logs.seen, len(self.logs.logs)) if several else range(1)
         errors = []
