@@ -312,6 +312,8 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
     rows, z = np.array(fit.undetermined), point.z
     leading = [int(np.argmax((row == 1) & (np.sum(rows != 0, axis=0) == 1))) for row in rows]
     kept, at, moved_by = [], z.copy(), np.zeros(len(z))
+    information, directions = np.linalg.eigh(point.blocks.information)
+    blind = directions[:, information < INFORMED]
     for k, j in enumerate(leading):
         ends = judge.moved(j)
         if again and min(rise for _, rise in ends) < -judge.chance:
@@ -322,7 +324,7 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
             return profile(better._replace(fit=better.fit._replace(starts=starts)), again - 1)
         flat = [end.z - z for end, rise in ends if rise < judge.chance]
         along = rows[k] * fit.values / np.asarray(unknowns.slopes(jnp.asarray(z)))
-        if not flat and along @ point.blocks.information @ along > INFORMED * along @ along:
+        if not flat and np.linalg.norm(blind.T @ along) < 0.9 * np.linalg.norm(along):
             continue
         kept.append(k)
         if not flat:  # so far off that no step leads back, but without any information near the end of the search

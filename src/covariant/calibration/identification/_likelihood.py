@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import known_rms
-from covariant.calibration._least_squares import Blocks, robust
+from covariant.calibration._least_squares import STD_OF_MEDIAN, Blocks, robust
 from covariant.calibration.identification._error_model import (
     VAGUE,
     ErrorModel,
@@ -87,7 +87,13 @@ class Likelihood(NamedTuple):
         seen = spread > 0
         size = np.where(seen, spread, 1.0)
         # Far from the truth a motion may be beyond all numbers; what is not finite is refused by the search.
-        e, slope = np.clip(e / size, -BEYOND, BEYOND), slope / size[:, :, None]
+        e = np.clip(e / size, -BEYOND, BEYOND)
+        if len(self.unknowns.parts) > 1:  # readings of one machine may be rougher than those of another
+            whose, sizes = self.rows.of_machine[:, None], np.where(seen, np.abs(e), np.nan)
+            each = [STD_OF_MEDIAN * np.nanmedian(np.where(whose == m, sizes, np.nan)) for m in np.unique(whose)]
+            rough = np.nan_to_num(np.array(each), nan=1.0)[np.searchsorted(np.unique(whose), whose)]
+            e, size = e / rough, size * rough
+        slope = slope / size[:, :, None]
         loss, weight = robust(e)
         first = np.flatnonzero(np.diff(np.asarray(self.rows.block), prepend=-1))
 
@@ -296,11 +302,8 @@ def window_errors(
         off = np.where(system.present, system.residual, np.nan)
         # Those far off the others are left out from the next time on.
         far = (off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)
-        problem = problem._replace(rows=problem.rows._replace(y=_without(problem.rows.y, jnp.asarray(far))))
+        y = jnp.where(far.reshape(-1, *[1] * (np.ndim(rows.y) - 1)), jnp.nan, problem.rows.y)
+        problem = problem._replace(rows=problem.rows._replace(y=y))
     slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, np.asarray(rows.start.v) - np.asarray(run.v), np.nan)
     slow[~np.isfinite(off)] = np.nan
     return PredictionErrors(known_rms(off), known_rms(slow))
-
-
-def _without(y: Array, rows: Array) -> Array:
-    return jnp.where(rows.reshape(-1, *[1] * (y.ndim - 1)), jnp.nan, y)

@@ -116,8 +116,7 @@ def _with_parts(family: Family, parts: Int[np.ndarray, "M k"]) -> Family:
 
 def _alone(rows: Rows, machine: int) -> Rows:
     """The rows with the machine as the only one: those of others have no readings."""
-    kept = rows.only(rows.of_machine == machine)
-    return kept._replace(machine=np.zeros(len(rows.machine), int))
+    return rows.only(rows.of_machine == machine)._replace(machine=np.zeros(len(rows.machine), int))
 
 
 def _apart(solved: Solved) -> Solved:
@@ -134,8 +133,6 @@ def _suspects(
     solved: Solved, rows: Rows, readings: Sequence[Rival], groups: dict[int, Bool[np.ndarray, "B"]]
 ) -> Iterator[_Suspect]:
     """The best reading for the blocks of each machine, or −1 for those of all, if it explains them clearly better."""
-    unknowns = solved.problem.unknowns
-
     places = np.zeros(len(solved.point.z)), solved.point.z
 
     def regressed(read: Rows) -> tuple[Float[np.ndarray, "B"], Float[np.ndarray, "p"]]:
@@ -153,7 +150,7 @@ def _suspects(
         falls = (now - then)[group]
         reading = rival._replace(machine=machine)
         if _is_more(falls, reading, SURE if machine < 0 else LIKELY):
-            values = np.asarray(unknowns.values(jnp.asarray(z)))
+            values = np.asarray(solved.problem.unknowns.values(jnp.asarray(z)))
             part = slice(None) if machine < 0 else solved.family.parts[machine]
             yield _Suspect(reading, float(np.sum(falls)), values[part])
 

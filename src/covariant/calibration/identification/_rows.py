@@ -26,8 +26,9 @@ FITTED = 2 / 3
 """Fraction of a log, its first part, that a fit to it alone or a tuning uses; the rest judges."""
 BETWEEN_LOGS = 1e9
 """Step [s] put between the inputs of two logs, so that a lag of the first has died away in the second."""
-BLOCKS, FEWEST_IN_BLOCK = 32, 10
-"""Number of blocks of rows whose errors are taken as independent, and their least number of rows."""
+BLOCKS, EACH, FEWEST_IN_BLOCK = 32, 12, 10
+"""Numbers of blocks of rows whose errors are taken as independent, in all or of each machine, and their least number of
+rows."""
 SIZES = 4
 """Numbers of rows in an octave to which rows are padded, so that few programs serve logs of any length."""
 
@@ -169,7 +170,7 @@ def _blocks(
     chosen: Int[np.ndarray, "T"], offsets: Int[np.ndarray, "K1"], machines: Sequence[int]
 ) -> tuple[Int[np.ndarray, "T"], Int[np.ndarray, "B"]]:
     """Block of each row, and the machine of each block: parts of the logs of about equal length."""
-    length = max(len(chosen) // BLOCKS, FEWEST_IN_BLOCK)
+    length = max(len(chosen) // max(BLOCKS, EACH * len(set(machines))), FEWEST_IN_BLOCK)
     log = np.searchsorted(offsets, chosen, "right") - 1
     block, machine, first = np.zeros(len(chosen), int), [], 0
     for k in np.unique(log):

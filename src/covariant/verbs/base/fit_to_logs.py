@@ -191,14 +191,10 @@ class _PredictionProblem(NamedTuple):
             report(done, min((done + step / STEPS) / ROUNDS, 1.0))
 
         begin = None if start is None else start.fit.values
-        return search(self.family, part.rows.only(~part.judged), progress, begin, self._least)
-
-    @property
-    def _least(self) -> Float[np.ndarray, "n"] | None:
-        """Least noise of a reading: that of rounding to its quantum."""
         quantum = self.logs.logs[0].loaded.file.quantum
-        n = self.logs.references[0].shape[1]
-        return None if quantum is None else np.broadcast_to(np.asarray(quantum, float), n) / np.sqrt(12)
+        # The noise of a reading is at least that of rounding.
+        least = None if quantum is None else np.asarray(quantum, float) / np.sqrt(12)
+        return search(self.family, part.rows.only(~part.judged), progress, begin, least)
 
     def ended(self, best: Solved, part: _Part | None) -> Fit:
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
