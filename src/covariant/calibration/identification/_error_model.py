@@ -308,8 +308,8 @@ def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, do
 
         # Their noise is independent, so they correct one after the other.
         numbers = _shown(n), row.residual, variance, row.present
-        current, corrections = jax.lax.scan(correct, (*current, jnp.where(row.fresh, 0.0, slope)), numbers)
-        loss, innovation, std, gains, used, felt = corrections
+        found: Any = jax.lax.scan(correct, (*current, jnp.where(row.fresh, 0.0, slope)), numbers)
+        current, (loss, innovation, std, gains, used, felt) = found
         x, cov, _ = current
         # K = P Hᵀ R⁻¹ with the covariance P after the correction.
         gain = jnp.stack([jnp.mean(jnp.diag(cov[at : at + n, :n]) / variance) for at in (0, n)])

@@ -295,7 +295,7 @@ def window_errors(
     # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
     noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
     problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
-    run = problem.rows.start
+    run, off = problem.rows.start, np.zeros((0, 0))
     for _ in range(MOVES):
         run = problem.moved_run(z, run)
         system = problem.linear(z, run)

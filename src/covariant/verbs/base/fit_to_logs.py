@@ -288,7 +288,7 @@ class _RobotProblem(NamedTuple):
         added = any(number.group == "payload" for number in self.family.numbers)
         x = np.zeros(len(self.family.names)) if best is None else best.coordinates
         old = best is None and added
-        each = [self.family.file.model if old else self.family.make(own) for own in x[self.family.parts]]
+        each: list[Any] = [self.family.file.model if old else self.family.make(own) for own in x[self.family.parts]]
         machine, found = part.rows.of_machine, []
         for k, model in enumerate(each):
             rows = part.rows._replace(machine=np.zeros_like(part.rows.machine))
