@@ -10,11 +10,14 @@ from scipy.linalg import expm
 
 from covariant import models
 from covariant.calibration.identification import (
+    ErrorModel,
     NoiseLevels,
     Rows,
     Unknowns,
     _likelihood as likelihoods,
     gather,
+    held_out_rows,
+    kalman,
     total_loss,
 )
 from covariant.calibration.identification._likelihood import Likelihood, logarithms
@@ -217,3 +220,46 @@ def test_slopes_of_the_wrong_sign_would_be_seen(monkeypatch):
     likelihood, z = beside_the_truth()
     with pytest.raises(AssertionError):
         check_derivatives(likelihood, z, THROUGH_GAINS)
+
+
+def test_what_readings_are_off_together_is_a_process_of_its_own():
+    """Against the density of all readings at once: a mass that drifts freely, read with an error that is forgotten."""
+    rng, count, h, time = np.random.default_rng(2), 25, 0.1, 0.3
+    step, noise, size, white = np.array([[1.0, h], [0.0, 1.0]]), 0.02, 0.5, 0.7
+    residual = 0.4 * rng.normal(size=count)
+    system = ErrorModel(
+        jnp.asarray(np.tile(step, (count, 1, 1))),
+        jnp.zeros((count, 2)),
+        jnp.zeros((count, 2, 0)),
+        jnp.ones((count, 1, 1)),
+        jnp.asarray(residual[:, None]),
+        jnp.ones((count, 1), bool),
+        jnp.full(count, h),
+        jnp.arange(count) == 0,
+    )
+    levels = NoiseLevels(*map(jnp.asarray, (white, [noise], 0.0, np.inf, [size], time)))
+    added = white**2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+    cov = np.zeros((count, 2, count, 2))
+    now = np.diag([noise**2, 4.0])
+    for k in range(count):
+        now = step @ now @ step.T + added if k else now
+        for i, part in enumerate(np.linalg.matrix_power(step, j) @ now for j in range(count - k)):
+            cov[k + i, :, k] = part
+            cov[k, :, k + i] = part.T
+    lag = h * np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    whole = cov[:, 0, :, 0] + size**2 * np.exp(-lag / time) + noise**2 * np.eye(count)
+    expected = np.linalg.slogdet(whole)[1] + residual @ np.linalg.solve(whole, residual)
+    np.testing.assert_allclose(jnp.sum(kalman(system, levels, 2.0).loss), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("readings", [11, 12])
+def test_few_rows_are_no_judge(readings):
+    t = np.arange(0.0, 10.0, 0.02)
+    y = np.cos(t)[:, None]
+    y[np.flatnonzero(t >= t[-1] * 2 / 3)[readings:]] = np.nan
+    rows = gather(models.oscillator().manifold, [Record(t, np.zeros((500, 1)), y)], [-np.sin(t)[:, None]])
+    if readings >= 12:
+        assert held_out_rows(rows, [t], 1.0, [0]).any()
+        return
+    with pytest.raises(ValueError, match="11 rows with all positions"):
+        held_out_rows(rows, [t], 1.0, [0])

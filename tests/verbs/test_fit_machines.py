@@ -42,10 +42,10 @@ def fitted(arms: dict[str, list[Any]] | list[Any], each: str | None) -> dict[str
 
 def test_the_last_log_of_each_machine_is_held_out():
     stamps = [np.arange(0.0, 10.0, 0.01)] * 6
-    assert held_out_logs(stamps, [0, 0, 1, 2, 1, 0]).tolist() == [False, False, False, False, True, True]
-    assert held_out_logs(stamps[:3], [2, 0, 1]).tolist() == [False] * 3
+    assert held_out_logs(stamps, 0.5, [0, 0, 1, 2, 1, 0]).tolist() == [False, False, False, False, True, True]
+    assert held_out_logs(stamps[:3], 0.5, [2, 0, 1]).tolist() == [False] * 3
     # Of short logs two are held out, if there are as many more.
-    assert held_out_logs(stamps, [0] * 5 + [1]).tolist() == [False] * 3 + [True] * 2 + [False]
+    assert held_out_logs(stamps, 2.0, [0] * 5 + [1]).tolist() == [False] * 3 + [True] * 2 + [False]
 
 
 def test_each_machine_has_a_file_with_its_numbers(tmp_path):

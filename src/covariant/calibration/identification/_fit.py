@@ -198,10 +198,9 @@ def search(
     noise, bounds = first_noise(unknowns, rows, least)
     speed = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max())
     free = Fixed.nothing(len(family.first))
-    nothing = np.zeros(len(family.first))
-    steps = stable_steps(unknowns, nothing, rows)
+    steps = stable_steps(unknowns, free.at, rows)
     rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
-    rough = rough._replace(pushes=rough.linear(nothing, rough.rows.start).input_matrix)
+    rough = rough._replace(pushes=rough.linear(free.at, rough.rows.start).input_matrix)
     places = _places(unknowns, family) if start is None else {"other inputs": unknowns.relative(start)}
     begun = {name: Point.at(rough, z) for name, z in places.items()}
     begun = {name: point for name, point in begun.items() if np.isfinite(point.blocks.loss).all()}
@@ -213,15 +212,14 @@ def search(
     ends = {name: minimise(rough, begun[name], free, functools.partial(progress, 0)) for name in chosen}
     won = min(ends, key=lambda name: ends[name].loss(free))
     point = ends[won]
-    tried = sorted((end.loss(free) - point.loss(free), name) for name, end in ends.items())
+    behind = sorted(((name, end.loss(free) - point.loss(free)) for name, end in ends.items()), key=lambda each: each[1])
     solved = Solved(family, None, rough, point, free, bounds)  # pyright: ignore[reportArgumentType]
     rounds = itertools.count(1)
     solved, loss = _alternate(solved, progress, rounds)
     # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
     worth = loss + 2 * (len(bounds) - 1)
     quiet, quiet_loss = _alternate(solved._replace(quiet=True), progress, rounds, worth)
-    starts = tuple((name, behind) for behind, name in tried)
-    return _conclude(quiet if quiet_loss < worth else solved, starts)
+    return _conclude(quiet if quiet_loss < worth else solved, tuple(behind))
 
 
 def _alternate(

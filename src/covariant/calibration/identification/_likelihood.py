@@ -80,11 +80,13 @@ class Likelihood(NamedTuple):
 
     def blocks(self, z: NumpyArray, kept: Any = None) -> Blocks:
         """The loss and its derivatives at z (p,); `kept` is what the last point has kept, near which that at z is."""
-        run = self.rows.start if kept is None else self._moved(z, kept)
+        run = self.rows.start if kept is None else self.moved_run(z, kept)
+        # A motion that a step has carried beyond all numbers is judged as it was before.
+        run = run if kept is None or np.isfinite(run.v).all() else kept.run
         system = self.linear(z, run)
         result = _filtered(system, self.noise, self.speed, VAGUE)
         e, slope, spread = (np.asarray(each) for each in (result.innovation, result.slope, result.spread))
-        seen = spread > 0
+        seen = spread != 0  # a variance that rounding made negative is not a number, and no row without a reading
         size = np.where(seen, spread, 1.0)
         # Far from the truth a motion may be beyond all numbers; what is not finite is refused by the search.
         e = np.clip(e / size, -BEYOND, BEYOND)
@@ -118,15 +120,10 @@ class Likelihood(NamedTuple):
         system = error_model(self.unknowns, jnp.asarray(z), run, self.rows, self.substeps)
         return system if self.pushes is None else system._replace(input_matrix=self.pushes)
 
-    def moved_run(self, z: NumpyArray, run: Motion) -> Motion:
-        """The smoothed motion, by the linear model along one near it."""
-        return self._moved(z, Kept(z, run, self.linear(z, run)))
-
-    def _moved(self, z: NumpyArray, kept: "Kept") -> Motion:
+    def moved_run(self, z: NumpyArray, kept: "Kept") -> Motion:
         """The smoothed motion at z, by the linear model along one near it."""
-        return _along(
-            self.unknowns.manifold, kept.run, _smoothed_at(kept.system, jnp.asarray(z - kept.z), self.noise, self.speed)
-        )
+        errors = _smoothed_at(kept.system, jnp.asarray(z - kept.z), self.noise, self.speed)
+        return _along(self.unknowns.manifold, kept.run, errors)
 
     def likelier(
         self, kept: "Kept", bounds: Float[NumpyArray, "k 2"], steps: int, quiet: bool = False
@@ -161,11 +158,9 @@ def _smoothed_at(system: ErrorModel, dz: Array, noise: NoiseLevels, speed: Any) 
 
 @eqx.filter_jit
 def _along(manifold: Any, run: Motion, errors: Array) -> Motion:
-    """The motion with its errors corrected; as it is where these are not finite."""
+    """The motion with its errors corrected."""
     n = run.v.shape[1]
-    moved = Motion(jax.vmap(manifold.retract)(run.q, errors[:, :n]), run.v + errors[:, n : 2 * n])
-    finite = jnp.isfinite(errors).all()
-    return jax.tree.map(lambda *both: jnp.where(finite, *both), moved, run)
+    return Motion(jax.vmap(manifold.retract)(run.q, errors[:, :n]), run.v + errors[:, n : 2 * n])
 
 
 @eqx.filter_jit
@@ -295,15 +290,15 @@ def window_errors(
     # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
     noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
     problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
-    run, off = problem.rows.start, np.zeros((0, 0))
+    run, off, system = problem.rows.start, np.zeros((0, 0)), problem.linear(z, problem.rows.start)
     for _ in range(MOVES):
-        run = problem.moved_run(z, run)
-        system = problem.linear(z, run)
-        off = np.where(system.present, system.residual, np.nan)
+        run = problem.moved_run(z, Kept(np.asarray(z), run, system))
+        if not np.isfinite(run.v).all():
+            return PredictionErrors(*np.full((2, len(size)), np.inf))
+        off = np.where(system.present, (now := problem.linear(z, run)).residual, np.nan)
         # Those far off the others are left out from the next time on.
-        far = (off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)
-        y = jnp.where(far.reshape(-1, *[1] * (np.ndim(rows.y) - 1)), jnp.nan, problem.rows.y)
-        problem = problem._replace(rows=problem.rows._replace(y=y))
+        off[(off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)] = np.nan
+        system = now._replace(residual=jnp.nan_to_num(off), present=jnp.asarray(np.isfinite(off)))
     slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, np.asarray(rows.start.v) - np.asarray(run.v), np.nan)
     slow[~np.isfinite(off)] = np.nan
     return PredictionErrors(known_rms(off), known_rms(slow))

@@ -79,8 +79,8 @@ def better_reading(solved: Solved, rows: Rows, judged: Bool[np.ndarray, "T"], le
     suspects = list(_suspects(solved, seen, readings, {-1: np.ones(len(rows.machine), bool)}))
     if len(family.parts) > 1:
         machine = np.asarray(rows.machine)
-        groups = {m: machine == m for m in range(len(family.parts))}
-        groups = {m: group for m, group in groups.items() if np.sum(group) >= family.parts.shape[1] + LEAST_FREE}
+        fewest = family.parts.shape[1] + LEAST_FREE
+        groups = {m: machine == m for m in range(len(family.parts)) if np.sum(machine == m) >= fewest}
         suspects += _suspects(_apart(solved), seen, readings, groups)
     for rival, _, values in sorted(suspects, key=lambda each: -each.fall):
         own, at, theirs = solved, np.asarray(judged), rows
@@ -166,8 +166,7 @@ def _growth(
         return np.inf
 
     def errors(solved: Solved, rows: Rows):
-        z = solved.point.z
-        return window_errors(solved.problem.unknowns, z, rows, length, judged)
+        return window_errors(solved.problem.unknowns, solved.point.z, rows, length, judged)
 
     return error_growth(errors(solved, rows), errors(other, read))
 

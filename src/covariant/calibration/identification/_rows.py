@@ -18,8 +18,8 @@ from scalargraph.errors import InputError
 MOST_ROWS = 20_000
 """Largest number of rows of a fit; beyond it stretches of `STRETCH` rows are left out evenly."""
 STRETCH = 500
-FEWEST_ROWS = 12
-"""Least number of rows with a reading, in which a log shows anything."""
+FEWEST_ROWS, FEWEST_WINDOWS = 12, 8
+"""Least number of rows with a reading, in which a log shows anything, and of windows that judge a fit to several."""
 LONGEST_GAP = 5.0
 """Longest step within a stretch, in median steps: after a longer gap in the stamps a new one begins."""
 FITTED = 2 / 3
@@ -189,26 +189,33 @@ def _padded(count: int) -> int:
 
 
 def held_out_rows(
-    rows: Rows, stamps: Sequence[Float[np.ndarray, "_"]], machines: Sequence[int]
+    rows: Rows, stamps: Sequence[Float[np.ndarray, "_"]], length: float, machines: Sequence[int]
 ) -> Bool[np.ndarray, "T"]:
     """Rows (T,) that are held out: of several logs of a machine the last, or the last third of each."""
-    last = held_out_logs(stamps, machines)
+    last = held_out_logs(stamps, length, machines)
     log = np.searchsorted(np.cumsum([len(t) for t in stamps]), np.asarray(rows.rows), "right")
-    if last.any():
-        return last[log]
     border = np.array([t[0] + FITTED * (t[-1] - t[0]) for t in stamps])
-    return np.asarray(rows.t) >= border[log]
+    held_out = last[log] if last.any() else np.asarray(rows.t) >= border[log]
+    whole = np.isfinite(np.asarray(rows.y)).reshape(len(log), -1).all(axis=1)
+    if (count := int(np.sum(whole & held_out))) < FEWEST_ROWS:
+        raise InputError(
+            f"what is held out has {count} rows with all positions, and {FEWEST_ROWS} must judge; give more"
+        )
+    return held_out
 
 
-def held_out_logs(stamps: Sequence[Float[np.ndarray, "_"]], machines: Sequence[int]) -> Bool[np.ndarray, "K"]:
-    """Logs (K,) that are held out: of each machine with several the least number of the last that has a quarter of its
-    rows, and less than half of them."""
-    counts = np.array([len(t) for t in stamps])
+def held_out_logs(
+    stamps: Sequence[Float[np.ndarray, "_"]], length: float, machines: Sequence[int]
+) -> Bool[np.ndarray, "K"]:
+    """Logs (K,) that are held out: of each machine with several the least number of the last that hold enough windows,
+    and less than half of them."""
+    # Windows share no row, so that each takes a step more than its length.
+    counts = np.array([int(len(t) / (length / np.median(np.diff(t)) + 1) + 1e-9) for t in stamps])
     held_out = np.zeros(len(counts), bool)
     for machine in set(machines):
         own = np.flatnonzero(np.asarray(machines) == machine)
         last = 1
-        while sum(counts[own[-last:]]) < sum(counts[own]) / 4 and last < (len(own) - 1) // 2:
+        while sum(counts[own[-last:]]) < FEWEST_WINDOWS and last < (len(own) - 1) // 2:
             last += 1
         held_out[own[-last:]] = len(own) > 1
     return held_out

@@ -71,7 +71,7 @@ class FitLogs(NamedTuple):
     @property
     def last(self) -> Bool[np.ndarray, "K"]:
         """Logs (K,) that are held out; if none is, the last part of each is."""
-        return held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.machines)
+        return held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.length, self.machines)
 
     @property
     def seen(self) -> int:

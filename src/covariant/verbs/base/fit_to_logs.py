@@ -123,7 +123,7 @@ class _Part(NamedTuple):
         records = [problem.acting(log, word) for log in logs.logs]
         rows = gather(logs.logs[0].loaded.model.manifold, records, logs.references, logs.machines)
         stamps = [np.asarray(record.t) for record in records]
-        return cls(rows, held_out_rows(rows, stamps, logs.machines))
+        return cls(rows, held_out_rows(rows, stamps, logs.length, logs.machines))
 
 
 def _solve(problem: "_Problem", parts: dict[str, _Part], progress: Progress) -> dict[str, Any]:
@@ -194,7 +194,9 @@ class _PredictionProblem(NamedTuple):
         quantum = self.logs.logs[0].loaded.file.quantum
         # The noise of a reading is at least that of rounding.
         least = None if quantum is None else np.asarray(quantum, float) / np.sqrt(12)
-        return search(self.family, part.rows.only(~part.judged), progress, begin, least)
+        found = search(self.family, part.rows.only(~part.judged), progress, begin, least)
+        # Which place won is known from the first search; a later one begins where that ended.
+        return found if start is None else found._replace(fit=found.fit._replace(starts=start.fit.starts))
 
     def ended(self, best: Solved, part: _Part | None) -> Fit:
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
