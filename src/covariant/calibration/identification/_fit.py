@@ -202,6 +202,7 @@ def search(
     rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
     rough = rough._replace(pushes=rough.linear(free.at, rough.rows.start).input_matrix)
     places = _places(unknowns, family) if start is None else {"other inputs": unknowns.relative(start)}
+    rough, _ = rough.likelier(Point.at(rough, free.at).blocks.rest, bounds, NOISE_STEPS)
     begun = {name: Point.at(rough, z) for name, z in places.items()}
     begun = {name: point for name, point in begun.items() if np.isfinite(point.blocks.loss).all()}
     if not begun:
