@@ -8,7 +8,7 @@ the innovations, or from the scatter of its blocks where that is clearly larger.
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,7 +25,7 @@ from covariant.calibration._least_squares import (
     minimise,
 )
 from covariant.calibration.identification._contradictions import Evidence, contradictions
-from covariant.calibration.identification._error_model import NoiseLevels
+from covariant.calibration.identification._error_model import ErrorModel, NoiseLevels, error_model
 from covariant.calibration.identification._likelihood import FASTER, GAINED, Likelihood, first_noise, stable_steps
 from covariant.calibration.identification._rows import Rows, gather
 from covariant.calibration.identification._unknowns import Unknowns
@@ -195,32 +195,48 @@ def search(
     The prior, and what is not determined, stay at the first values. `least` (n,) is the least noise of a reading.
     """
     unknowns = Unknowns.of(family)
-    noise, bounds = first_noise(unknowns, rows, least)
-    speed = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max())
     free = Fixed.nothing(len(family.first))
-    steps = stable_steps(unknowns, free.at, rows)
-    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
-    rough = rough._replace(pushes=rough.linear(free.at, rough.rows.start).input_matrix)
+    rough, bounds = begun(unknowns, rows, least)
     places = _places(unknowns, family) if start is None else {"other inputs": unknowns.relative(start)}
-    rough, _ = rough.likelier(Point.at(rough, free.at).blocks.rest, bounds, NOISE_STEPS)
-    begun = {name: Point.at(rough, z) for name, z in places.items()}
-    begun = {name: point for name, point in begun.items() if np.isfinite(point.blocks.loss).all()}
-    if not begun:
+    begins = {name: Point.at(rough, z) for name, z in places.items()}
+    begins = {name: point for name, point in begins.items() if np.isfinite(point.blocks.loss).all()}
+    if not begins:
         raise InputError("the model predicts no finite motion with its first values; mend these")
     # The first place, and the best of the others where that explains more.
-    best = min(begun, key=lambda name: begun[name].loss(free))
-    chosen = dict.fromkeys([next(iter(begun)), best])
-    ends = {name: minimise(rough, begun[name], free, functools.partial(progress, 0)) for name in chosen}
+    best = min(begins, key=lambda name: begins[name].loss(free))
+    chosen = dict.fromkeys([next(iter(begins)), best])
+    ends = {name: minimise(rough, begins[name], free, functools.partial(progress, 0)) for name in chosen}
     won = min(ends, key=lambda name: ends[name].loss(free))
     point = ends[won]
     behind = sorted(((name, end.loss(free) - point.loss(free)) for name, end in ends.items()), key=lambda each: each[1])
     solved = Solved(family, None, rough, point, free, bounds)  # pyright: ignore[reportArgumentType]
+    return _conclude(likeliest(solved, progress), tuple(behind))
+
+
+def likeliest(solved: Solved, progress: Callable[[int, int], object]) -> Solved:
+    """The end of the search from a point, with forces or without, whichever explains the rows better."""
     rounds = itertools.count(1)
     solved, loss = _alternate(solved, progress, rounds)
     # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
-    worth = loss + 2 * (len(bounds) - 1)
+    worth = loss + 2 * (len(solved.bounds) - 1)
     quiet, quiet_loss = _alternate(solved._replace(quiet=True), progress, rounds, worth)
-    return _conclude(quiet if quiet_loss < worth else solved, tuple(behind))
+    return quiet if quiet_loss < worth else solved
+
+
+def begun(
+    unknowns: Any, rows: Rows, least: Float[NumpyArray, "n"] | None, linearised: Callable[..., ErrorModel] = error_model
+) -> tuple[Likelihood, Float[NumpyArray, "k 2"]]:
+    """The likelihood with which a search begins: with the noise that explains the motion under the first values.
+
+    Also bounds of the logarithms of noise.
+    """
+    noise, bounds = first_noise(unknowns, rows, least)
+    speed, first = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max()), np.zeros(len(unknowns.first))
+    steps = stable_steps(unknowns, first, rows)
+    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed, None, linearised)
+    rough = rough._replace(pushes=rough.linear(first, rough.rows.start).input_matrix)
+    # With less noise of readings than there is a search would take it for friction.
+    return rough.likelier(Point.at(rough, first).blocks.rest, bounds, NOISE_STEPS)[0], bounds
 
 
 def _alternate(

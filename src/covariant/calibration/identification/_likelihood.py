@@ -10,7 +10,7 @@ Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, 
 Kalman smoother as a Gauss–Newton method, SIAM Journal on Optimization 4(3); Ljung 1999, System Identification, 7.4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -33,6 +33,7 @@ from covariant.calibration.identification._error_model import (
 from covariant.calibration.identification._predict import FAR, PredictionErrors, needed_substeps
 from covariant.calibration.identification._rows import Rows
 from covariant.calibration.identification._unknowns import Unknowns
+from covariant.geometry import AbstractManifold
 from covariant.models import Motion
 from covariant.signals import AnyArray
 
@@ -69,6 +70,7 @@ class Likelihood(NamedTuple):
         speed: Standard deviation of velocities where a stretch begins.
         pushes: Accelerations (T, n, n) per unit of the unknown force, held while parameters move: numbers that make a
             machine heavier must not gain by making the force that nobody knows weaker.
+        linearised: Function of unknowns, z, a motion, rows and steps that returns the linear model of errors along it.
     """
 
     unknowns: Unknowns
@@ -77,6 +79,7 @@ class Likelihood(NamedTuple):
     noise: NoiseLevels
     speed: Any
     pushes: Any = None
+    linearised: Callable[..., ErrorModel] = error_model
 
     def blocks(self, z: NumpyArray, kept: Any = None) -> Blocks:
         """The loss and its derivatives at z (p,); `kept` is what the last point has kept, near which that at z is."""
@@ -115,9 +118,13 @@ class Likelihood(NamedTuple):
         """Unknowns (p,) after a step."""
         return self.unknowns.moved(z, dz)
 
+    def lowest(self, z: NumpyArray) -> NumpyArray:
+        """Least steps (p,) that bounds permit."""
+        return self.unknowns.lowest(z)
+
     def linear(self, z: NumpyArray, run: Motion) -> ErrorModel:
         """The linear model of errors along a motion."""
-        system = error_model(self.unknowns, jnp.asarray(z), run, self.rows, self.substeps)
+        system = self.linearised(self.unknowns, jnp.asarray(z), run, self.rows, self.substeps)
         return system if self.pushes is None else system._replace(input_matrix=self.pushes)
 
     def moved_run(self, z: NumpyArray, kept: "Kept") -> Motion:
@@ -185,7 +192,7 @@ def first_noise(
     step, v = rows.step, np.asarray(rows.start.v)[: rows.used]
     motion = np.maximum(np.sqrt(np.mean(v**2, axis=0)) * step * np.sqrt(len(v)), 1e-12)
     floor = np.maximum(FINEST * motion, 0.0 if least is None else least)
-    noise = np.maximum(USUAL * motion, floor)
+    noise = np.maximum(_roughness(unknowns.manifold, rows), floor)
     within = ~np.asarray(rows.fresh)[1 : len(v)]
     acceleration = float(np.sqrt(np.mean((np.diff(v, axis=0)[within] / step) ** 2))) + 1e-9
     gains = np.asarray(_pushes(unknowns, jnp.zeros(len(unknowns.first)), rows.start, rows))
@@ -197,6 +204,15 @@ def first_noise(
     times = [1 + 2 * n, -1]
     lower[times], upper[times] = np.log(4 * step), np.log(step * max(len(v), 8))
     return levels(usual, n), np.stack([lower, upper], axis=1)
+
+
+def _roughness(manifold: AbstractManifold, rows: Rows) -> Float[NumpyArray, "n"]:
+    """Noise (n,) of readings by their fourth differences, in which a motion that they resolve hardly remains."""
+    y = jnp.asarray(rows.y)[: rows.used]
+    steps = np.asarray(jax.vmap(manifold.towards)(y[:-1], y[1:]))
+    fourth = np.abs(np.diff(steps, 3, axis=0))
+    # White noise of one has a variance of 1 + 16 + 36 + 16 + 1 = 70 there.
+    return STD_OF_MEDIAN / np.sqrt(70.0) * np.nan_to_num(np.nanmedian(fourth, axis=0))
 
 
 def levels(z: AnyArray, n: int) -> NoiseLevels:

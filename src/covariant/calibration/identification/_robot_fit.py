@@ -22,7 +22,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from covariant import scoring
 from covariant._linalg import solve
-from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
+from covariant.calibration._least_squares import (
+    PRIOR,
+    STD_OF_MEDIAN,
+    block_covariance,
+    minimise_above_bounds,
+    robust,
+)
 from covariant.calibration.diagnosis import held_inputs
 from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._robot_combinations import Combinations
@@ -60,6 +66,8 @@ FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 ROUNDING = 1e-10
 """A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
+SHORTEST = 12.0
+"""Least duration of the logs, in half windows."""
 STILL, MOSTLY = 8.0, 0.9
 """A joint that rests for this fraction of so many half windows is held by its friction: the model does not move it."""
 ORDER = 3
@@ -83,6 +91,7 @@ class RobotFit(NamedTuple):
         coordinates: Coordinates (p,) of the family.
         losses: Negative log-likelihood (B,) of each block of the logs, up to a constant.
         unlike: Sentences on machines whose logs contradict a number that all machines share.
+        likeliest: Whether the numbers are those of the greatest likelihood, and not those by residual torques.
 
     Example:
         >>> import numpy as np
@@ -107,6 +116,7 @@ class RobotFit(NamedTuple):
     coordinates: Float[np.ndarray, "p"]
     losses: Float[np.ndarray, "B"]
     unlike: tuple[str, ...] = ()
+    likeliest: bool = False
 
 
 def fit_robot(
@@ -265,16 +275,16 @@ class _Search(NamedTuple):
         paths = [_smooth_positions(track, track.half, None) for track in tracks]
         q, v, a = (np.concatenate([getattr(p, name)[p.used] for p in paths]) for name in ("q", "v", "residual"))
         u = np.concatenate([track.u[path.used] for track, path in zip(tracks, paths, strict=True)])
-        if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
+        if len(v) < SHORTEST * FINE:
             raise InputError(
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
-                f"{FEWEST_BLOCKS * BLOCK * tracks[0].half:.3g} s; give longer logs"
+                f"{SHORTEST * tracks[0].half:.3g} s; give longer logs"
             )
         parts = family.parts[list(machines)]
         torques, first = Torques.of(family.one), np.zeros(parts.shape[1])
         both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
         sizes, speed = usual_sizes(family, *both, v, a)
-        functions = torques.derivatives, torques.rows(_accelerations), torques.rows(_momentum)
+        functions = torques.derivatives, torques.rows(accelerations), torques.rows(_momentum)
         speeds = np.array(family.resting), sticking_speeds(family, speed)
         return cls(family, tracks, tuple(machines), parts, sizes, *speeds, *functions)
 
@@ -438,27 +448,11 @@ def _scale(values: np.ndarray) -> float:
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
 
 
-def minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
-    held = np.zeros(len(gradient), bool)
-    step = np.zeros(len(gradient))
-    for _ in range(len(gradient) + 1):
-        step[held] = least[held]
-        free = ~held
-        right = -gradient[free] - matrix[np.ix_(free, held)] @ step[held]
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], right)
-        worse = free & (step < least - 1e-12)
-        if not worse.any():
-            break
-        held |= worse
-    return step
-
-
 def _momentum(model: MechanicalSystem, q: Array, a: Array) -> Array:
     return model.space.lower(q, a)
 
 
-def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
+def accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
     """Accelerations (n,) of the joints that move; the others are held, by whatever torque that takes."""
     t = jnp.zeros(())
     covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u) - model.space.connection_force(q, v, v)

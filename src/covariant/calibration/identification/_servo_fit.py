@@ -14,8 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
-from covariant.calibration.identification._robot_fit import RobotFit, minimise_above_bounds
+from covariant.calibration._least_squares import (
+    PRIOR,
+    STD_OF_MEDIAN,
+    block_covariance,
+    minimise_above_bounds,
+    robust,
+)
+from covariant.calibration.identification._robot_fit import RobotFit
 from covariant.calibration.identification._robot_torques import Determined
 from covariant.calibration.identification._servo_motion import ServoLog
 from covariant.models import RobotFamily
@@ -161,20 +167,14 @@ class _Search(NamedTuple):
     ) -> "_Search":
         family = families[0]
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
-        min_windows = MIN_WINDOWS
         if length is None:
             # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
             total = sum(float(log.t[-1] - log.t[0]) for log in logs)
-            length = max(min(WINDOW, total / (2 * min_windows + 1)), 3 * SETTLING)
-        else:
-            min_windows = 2
+            length = max(min(WINDOW, total / (2 * MIN_WINDOWS + 1)), 3 * SETTLING)
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
-        if sum(counts) < min_windows:
-            raise InputError(
-                f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
-                f"{min_windows}; give longer logs"
-            )
+        if not sum(counts):
+            raise InputError(f"the logs hold no {length:.3g} s without a gap, which a fit needs; give longer logs")
         # All logs have the same number of windows, so that one compiled program serves all; copies do not count.
         max_windows = max(counts)
         padded = [each + each[:1] * (max_windows - len(each)) for each in windows if each]
@@ -338,7 +338,11 @@ class _Search(NamedTuple):
         scores = share * self._by_blocks(np.einsum("pbkj,bkj->bkp", z, weight * e, optimize=True))
         prior = np.eye(len(z)) / PRIOR**2
         gradient = scores.sum(axis=0) + prior @ (point.x / self.sizes)
-        covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
+        simple = np.linalg.inv(curvature + prior)
+        covariance = block_covariance(scores, curvature, simple, prior)
+        # The scatter of a few blocks may be small by chance: below what independent errors would leave it is.
+        widened = np.sqrt(np.maximum(np.diagonal(simple) / np.diagonal(covariance), 1.0))
+        covariance = covariance * np.outer(widened, widened)
         outer = np.outer(self.sizes, self.sizes)
         losses = share * np.sum((loss + np.log(scale)) * measured, axis=(1, 2))
         least = (self.least - point.x) / self.sizes

@@ -23,6 +23,7 @@ from covariant.calibration.identification import (
     fit_servos,
     gather,
     held_out_rows,
+    likeliest_robot,
     predict_servos,
     predicts_worse,
     profile,
@@ -53,6 +54,8 @@ DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
 CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
+CLEARLY_WORSE = 1.05
+"""Growth of held-out errors that is no chance."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
 
@@ -83,7 +86,7 @@ def fit_to_logs(
     progress("errors on what is held out", 1.0)
     gain = problem.gain(fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
-    best, part = fits[used], parts[used]
+    best, part = problem.refined(fits[used], parts[used], progress), parts[used]
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.errors(None, parts[logs.tried[0]])
     after = problem.errors(best, part)
@@ -198,6 +201,10 @@ class _PredictionProblem(NamedTuple):
         # Which place won is known from the first search; a later one begins where that ended.
         return found if start is None else found._replace(fit=found.fit._replace(starts=start.fit.starts))
 
+    def refined(self, best: Solved, part: _Part, progress: Progress) -> Solved:
+        del part, progress
+        return best
+
     def ended(self, best: Solved, part: _Part | None) -> Fit:
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
         return profile(best if part is None else again(best, part.rows)).fit
@@ -273,9 +280,21 @@ class _RobotProblem(NamedTuple):
 
         return fit_robot(self.family, records, half, progress, start, machines)
 
+    def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
+        """The fit of greatest likelihood, where that predicts no worse than the one by residual torques."""
+        if len(self.machines) > 1:
+            return best
+
+        def report(done: int, step: int) -> None:
+            progress(f"all rows, round {done + 1}", min((done + step / STEPS) / ROUNDS, 1.0))
+
+        other = likeliest_robot(self.family, best, part.rows.only(~part.judged), report)
+        worse = error_growth(self.errors(best, part), self.errors(other, part)) > CLEARLY_WORSE
+        return best if worse else other
+
     def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
-        del part
-        return best
+        """The fit, once more to all rows of a part where it was found good there."""
+        return best if part is None or not best.likeliest else likeliest_robot(self.family, best, part.rows)
 
     def suspicion(self, best: RobotFit, part: _Part) -> str:
         del best, part
@@ -360,6 +379,10 @@ class _ServoProblem(NamedTuple):
             self.window,
             late=_late(self.logs.logs[0]),
         )
+
+    def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
+        del part, progress
+        return best
 
     def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
         del part
