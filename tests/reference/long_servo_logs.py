@@ -46,9 +46,8 @@ def fitted(folder: Path, names: tuple[str, ...]) -> Any:
     first = {f"servo.servo.{key}": value for key, value in FIRST.items()} | {"parameters.offsets": {"servo": 0.0}}
     names = (*names, "kp800_up_and_down")
     settings = [first | {"servo.servo.gain": gain(name)} for name in names]
-    # Windows as long as the logs: this joint sticks for seconds.
     paths = [folder / "xl330" / f"{name}.csv" for name in names]
-    return covariant.fit(XL330, paths, NAMES, horizon=5.9, overrides=settings)
+    return covariant.fit(XL330, paths, NAMES, overrides=settings)
 
 
 @pytest.mark.exhaustive

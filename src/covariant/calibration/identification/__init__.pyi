@@ -39,6 +39,7 @@ from ._predict import (
     mean_square as mean_square,
     predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
+    worse_coordinates as worse_coordinates,
 )
 from ._rivals import Rival as Rival, better_reading as better_reading
 from ._robot_combinations import Combinations as Combinations

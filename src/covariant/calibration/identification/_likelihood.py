@@ -317,4 +317,7 @@ def window_errors(
         system = now._replace(residual=jnp.nan_to_num(off), present=jnp.asarray(np.isfinite(off)))
     slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, np.asarray(rows.start.v) - np.asarray(run.v), np.nan)
     slow[~np.isfinite(off)] = np.nan
-    return PredictionErrors(known_rms(off), known_rms(slow))
+    first = np.flatnonzero(np.asarray(rows.fresh) & np.asarray(judged))
+    total, count = (np.add.reduceat(part, first) for part in (np.nan_to_num(off**2), np.isfinite(off).astype(float)))
+    windows = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return PredictionErrors(known_rms(off), known_rms(slow), windows)

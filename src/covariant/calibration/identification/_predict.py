@@ -33,6 +33,8 @@ MOST_STARTS = 1000
 WORST_GROWTH, WORST_COORDINATE = 1.01, 1.05
 """A fit is worse whose held-out errors are larger than so many times those before, over all coordinates or in one: 1 %
 is no difference."""
+BEYOND_CHANCE, FEWEST_WINDOWS = 2.0, 3
+"""Standard errors by which a coordinate has to be worse, and the least number of windows that tell these."""
 FAR = 16.0
 """Cap on squared errors, as a multiple of their 90 % quantile; it limits the influence of outliers."""
 
@@ -45,6 +47,7 @@ class PredictionErrors(NamedTuple):
     Attributes:
         position: Errors (n,) of the positions [units of the frame].
         velocity: Errors (n,) of the velocities, against the reference [the same units a second].
+        windows: Mean squares (W, n) of the errors of positions in each window, which show what is chance; or None.
 
     Example:
         >>> import numpy as np
@@ -56,6 +59,7 @@ class PredictionErrors(NamedTuple):
 
     position: Float[np.ndarray, "n"]
     velocity: Float[np.ndarray, "n"]
+    windows: Float[np.ndarray, "W n"] | None = None
 
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
@@ -123,8 +127,20 @@ def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:
 
 def predicts_worse(before: PredictionErrors, after: PredictionErrors) -> bool:
     """Whether a fit predicts worse than before, over all coordinates or one of them clearly."""
-    growths = _growths(before, after)
-    return not (error_growth(before, after) <= WORST_GROWTH and growths.max() <= WORST_COORDINATE)
+    return not error_growth(before, after) <= WORST_GROWTH or bool(worse_coordinates(before, after).any())
+
+
+def worse_coordinates(before: PredictionErrors, after: PredictionErrors) -> Bool[np.ndarray, "n"]:
+    """Coordinates (n,) that a fit predicts worse than before, by more than chance does where windows show that."""
+    worse = ~(_growths(before, after) <= WORST_COORDINATE)
+    if before.windows is None or after.windows is None:
+        return worse
+    more = after.windows - before.windows
+    more = more[np.isfinite(more).all(axis=1)]
+    if len(more) < FEWEST_WINDOWS:
+        return worse
+    chance = np.std(more, axis=0, ddof=1) / np.sqrt(len(more))
+    return worse & ~(np.mean(more, axis=0) <= BEYOND_CHANCE * chance)
 
 
 def _growths(before: PredictionErrors, after: PredictionErrors) -> Float[np.ndarray, "n"]:

@@ -92,6 +92,7 @@ class RobotFit(NamedTuple):
         losses: Negative log-likelihood (B,) of each block of the logs, up to a constant.
         unlike: Sentences on machines whose logs contradict a number that all machines share.
         likeliest: Whether the numbers are those of the greatest likelihood, and not those by residual torques.
+        kept: Joints whose numbers are the first ones, since those predict better.
 
     Example:
         >>> import numpy as np
@@ -117,6 +118,22 @@ class RobotFit(NamedTuple):
     losses: Float[np.ndarray, "B"]
     unlike: tuple[str, ...] = ()
     likeliest: bool = False
+    kept: tuple[str, ...] = ()
+
+    def without(self, family: RobotFamily, joints: Bool[np.ndarray, "n"]) -> "RobotFit | None":
+        """The fit with the first values of the numbers of some joints (n,); None where none or all are theirs."""
+        held = np.array([number.joint >= 0 and bool(joints[number.joint]) for number in family.numbers])
+        if not held.any() or held.all():
+            return None
+        x = np.where(held, 0.0, self.coordinates)
+        names = np.array(family.file.columns.q)[joints]
+        return self._replace(
+            values=np.asarray(jax.jit(family.values)(x)),
+            standard_errors=np.where(held, np.nan, self.standard_errors),
+            determined=self.determined & ~held,
+            coordinates=x,
+            kept=tuple(map(str, names)),
+        )
 
 
 def fit_robot(

@@ -28,8 +28,9 @@ from covariant.models import RobotFamily
 from covariant.signals import Record
 from scalargraph.errors import InputError
 
-WINDOW = 2.0
-"""Length of a window [s]: the effect of the initial state decays within a few tenths of a second."""
+WINDOW, LONGEST_WINDOW = 2.0, 6.0
+"""Length of a window [s], as the effect of the initial state decays within a few tenths of a second, and of one for
+joints that stick."""
 SETTLING = 0.2
 """Time at the start of a window [s] that does not count, since the initial speed is only roughly known."""
 MIN_WINDOWS = 8
@@ -58,8 +59,8 @@ def fit_servos(
     records: Sequence[Record],
     between: str = "held",
     progress: Callable[[int], object] = lambda _: None,
-    length: float | None = None,
     late: float = 0.0,
+    whole: bool = False,
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
@@ -72,9 +73,9 @@ def fit_servos(
         records: The logs, with the commands at the stamps at which they were sent.
         between: "held" if a command is constant until the next stamp, "linear" if it is linear between stamps.
         progress: Called with the number of each round.
-        length: Length of the windows [s]; by default 2 s, and less for short logs. Longer windows suit joints that
-            stick for seconds.
         late: Time [s] by which the stamps of positions are ahead of those of the commands.
+        whole: Whether windows are as long as the logs, up to `LONGEST_WINDOW`, which suits joints that stick for
+            seconds; else they have 2 s, and less in short logs.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine; `torque` has residuals of positions.
@@ -90,7 +91,7 @@ def fit_servos(
     """
     if not records or len(families) != len(records):
         raise InputError("give a family and a log for each of the logs")
-    search = _Search.of(families, records, between, length, late)
+    search = _Search.of(families, records, between, late, whole)
     point, rounds = search.descend(search.started(), progress, 0)
     # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
     for x in search.shifted(point.x):
@@ -117,7 +118,7 @@ def fit_servos(
         known.determined,
         known.combinations,
         step.scale,
-        (WINDOW if length is None else length) / 2,
+        search.length / 2,
         rounds,
         point.x,
         step.losses,
@@ -160,17 +161,20 @@ class _Search(NamedTuple):
     sizes: Float[np.ndarray, "p"]
     least: Float[np.ndarray, "p"]
     rigid: tuple[int, ...]
+    length: float
 
     @classmethod
     def of(
-        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, length: float | None, late: float
+        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, late: float, whole: bool
     ) -> "_Search":
         family = families[0]
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
-        if length is None:
-            # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
-            total = sum(float(log.t[-1] - log.t[0]) for log in logs)
-            length = max(min(WINDOW, total / (2 * MIN_WINDOWS + 1)), 3 * SETTLING)
+        durations = [float(log.t[-1] - log.t[0]) for log in logs]
+        # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
+        length = max(min(WINDOW, sum(durations) / (2 * MIN_WINDOWS + 1)), 3 * SETTLING)
+        if whole:
+            usual = max(float(np.median(np.diff(log.t))) for log in logs)
+            length = max(length, min(LONGEST_WINDOW, min(durations) - 2 * usual))
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
         if not sum(counts):
@@ -205,7 +209,7 @@ class _Search(NamedTuple):
             has_positive_number, np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first)), family.least
         )
         rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS)
-        return cls(logs, rows, tuple(count for count in counts if count), sizes, least, rigid)
+        return cls(logs, rows, tuple(count for count in counts if count), sizes, least, rigid, length)
 
     def started(self) -> _Point:
         """The first values, with the delay and the stiffness among those tried that predict best."""
@@ -338,11 +342,7 @@ class _Search(NamedTuple):
         scores = share * self._by_blocks(np.einsum("pbkj,bkj->bkp", z, weight * e, optimize=True))
         prior = np.eye(len(z)) / PRIOR**2
         gradient = scores.sum(axis=0) + prior @ (point.x / self.sizes)
-        simple = np.linalg.inv(curvature + prior)
-        covariance = block_covariance(scores, curvature, simple, prior)
-        # The scatter of a few blocks may be small by chance: below what independent errors would leave it is.
-        widened = np.sqrt(np.maximum(np.diagonal(simple) / np.diagonal(covariance), 1.0))
-        covariance = covariance * np.outer(widened, widened)
+        covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
         outer = np.outer(self.sizes, self.sizes)
         losses = share * np.sum((loss + np.log(scale)) * measured, axis=(1, 2))
         least = (self.least - point.x) / self.sizes

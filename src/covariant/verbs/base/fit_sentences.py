@@ -80,6 +80,8 @@ def robot_details(best: RobotFit) -> dict[str, Any]:
     unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
     combinations = best.combinations
     sentences = []
+    if best.kept:
+        sentences.append(f"the numbers of {', '.join(best.kept)} stay as they are: with others it is predicted worse")
     if unknown:
         shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
         sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")

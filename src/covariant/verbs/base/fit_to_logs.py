@@ -1,6 +1,7 @@
 """Computes a fit to logs: reads them, solves with held and with linear inputs, and judges on what is held out."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ from covariant.calibration.identification import (
     search,
     standing_still,
     window_errors,
+    worse_coordinates,
 )
 from covariant.signals import Record
 from covariant.verbs.base.aligned import Aligned
@@ -63,7 +65,6 @@ ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 def fit_to_logs(
     jobs: list[Job],
     names: Sequence[str],
-    length: float | None,
     progress: Progress,
     sources: Mapping[Path, bytes],
     own: OwnNumbers | None = None,
@@ -75,7 +76,7 @@ def fit_to_logs(
     """
     progress("reading")
     kind = _kind_of(jobs[0], names)
-    problem = kind.read(jobs, names, length, own)
+    problem = kind.read(jobs, names, own)
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
@@ -92,6 +93,8 @@ def fit_to_logs(
     after = problem.errors(best, part)
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, part)
+    if isinstance(best, RobotFit) and not suspicion:
+        best, after = _by_joint(problem, best, part, before, after)
     better = not predicts_worse(before, after) and not suspicion
     found: Any = problem.ended(best, part if better else None)
     values = np.array([float(f"{value:.{DIGITS}g}") for value in found.values])[problem.family.parts]
@@ -129,6 +132,18 @@ class _Part(NamedTuple):
         return cls(rows, held_out_rows(rows, stamps, logs.length, logs.machines))
 
 
+def _by_joint(
+    problem: Any, best: RobotFit, part: _Part, before: PredictionErrors, after: PredictionErrors
+) -> tuple[RobotFit, PredictionErrors]:
+    """The fit and its errors; with first values for the joints that it predicts worse, where that is better."""
+    worse = worse_coordinates(before, after)
+    parted = best.without(problem.family, worse) if worse.any() else None
+    if parted is None:
+        return best, after
+    errors = problem.errors(parted, part)
+    return (best, after) if predicts_worse(before, errors) else (parted, errors)
+
+
 def _solve(problem: "_Problem", parts: dict[str, _Part], progress: Progress) -> dict[str, Any]:
     """The fit for each way of inputs between stamps, each search from where the one before ended."""
     tried = problem.logs.tried
@@ -162,17 +177,43 @@ class Gain(NamedTuple):
         return abs(self.of_linear) > CLEAR * self.standard_error
 
 
-class _PredictionProblem(NamedTuple):
+@dataclass(frozen=True)
+class _Problem:
+    """What is fitted to logs: a family of models, the logs, and the machines that they are of."""
+
+    family: Any
+    logs: FitLogs
+    machines: Sequence[str]
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step."""
+        return log.acting(between, log.loaded.file.input_lag)
+
+    def refined(self, best: Any, part: _Part, progress: Progress) -> Any:
+        """The fit after what need not be done for each way of inputs."""
+        del part, progress
+        return best
+
+    def ended(self, best: Any, part: _Part | None) -> Any:
+        """The fit in the end: once more to all rows of a part, where it was found good there."""
+        del part
+        return best
+
+    def suspicion(self, best: Any, part: _Part) -> str:
+        """A sentence on another reading of the logs that explains them better than the fit; or ""."""
+        del best, part
+        return ""
+
+    def gain(self, fits: dict[str, Any]) -> Gain:
+        """What linear inputs explain better than held ones."""
+        return Gain.of(fits["held"].losses - fits["linear"].losses)
+
+
+class _PredictionProblem(_Problem):
     """Parameters of a model, fitted by the likelihood of logs."""
 
-    family: models.Family
-    logs: FitLogs
-    machines: list[str]
-
     @classmethod
-    def read(
-        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
-    ) -> "_PredictionProblem":
+    def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_PredictionProblem":
         refuse_other_parameters(jobs, ("between", "lag"))
         family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
@@ -181,7 +222,7 @@ class _PredictionProblem(NamedTuple):
                 family = family.of_machines(machines, own.names)
             except InputError as error:
                 raise InputError(f"each: {error}") from error
-        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
+        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], of_log), machines)
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
@@ -200,10 +241,6 @@ class _PredictionProblem(NamedTuple):
         found = search(self.family, part.rows.only(~part.judged), progress, begin, least)
         # Which place won is known from the first search; a later one begins where that ended.
         return found if start is None else found._replace(fit=found.fit._replace(starts=start.fit.starts))
-
-    def refined(self, best: Solved, part: _Part, progress: Progress) -> Solved:
-        del part, progress
-        return best
 
     def ended(self, best: Solved, part: _Part | None) -> Fit:
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
@@ -236,17 +273,11 @@ class _PredictionProblem(NamedTuple):
         return {"start": start_sentence(best), "undetermined": list(relations(best)), "unlike": list(best.unlike)}
 
 
-class _RobotProblem(NamedTuple):
-    """Numbers of a robot's joints and links, fitted by residual torques."""
-
-    family: models.RobotFamily
-    logs: FitLogs
-    machines: list[str]
+class _RobotProblem(_Problem):
+    """Numbers of a robot's joints and links, fitted by residual torques, and from these by the likelihood of logs."""
 
     @classmethod
-    def read(
-        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
-    ) -> "_RobotProblem":
+    def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_RobotProblem":
         refuse_other_parameters(jobs, ("between",))
         family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
         if own is not None:
@@ -256,16 +287,12 @@ class _RobotProblem(NamedTuple):
             except InputError as error:
                 raise InputError(f"each: {error}") from error
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
-        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], of_log)
         for name, log in zip(logs.names, logs.logs, strict=True):
             finding = None if jobs[0].anyway else robot_misfit(family.one, log.loaded.file, log.raw)
             if finding is not None:
                 raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
         return cls(family, logs, machines)
-
-    def acting(self, log: Aligned, between: str) -> Record:
-        """The record with the inputs that act in each step."""
-        return log.acting(between, log.loaded.file.input_lag)
 
     def fit(self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
         last = self.logs.last
@@ -294,14 +321,8 @@ class _RobotProblem(NamedTuple):
 
     def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
         """The fit, once more to all rows of a part where it was found good there."""
-        return best if part is None or not best.likeliest else likeliest_robot(self.family, best, part.rows)
-
-    def suspicion(self, best: RobotFit, part: _Part) -> str:
-        del best, part
-        return ""
-
-    def gain(self, fits: dict[str, RobotFit]) -> Gain:
-        return Gain.of(fits["held"].losses - fits["linear"].losses)
+        whole = part is not None and best.likeliest and not best.kept
+        return likeliest_robot(self.family, best, part.rows) if whole else best
 
     def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
         """Root mean squares over the machines, of the first values where there is no fit."""
@@ -316,25 +337,23 @@ class _RobotProblem(NamedTuple):
             judged = part.judged & (machine == k)
             if judged.any():
                 found.append(window_errors(Unknowns.none(model), np.zeros(0), rows, self.logs.length, judged))
-        return PredictionErrors(*(np.sqrt(np.mean(np.square(kind), axis=0)) for kind in zip(*found, strict=True)))
+        *sizes, windows = zip(*found, strict=True)
+        position, velocity = (np.sqrt(np.mean(np.square(kind), axis=0)) for kind in sizes)
+        known = all(each is not None for each in windows)
+        return PredictionErrors(position, velocity, np.concatenate(windows) if known else None)
 
     def details(self, best: RobotFit) -> dict[str, Any]:
         return robot_details(best)
 
 
-class _ServoProblem(NamedTuple):
-    """Numbers of a robot with servos, fitted by predictions from its commands."""
+@dataclass(frozen=True)
+class _ServoProblem(_Problem):
+    """Numbers of a robot with servos, fitted by predictions from its commands; with a family for each log."""
 
-    family: models.RobotFamily
-    logs: FitLogs
-    families: list[models.RobotFamily]
-    window: float | None
-    machines: tuple[str, ...] = ("",)
+    families: Sequence[models.RobotFamily]
 
     @classmethod
-    def read(
-        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
-    ) -> "_ServoProblem":
+    def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_ServoProblem":
         if own is not None:
             raise InputError(
                 "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
@@ -354,47 +373,41 @@ class _ServoProblem(NamedTuple):
         same = all(job.overrides == jobs[0].overrides for job in jobs)
         family = families[0] if same else models.robot_family(jobs[0].model_name, names)
         # A servo whose numbers are first values explains little of a log, as the fit is for that.
-        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], None)
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs])
         for name, log in zip(logs.names, logs.logs, strict=True):
             finding = None if jobs[0].anyway else standing_still(log.loaded.file, log.raw)
             if finding is not None:
                 raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
         file = logs.logs[0].loaded.file
-        return cls(family, logs._replace(tried=(file.input_between,)), families, length)
+        return cls(family, logs._replace(tried=(file.input_between,)), [""], families)
 
-    def acting(self, log: Aligned, between: str) -> Record:
-        """The record with the inputs that act in each step."""
-        return log.acting(between, log.loaded.file.input_lag)
-
-    def fit(self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+    def fit(
+        self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None], whole: bool = False
+    ) -> RobotFit:
         seen = self.logs.seen
         records = [log.raw for log in self.logs.logs[:seen]]
         if len(self.logs.logs) == 1:
             records = [_first_part(records[0])]
-        return fit_servos(
-            self.families[:seen],
-            records,
-            word,
-            lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)),
-            self.window,
-            late=_late(self.logs.logs[0]),
-        )
+
+        def progress(done: int) -> None:
+            report(done, min(done / ROBOT_ROUNDS, 1.0))
+
+        del part, start
+        return fit_servos(self.families[:seen], records, word, progress, _late(self.logs.logs[0]), whole)
 
     def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
-        del part, progress
-        return best
+        """The fit with windows as long as the logs, where that predicts better."""
 
-    def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
-        del part
-        return best
+        def report(done: int, fraction: float) -> None:
+            progress(f"whole logs, round {done + 1}", fraction)
+
+        other = self.fit(self.logs.tried[0], part, None, report, whole=True)
+        return other if error_growth(self.errors(best), self.errors(other)) < 1 else best
 
     def suspicion(self, best: RobotFit, part: _Part) -> str:
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
         del part
         return unlike_servos(self.family, best, self.logs.logs[-1], self.errors(best).position)
-
-    def gain(self, fits: dict[str, RobotFit]) -> Gain:
-        return Gain.of(fits["held"].losses - fits["linear"].losses)
 
     def errors(self, best: RobotFit | None, part: _Part | None = None) -> PredictionErrors:
         """Errors of the motion predicted from the first row and the commands of what is held out."""
@@ -420,10 +433,7 @@ class _ServoProblem(NamedTuple):
         return servo_details(best, self.family)
 
 
-_Problem = _PredictionProblem | _RobotProblem | _ServoProblem
-
-
-def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
+def _kind_of(job: Job, names: Sequence[str]) -> type[Any]:
     """The kind of problem that the names of the numbers, and the inputs of the model, make it."""
     if not _is_robot_fit(job, names):
         return _PredictionProblem
@@ -506,7 +516,7 @@ def _details(
         "coordinates": list(names),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out_errors": {
-            when: {kind: rounded(np.asarray(values)) for kind, values in errors._asdict().items()}
+            when: {"position": rounded(errors.position), "velocity": rounded(errors.velocity)}
             for when, errors in (("before", before), ("after", after))
         },
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
