@@ -70,4 +70,7 @@ def test_one_set_of_numbers_predicts_logs_at_other_gains(data_folder):
 @pytest.mark.exhaustive
 def test_two_halves_of_the_logs_agree(data_folder):
     one, other = (fitted(data_folder, (FITTED[i], FITTED[j])) for i, j in ((0, 3), (1, 2)))
-    assert (np.abs(one.values - other.values) <= 4 * np.hypot(one.standard_errors, other.standard_errors)).all()
+    errors = np.hypot(one.standard_errors, other.standard_errors)
+    both = np.isfinite(errors)  # half of the logs need not determine every number by itself
+    assert both.sum() >= 6
+    assert (np.abs(one.values - other.values)[both] <= 4 * errors[both]).all()

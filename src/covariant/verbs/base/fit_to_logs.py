@@ -396,13 +396,13 @@ class _ServoProblem(_Problem):
         return fit_servos(self.families[:seen], records, word, progress, _late(self.logs.logs[0]), whole)
 
     def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
-        """The fit with windows as long as the logs, where that predicts better."""
+        """The fit with windows as long as the logs, where that predicts clearly better: they are few."""
 
         def report(done: int, fraction: float) -> None:
             progress(f"whole logs, round {done + 1}", fraction)
 
         other = self.fit(self.logs.tried[0], part, None, report, whole=True)
-        return other if error_growth(self.errors(best), self.errors(other)) < 1 else best
+        return other if error_growth(self.errors(other), self.errors(best)) > CLEARLY_WORSE else best
 
     def suspicion(self, best: RobotFit, part: _Part) -> str:
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
