@@ -48,6 +48,16 @@ def test_a_fit_that_predicts_one_coordinate_clearly_worse_is_worse():
     assert not predicts_worse(before, before)
 
 
+def test_what_may_be_chance_is_not_worse():
+    """The second coordinate is worse by a tenth: in one of four windows by far, or in all of them alike."""
+    rng = np.random.default_rng(0)
+    old = np.stack([np.full(4, 0.01), np.full(4, 1e-4)], axis=1) * rng.uniform(0.99, 1.01, (4, 2))
+    for more, worse in ((np.array([0.84, 0.0, 0.0, 0.0]), False), (np.full(4, 0.21), True)):
+        new = old * np.stack([np.full(4, 0.1), 1 + more], axis=1)
+        before, after = (PredictionErrors(*[np.sqrt(np.mean(each, axis=0))] * 2, each) for each in (old, new))
+        assert predicts_worse(before, after) == worse
+
+
 def test_a_log_that_stands_still_is_refused():
     t = np.arange(0.0, 20.0, 0.02)
     record = Record(t, y=np.sin(t)[:, None])

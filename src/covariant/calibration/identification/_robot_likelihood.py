@@ -110,8 +110,10 @@ def linearised(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows, steps
         inertia = unknowns.along("inertia", _inertia, x, q[at])
         changes.append(-np.linalg.solve(inertia, torque))
     begin, end = changes
-    dt = np.asarray(system.dt)[1:, None, None]
-    slopes = np.concatenate([dt**2 * (begin / 3 + end / 6), dt * (begin + end) / 2], axis=1)
+    dt, n = np.asarray(system.dt)[1:, None, None], v.shape[1]
+    # What a number changes at the beginning of a step is damped until its end.
+    damped = np.asarray(system.transition)[1:, n:, n:] @ begin
+    slopes = np.concatenate([dt**2 * (begin / 3 + end / 6), dt * (damped + end) / 2], axis=1)
     slopes = np.where(np.isfinite(slopes), slopes, 0.0) * unknowns.sizes
     slopes = np.concatenate([np.zeros_like(slopes[:1]), slopes])
     return system._replace(slopes=jnp.asarray(np.where(np.asarray(system.fresh)[:, None, None], 0.0, slopes)))
