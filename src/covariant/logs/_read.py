@@ -14,11 +14,12 @@ from jaxtyping import Float
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
+from covariant.logs._clock import displaced_rows
 from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, check_log, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._entries import by_entries
 from covariant.logs._episodes import episodes_fault
-from covariant.logs._sign_bit import has_sign_bit, sign_bit_fault
+from covariant.logs._register import Register
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, plain_text, source_name, stated_units, table_source
 from covariant.logs._text import read_text, sheet, with_points
@@ -203,8 +204,9 @@ def _of_columns(
                 # A column without any number is a wrong column, and not a sensor with gaps.
                 if not empty and column not in absent and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
-                if has_sign_bit(values):
-                    raise LogError(f"{name}: {sign_bit_fault(column)}")
+                coded = None if (values < 0).any() else Register.of(values).fault(column)
+                if coded is not None:
+                    raise LogError(f"{name}: {coded}")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))
 
@@ -215,7 +217,7 @@ def _of_columns(
         return np.concatenate([y[:, :3, 3], y[:, :3, :3].reshape(len(y), 9)], axis=1) if bodies(columns) else y
 
     unit = columns.unit_of("t", 0)
-    t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
+    t, origin, note = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
     u, y = (
         stack(columns, "u", needed=not missing_inputs),
         from_cells(name, columns, stack(columns, *MEASURED, empty=False)),
@@ -226,10 +228,14 @@ def _of_columns(
         record = _check_record(name, Record(t, u, y), columns, missing_inputs, absent)
     except ClockError as error:
         fault = episodes_fault(t, source.shown, lambda each: _whole_column(name, source, each))
+        if (displaced := displaced_rows(t)) is not None and fault is None:
+            rows, late = displaced
+            which = ", ".join(str(row + 1) for row in rows[:5]) + f" and {len(rows) - 5} more" * (len(rows) > 5)
+            fault = f"is {abs(late):.6g} s {'late' if late > 0 else 'early'} in row {which} alone, {'subtract' if late > 0 else 'add'} that there"
         if fault is None:
             raise
         raise ClockError(f"{name}: column {columns.t!r} {fault}", error.record) from error
-    return Log(record, v, truth, origin, readings=read)
+    return Log(record, v, truth, origin, readings=read, note=note)
 
 
 def _whole_column(name: str, source: LogSource, column: str) -> Float[np.ndarray, "T"]:
@@ -296,7 +302,7 @@ def _select_rows(
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
     record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
     whole = None if len(record.t) == len(t) else log.record
-    return Log(record, v, truth, log.origin_ns, low + 1, every, readings, whole)
+    return Log(record, v, truth, log.origin_ns, low + 1, every, readings, whole, log.note)
 
 
 def _rows(part: Any, rows: slice) -> Any:

@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from covariant.calibration.diagnosis._finding import Finding, Rows
 from covariant.calibration.diagnosis._thresholds import CONTINUES, FAR, GAP, JITTER, JUMP, SEEN
+from covariant.logs import displaced_rows
 from covariant.signals import Record
 
 MONOTONIC = "stamp rows by a clock that nobody sets, such as CLOCK_MONOTONIC or `time.monotonic`"
@@ -43,11 +44,21 @@ def mended_clock(record: Record) -> Mended:
     Returns:
         The mended log and the findings.
     """
-    t = np.asarray(record.t, float)
+    t = np.array(record.t, float)
+    rows, findings = Rows(t.copy()), []
+    if (displaced := displaced_rows(t)) is not None:
+        places, late = displaced
+        t[places] -= late
+        size, way = f"{abs(late):.6g} s", "late" if late > 0 else "early"
+        evidence = f"{len(places)} of {len(t)} rows are stamped {size} {way}, the rows around them are not: "
+        evidence += rows.listed(places)
+        line = f"{'subtract' if late > 0 else 'add'} {size} there; read all parts of a stamp at once, since a second "
+        line += "that begins between them is lost"
+        numbers = {"rows": len(places), "late": late}
+        findings.append(Finding("clock of single rows", "", evidence, line, True, numbers))
     steps = np.diff(t)
     rising = steps[steps > 0]
     usual = float(np.median(rising)) if len(rising) else 1.0
-    rows, findings = Rows(t), []
     same, back = np.flatnonzero(steps == 0) + 1, np.flatnonzero(steps < 0) + 1
     if len(same):
         findings.append(

@@ -49,7 +49,7 @@ WEIGHTS = (
         "row shift",
     ),
     *("scale of", "inputs between"),
-    *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position", "bias of"),
+    *("uncertainty", "noise", "interpolated", "ticks", "repeated", "outliers", "a position", "bias of"),
 )
 """How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
 
@@ -61,6 +61,7 @@ def diagnose(
     first_row: int = 1,
     every: int = 1,
     sensors: Sequence[Beside] = (),
+    v: np.ndarray | None = None,
 ) -> Diagnosis:
     """Compare a log with a model, and report what is wrong with the log, or with the model file for it.
 
@@ -79,6 +80,7 @@ def diagnose(
         every: The record has each `every`-th row of the file.
         sensors: Sensors beside the positions with their readings in the rows of the record, which are judged by what
             the positions predict of them; of a machine that is not in coordinates they are not.
+        v: Velocities (T, n) of the log, which are compared with the slopes of the positions.
 
     Returns:
         The findings, sorted by what they invalidate: those first that make others meaningless. A log that fits has none
@@ -95,7 +97,7 @@ def diagnose(
         ()
     """
     quantum = file.quantum if quantum is None else quantum
-    log = Examination(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors)
+    log = Examination(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors, v)
     for stage in STAGES:
         if stage(log):
             break

@@ -40,13 +40,15 @@ MOST_DIVISIONS = 1000
 
 
 def periods(
-    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]
+    t: Float[np.ndarray, "T"],
+    y: Float[np.ndarray, "T n"],
+    ticks: Float[np.ndarray, "n"],
+    circles: tuple[int, ...] = (),
 ) -> Float[np.ndarray, "n"]:
-    """Periods (n,) at which readings wrap; 0 for those that do not."""
+    """Periods (n,) at which readings wrap; 0 for those that do not, and for angles on a circle that wrap at 2π."""
     seen = [np.isfinite(column) for column in y.T]
-    return np.array(
-        [_period(t[rows], y[rows, i], tick) for i, (rows, tick) in enumerate(zip(seen, ticks, strict=True))]
-    )
+    found = [_period(t[rows], y[rows, i], tick) for i, (rows, tick) in enumerate(zip(seen, ticks, strict=True))]
+    return without_full_turns(np.array(found), circles)
 
 
 def without_full_turns(found: Float[np.ndarray, "n"], circles: tuple[int, ...]) -> Float[np.ndarray, "n"]:

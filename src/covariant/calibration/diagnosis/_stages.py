@@ -41,6 +41,7 @@ from covariant.calibration.diagnosis._readings import (
     readings,
     still_findings,
 )
+from covariant.calibration.diagnosis._registers import held_inputs, made_rows, rate_findings
 from covariant.calibration.diagnosis._repeats import repeated_findings, stuck, without_repeated
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
@@ -93,6 +94,7 @@ class Examination:
         quantum: Ticks that the model file states, or None.
         rows: Stamps, and where the rows are in the file.
         sensors: Sensors beside the positions.
+        v: Logged velocities, or None.
         findings: Findings of the stages so far.
         checks: Names of the checks that were made.
         case: The log without outliers, as it is compared with the model.
@@ -106,6 +108,7 @@ class Examination:
     quantum: float | tuple[float, ...] | None
     rows: Rows
     sensors: Sequence[Beside]
+    v: np.ndarray | None = None
     findings: list[Finding] = field(default_factory=list)
     checks: tuple[str, ...] = ("clock", "missing rows", "irregular stamps", "missing measurements")
     case: Case = field(init=False)
@@ -160,6 +163,14 @@ def look_for_rest(log: Examination) -> bool:
     log.still, whole = still_findings(log.y, names.q, names.units)
     log.findings += log.still if whole else []
     return whole
+
+
+def look_for_made_rows(log: Examination) -> bool:
+    """Empty the readings that were made from their neighbours, which look like finer ticks and like no noise."""
+    made, findings = made_rows(log.rows.t, log.y, names_of(log.file), log.rows)
+    log.findings += findings
+    log.record = log.record._replace(y=np.where(made, np.nan, log.y))
+    return False
 
 
 def look_for_senders(log: Examination) -> bool:
@@ -245,6 +256,12 @@ def compare_accelerations(log: Examination) -> bool:
         log.findings.append(standstill(case.record, case.model.circles, case.names, case.ticks))
         return True
     log.checks += COMPARED
+    if log.v is not None and not any(each.what.startswith("unit of") for each in log.findings):
+        log.findings += rate_findings(case, smoothed(case, best[0]), log.rows.t, log.v)
+    for suspicion, note in held_inputs(case):
+        accepted = judge(case, [suspicion], unexplained_at(best[0]))
+        log.findings.append(note if accepted is None else accepted[1])
+        case = case if accepted is None else suspicion.apply(case)
     lacking, case, timing = _torques_or_timing(case, *best)
     delays = timing.findings(case, best[0])
     if lacking and not timing.explains_most(case, best[0]):
@@ -263,7 +280,8 @@ def compare_accelerations(log: Examination) -> bool:
 
 
 STAGES: tuple[Stage, ...] = (
-    *(look_at_clock, look_without_coordinates, look_for_rest, look_for_senders, mend_broken_parts, look_at_readings),
+    *(look_at_clock, look_without_coordinates, look_for_rest, look_for_made_rows, look_for_senders, mend_broken_parts),
+    look_at_readings,
     *(look_at_servos, look_at_columns, compare_accelerations),
 )
 """The stages in their order."""

@@ -102,6 +102,12 @@ COARSE = 0.02
 """Allowed error of a local polynomial, as a fraction of the motion among the neighbours."""
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers up to which they are only a note."""
+HELD_INPUT, HELD_REGULARLY = 6, 0.9
+"""Fewest rows after which an input changes, and the fraction of its changes at such distances, from which it may have
+been read less often than the rows."""
+OFF_RATE, SAME_RATE = 0.25, 0.9
+"""Relative difference of velocities from the slope of positions, and the least correlation with it, from which they are
+in another unit."""
 FEW_REPEATED = 0.02
 """Fraction of rows that repeat the previous readings, up to which they are not an error."""
 AROUND, FAST_TICKS, FEWEST_FAST, HELD_TICKS = 3, 2.0, 40, 0.2
@@ -114,10 +120,8 @@ HELD_ROWS, HELD_TIMES, ABRUPT = 20, 10.0, 0.75
 """Fewest rows in which a position keeps one value, and their number relative to that for the values beside it, from
 which it may be stuck; its motion in the rows beside it relative to that in as many rows farther away, at most 1/2 if
 it came from rest."""
-LATTICE = 0.05
-"""Largest distance of changes from whole ticks, as a fraction of one."""
 STATED_LATTICE = 0.1
-"""The same for ticks that the model file states."""
+"""Largest distance of changes from whole ticks that the model file states, as a fraction of one."""
 LEAST_TICK = 1.5
 """Least size of a tick, in standard deviations of the noise: below that the noise hides it."""
 ALTERNATES = -0.5

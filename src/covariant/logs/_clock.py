@@ -1,0 +1,127 @@
+"""What stamps count: fractions of days, counters that begin anew, and single rows that were stamped wrongly."""
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant.logs._units import unit_factor
+
+DAYS = ((25_569.0, 73_050.0), (719_529.0, 767_010.0), (2_440_587.5, 2_488_069.5))
+"""Ranges of days that mean the years 1970 to 2100: days since 1900, days since the year 0, and Julian days."""
+DAY = 86_400.0
+"""Number of seconds in a day."""
+_LARGEST_STEP_OF_DAYS = 2e-5
+"""Median step below which such numbers count as days: 1.7 s in days; in seconds, 50 000 rows a second."""
+_SMALLEST_STEP = 1e-6
+"""Median step [s] below which numbers cannot be seconds: no machine is logged a million times a second."""
+_FEWEST_ROWS = 50
+"""Number of rows needed to judge their rate: a few rows may be an excerpt."""
+COUNTERS = tuple(2.0**k * unit for k in (16, 24, 31, 32) for unit in (1.0, 1e-3, 1e-6, 1e-9))
+"""Numbers after which a counter of ticks begins anew, in its ticks or in seconds."""
+NEAR = 20.0
+"""Largest step across which a counter begins anew, in usual steps: some rows may be missing there."""
+DISPLACED, REJOINED = 5.0, 3.0
+"""Step from which a row may be stamped wrongly, and largest one with the right stamp, in usual steps."""
+SAME_SHIFT = 0.05
+"""Relative difference up to which rows are displaced by one time."""
+
+
+def rising_stamps(values: Float[np.ndarray, "T"], periods: tuple[float, ...] = COUNTERS) -> Float[np.ndarray, "T"]:
+    """Stamps of a counter that begins anew, as of microseconds in 32 bits after 71 minutes, as if it went on.
+
+    Args:
+        values: Stamps (T,) as logged.
+        periods: Numbers after which it may begin anew.
+
+    Returns:
+        The stamps; as they are where they rise, or go back by something else.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import rising_stamps
+        >>> rising_stamps(np.array([4294965296.0, 4294966296.0, 0.0, 1000.0])).tolist()
+        [4294965296.0, 4294966296.0, 4294967296.0, 4294968296.0]
+    """
+    steps = np.diff(values)
+    back = steps < 0
+    if not back.any() or back.all():
+        return values
+    usual = float(np.median(steps[~back]))
+    for period in periods:
+        # It begins anew after the whole period, and nowhere else.
+        if np.ptp(values) < period and ((0 < steps[back] + period) & (steps[back] + period < NEAR * usual)).all():
+            return values + period * np.concatenate([[0], np.cumsum(back)])
+    return values
+
+
+def displaced_rows(t: Float[np.ndarray, "T"]) -> tuple[np.ndarray, float] | None:
+    """Rows that are stamped early or late by one time, among others whose stamps go on without them.
+
+    A second that is read before its fraction is a second early where the fraction began anew in between.
+
+    Args:
+        t: Stamps (T,), which go back at such a row.
+
+    Returns:
+        The rows, and by how much they are late, negative for early ones; None if there are none, or other faults.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import displaced_rows
+        >>> rows, late = displaced_rows(np.array([0.97, 0.98, 0.99, 0.0, 1.01, 1.02, 1.03]))
+        >>> rows.tolist(), round(late, 3)
+        ([3], -1.0)
+    """
+    steps = np.diff(t)
+    rising = steps[steps > 0]
+    usual = float(np.median(rising)) if len(rising) else 0.0
+    places = np.flatnonzero(np.abs(steps - usual) > DISPLACED * usual)
+    rows, shifts, k = list[int](), list[float](), 0
+    while k + 1 < len(places):
+        begin, end = int(places[k]) + 1, int(places[k + 1]) + 1
+        together = t[end] - t[begin - 1]
+        if steps[begin - 1] * steps[end - 1] < 0 and 0 < together < (end - begin + REJOINED) * usual:
+            rows += range(begin, end)
+            shifts += [float(steps[begin - 1] - steps[end - 1]) / 2] * (end - begin)
+            k += 2
+        else:
+            k += 1
+    late = float(np.median(shifts)) if shifts else 0.0
+    if not rows or 2 * len(rows) > len(t) or np.ptp(shifts) > max(SAME_SHIFT * abs(late), REJOINED * usual):
+        return None
+    return np.array(rows), float(f"{late:.3g}") if abs(late - float(f"{late:.1g}")) < usual else late
+
+
+def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | None:
+    """Fault of stamps that cannot be seconds: dates in days, or fractions of a day or a year.
+
+    Spreadsheets count days from 1900, `datenum` from the year 0, and astronomers from 4713 BC. As seconds, such stamps
+    would mean more than 50 000 rows a second. The reader and the draft of a model file refuse them, since a wrong unit
+    of time gives wrong velocities.
+
+    Args:
+        values: Stamps (T,) as logged.
+        unit: Their unit; None if none is stated.
+
+    Returns:
+        The fault and its remedy, as text that follows the name of the column; None if the clock may count seconds.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import odd_clock
+        >>> odd_clock(45_000 + np.arange(99) / 86_400).partition(",")[0], odd_clock(45_000 + np.arange(99.0))
+        ('holds dates in days', None)
+    """
+    if len(values) < _FEWEST_ROWS or (unit is not None and unit_factor(unit) != DAY):
+        return None
+    step = float(np.median(np.diff(values)))
+    if 0 < step < _LARGEST_STEP_OF_DAYS and any(low <= values[0] <= high for low, high in DAYS):
+        return (
+            "holds dates in days, as spreadsheets, datenum and Julian dates do; subtract the first of them, and write "
+            't = "24 h" under [units] of the model file, or write t = "s" if they are seconds'
+        )
+    if unit is None and 0 < step < _SMALLEST_STEP:
+        return (
+            f"has {1 / step:.2g} rows a second if it holds seconds; write what one of it is under [units] of the model "
+            'file, as t = "24 h" for parts of a day, or t = "s" if they are seconds'
+        )
+    return None

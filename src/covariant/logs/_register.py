@@ -1,0 +1,201 @@
+"""How the numbers of a column code a quantity: resolution, sign bits, and rows that were made from their neighbours.
+
+Positions, velocities and inputs are read from registers alike, so that one description serves them all.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+ROUNDING = 1e-9
+"""Differences of readings, relative to the largest of them, up to which they are rounding errors and no change."""
+LATTICE = 0.05
+"""Largest distance of changes from whole ticks, as a fraction of one."""
+FEWEST_GAPS = 10
+"""Least number of distances between neighbouring values that show ticks which were rounded."""
+FEWEST_CHANGES = 20
+"""Least number of changes of a column that show ticks, or between which rows were interpolated."""
+SIGN_BITS = tuple(float(2**k) for k in range(7, 32))
+"""Values of the bits of a register that may be its sign."""
+FEWEST_VALUES = 5
+"""Least number of different magnitudes of either sign that show a sign bit; what switches between two values has one.
+"""
+NEAR_ZERO = 1 / 16
+"""Largest of the smallest magnitudes of either sign, relative to the largest one, since signals pass zero."""
+CROSSINGS = 0.8
+"""Fraction of the changes of sign that are less than half as long once they are decoded."""
+MOST_ROWS = 20_000
+"""Rows of a long log in which made ones are looked for."""
+DIGITS, FASTER = (1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 10.0
+"""Last digits of printed numbers, relative to their range, and the least step of a row that moves, in last digits."""
+MOST_EVERY = 50
+"""Most rows per reading that are looked for."""
+CERTAIN = 30.0
+"""Changes of slope that are expected in rows that have none, if rows were not made from their neighbours."""
+STRAGGLERS = 0.02
+"""Fraction of rows with a change of slope up to which a row of every n counts as made."""
+
+
+class Register(NamedTuple):
+    """How the numbers of a column code a quantity.
+
+    Attributes:
+        tick: Resolution, of which all changes are multiples; 0 where the numbers show none.
+        negative: Number from which numbers are negative; 0 where they have their sign.
+        span: What a negative number is short of, in two's complement; 0 for a sign bit beside a magnitude.
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import Register
+        >>> load = np.round(40 * np.sin(np.arange(99) / 7))
+        >>> Register.of(load).negative, Register.of(np.where(load < 0, 1024 - load, load)).negative
+        (0.0, 1024.0)
+    """
+
+    tick: float
+    negative: float = 0.0
+    span: float = 0.0
+
+    @classmethod
+    def of(cls, values: Float[np.ndarray, "T"]) -> "Register":
+        """The register of a column (T,)."""
+        values = values[np.isfinite(values)]
+        tick = _resolution(values)
+        if not len(values) or values.min() < 0 or not tick:  # a number below zero has its sign
+            return cls(tick)
+        unit = 1.0 if not (values % 1).any() else tick  # of bits, and not of what only even numbers were read of
+        counts = np.rint(values / unit)
+        for bit in (each for each in SIGN_BITS if each < counts.max() < 2 * each):
+            for span in (0.0, 2 * bit):
+                if _is_coded(counts, bit, span):
+                    return cls(unit, bit * unit, span * unit)
+        return cls(tick)
+
+    def fault(self, name: str) -> str | None:
+        """What is wrong with a column that is used as plain numbers, with the expression that decodes it."""
+        if not self.negative:
+            return None
+        bit, width = f"{self.negative:.10g}", round(np.log2(self.negative / self.tick)) + 1
+        minus, how = (f"{bit} - x", "whose highest bit is a sign") if not self.span else (f"x - {self.span:.10g}", "")
+        coding = f"{width}-bit words {how}, as serial-bus servos send them" if how else f"{width}-bit two's complement"
+        return (
+            f"column {name!r} holds {coding}: numbers from {bit} on are negative; decode it in the log, as "
+            f"numpy.where(x >= {bit}, {minus}, x)"
+        )
+
+
+def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
+    """Whether numbers from `bit` on are negative: both signs begin at zero, and changes of sign become short."""
+    below = counts < bit
+    decoded = np.where(below, counts, counts - span if span else bit - counts)
+    for part in (decoded[below], -decoded[~below]):
+        if len(part) == 0 or len(np.unique(part)) < FEWEST_VALUES or part.min() > 1 + NEAR_ZERO * part.max():
+            return False
+    crossing = np.flatnonzero(np.diff(below))
+    plain, short = (np.abs(np.diff(each))[crossing] for each in (counts, decoded))
+    return bool(np.mean((short < plain / 2) & (plain > bit / 2)) >= CROSSINGS)
+
+
+def _resolution(y: Float[np.ndarray, "T"]) -> float:
+    """Step of which all changes of readings are multiples, up to the digits with which they were printed; 0 for none.
+    """
+    changes = np.abs(np.diff(y))
+    changes = changes[changes > ROUNDING * np.max(np.abs(y), initial=0.0)]
+    if len(changes) < FEWEST_CHANGES:
+        return 0.0
+    if printed := _rounded(y):
+        return printed
+    # A low quantile and not the minimum, which one wrong cell can spoil.
+    smallest = float(np.quantile(changes, 0.01))
+    # The least change in a log may be two or three ticks.
+    for fraction in (1, 2, 3):
+        step = smallest / fraction
+        # Over k ticks an error of the step grows k times, so that large changes are no test of it.
+        small = changes[changes < 20.5 * step]
+        whole = np.rint(small / step)
+        if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
+            return float(np.sum(small) / np.sum(whole))  # the mean over many ticks, since logs hold few digits
+    return 0.0
+
+
+def _rounded(y: Float[np.ndarray, "T"]) -> float:
+    """Tick of readings that were rounded to a decimal after it, as 0.088° to 0.08 or 0.09; 0 if there is none.
+
+    Neighbouring values are then two distances apart that differ by one of the decimal, and all of them lie within half
+    of it from whole ticks.
+    """
+    levels = np.unique(y)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > ROUNDING * np.max(np.abs(levels), initial=0.0)]
+    if len(gaps) < FEWEST_GAPS:
+        return 0.0
+    smallest = float(np.quantile(gaps, 0.02))
+    near = gaps[(gaps > 0.5 * smallest) & (gaps < 1.6 * smallest)]
+    sizes, counts = np.unique(np.rint(near / smallest * 1e4), return_counts=True)
+    if len(near) < FEWEST_GAPS or len(sizes) > len(near) / 4:
+        return 0.0  # many sizes: noise
+    common = np.sort([near[np.rint(near / smallest * 1e4) == each].mean() for each in sizes[np.argsort(counts)[-2:]]])
+    if len(common) < 2 or counts.sum() * 0.95 > np.sort(counts)[-2:].sum():
+        return 0.0
+    digit = float(common[1] - common[0])
+    if abs(common[0] / digit - np.rint(common[0] / digit)) > LATTICE:
+        return 0.0
+    step, start, ticks = float(near.mean()), levels[0], np.zeros(len(levels))
+    for _ in range(3):  # each fit over all levels makes the step more exact, so that the next one counts better
+        ticks[1:] = np.cumsum(np.rint(np.diff(levels) / step))
+        step, start = (float(x) for x in np.polyfit(ticks, levels, 1))
+    off = np.abs(levels - start - step * ticks)
+    return step if np.quantile(off, 0.95) < 0.6 * digit and step > 2 * digit else 0.0
+
+
+def _gcd(whole: np.ndarray) -> int:
+    return int(np.gcd.reduce(whole.astype(int)))
+
+
+def read_rows(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> tuple[int, int]:
+    """Distance of the rows that were read, where the others lie on the line between them, and the first such row.
+
+    A column that was brought to the stamps of faster ones changes its slope in few of every n rows, always the same
+    ones; readings of a sensor change it in all. 1 and 0 where no rows were made so.
+
+    Args:
+        t: Stamps (T,).
+        y: Readings (T,).
+
+    Example:
+        >>> import numpy as np
+        >>> from covariant.logs import read_rows
+        >>> t, slow = np.arange(1000) / 500, np.arange(2, 1002, 5) / 500
+        >>> read_rows(t, np.sin(9 * t)), read_rows(t, np.interp(t, slow, np.sin(9 * slow)))
+        ((1, 0), (5, 2))
+    """
+    y, t = y[:MOST_ROWS], t[:MOST_ROWS]
+    steps, passed = np.diff(y), np.diff(t)
+    bend = np.abs(np.diff(steps / passed)) * np.minimum(passed[1:], passed[:-1])
+    slowest = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1]))
+    extent = float(np.nanmax(y) - np.nanmin(y)) if np.isfinite(y).any() else 0.0
+    for rounding in (extent * digit for digit in DIGITS):
+        moving = np.flatnonzero(slowest > FASTER * rounding)
+        bent = bend[moving] > 2 * rounding  # printed numbers are off the line by their last digit
+        if bent.sum() >= FEWEST_CHANGES and (read := _places(moving + 1, bent)) is not None:
+            return read
+    return 1, 0
+
+
+def _places(rows: np.ndarray, bent: np.ndarray) -> tuple[int, int] | None:
+    """The largest part of every n rows that are straight, of rows that move, as n and the place of a row that is not.
+    """
+    best, share = None, 0.0
+    for n in range(2, MOST_EVERY + 1):
+        among = np.bincount(rows % n, minlength=n)
+        often = np.bincount(rows % n, bent, n) / np.maximum(among, 1)
+        made = often <= STRAGGLERS
+        expected = bent.mean() * among[made]
+        if made.mean() <= share or expected.sum() < CERTAIN or (made.sum() < n - 1 and expected.min() < CERTAIN / 4):
+            continue
+        # A row that was read is alone: between two rows that were made the slope may change anywhere.
+        alone = ~made & np.roll(made, 1) & np.roll(made, -1)
+        if alone.any():
+            best, share = (n, int(np.argmax(np.where(alone, often, -1.0)))), float(made.mean())
+    return best
