@@ -267,7 +267,7 @@ REMARKS = {
         {"q1": Q1, "cmd1": C1, "velocity1": V1 / TURN * 60},
         "velocity1 is 9.55 times the slope",
     ),
-    "a rate in words": ({"q1": Q1, "cmd1": C1, "velocity1": word(600 * V1)}, "are left out"),
+    "a rate in words": ({"q1": Q1, "cmd1": C1, "velocity1": word(600 * V1)}, "highest bit is a sign"),
     "velocities among the states": (
         STATES | ACTIONS | {"observation.state[2]": V1},
         "observation.state[2] are velocities",

@@ -48,7 +48,7 @@ def rising_stamps(values: Float[np.ndarray, "T"], periods: tuple[float, ...] = C
     usual = float(np.median(steps[~back]))
     for period in periods:
         # It begins anew after the whole period, and nowhere else.
-        if np.ptp(values) < period and ((0 < steps[back] + period) & (steps[back] + period < NEAR * usual)).all():
+        if NEAR * usual < period / 50 and np.ptp(values) < period and ((0 < steps[back] + period) & (steps[back] + period < NEAR * usual)).all():
             return values + period * np.concatenate([[0], np.cumsum(back)])
     return values
 

@@ -127,7 +127,7 @@ def read(
     if isinstance(log, Record):
         whole = _of_record(log, columns, missing_inputs, absent)._replace(readings=(None,) * len(sensors))
     else:
-        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent)
+        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent, any(periods))
     if any(periods):
         y = unwrap(np.asarray(whole.record.y), (), periods)
         whole = whole._replace(record=whole.record._replace(y=y))
@@ -181,8 +181,9 @@ def _of_columns(
     sensors: Sequence[tuple[Columns, str]],
     missing_inputs: bool,
     absent: Collection[str],
+    wraps: bool,
 ) -> Log:
-    """All rows of a log that consists of columns."""
+    """All rows of a log that consists of columns; where positions wrap, two's complement does so too."""
     columns, present, table, source = _columns_and_table(
         name, log, columns, optional, [each for each, _ in sensors], absent
     )
@@ -204,8 +205,9 @@ def _of_columns(
                 # A column without any number is a wrong column, and not a sensor with gaps.
                 if not empty and column not in absent and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
-                coded = None if (values < 0).any() else Register.of(values).fault(column)
-                if coded is not None:
+                register = Register(0.0) if (values < 0).any() else Register.of(values)
+                coded = register.fault(column)
+                if coded is not None and not (wraps and register.span):
                     raise LogError(f"{name}: {coded}")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))

@@ -62,9 +62,9 @@ class Register(NamedTuple):
         """The register of a column (T,)."""
         values = values[np.isfinite(values)]
         tick = _resolution(values)
-        if not len(values) or values.min() < 0 or not tick:  # a number below zero has its sign
+        unit = 1.0 if not (values % 1).any() else tick  # of bits, also where only even numbers were read
+        if not len(values) or values.min() < 0 or not unit:  # a number below zero has its sign
             return cls(tick)
-        unit = 1.0 if not (values % 1).any() else tick  # of bits, and not of what only even numbers were read of
         counts = np.rint(values / unit)
         for bit in (each for each in SIGN_BITS if each < counts.max() < 2 * each):
             for span in (0.0, 2 * bit):
@@ -92,7 +92,10 @@ def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
     for part in (decoded[below], -decoded[~below]):
         if len(part) == 0 or len(np.unique(part)) < FEWEST_VALUES or part.min() > 1 + NEAR_ZERO * part.max():
             return False
-    crossing = np.flatnonzero(np.diff(below))
+    turns = np.diff(below.astype(int))
+    if span and not (turns.min() < 0 < turns.max()):
+        return False  # a counter that begins anew
+    crossing = np.flatnonzero(turns)
     plain, short = (np.abs(np.diff(each))[crossing] for each in (counts, decoded))
     return bool(np.mean((short < plain / 2) & (plain > bit / 2)) >= CROSSINGS)
 

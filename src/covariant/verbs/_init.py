@@ -129,6 +129,8 @@ class InitResult(AbstractResult):
             machine = robot_lines(self.draft, self.joints, path) + servo_lines(self.draft, self.joints)
             robot = {} if self.joints.path else {path: loose_joints(self.draft, self.joints)}
             return robot | {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
+        if self.draft.planar:
+            return {f"{stem}.toml": _model_file(log, self.draft, _craft(self.draft), self.remarks)}
         if not any(self.draft.lengths):
             machine = _turning_body() if self.draft.quaternion else _chain(self.draft)
             return {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
@@ -168,6 +170,8 @@ class InitResult(AbstractResult):
         lines += [f"left out: {', '.join(others)}"] if others else []
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])
+        if self.draft.planar:
+            return "\n".join([*lines, "a craft in the plane: see `system` of the model file for the inputs that it takes"])
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
             todo += (
@@ -210,7 +214,7 @@ class InitResult(AbstractResult):
         texts = {path.with_name(name): text for name, text in self.texts(path.stem, path.parent).items()}
         # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
-            raise InputError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
+            raise InputError(f"{existing}: there is such a file already; `overwrite=True` replaces it, or give another name")
         write_together({file: utf8(text) for file, text in texts.items()})
         # A draft that cannot be loaded fails here, and not in the command after it.
         models.load(str(path))
@@ -287,6 +291,17 @@ def _order_guess(guess: Draft) -> list[str]:
     return [f"that {guess.quaternion[0]} is the scalar is guessed: where it is the last, write quaternion_xyzw"]
 
 
+def _craft(guess: Draft) -> list[str]:
+    """The system of a craft in the plane, by its number of inputs, which is that of the model."""
+    system = {2: "manoeuvring_ship", 3: "supply_vessel"}.get(len(guess.u), "cybership")
+    return [
+        f'system = "{system}"  # outputs are north, east and heading, clockwise; others are in docs/models.md',
+        '# manoeuvring_ship takes rudder [rad] and revolutions [1/s]: of a minute, [units] u = ["1", "0.0166667"].',
+        "# supply_vessel and cybership take two forces and a moment of the body; hovercraft, on SE(2), two thrusts, with",
+        "# [columns] position and angle in place of q.",
+    ]
+
+
 def _turning_body() -> list[str]:
     """The system and its parameters of a body whose attitude is logged."""
     return [
@@ -311,7 +326,7 @@ def _chain(guess: Draft) -> list[str]:
         "[parameters]",
         'angles = "relative"  # or "absolute": each link from the vertical',
         'zero = "hanging"  # or "upright": where the angles are 0',
-        "gravity = 9.81",
+        f"gravity = {'0.0  # about a vertical axis' if _is_vertical(guess) else '9.81'}",
         _guess_line("mass", 1.0, n, "kg"),
         f"length = {_list(0.3, n)}  {between}m, from joint to joint; that of the last link does not matter",
         _guess_line("com", 0.15, n, "m, from joint to centre of mass"),
@@ -325,6 +340,10 @@ def _chain(guess: Draft) -> list[str]:
             + ("  # joints that the inputs drive, from 0: the first ones are guessed" if guess.u else "")
         )
     return lines
+
+
+def _is_vertical(guess: Draft) -> bool:
+    return all(logs.words_of(name) & {"heading", "yaw", "hdg", "azimuth", "compass"} for name in guess.q)
 
 
 def _guess_line(key: str, value: float, n: int, what: str) -> str:

@@ -56,7 +56,12 @@ def find_inputs(columns: LogColumns, q: Sequence[str]) -> Inputs:
     is_command = any(map(follows, follow_fits)) or (by_name and (not moving or min(moving) < UNRELATED_ERROR))
     if columns.of("u") or not any(paired) or not is_command:
         return _without_commands(columns, q, paired, follow_fits)
-    return Inputs((), paired, follow_fits, switches)
+    remarks = tuple(
+        f"{name} is a torque beside the command of its position: take both as one column of commands, "
+        f"{paired[0]} + {name} / k, with the gain k [N m/rad] of the drive"
+        for name in columns.of("feed-forward")
+    )
+    return Inputs((), paired, follow_fits, switches, remarks)
 
 
 def _given_inputs(columns: LogColumns, given: tuple[str, ...], q: Sequence[str]) -> Inputs:
@@ -74,7 +79,7 @@ def _without_commands(
     columns: LogColumns, q: Sequence[str], paired: Sequence[str | None], follow_fits: Sequence[Following | None]
 ) -> Inputs:
     """Torques, or else columns that positions follow closely although their names do not mark them as commands."""
-    torques, named = columns.of("u"), columns.of("command")
+    torques, named = (*columns.of("u"), *columns.of("feed-forward")), columns.of("command")
     followed = ", ".join(str(name) for name, fit in zip(paired, follow_fits, strict=True) if follows(fit))
     if followed:
         remark = (

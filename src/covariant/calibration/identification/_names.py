@@ -1,0 +1,110 @@
+"""Names of columns: words by role, and the names that drives and programs give to what they log."""
+
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from covariant.logs import words_of
+
+WORDS = {
+    "left out": "true truth raw error errors err limit limits",
+    "v": "v w dq qd dqdt dot qdot dth dtheta om omega vel velocity velocities speed rate gyro",
+    "u": "u tau torque torques tq trq effort force forces motor input rudder aileron elevator throttle thruster "
+    "thrusters thrust propeller prop fin sail valve steering",
+    "t": "t time times timestamp timestamps stamp stamps sec secs seconds",
+    "q": "q th theta phi psi angle ang pos position positions enc encoder joint x y heading yaw hdg height altitude "
+    "depth stroke travel slide cart ticks",
+}
+"""Words in the names of columns, by role; the first role with a match counts."""
+ACTUATORS = words_of(
+    "rudder aileron elevator throttle thruster thrusters thrust propeller prop fin sail valve steering"
+)
+"""Words of what drives a machine by an angle or a speed of its own."""
+REGISTERS = {
+    "current": "current currents amp amps ampere",
+    "load": "load loads pwm duty",
+    "voltage": "volt volts voltage voltages",
+    "temperature": "temp temperature temperatures",
+}
+"""Words of registers of a drive, by what they hold; none of these is a torque."""
+LENGTHS = words_of("height altitude depth stroke travel slide cart")
+"""Words of positions that are lengths."""
+FEED_FORWARD = words_of("ff feedforward feed forward")
+"""Words of torques that a drive adds to those that follow from its command."""
+EULER = (words_of("roll phi"), words_of("pitch theta"), words_of("yaw psi heading"))
+"""Words of the angles about x, y and z by which an attitude is logged."""
+PLANE = ("x y", "px py", "north east", "n e", "easting northing")
+"""Names of the two coordinates of a point in the plane, without the words for a position."""
+
+
+class Product(NamedTuple):
+    """What a drive or program calls its columns.
+
+    Attributes:
+        name: Its name.
+        marks: Names, all of which a log of it has.
+        roles: Role and unit by name; the unit is "" where it is that of a model file.
+    """
+
+    name: str
+    marks: tuple[str, ...]
+    roles: dict[str, tuple[str, str]]
+
+    def of(self, name: str) -> tuple[str, str] | None:
+        """Role and unit of a column, by the last part of its name."""
+        last = re.split(r"[./]", name.lower())[-1]
+        return next((each for pattern, each in self.roles.items() if re.fullmatch(pattern, last)), None)
+
+
+PRODUCTS = (
+    Product(
+        "moteus",
+        ("position", "velocity", "torque", "q_current"),
+        {
+            "position": ("q", "turn"),
+            "velocity": ("v", "turn/s"),
+            "torque": ("u", ""),
+            "(control|command|stop)_?position|position_command": ("command", "turn"),
+            "[dq]_current": ("current", ""),
+            "abs_position|mode|fault|home_state|trajectory_complete|power|motor_temperature": ("left out", ""),
+        },
+    ),
+    Product(
+        "ODrive",
+        ("pos_estimate", "vel_estimate"),
+        {
+            "pos_estimate": ("q", "turn"),
+            "vel_estimate": ("v", "turn/s"),
+            "input_pos|pos_setpoint": ("command", "turn"),
+            "input_torque|torque_setpoint|torque_estimate": ("u", ""),
+            "iq_measured|iq_setpoint|id_measured|id_setpoint|ibus": ("current", ""),
+            "v?bus_voltage": ("voltage", ""),
+            "input_vel|vel_setpoint|pos_estimate_counts|shadow_count": ("left out", ""),
+        },
+    ),
+    Product(
+        "RTDE",
+        ("actual_q_0",),
+        {
+            "actual_current_as_torque_.*": ("u", ""),
+            "(actual|target)_current_.*": ("current", ""),
+            "(target_qdd?|target_moment|actual_tcp|target_tcp|tcp).*": ("left out", ""),
+        },
+    ),
+    Product("ArduPilot", ("timeus",), {"timeus": ("t", "us"), "des.*": ("left out", "")}),
+)
+"""Programs whose names do not say what they mean; names of ROS, LeRobot and PX4 consist of words that do."""
+
+
+def product_of(names: Iterable[str]) -> Product | None:
+    """The drive or program that gave the names of a log."""
+    last = {re.split(r"[./]", name.lower())[-1] for name in names}
+    return next((each for each in PRODUCTS if last >= set(each.marks)), None)
+
+
+def point_in_plane(names: Iterable[str]) -> tuple[str, str] | None:
+    """The two coordinates of a point in the plane among some names; None if there are no two, or three."""
+    plain = {re.sub(r"pos(ition)?|[_./ ]|\[.*|\(.*|(?<=[xyz])m$", "", name.lower()): name for name in names}
+    pairs = ((plain.get(first), plain.get(second)) for first, second in map(str.split, PLANE))
+    found = next(((first, second) for first, second in pairs if first and second), None)
+    return None if {"z", "pz", "down", "d"} & set(plain) else found
