@@ -48,7 +48,7 @@ def rising_stamps(values: Float[np.ndarray, "T"], periods: tuple[float, ...] = C
     usual = float(np.median(steps[~back]))
     for period in periods:
         # It begins anew after the whole period, and nowhere else.
-        if NEAR * usual < period / 50 and np.ptp(values) < period and ((0 < steps[back] + period) & (steps[back] + period < NEAR * usual)).all():
+        if NEAR * usual < period / 10 and np.ptp(values) < period and ((0 < steps[back] + period) & (steps[back] + period < NEAR * usual)).all():
             return values + period * np.concatenate([[0], np.cumsum(back)])
     return values
 
@@ -88,7 +88,8 @@ def displaced_rows(t: Float[np.ndarray, "T"]) -> tuple[np.ndarray, float] | None
     late = float(np.median(shifts)) if shifts else 0.0
     if not rows or 2 * len(rows) > len(t) or np.ptp(shifts) > max(SAME_SHIFT * abs(late), REJOINED * usual):
         return None
-    return np.array(rows), float(f"{late:.3g}") if abs(late - float(f"{late:.1g}")) < usual else late
+    plain = float(f"{late:.3g}")
+    return np.array(rows), plain if abs(late - plain) < usual else late
 
 
 def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | None:

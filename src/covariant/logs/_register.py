@@ -18,13 +18,16 @@ FEWEST_CHANGES = 20
 """Least number of changes of a column that show ticks, or between which rows were interpolated."""
 SIGN_BITS = tuple(float(2**k) for k in range(7, 32))
 """Values of the bits of a register that may be its sign."""
+SHORTEST_WORD = 2.0**11
+"""Least sign bit of two's complement: what switches near both ends of a shorter range looks like it."""
 FEWEST_VALUES = 5
 """Least number of different magnitudes of either sign that show a sign bit; what switches between two values has one.
 """
 NEAR_ZERO = 1 / 16
 """Largest of the smallest magnitudes of either sign, relative to the largest one, since signals pass zero."""
-CROSSINGS = 0.8
-"""Fraction of the changes of sign that are less than half as long once they are decoded."""
+CROSSINGS = (0.55, 0.8)
+"""Fraction of the changes of sign that are less than half as long once they are decoded, beside a magnitude and in
+two's complement, of which every second one is so for a counter that begins anew."""
 MOST_ROWS = 20_000
 """Rows of a long log in which made ones are looked for."""
 DIGITS, FASTER = (1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 10.0
@@ -62,12 +65,15 @@ class Register(NamedTuple):
         """The register of a column (T,)."""
         values = values[np.isfinite(values)]
         tick = _resolution(values)
-        unit = 1.0 if not (values % 1).any() else tick  # of bits, also where only even numbers were read
+        # Of bits, also where only even numbers were read, or few of those between them.
+        unit = 1.0 if not (values % 1).any() else tick or _common_step(np.diff(np.unique(values)))
         if not len(values) or values.min() < 0 or not unit:  # a number below zero has its sign
             return cls(tick)
+        plain = float(f"{unit:.6g}")
+        unit = plain if abs(unit / plain - 1) < 1e-7 else unit
         counts = np.rint(values / unit)
         for bit in (each for each in SIGN_BITS if each < counts.max() < 2 * each):
-            for span in (0.0, 2 * bit):
+            for span in (0.0, 2 * bit)[: 1 + (bit >= SHORTEST_WORD)]:
                 if _is_coded(counts, bit, span):
                     return cls(unit, bit * unit, span * unit)
         return cls(tick)
@@ -97,7 +103,7 @@ def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
         return False  # a counter that begins anew
     crossing = np.flatnonzero(turns)
     plain, short = (np.abs(np.diff(each))[crossing] for each in (counts, decoded))
-    return bool(np.mean((short < plain / 2) & (plain > bit / 2)) >= CROSSINGS)
+    return bool(np.mean((short < plain / 2) & (plain > bit / 2)) >= CROSSINGS[span > 0])
 
 
 def _resolution(y: Float[np.ndarray, "T"]) -> float:
@@ -109,6 +115,13 @@ def _resolution(y: Float[np.ndarray, "T"]) -> float:
         return 0.0
     if printed := _rounded(y):
         return printed
+    return _common_step(changes)
+
+
+def _common_step(changes: Float[np.ndarray, "k"]) -> float:
+    """The step of which changes are multiples; 0 for none."""
+    if len(changes) < FEWEST_CHANGES:
+        return 0.0
     # A low quantile and not the minimum, which one wrong cell can spoil.
     smallest = float(np.quantile(changes, 0.01))
     # The least change in a log may be two or three ticks.
