@@ -41,8 +41,6 @@ def _check(call: Invocation, out: Path | None, report: Path | None) -> Any:
 
 
 def _init(call: Invocation, out: Path, overwrite: bool) -> Any:
-    if out.exists() and not overwrite:
-        raise InputError(f"{out}: there is such a file already; `overwrite=True` replaces it, or give another name")
     return call.show(call(), out, overwrite=overwrite)
 
 

@@ -243,7 +243,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         f"t = {quoted(guess.t)}",
         *_measured(guess),
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
-        *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
+        *_velocities(guess),
         *register_lines(guess),
         *([f"# left out: {', '.join(others)}"] if others else []),
         *_units(guess),
@@ -268,6 +268,13 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         "",
     ]
     return "\n".join(lines)
+
+
+def _velocities(guess: Draft) -> list[str]:
+    """The line of the logged velocities, which a state-space model has no use for."""
+    if guess.planar:
+        return [f"# velocities in the body, which are not used: {', '.join(guess.v)}"] if guess.v else []
+    return [f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []
 
 
 def _measured(guess: Draft) -> list[str]:

@@ -266,6 +266,12 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
         q, inputs = without_rates(log, q, inputs)
         log.ask(refuse_commands_among, log, q, otherwise=None)
     log.ask(_one_family, "u", inputs.u, log, otherwise=None)
+    if planar and len(inputs.u) not in (2, 3):
+        raise InputError(
+            f"{', '.join(q)} are the pose of a craft in the plane, and {len(inputs.u)} inputs were found: name rudder "
+            'and revolutions, or two forces and a moment, by `columns["u"]`; or write a model file with the system '
+            f'"hovercraft", [columns] position = ["{q[0]}", "{q[1]}"] and angle = ["{q[2]}"]{log.listed}'
+        )
     if len(inputs.u) > len(q):
         raise InputError(
             f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
@@ -286,7 +292,8 @@ def _labels(
     v = log.given.get("v") or velocities(log, q)
     log = log.with_units("v", v)
     torques = [name for name in inputs.u if name not in driving(log, inputs.u) and not planar]
-    _ask_unknown_units(log, {"t": (log.t,) if log.t else (), "q": q, "u": torques, "v": v})
+    asked = not log.t or any(repr(log.t) in each for each in log.questions)
+    _ask_unknown_units(log, {"t": () if asked else (log.t,), "q": q, "u": torques, "v": v})
     return log, v, ("q", "v") if log.product else ("q",) if by_value else ()
 
 

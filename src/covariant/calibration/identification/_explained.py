@@ -63,7 +63,7 @@ def explained(log: LogColumns, q: tuple[str, ...]) -> tuple[LogColumns, tuple[st
 
 def is_in_body(log: LogColumns, q: tuple[str, ...], name: str) -> bool:
     """Whether a column is a velocity of a pose in the plane, along an axis of the body or about it."""
-    if words_of(name) & {"u", "v", "surge", "sway"} and log.roles[name] in ("u", "v", ""):
+    if words_of(name) & {"u", "v", "r", "surge", "sway"} and log.roles[name] in ("u", "v", ""):
         return True  # by name: a steady motion shows nothing
     heading = log[q[2]] * unit_factor(log.unit(q[2], "q") or "rad")
     x, y = (np.gradient(log[each], log.clock) for each in q[:2])

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from covariant.logs import words_of
+from covariant.logs import without_unit, words_of
 
 WORDS = {
     "left out": "true truth raw error errors err limit limits",
@@ -27,6 +27,8 @@ REGISTERS = {
     "temperature": "temp temperature temperatures",
 }
 """Words of registers of a drive, by what they hold; none of these is a torque."""
+AXES = words_of("iq uq vq ud vd")
+"""Words of currents and voltages along the axes of a motor."""
 LENGTHS = words_of("height altitude depth stroke travel slide cart")
 """Words of positions that are lengths."""
 FEED_FORWARD = words_of("ff feedforward feed forward")
@@ -104,7 +106,7 @@ def product_of(names: Iterable[str]) -> Product | None:
 
 def point_in_plane(names: Iterable[str]) -> tuple[str, str] | None:
     """The two coordinates of a point in the plane among some names; None if there are no two, or three."""
-    plain = {re.sub(r"pos(ition)?|[_./ ]|\[.*|\(.*|(?<=[xyz])m$", "", name.lower()): name for name in names}
+    plain = {re.sub(r"pos(ition)?|[_./ ]", "", without_unit(name).lower()): name for name in names}
     pairs = ((plain.get(first), plain.get(second)) for first, second in map(str.split, PLANE))
     found = next(((first, second) for first, second in pairs if first and second), None)
     return None if {"z", "pz", "down", "d"} & set(plain) else found

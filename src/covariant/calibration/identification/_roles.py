@@ -17,7 +17,7 @@ from covariant.calibration.identification._commands import (
     Following,
     follow,
 )
-from covariant.calibration.identification._names import ACTUATORS, FEED_FORWARD, REGISTERS, WORDS
+from covariant.calibration.identification._names import ACTUATORS, AXES, FEED_FORWARD, REGISTERS, WORDS
 from covariant.logs import KNOWN, MEANT, is_unit_of, unit_factor, unit_in_name, words_of
 from scalargraph.errors import InputError
 
@@ -37,8 +37,8 @@ def role(name: str, entry: str = "") -> str:
     if words & {"enable", "enabled"}:
         return "switch"
     register = next((kind for kind, synonyms in REGISTERS.items() if words & set(synonyms.split())), "")
-    if register == "current" and words & {"q", "d", "i", "iq", "id"} and not words & COMMANDS:
-        return register  # the axes of a motor
+    if words & AXES or (words & {"q", "d"} and (register == "current" or words & {"i", "u"})):
+        return register or "current"  # of the axes of a motor, and no joint
     is_rate = bool(words & set(WORDS["v"].split())) or unit_in_name(name, MEANT["v"]) is not None
     is_torque = bool(words & TORQUES) or unit_in_name(name, MEANT["u"]) is not None
     if words & ACTUATORS and not words & set(WORDS["v"].split()):
