@@ -10,7 +10,7 @@ from logs_with_faults import made
 
 from covariant import logs
 from covariant.calibration import diagnose, draft, mended_clock
-from covariant.logs import Register, read_rows, rising_stamps, unit_factor
+from covariant.logs import Register, unit_factor
 from covariant.signals import Record
 
 T = np.arange(1500) * 0.002
@@ -63,7 +63,7 @@ def test_rows_that_were_made_from_their_neighbours_are_known(seed):
     knots = np.arange(first, T.size + every, every)
     reading = np.round(np.interp(knots, np.arange(T.size), MOTION) / TICK) * TICK
     for factor in (1.0, 180 / np.pi):
-        assert read_rows(T, np.round(factor * np.interp(np.arange(T.size), knots, reading), digits)) == (every, first)
+        assert Register.read_rows(T, np.round(factor * np.interp(np.arange(T.size), knots, reading), digits)) == (every, first)
 
 
 @pytest.mark.parametrize("counts", [0, 52, 360, 1000, 4096, 65536])
@@ -72,7 +72,7 @@ def test_readings_of_a_sensor_were_all_read(counts):
     tick = 2 * np.pi / counts if counts else 0.0
     reading = np.round(MOTION / tick) * tick if counts else MOTION + 1e-4 * random.normal(size=T.size)
     for column in (reading, np.round(reading, 3), np.repeat(reading[::3], 3), np.repeat(reading[::50], 50)):
-        assert read_rows(T, column) == (1, 0)
+        assert Register.read_rows(T, column) == (1, 0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -93,7 +93,7 @@ def test_a_counter_that_begins_anew_goes_on(seed, tmp_path):
     count = 2**bits - random.integers(3, 900) * step + np.arange(1000) * step
     signed = seed >= 6 and bits in (16, 32)
     stamps = count % 2**bits - signed * 2 ** (bits - 1)
-    assert (np.diff(rising_stamps(stamps.astype(float))) == step).all()
+    assert (np.diff(Register.continued(stamps.astype(float))) == step).all()
     pandas.DataFrame({"t": stamps, "q1": np.sin(np.arange(1000) / 30)}).to_csv(tmp_path / "a.csv", index=False)
     read = logs.read(tmp_path / "a.csv", logs.Columns(q=("q1",), units={"t": (unit,)}))
     assert np.allclose(np.diff(read.record.t), step * unit_factor(unit), rtol=1e-6)

@@ -10,8 +10,8 @@ from ._configuration import bodies as bodies, coordinates as coordinates, matric
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
 from ._episodes import episodes_fault as episodes_fault
 from ._read import OPTIONAL as OPTIONAL, read as read, record as record, survey as survey
-from ._register import Register as Register, read_rows as read_rows
-from ._clock import displaced_rows as displaced_rows, odd_clock as odd_clock, rising_stamps as rising_stamps
+from ._register import Register as Register
+from ._clock import displaced_rows as displaced_rows, odd_clock as odd_clock
 from ._tables import source_name as source_name
 from ._unit_in_name import (
     KNOWN as KNOWN,

@@ -15,42 +15,10 @@ _SMALLEST_STEP = 1e-6
 """Median step [s] below which numbers cannot be seconds: no machine is logged a million times a second."""
 _FEWEST_ROWS = 50
 """Number of rows needed to judge their rate: a few rows may be an excerpt."""
-COUNTERS = tuple(2.0**k * unit for k in (16, 24, 31, 32) for unit in (1.0, 1e-3, 1e-6, 1e-9))
-"""Numbers after which a counter of ticks begins anew, in its ticks or in seconds."""
-NEAR = 20.0
-"""Largest step across which a counter begins anew, in usual steps: some rows may be missing there."""
 DISPLACED, REJOINED = 5.0, 3.0
 """Step from which a row may be stamped wrongly, and largest one with the right stamp, in usual steps."""
 SAME_SHIFT = 0.05
 """Relative difference up to which rows are displaced by one time."""
-
-
-def rising_stamps(values: Float[np.ndarray, "T"], periods: tuple[float, ...] = COUNTERS) -> Float[np.ndarray, "T"]:
-    """Stamps of a counter that begins anew, as of microseconds in 32 bits after 71 minutes, as if it went on.
-
-    Args:
-        values: Stamps (T,) as logged.
-        periods: Numbers after which it may begin anew.
-
-    Returns:
-        The stamps; as they are where they rise, or go back by something else.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.logs import rising_stamps
-        >>> rising_stamps(np.array([4294965296.0, 4294966296.0, 0.0, 1000.0])).tolist()
-        [4294965296.0, 4294966296.0, 4294967296.0, 4294968296.0]
-    """
-    steps = np.diff(values)
-    back = steps < 0
-    if not back.any() or back.all():
-        return values
-    usual = float(np.median(steps[~back]))
-    for period in periods:
-        # It begins anew after the whole period, and nowhere else.
-        if NEAR * usual < period / 10 and np.ptp(values) < period and ((0 < steps[back] + period) & (steps[back] + period < NEAR * usual)).all():
-            return values + period * np.concatenate([[0], np.cumsum(back)])
-    return values
 
 
 def displaced_rows(t: Float[np.ndarray, "T"]) -> tuple[np.ndarray, float] | None:

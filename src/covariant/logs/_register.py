@@ -36,6 +36,10 @@ MOST_EVERY = 50
 """Most rows per reading that are looked for."""
 CERTAIN = 30.0
 """Changes of slope that are expected in rows that have none, if rows were not made from their neighbours."""
+COUNTERS = tuple(2.0**k * unit for k in (16, 24, 31, 32) for unit in (1.0, 1e-3, 1e-6, 1e-9))
+"""Numbers after which a counter of ticks begins anew, in its ticks or in seconds."""
+NEAR = 20.0
+"""Largest step across which a counter begins anew, in usual steps: some rows may be missing there."""
 STRAGGLERS = 0.02
 """Fraction of rows with a change of slope up to which a row of every n counts as made."""
 
@@ -89,6 +93,66 @@ class Register(NamedTuple):
             f"column {name!r} holds {coding}: numbers from {bit} on are negative; decode it in the log, as "
             f"numpy.where(x >= {bit}, {minus}, x)"
         )
+
+    @staticmethod
+    def read_rows(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> tuple[int, int]:
+        """Distance of the rows that were read, where the others lie on the line between them, and the first such row.
+
+        A column that was brought to the stamps of faster ones changes its slope in few of every n rows, always the same
+        ones; readings of a sensor change it in all. 1 and 0 where no rows were made so.
+
+        Args:
+            t: Stamps (T,).
+            y: Readings (T,).
+
+        Example:
+            >>> import numpy as np
+            >>> from covariant.logs import Register
+            >>> t, slow = np.arange(1000) / 500, np.arange(2, 1002, 5) / 500
+            >>> Register.read_rows(t, np.sin(9 * t)), Register.read_rows(t, np.interp(t, slow, np.sin(9 * slow)))
+            ((1, 0), (5, 2))
+        """
+        y, t = y[:MOST_ROWS], t[:MOST_ROWS]
+        steps, passed = np.diff(y), np.diff(t)
+        bend = np.abs(np.diff(steps / passed)) * np.minimum(passed[1:], passed[:-1])
+        slowest = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1]))
+        extent = float(np.nanmax(y) - np.nanmin(y)) if np.isfinite(y).any() else 0.0
+        for rounding in (extent * digit for digit in DIGITS):
+            moving = np.flatnonzero(slowest > FASTER * rounding)
+            bent = bend[moving] > 2 * rounding  # printed numbers are off the line by their last digit
+            if bent.sum() >= FEWEST_CHANGES and (read := _places(moving + 1, bent)) is not None:
+                return read
+        return 1, 0
+
+    @staticmethod
+    def continued(values: Float[np.ndarray, "T"], periods: tuple[float, ...] = COUNTERS) -> Float[np.ndarray, "T"]:
+        """Numbers of a counter that begins anew, as of microseconds in 32 bits after 71 minutes, as if it went on.
+
+        Args:
+            values: Stamps (T,) as logged.
+            periods: Numbers after which it may begin anew.
+
+        Returns:
+            The stamps; as they are where they rise, or go back by something else.
+
+        Example:
+            >>> import numpy as np
+            >>> from covariant.logs import Register
+            >>> Register.continued(np.array([4294965296.0, 4294966296.0, 0.0, 1000.0])).tolist()
+            [4294965296.0, 4294966296.0, 4294967296.0, 4294968296.0]
+        """
+        steps = np.diff(values)
+        back = steps < 0
+        if not back.any() or back.all():
+            return values
+        usual = float(np.median(steps[~back]))
+        for period in periods:
+            rise = steps[back] + period
+            # It begins anew after the whole period, and nowhere else.
+            if NEAR * usual < period / 10 and np.ptp(values) < period and ((0 < rise) & (rise < NEAR * usual)).all():
+                return values + period * np.concatenate([[0], np.cumsum(back)])
+        return values
+
 
 
 def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
@@ -167,36 +231,6 @@ def _rounded(y: Float[np.ndarray, "T"]) -> float:
 
 def _gcd(whole: np.ndarray) -> int:
     return int(np.gcd.reduce(whole.astype(int)))
-
-
-def read_rows(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> tuple[int, int]:
-    """Distance of the rows that were read, where the others lie on the line between them, and the first such row.
-
-    A column that was brought to the stamps of faster ones changes its slope in few of every n rows, always the same
-    ones; readings of a sensor change it in all. 1 and 0 where no rows were made so.
-
-    Args:
-        t: Stamps (T,).
-        y: Readings (T,).
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.logs import read_rows
-        >>> t, slow = np.arange(1000) / 500, np.arange(2, 1002, 5) / 500
-        >>> read_rows(t, np.sin(9 * t)), read_rows(t, np.interp(t, slow, np.sin(9 * slow)))
-        ((1, 0), (5, 2))
-    """
-    y, t = y[:MOST_ROWS], t[:MOST_ROWS]
-    steps, passed = np.diff(y), np.diff(t)
-    bend = np.abs(np.diff(steps / passed)) * np.minimum(passed[1:], passed[:-1])
-    slowest = np.minimum(np.abs(steps[1:]), np.abs(steps[:-1]))
-    extent = float(np.nanmax(y) - np.nanmin(y)) if np.isfinite(y).any() else 0.0
-    for rounding in (extent * digit for digit in DIGITS):
-        moving = np.flatnonzero(slowest > FASTER * rounding)
-        bent = bend[moving] > 2 * rounding  # printed numbers are off the line by their last digit
-        if bent.sum() >= FEWEST_CHANGES and (read := _places(moving + 1, bent)) is not None:
-            return read
-    return 1, 0
 
 
 def _places(rows: np.ndarray, bent: np.ndarray) -> tuple[int, int] | None:

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.logs._cells import fault, floats, numbers
-from covariant.logs._clock import odd_clock, rising_stamps
+from covariant.logs._clock import odd_clock
+from covariant.logs._register import Register
 from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._text import DATE, TIME_OF_DAY
 from covariant.logs._units import unit_factor
@@ -146,7 +147,7 @@ def _times_of_day(pa: ModuleType, where: str, column: Any) -> Float[np.ndarray, 
 
 
 def _rising(values: Float[np.ndarray, "T"], *periods: tuple[float, ...]) -> Stamps:
-    rising = rising_stamps(values, *periods)
+    rising = Register.continued(values, *periods)
     back = np.flatnonzero(np.diff(values) < 0) + 2
     note = f"the stamps begin anew at row {back[0]}" + f" and {len(back) - 1} more" * (len(back) > 1) if len(back) else ""
     return Stamps(rising, None, note if rising is not values else "")

@@ -11,7 +11,7 @@ from covariant.calibration.diagnosis._finding import Finding, Names, Rows
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import Suspicion
 from covariant.calibration.diagnosis._thresholds import HELD_INPUT, HELD_REGULARLY, OFF_RATE, SAME_RATE
-from covariant.logs import read_rows, unit_factor
+from covariant.logs import Register, unit_factor
 
 RATES = {
     "rad/s": ("rad/s", "deg/s", "rpm", "turn/s", "mrad/s", "-1 rad/s", "-1 deg/s", "-1 rpm"),
@@ -28,7 +28,7 @@ def made_rows(
     """Readings (T, n) that lie on the line between others, in all but every k-th row, and findings on them."""
     made, findings = np.zeros(y.shape, bool), []
     for i, column in enumerate(y.T):
-        every, first = read_rows(t, column)
+        every, first = Register.read_rows(t, column)
         if every == 1:
             continue
         made[:, i] = np.arange(len(t)) % every != first

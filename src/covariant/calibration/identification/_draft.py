@@ -36,7 +36,6 @@ from covariant.logs import (
     episodes_fault,
     is_unit_of,
     odd_clock,
-    rising_stamps,
     unit_factor,
     unit_in_name,
     unknown_unit,
@@ -235,7 +234,7 @@ def _read(
     log = dataclasses.replace(log, roles=roles, product="" if product is None else product.name)
     t = given["t"][0] if "t" in given else log.ask(find_stamps, log, otherwise="")
     rows = len(next(iter(columns.values()), ()))
-    values = dict(columns) | ({t: rising_stamps(columns[t])} if t else {})
+    values = dict(columns) | ({t: Register.continued(columns[t])} if t else {})
     log = dataclasses.replace(log, t=t, values=values, clock=np.arange(rows) * 0.01)
     if t:
         log.ask(refuse_stamps, log, otherwise=None)

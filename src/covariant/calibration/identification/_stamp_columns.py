@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.identification._roles import LogColumns
-from covariant.logs import episodes_fault, rising_stamps, unit_factor
+from covariant.logs import Register, episodes_fault, unit_factor
 from scalargraph.errors import InputError
 
 CLOCKS = ((500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
@@ -21,7 +21,7 @@ SAME_UNIT = 3.0
 def find_stamps(log: LogColumns) -> str:
     """The column of stamps: what is called so, or else the only one without a name that rises; what counts rows last.
     """
-    rising = [name for name, values in log.values.items() if _rises(rising_stamps(values))]
+    rising = [name for name, values in log.values.items() if _rises(Register.continued(values))]
     called = ([name for name in rising if log.roles.get(name) == role] for role in ("t", ""))
     named, unnamed = ([n for n in names if not counts_rows(log[n])] or names for names in called)
     candidates = named or unnamed
