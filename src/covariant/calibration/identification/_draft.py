@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods
 from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
-from covariant.calibration.identification._names import LENGTHS, REGISTERS, point_in_plane, product_of
+from covariant.calibration.identification._names import LENGTHS, REGISTERS, point_in_plane, dialect_of
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
@@ -212,7 +212,7 @@ def _read(
 ) -> LogColumns:
     """The columns with their roles by name, of a log whose stamps rise from row to row."""
     fixed = [name for names in given.values() for name in names]
-    product = product_of(columns)
+    product = dialect_of(columns)
     named = {name: each for name in columns if product is not None and (each := product.of(name)) is not None}
     # Units that the log or its program states are written as in a name, so that one parser reads both.
     texts = {name: text for name, (_, text) in named.items() if text} | dict(stated)

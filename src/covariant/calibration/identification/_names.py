@@ -39,7 +39,7 @@ PLANE = ("x y", "px py", "north east", "n e", "easting northing")
 """Names of the two coordinates of a point in the plane, without the words for a position."""
 
 
-class Product(NamedTuple):
+class Dialect(NamedTuple):
     """What a drive or program calls its columns.
 
     Attributes:
@@ -58,8 +58,8 @@ class Product(NamedTuple):
         return next((each for pattern, each in self.roles.items() if re.fullmatch(pattern, last)), None)
 
 
-PRODUCTS = (
-    Product(
+DIALECTS = (
+    Dialect(
         "moteus",
         ("position", "velocity", "torque", "q_current"),
         {
@@ -71,7 +71,7 @@ PRODUCTS = (
             "abs_position|mode|fault|home_state|trajectory_complete|power|motor_temperature": ("left out", ""),
         },
     ),
-    Product(
+    Dialect(
         "ODrive",
         ("pos_estimate", "vel_estimate"),
         {
@@ -84,7 +84,7 @@ PRODUCTS = (
             "input_vel|vel_setpoint|pos_estimate_counts|shadow_count": ("left out", ""),
         },
     ),
-    Product(
+    Dialect(
         "RTDE",
         ("actual_q_0",),
         {
@@ -93,15 +93,15 @@ PRODUCTS = (
             "(target_qdd?|target_moment|actual_tcp|target_tcp|tcp).*": ("left out", ""),
         },
     ),
-    Product("ArduPilot", ("timeus",), {"timeus": ("t", "us"), "des.*": ("left out", "")}),
+    Dialect("ArduPilot", ("timeus",), {"timeus": ("t", "us"), "des.*": ("left out", "")}),
 )
 """Programs whose names do not say what they mean; names of ROS, LeRobot and PX4 consist of words that do."""
 
 
-def product_of(names: Iterable[str]) -> Product | None:
+def dialect_of(names: Iterable[str]) -> Dialect | None:
     """The drive or program that gave the names of a log."""
     last = {re.split(r"[./]", name.lower())[-1] for name in names}
-    return next((each for each in PRODUCTS if last >= set(each.marks)), None)
+    return next((each for each in DIALECTS if last >= set(each.marks)), None)
 
 
 def point_in_plane(names: Iterable[str]) -> tuple[str, str] | None:

@@ -12,7 +12,7 @@ from scalargraph.errors import InputError
 from scalargraph.files import read_bytes
 
 
-class Entry(Element):
+class Tag(Element):
     """A tag that remembers which of its attributes were asked for."""
 
     def __init__(self, tag: str, attrib: dict[str, str]):
@@ -40,7 +40,7 @@ def parse(path: Path) -> Element:
         raise InputError("declares a document type or entities, which a robot description has no need of; remove them")
     check_count(data.count(b"<") - data.count(b"</"), MOST_ENTRIES, "entries")
     try:
-        return ElementTree.fromstring(data, XMLParser(target=TreeBuilder(element_factory=Entry)))
+        return ElementTree.fromstring(data, XMLParser(target=TreeBuilder(element_factory=Tag)))
     except ElementTree.ParseError as error:
         raise InputError(f"is not readable XML: {error}") from error
 
