@@ -219,6 +219,7 @@ def look_at_servos(log: Examination) -> bool:
     on_servos, case = servo_findings(log.case)
     log.findings += [*log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *on_servos]
     log.findings += [*_sensors(case, log.quantum, log.edges), *sensor_checks(case, log.rows.t, log.sensors)]
+    log.findings += _rates(log, case)
     log.checks += ("sensors beside the positions",) if log.sensors else ()
     log.checks += ("units, signs and order of commands", "servos", "delays of commands")
     return True
@@ -256,8 +257,7 @@ def compare_accelerations(log: Examination) -> bool:
         log.findings.append(standstill(case.record, case.model.circles, case.names, case.ticks))
         return True
     log.checks += COMPARED
-    if log.v is not None and not any(each.what.startswith("unit of") for each in log.findings):
-        log.findings += rate_findings(case, smoothed(case, best[0]), log.rows.t, log.v)
+    log.findings += _rates(log, case)
     for suspicion, note in held_inputs(case):
         accepted = judge(case, [suspicion], unexplained_at(best[0]))
         log.findings.append(note if accepted is None else accepted[1])
@@ -433,6 +433,14 @@ def _rows_and_inputs(case: Case, half: float, rows: bool) -> list[Finding]:
         if now is not None and now.most <= THRESHOLDS["rows"].least:
             break
     return []
+
+
+def _rates(log: Examination, case: Case) -> list[Finding]:
+    """Findings on logged velocities, once the units of stamps and positions are right."""
+    smooth = None if log.v is None else clearly(case)
+    if smooth is None or any(each.what.startswith("unit of") for each in log.findings):
+        return []
+    return rate_findings(case, smooth, log.rows.t, np.asarray(log.v))
 
 
 def _sensors(case: Case, stated: float | tuple[float, ...] | None, edges: list[Finding]) -> list[Finding]:
