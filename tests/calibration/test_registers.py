@@ -45,6 +45,8 @@ def numbers_with_their_sign(random):
     yield np.round(random.uniform(3e3, 3e4) * T) % 4096
     yield np.round(2048 + 900 * np.sin(4 * T))
     yield np.round(20 * np.sin(4 * T)) % 360
+    for range_, digits in ((2 * np.pi, 3), (360, 1), (360, 2), (1.0, 4), (1000, 0)):  # one that wraps
+        yield np.round((0.1 + random.uniform(0.1, 0.6) * np.sin(4 * T)) % 1 * range_, digits) % range_
     yield random.integers(0, 1024, T.size).astype(float)
     yield np.round(random.uniform(1e3, 1e4) * np.sin(4 * T))
 

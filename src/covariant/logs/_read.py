@@ -127,7 +127,7 @@ def read(
     if isinstance(log, Record):
         whole = _of_record(log, columns, missing_inputs, absent)._replace(readings=(None,) * len(sensors))
     else:
-        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent, any(periods))
+        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent)
     if any(periods):
         y = unwrap(np.asarray(whole.record.y), (), periods)
         whole = whole._replace(record=whole.record._replace(y=y))
@@ -181,9 +181,8 @@ def _of_columns(
     sensors: Sequence[tuple[Columns, str]],
     missing_inputs: bool,
     absent: Collection[str],
-    wraps: bool,
 ) -> Log:
-    """All rows of a log that consists of columns; where positions wrap, two's complement does so too."""
+    """All rows of a log that consists of columns."""
     columns, present, table, source = _columns_and_table(
         name, log, columns, optional, [each for each, _ in sensors], absent
     )
@@ -207,7 +206,8 @@ def _of_columns(
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
                 register = Register(0.0) if (values < 0).any() else Register.of(values)
                 coded = register.fault(column)
-                if coded is not None and not (wraps and register.span):
+                # Positions in two's complement begin anew there, as those of an encoder on a circle do.
+                if coded is not None and not (register.span and field in MEASURED):
                     raise LogError(f"{name}: {coded}")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))

@@ -28,6 +28,8 @@ NEAR_ZERO = 1 / 16
 CROSSINGS = (0.55, 0.8)
 """Fraction of the changes of sign that are less than half as long once they are decoded, beside a magnitude and in
 two's complement, of which every second one is so for a counter that begins anew."""
+USUAL = 4.0
+"""Largest change across zero of decoded numbers, in the 95th percentile of their other changes."""
 MOST_ROWS = 20_000
 """Rows of a long log in which made ones are looked for."""
 DIGITS, FASTER = (1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 10.0
@@ -167,6 +169,10 @@ def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
         return False  # a counter that begins anew
     crossing = np.flatnonzero(turns)
     plain, short = (np.abs(np.diff(each))[crossing] for each in (counts, decoded))
+    others = np.abs(np.delete(np.diff(decoded), crossing))
+    # An angle that wraps within the bits jumps by the same length each time, and not by a usual step.
+    if np.median(short) > USUAL * np.quantile(others[others > 0], 0.95):
+        return False
     return bool(np.mean((short < plain / 2) & (plain > bit / 2)) >= CROSSINGS[span > 0])
 
 

@@ -276,7 +276,9 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
             f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
             f"{log.listed}"
         )
-    faults = [Register.of(log[name]).fault(name) for name in (*q, *inputs.named, *inputs.u)]
+    coded = {name: Register.of(log[name]) for name in (*q, *inputs.named, *inputs.u)}
+    # Positions in two's complement begin anew there, as those of an encoder on a circle do.
+    faults = [each.fault(name) for name, each in coded.items() if not (each.span and name in q)]
     log.questions.extend(filter(None, faults))
     return log, q, inputs, planar
 
