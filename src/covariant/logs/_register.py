@@ -30,6 +30,8 @@ CROSSINGS = (0.55, 0.8)
 two's complement, of which every second one is so for a counter that begins anew."""
 USUAL = 4.0
 """Largest change across zero of decoded numbers, in the 95th percentile of their other changes."""
+LONG = 100_000
+"""Rows of a long log from which its ticks are told."""
 MOST_ROWS = 20_000
 """Rows of a long log in which made ones are looked for."""
 DIGITS, FASTER = (1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3), 10.0
@@ -70,9 +72,10 @@ class Register(NamedTuple):
     def of(cls, values: Float[np.ndarray, "T"]) -> "Register":
         """The register of a column (T,)."""
         values = values[np.isfinite(values)]
-        tick = _resolution(values)
+        some = values[:LONG]
+        tick = _resolution(some)
         # Of bits, also where only even numbers were read, or few of those between them.
-        unit = 1.0 if not (values % 1).any() else tick or _common_step(np.diff(np.unique(values)))
+        unit = 1.0 if not (values % 1).any() else tick or _common_step(np.diff(np.unique(some)))
         if not len(values) or values.min() < 0 or not unit:  # a number below zero has its sign
             return cls(tick)
         plain = float(f"{unit:.6g}")
@@ -162,7 +165,7 @@ def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
     below = counts < bit
     decoded = np.where(below, counts, counts - span if span else bit - counts)
     for part in (decoded[below], -decoded[~below]):
-        if len(part) == 0 or len(np.unique(part)) < FEWEST_VALUES or part.min() > 1 + NEAR_ZERO * part.max():
+        if len(part) == 0 or len(np.unique(part[:LONG])) < FEWEST_VALUES or part.min() > 1 + NEAR_ZERO * part.max():
             return False
     turns = np.diff(below.astype(int))
     if span and not (turns.min() < 0 < turns.max()):
