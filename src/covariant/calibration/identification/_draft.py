@@ -180,7 +180,7 @@ def _drafted(log: LogColumns) -> Draft | None:
     """The draft of columns; None without stamps, since the log was asked for them."""
     attitude = () if "q" in log.given else quaternion(log)
     if attitude:
-        return _draft_of_attitude(log, attitude)
+        return _draft_of_attitude(log, attitude) if log.t else None
     log, q, inputs, planar = _positions_and_inputs(log)
     log, v, guessed = _labels(log, q, inputs, planar)
     if not log.t:

@@ -10,7 +10,7 @@ from covariant.calibration.identification._commands import FEWEST_CHANGES, SAME
 from covariant.calibration.identification._names import EULER, point_in_plane
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._stamp_columns import is_near
-from covariant.logs import Register, unit_factor, without_unit, words_of
+from covariant.logs import Register, is_unit_of, unit_factor, without_unit, words_of
 from scalargraph.errors import InputError
 
 OFF_UNIT = 0.05
@@ -68,9 +68,9 @@ def is_in_body(log: LogColumns, q: tuple[str, ...], name: str) -> bool:
     heading = log[q[2]] * unit_factor(log.unit(q[2], "q") or "rad")
     x, y = (np.gradient(log[each], log.clock) for each in q[:2])
     along = (np.cos(heading) * x + np.sin(heading) * y, np.cos(heading) * y - np.sin(heading) * x)
-    seen = np.isfinite(log[name])
-    moving = (each[seen] for each in along if np.ptp(log[name][seen]) and np.ptp(each[seen]))
-    return any(np.corrcoef(each, log[name][seen])[0, 1] > SAME for each in moving)
+    pairs = ((each[seen], log[name][seen]) for each in along for seen in (np.isfinite(each) & np.isfinite(log[name]),))
+    moving = (pair for pair in pairs if len(pair[0]) and all(map(np.ptp, pair)))
+    return any(np.corrcoef(*pair)[0, 1] > SAME for pair in moving)
 
 
 def _in_steps(values: Float[np.ndarray, "T"]) -> bool:
@@ -109,6 +109,9 @@ def velocities(log: LogColumns, q: tuple[str, ...]) -> tuple[str, ...]:
 
 def _is_off(log: LogColumns, position: str, name: str) -> bool:
     """Whether a velocity is in another unit than its position says."""
+    rate, unit = log.unit(name, "v"), log.unit(position, "q") or "rad"
+    if rate is not None and not is_unit_of(rate, (f"{unit}/s",)):
+        return True
     ratio = log.slope_ratio(position, name)
     moving = np.count_nonzero(np.diff(log[position])) > FEWEST_CHANGES
     return bool(moving and ratio is not None and not 0.4 < ratio < 1.6)
