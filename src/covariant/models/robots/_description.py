@@ -12,11 +12,11 @@ from scalargraph.errors import InputError
 
 MOST_TURNS = 4
 """Number of turns above which limits of a joint are suspected to be in degrees."""
-FAR, TINY = 10.0, 3e-3
-"""Distance of the centre of mass and radius of gyration, in distances between joints, from and below which the inertia
-of a link may be in other units."""
-USUAL = 0.2
-"""Usual radius of gyration, in distances between joints."""
+FARTHEST, WIDEST, TINY = 5.0, 3.0, 4e-3
+"""Distance of the centre of mass, and radii of gyration, relative to the reach of the joints, from and below which the
+inertia of a link may be in other units; radii of real links are 0.03 to 0.7 of it."""
+USUAL = 0.12
+"""Usual radius of gyration, relative to the reach of the joints."""
 POWERS = (-9, -6, -4, -3, 3, 4, 6, 9)
 """Powers of ten between kg m² and other units: g mm², kg mm² or g cm², kg cm², g m²."""
 SMALLEST_ENTRY = 1e-10
@@ -423,8 +423,11 @@ def limits_in_doubt(joint: Joint) -> list[str]:
 
 
 def sizes_in_doubt(links: Mapping[str, BodyInertia], joints: Iterable[Joint]) -> list[str]:
-    """Sentences on links whose centre or inertia does not go with the distances between the joints."""
-    size = max((float(np.linalg.norm(joint.place)) for joint in joints), default=0.0)
+    """Sentences on links whose centre or inertia does not go with the reach of the joints, each after its carrier."""
+    reach: dict[str, float] = {}
+    for joint in joints:
+        reach[joint.child] = reach.get(joint.parent, 0.0) + float(np.linalg.norm(joint.place))
+    size = max(reach.values(), default=0.0)
     heavy = 0.05 * sum(float(link.mass) for link in links.values())
     doubts = []
     for name, link in links.items() if size else ():
@@ -432,10 +435,10 @@ def sizes_in_doubt(links: Mapping[str, BodyInertia], joints: Iterable[Joint]) ->
             continue
         centre = float(np.linalg.norm(link.first)) / float(link.mass)
         radius = float(np.sqrt(max(np.linalg.eigvalsh(link.about_centre)[2], 0.0) / link.mass))
-        wrong = f"no two joints are farther apart than {size:.3g} m"
-        if centre > FAR * size:
+        wrong = f"the joints reach no farther than {size:.3g} m"
+        if centre > FARTHEST * size:
             doubts.append(f"link {name!r}: its centre of mass is at {centre:.3g} m, and {wrong}; is it in mm, 1e-3 m?")
-        elif radius > FAR * size or (0 < radius < TINY * size and link.mass > heavy):
+        elif radius > WIDEST * size or (0 < radius < TINY * size and link.mass > heavy):
             power = min(POWERS, key=lambda each: abs(each + 2 * np.log10(radius / (USUAL * size))))
             doubts.append(
                 f"link {name!r}: its inertia is that of {link.mass:.3g} kg at {radius:.3g} m from the centre, and "

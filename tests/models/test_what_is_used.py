@@ -1,0 +1,98 @@
+"""The report of a robot file says what was used: attributes by name, other kinds of files, inertias in other units."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from covariant import models
+from covariant.models import robots
+
+ARM = """<robot name="arm"><link name="base"/>
+<link name="a"><inertial><origin xyz="0 0 0.2"/><mass value="1"/>
+<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.001"/></inertial></link>
+<link name="b"><inertial><origin xyz="0 0 0.1"/><mass value="0.5"/>
+<inertia ixx="0.004" ixy="0" ixz="0" iyy="0.004" iyz="0" izz="0.0003"/></inertial></link>
+<joint name="j1" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="9" velocity="9"/><dynamics damping="0.1" friction="0.2"/></joint>
+<joint name="j2" type="continuous"><parent link="a"/><child link="b"/><origin xyz="0 0 0.4"/><axis xyz="0 1 0"/></joint>
+</robot>"""
+
+
+def written(path: Path, text: str) -> str:
+    path.write_text(text)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    "tag", ["dynamics", "limit", "inertia", "mass", "axis", "parent", "child", "origin", "joint", "link"]
+)
+@pytest.mark.parametrize("key", ["rotor_inertia", "K", "iyx", "spring_reference", "mu"])
+def test_attributes_that_nobody_asks_for_are_ignored_by_name(tag, key, tmp_path):
+    assert robots.read(written(tmp_path / "arm.urdf", ARM)).ignored == {}
+    found = robots.read(written(tmp_path / "more.urdf", re.sub(f"<{tag} ", f'<{tag} {key}="0" ', ARM, count=1)))
+    (name,) = found.ignored
+    assert name.endswith(f"{tag} {key}")
+    assert not found.doubts
+
+
+def test_a_product_of_inertia_that_is_given_twice_has_to_be_the_same(tmp_path):
+    twice = ARM.replace('ixy="0"', 'ixy="0.0001" iyx="0.0001"', 1)
+    assert not robots.read(written(tmp_path / "same.urdf", twice)).doubts
+    (doubt,) = robots.read(written(tmp_path / "other.urdf", twice.replace('iyx="0.0001"', 'iyx="0.009"'))).doubts
+    assert "iyx = 0.009 is ignored, and differs from ixy = 0.0001" in doubt
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e", "iiwa14", "scara", "so101", "quadruped", "humanoid_torso"])
+@pytest.mark.parametrize("power", [-9, -6, -4, 4, 6, 9])
+def test_inertias_in_other_units_are_doubted_with_the_power_that_mends_them(name, power, tmp_path):
+    text = robots.located(name).read_text()
+    assert not robots.read(name).doubts
+
+    def scaled(match):
+        return f'{match[1]}"{float(match[2]) * 10.0**power!r}"'
+
+    found = robots.read(written(tmp_path / "a.urdf", re.sub(r'(i[xyz][xyz]=)"([^"]*)"', scaled, text)))
+    named = [int(power) for each in found.doubts for power in re.findall(r"1e(-?[0-9]+) times", each)]
+    assert named
+    assert -power in named
+    assert np.abs(np.array(named) + power).max() <= 3
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5e", "quadruped"])
+def test_centres_in_millimetres_are_doubted(name, tmp_path):
+    text = robots.located(name).read_text()
+
+    def in_mm(match):
+        return match[1] + " ".join(f"{1000 * float(x):g}" for x in match[2].split()) + '"'
+
+    inertial = re.compile(r'(<inertial>\s*<origin[^>]*?xyz=")([^"]*)"')
+    assert inertial.search(text)
+    found = robots.read(written(tmp_path / "a.urdf", inertial.sub(in_mm, text)))
+    assert any("is it in mm, 1e-3 m?" in each for each in found.doubts)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("rod.urdf.xacro", "<robot/>", r"is a xacro, which has to be expanded: xacro .*rod.urdf.xacro > rod.urdf"),
+        ("rod.xacro", "<robot/>", r"xacro .*rod.xacro > rod.urdf"),
+        ("rod.sdf", "<sdf/>", "SDF is not read; write the model as URDF"),
+        ("rod.urdf", ARM.replace('value="1"', 'value="${m}"'), "of a xacro that was not expanded: xacro FILE"),
+        ("rod.urdf", ARM.replace('"0 0 0.4"', '"0 0 ${l}"'), "of a xacro that was not expanded: xacro FILE"),
+        ("rod.urdf", ARM.replace('lower="-2"', 'lower="$(arg low)"'), "of a xacro that was not expanded"),
+    ],
+)
+def test_files_of_other_kinds_get_the_line_that_helps(name, text, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        models.load(written(tmp_path / name, text))
+
+
+@pytest.mark.parametrize("slope", [1.0, -0.5, 3.0])
+def test_joints_that_follow_others_do_so_as_in_mujoco(slope, tmp_path):
+    text = f"""<mujoco><worldbody><body><joint name="a" axis="0 1 0" ref="0.2"/><geom size="0.1" mass="1"/>
+    <body pos="0 0 0.4"><joint name="b" axis="0 1 0" ref="-0.3"/><geom size="0.1" mass="1"/></body></body></worldbody>
+    <equality><joint joint1="b" joint2="a" polycoef="0.1 {slope} 0 0 0"/></equality></mujoco>"""
+    model = robots.load(written(tmp_path / "two.xml", text))
+    assert model.coordinates == ("a",)
