@@ -31,7 +31,12 @@ def shuffled(random, columns):
 def test_four_numbers_of_an_attitude_are_one_in_any_order_of_names(seed):
     random = np.random.default_rng(seed)
     names = [
-        *(("qw", "qx", "qy", "qz"), ("q_w", "q_x", "q_y", "q_z"), ("W", "X", "Y", "Z"), ("q[0]", "q[1]", "q[2]", "q[3]")),
+        *(
+            ("qw", "qx", "qy", "qz"),
+            ("q_w", "q_x", "q_y", "q_z"),
+            ("W", "X", "Y", "Z"),
+            ("q[0]", "q[1]", "q[2]", "q[3]"),
+        ),
         *(("quat_real", "quat_i", "quat_j", "quat_k"), ("rot/w", "rot/x", "rot/y", "rot/z"), ("Q1", "Q2", "Q3", "Q4")),
         ("pose.orientation.w", "pose.orientation.x", "pose.orientation.y", "pose.orientation.z"),
     ][seed % 8]
@@ -43,9 +48,19 @@ def test_four_numbers_of_an_attitude_are_one_in_any_order_of_names(seed):
 @pytest.mark.parametrize("seed", DRAWS)
 def test_angles_about_three_axes_are_an_attitude_and_get_the_line_that_converts_them(seed):
     random = np.random.default_rng(seed)
-    names = [("roll", "pitch", "yaw"), ("Roll", "Pitch", "Yaw"), ("phi", "theta", "psi"), ("att_roll", "att_pitch", "heading")]
+    names = [
+        ("roll", "pitch", "yaw"),
+        ("Roll", "Pitch", "Yaw"),
+        ("phi", "theta", "psi"),
+        ("att_roll", "att_pitch", "heading"),
+    ]
     (x, y, z), factor = names[seed % 4], [1.0, 180 / np.pi][seed % 2]
-    columns = {"time": T, x: factor * TURNS[:, 2], y: factor * TURNS[:, 1], z: factor * TURNS[:, 0] % (2 * np.pi * factor)}
+    columns = {
+        "time": T,
+        x: factor * TURNS[:, 2],
+        y: factor * TURNS[:, 1],
+        z: factor * TURNS[:, 0] % (2 * np.pi * factor),
+    }
     with pytest.raises(ValueError, match="are the angles of a body that turns, and no joints") as error:
         draft(shuffled(random, columns))
     line = str(error.value).partition("as frame")[2].partition(", or name")[0]
@@ -85,8 +100,21 @@ def test_what_moves_in_steps_and_has_no_velocity_is_an_input(name):
 
 
 PRODUCTS = {
-    "moteus": {"position": ANGLE, "velocity": RATE, "torque": PUSH, "q_current": RATE, "d_current": RATE, "mode": 10 + 0 * T},
-    "ODrive": {"pos_estimate": ANGLE, "vel_estimate": RATE, "input_torque": PUSH, "iq_measured": RATE, "bus_voltage": 24 + 0 * T},
+    "moteus": {
+        "position": ANGLE,
+        "velocity": RATE,
+        "torque": PUSH,
+        "q_current": RATE,
+        "d_current": RATE,
+        "mode": 10 + 0 * T,
+    },
+    "ODrive": {
+        "pos_estimate": ANGLE,
+        "vel_estimate": RATE,
+        "input_torque": PUSH,
+        "iq_measured": RATE,
+        "bus_voltage": 24 + 0 * T,
+    },
     "a driver of ROS": {"joint/position": ANGLE, "joint/velocity": RATE, "joint/effort": PUSH},
     "RTDE": {"actual_q_0": ANGLE, "actual_qd_0": RATE, "actual_current_as_torque_0": PUSH, "actual_current_0": RATE},
     "SimpleFOC": {"theta": ANGLE, "velocity": RATE, "torque": PUSH, "i_q": RATE, "i_d": RATE, "u_q": PUSH},

@@ -65,7 +65,10 @@ def test_rows_that_were_made_from_their_neighbours_are_known(seed):
     knots = np.arange(first, T.size + every, every)
     reading = np.round(np.interp(knots, np.arange(T.size), MOTION) / TICK) * TICK
     for factor in (1.0, 180 / np.pi):
-        assert Register.read_rows(T, np.round(factor * np.interp(np.arange(T.size), knots, reading), digits)) == (every, first)
+        assert Register.read_rows(T, np.round(factor * np.interp(np.arange(T.size), knots, reading), digits)) == (
+            every,
+            first,
+        )
 
 
 @pytest.mark.parametrize("counts", [0, 52, 360, 1000, 4096, 65536])

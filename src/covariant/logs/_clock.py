@@ -1,5 +1,7 @@
 """What stamps count: fractions of days, counters that begin anew, and single rows that were stamped wrongly."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
@@ -21,7 +23,24 @@ SAME_SHIFT = 0.05
 """Relative difference up to which rows are displaced by one time."""
 
 
-def displaced_rows(t: Float[np.ndarray, "T"]) -> tuple[np.ndarray, float] | None:
+class Displaced(NamedTuple):
+    """Rows that are stamped late by one time [s], negative for early ones."""
+
+    rows: np.ndarray
+    late: float
+
+    @property
+    def how(self) -> str:
+        """By how much they are early or late."""
+        return f"{abs(self.late):.6g} s {'late' if self.late > 0 else 'early'}"
+
+    @property
+    def remedy(self) -> str:
+        """What to do with their stamps."""
+        return f"{'subtract' if self.late > 0 else 'add'} {abs(self.late):.6g} s there"
+
+
+def displaced_rows(t: Float[np.ndarray, "T"]) -> Displaced | None:
     """Rows that are stamped early or late by one time, among others whose stamps go on without them.
 
     A second that is read before its fraction is a second early where the fraction began anew in between.
@@ -57,7 +76,7 @@ def displaced_rows(t: Float[np.ndarray, "T"]) -> tuple[np.ndarray, float] | None
     if not rows or 2 * len(rows) > len(t) or np.ptp(shifts) > max(SAME_SHIFT * abs(late), REJOINED * usual):
         return None
     plain = float(f"{late:.3g}")
-    return np.array(rows), plain if abs(late - plain) < usual else late
+    return Displaced(np.array(rows), plain if abs(late - plain) < usual else late)
 
 
 def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | None:

@@ -231,9 +231,8 @@ def _of_columns(
     except ClockError as error:
         fault = episodes_fault(t, source.shown, lambda each: _whole_column(name, source, each))
         if (displaced := displaced_rows(t)) is not None and fault is None:
-            rows, late = displaced
-            which = ", ".join(str(row + 1) for row in rows[:5]) + f" and {len(rows) - 5} more" * (len(rows) > 5)
-            fault = f"is {abs(late):.6g} s {'late' if late > 0 else 'early'} in row {which} alone, {'subtract' if late > 0 else 'add'} that there"
+            first, count = displaced.rows[0] + 1, len(displaced.rows)
+            fault = f"is {displaced.how} in single rows, {count} in all, the first is row {first}; {displaced.remedy}"
         if fault is None:
             raise
         raise ClockError(f"{name}: column {columns.t!r} {fault}", error.record) from error

@@ -154,10 +154,9 @@ class Register(NamedTuple):
         for period in periods:
             rise = steps[back] + period
             # It begins anew after the whole period, and nowhere else.
-            if NEAR * usual < period / 10 and np.ptp(values) < period and ((0 < rise) & (rise < NEAR * usual)).all():
+            if NEAR * usual < period / 10 and np.ptp(values) < period and ((rise > 0) & (rise < NEAR * usual)).all():
                 return values + period * np.concatenate([[0], np.cumsum(back)])
         return values
-
 
 
 def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
@@ -180,8 +179,7 @@ def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
 
 
 def _resolution(y: Float[np.ndarray, "T"]) -> float:
-    """Step of which all changes of readings are multiples, up to the digits with which they were printed; 0 for none.
-    """
+    """Step of which all changes of readings are multiples, up to their last digits; 0 for none."""
     changes = np.abs(np.diff(y))
     changes = changes[changes > ROUNDING * np.max(np.abs(y), initial=0.0)]
     if len(changes) < FEWEST_CHANGES:
@@ -243,8 +241,7 @@ def _gcd(whole: np.ndarray) -> int:
 
 
 def _places(rows: np.ndarray, bent: np.ndarray) -> tuple[int, int] | None:
-    """The largest part of every n rows that are straight, of rows that move, as n and the place of a row that is not.
-    """
+    """The n of which most rows are straight, among rows that move, and the place of a row that is not."""
     best, share = None, 0.0
     for n in range(2, MOST_EVERY + 1):
         among = np.bincount(rows % n, minlength=n)

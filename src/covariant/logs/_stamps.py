@@ -10,8 +10,8 @@ from jaxtyping import Float
 
 from covariant.logs._cells import fault, floats, numbers
 from covariant.logs._clock import odd_clock
-from covariant.logs._register import Register
 from covariant.logs._columns import LogError, pyarrow
+from covariant.logs._register import Register
 from covariant.logs._text import DATE, TIME_OF_DAY
 from covariant.logs._units import unit_factor
 from covariant.signals import LATEST_STAMP, check_rounding
@@ -124,7 +124,9 @@ def _of_day(column: Any) -> bool:
     types = pyarrow().types
     if types.is_time(column.type):
         return True
-    return types.is_string(column.type) and len(column) > 0 and re.match(TIME_OF_DAY, column[0].as_py() or "") is not None
+    return (
+        types.is_string(column.type) and len(column) > 0 and re.match(TIME_OF_DAY, column[0].as_py() or "") is not None
+    )
 
 
 def _times_of_day(pa: ModuleType, where: str, column: Any) -> Float[np.ndarray, "T"]:
@@ -149,7 +151,9 @@ def _times_of_day(pa: ModuleType, where: str, column: Any) -> Float[np.ndarray, 
 def _rising(values: Float[np.ndarray, "T"], *periods: tuple[float, ...]) -> Stamps:
     rising = Register.continued(values, *periods)
     back = np.flatnonzero(np.diff(values) < 0) + 2
-    note = f"the stamps begin anew at row {back[0]}" + f" and {len(back) - 1} more" * (len(back) > 1) if len(back) else ""
+    note = (
+        f"the stamps begin anew at row {back[0]}" + f" and {len(back) - 1} more" * (len(back) > 1) if len(back) else ""
+    )
     return Stamps(rising, None, note if rising is not values else "")
 
 

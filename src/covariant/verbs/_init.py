@@ -171,7 +171,9 @@ class InitResult(AbstractResult):
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])
         if self.draft.planar:
-            return "\n".join([*lines, "a craft in the plane: see `system` of the model file for the inputs that it takes"])
+            return "\n".join(
+                [*lines, "a craft in the plane: see `system` of the model file for the inputs that it takes"]
+            )
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
             todo += (
@@ -214,7 +216,9 @@ class InitResult(AbstractResult):
         texts = {path.with_name(name): text for name, text in self.texts(path.stem, path.parent).items()}
         # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
-            raise InputError(f"{existing}: there is such a file already; `overwrite=True` replaces it, or give another name")
+            raise InputError(
+                f"{existing}: there is such a file already; `overwrite=True` replaces it, or give another name"
+            )
         write_together({file: utf8(text) for file, text in texts.items()})
         # A draft that cannot be loaded fails here, and not in the command after it.
         models.load(str(path))
@@ -304,8 +308,8 @@ def _craft(guess: Draft) -> list[str]:
     return [
         f'system = "{system}"  # outputs are north, east and heading, clockwise; others are in docs/models.md',
         '# manoeuvring_ship takes rudder [rad] and revolutions [1/s]: of a minute, [units] u = ["1", "0.0166667"].',
-        "# supply_vessel and cybership take two forces and a moment of the body; hovercraft, on SE(2), two thrusts, with",
-        "# [columns] position and angle in place of q.",
+        "# supply_vessel and cybership take two forces and a moment of the body; hovercraft, on SE(2), two thrusts,",
+        "# with [columns] position and angle in place of q.",
     ]
 
 

@@ -47,14 +47,11 @@ def mended_clock(record: Record) -> Mended:
     t = np.array(record.t, float)
     rows, findings = Rows(t.copy()), []
     if (displaced := displaced_rows(t)) is not None:
-        places, late = displaced
-        t[places] -= late
-        size, way = f"{abs(late):.6g} s", "late" if late > 0 else "early"
-        evidence = f"{len(places)} of {len(t)} rows are stamped {size} {way}, the rows around them are not: "
-        evidence += rows.listed(places)
-        line = f"{'subtract' if late > 0 else 'add'} {size} there; read all parts of a stamp at once, since a second "
-        line += "that begins between them is lost"
-        numbers = {"rows": len(places), "late": late}
+        t[displaced.rows] -= displaced.late
+        evidence = f"{len(displaced.rows)} of {len(t)} rows are stamped {displaced.how}, the rows around them are not: "
+        evidence += rows.listed(displaced.rows)
+        line = f"{displaced.remedy}; read all parts of a stamp at once, since a second that begins between them is lost"
+        numbers = {"rows": len(displaced.rows), "late": displaced.late}
         findings.append(Finding("clock of single rows", "", evidence, line, True, numbers))
     steps = np.diff(t)
     rising = steps[steps > 0]

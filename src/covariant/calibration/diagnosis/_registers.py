@@ -1,5 +1,4 @@
-"""How columns were read: rows made from their neighbours, inputs that were read less often, velocities in other units.
-"""
+"""How columns were read: rows made from others, inputs that were read less often, velocities in other units."""
 
 from collections.abc import Iterator
 
@@ -42,8 +41,7 @@ def made_rows(
 
 
 def held_inputs(case: Case) -> Iterator[tuple[Suspicion, Finding]]:
-    """Suspect that inputs change in few rows since they were read there alone, with the note if the model agrees not.
-    """
+    """Suspect that inputs change in few rows since they were read there alone, with the note if it did so."""
     u = np.asarray(case.record.u)
     for j, (name, column) in enumerate(zip(case.names.u, u.T, strict=True)):
         changes = np.append(0, np.flatnonzero(np.diff(column)) + 1)

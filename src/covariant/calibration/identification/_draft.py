@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods
 from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
-from covariant.calibration.identification._names import LENGTHS, REGISTERS, point_in_plane, dialect_of
+from covariant.calibration.identification._names import LENGTHS, REGISTERS, dialect_of, point_in_plane
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
@@ -193,7 +193,9 @@ def _drafted(log: LogColumns) -> Draft | None:
     if "q" not in log.units:
         guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
     remarks = [*inputs.remarks, *odd_rates(log, q, v)]
-    remarks += [f"{name} drives in a unit of its own: one of it in SI units is taken for 1 N m" for name in driving(log, u)]
+    remarks += [
+        f"{name} drives in a unit of its own: one of it in SI units is taken for 1 N m" for name in driving(log, u)
+    ]
     remarks += [f"its names are those that {log.product} prints"] * bool(log.product)
     episodes = episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
     remarks += [] if episodes is None else [f"the log {episodes}"]

@@ -46,7 +46,7 @@ def explained(log: LogColumns, q: tuple[str, ...]) -> tuple[LogColumns, tuple[st
         raise InputError(
             f"{x}, {y}, {z} are the angles of a body that turns, and no joints: write its quaternion into the log, as "
             f'frame[["qx", "qy", "qz", "qw"]] = scipy.spatial.transform.Rotation.from_euler("ZYX", '
-            f"frame[[{z!r}, {y!r}, {x!r}]]{degrees}).as_quat(), or name them by `columns[\"q\"]` if they are joints"
+            f'frame[[{z!r}, {y!r}, {x!r}]]{degrees}).as_quat(), or name them by `columns["q"]` if they are joints'
         )
     plane = point_in_plane(words)
     heading = [name for name in words if words[name] & EULER[2] and name not in (plane or ())]
@@ -102,7 +102,7 @@ def velocities(log: LogColumns, q: tuple[str, ...]) -> tuple[str, ...]:
     found = []
     for position in q:
         ratios = {name: log.slope_ratio(position, name) for name in (*named, *log.of(""))}
-        like = [name for name, ratio in ratios.items() if ratio and 0 < ratio and (name not in named or is_near(ratio))]
+        like = [name for name, ratio in ratios.items() if ratio and ratio > 0 and (name not in named or is_near(ratio))]
         found += like[:1]
     return tuple(found) if len(set(found)) == len(q) else ()
 

@@ -19,8 +19,7 @@ SAME_UNIT = 3.0
 
 
 def find_stamps(log: LogColumns) -> str:
-    """The column of stamps: what is called so, or else the only one without a name that rises; what counts rows last.
-    """
+    """The column of stamps: what is called so, or the only other one that rises; what counts rows last."""
     rising = [name for name, values in log.values.items() if _rises(Register.continued(values))]
     called = ([name for name in rising if log.roles.get(name) == role] for role in ("t", ""))
     named, unnamed = ([n for n in names if not counts_rows(log[n])] or names for names in called)
@@ -98,8 +97,6 @@ def _refuse_episodes(log: LogColumns, name: str) -> None:
     fault = episodes_fault(log[name], log.values, log.values.__getitem__)
     if fault is not None:
         raise InputError(f"column {name!r} {fault}")
-
-
 
 
 def is_near(ratio: float) -> bool:

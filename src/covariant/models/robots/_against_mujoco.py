@@ -118,7 +118,9 @@ def _refuse_other_couplings(mujoco: ModuleType, engine: Any, robot: Description)
             data.qpos[place[name]] = law.offset + (law.ratio * data.qpos[place[law.joint]] if law.joint else 0.0)
     mujoco.mj_forward(engine, data)
     coupling = engine.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    rows = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & coupling[np.minimum(data.efc_id, engine.neq - 1)]
+    rows = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & coupling[
+        np.minimum(data.efc_id, engine.neq - 1)
+    ]
     named = [names_of(mujoco, engine, "JOINT", engine.njnt)[engine.eq_obj1id[i]] for i in data.efc_id[rows]]
     for name, gap_of in zip(named, data.efc_pos[rows], strict=True):
         if name in followers and not abs(gap_of) <= TOLERANCE:

@@ -60,8 +60,8 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
         else:
             joints.append(_joint(entry, entry_name))
             doubts += limits_in_doubt(joints[-1])
-        parts = [part for part in entry if part.tag in (OF_LINK if tag == "link" else OF_JOINT)]
-        for part in (entry, *parts, *(each for part in parts for each in part)):
+        known = [part for part in entry if part.tag in (OF_LINK if tag == "link" else OF_JOINT)]
+        for part in (entry, *known, *(inner for each in known for inner in each)):
             what = tag if part is entry else f"{tag}/{name_of(part)}"
             ignored.update(f"{what} {key}" for key in unread(part))
     if not links:
