@@ -144,7 +144,11 @@ def _times_of_day(pa: ModuleType, where: str, column: Any) -> Float[np.ndarray, 
     t = np.zeros(len(column))
     for name, seconds in (("days", DAY), ("hours", HOUR), ("minutes", 60.0), ("seconds", 1.0)):
         digits = pa.compute.struct_field(parts, name)
-        t += seconds * floats(pa.compute.if_else(pa.compute.equal(digits, ""), "0", digits).cast(pa.float64()))
+        count = floats(pa.compute.if_else(pa.compute.equal(digits, ""), "0", digits).cast(pa.float64()))
+        half = pa.compute.utf8_lower(pa.compute.struct_field(parts, "half"))
+        if name == "hours" and half[0].as_py():  # 12 AM is midnight
+            count = count % 12 + 12 * (half.to_numpy(zero_copy_only=False) == "p")
+        t += seconds * count
     return t
 
 
