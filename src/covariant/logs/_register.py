@@ -25,7 +25,9 @@ FEWEST_VALUES = 5
 """
 NEAR_ZERO = 1 / 16
 """Largest of the smallest magnitudes of either sign, relative to the largest one, since signals pass zero."""
-CROSSINGS = (0.55, 0.8)
+FULL = 0.9
+"""Magnitude of one sign, in the bit, from which the other one has to be as large."""
+CROSSINGS = (0.65, 0.8)
 """Fraction of the changes of sign that are less than half as long once they are decoded, beside a magnitude and in
 two's complement, of which every second one is so for a counter that begins anew."""
 USUAL = 4.0
@@ -163,19 +165,28 @@ def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
     """Whether numbers from `bit` on are negative: both signs begin at zero, and changes of sign become short."""
     below = counts < bit
     decoded = np.where(below, counts, counts - span if span else bit - counts)
-    for part in (decoded[below], -decoded[~below]):
-        if len(part) == 0 or len(np.unique(part[:LONG])) < FEWEST_VALUES or part.min() > 1 + NEAR_ZERO * part.max():
-            return False
     turns = np.diff(below.astype(int))
-    if span and not (turns.min() < 0 < turns.max()):
-        return False  # a counter that begins anew
     crossing = np.flatnonzero(turns)
-    plain, short = (np.abs(np.diff(each))[crossing] for each in (counts, decoded))
     others = np.abs(np.delete(np.diff(decoded), crossing))
-    # An angle that wraps within the bits jumps by the same length each time, and not by a usual step.
-    if np.median(short) > USUAL * np.quantile(others[others > 0], 0.95):
+    if not others.any() or (span and not (turns.min() < 0 < turns.max())):
+        return False  # a counter that begins anew
+    usual = float(np.quantile(others[others > 0], 0.95))
+    parts = decoded[below], -decoded[~below]
+    # Numbers up to a little more than the bit are larger ones and not negative.
+    largest = [float(part.max(initial=0.0)) for part in parts]
+    if max(largest) > FULL * bit and min(largest) < FULL * max(largest):
         return False
-    return bool(np.mean((short < plain / 2) & (plain > bit / 2)) >= CROSSINGS[span > 0])
+    for part in parts:
+        if len(part) == 0 or len(np.unique(part[:LONG])) < FEWEST_VALUES:
+            return False
+        if part.min() > 1 + max(NEAR_ZERO * part.max(), usual):
+            return False
+    plain, short = (np.abs(np.diff(each))[crossing] for each in (counts, decoded))
+    # An angle that wraps within the bits jumps by the same length each time, and not by a usual step.
+    # From zero, where pulses begin, any number beyond the bit is nearer once it is decoded.
+    limit = plain / np.where((counts[crossing] == 0) | (counts[crossing + 1] == 0), 4, 2)
+    shorter = np.mean((short < limit) & (plain > bit / 2)) >= CROSSINGS[span > 0]
+    return bool(shorter and np.median(short) <= USUAL * usual)
 
 
 def _resolution(y: Float[np.ndarray, "T"]) -> float:
