@@ -125,7 +125,9 @@ def test_single_rows_that_are_stamped_wrongly_are_one_finding(seed):
         lambda s: f"{int(s // 3600) % 24:02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}",
         lambda s: f"{int(s // 3600) % 24}:{int(s // 60) % 60:02d}:{s % 60:06.3f}".replace(".", ","),
         lambda s: f"{int(s // 60) % 60:02d}:{s % 60:06.3f}",
-        lambda s: f"{int(s // 3600 - 1) % 12 + 1}:{int(s // 60) % 60:02d}:{s % 60:06.3f} {'AP'[int(s % 86400 >= 43200)]}M",
+        lambda s: (
+            f"{int(s // 3600 - 1) % 12 + 1}:{int(s // 60) % 60:02d}:{s % 60:06.3f} {'AP'[int(s % 86400 >= 43200)]}M"
+        ),
         lambda s: f"29.11.2026 {int(s // 3600) % 24:02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}",
         lambda s: f"11/29/2026 {int(s // 3600) % 24:02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}",
         lambda s: str(pandas.Timedelta(round(1e3 * s), "ms")),

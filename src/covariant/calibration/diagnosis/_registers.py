@@ -7,18 +7,11 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case
 from covariant.calibration.diagnosis._finding import Finding, Names, Rows
+from covariant.calibration.diagnosis._sensor_checks import named_unit
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import Suspicion
 from covariant.calibration.diagnosis._thresholds import HELD_INPUT, HELD_REGULARLY, OFF_RATE, SAME_RATE
 from covariant.logs import Register, unit_factor
-
-RATES = {
-    "rad/s": ("rad/s", "deg/s", "rpm", "turn/s", "mrad/s", "-1 rad/s", "-1 deg/s", "-1 rpm"),
-    "m/s": ("m/s", "mm/s", "cm/s", "km/h", "-1 m/s", "-1 mm/s"),
-}
-"""Units to try for velocities."""
-NAMED = 0.03
-"""Relative distance up to which a ratio is taken for one of units."""
 
 
 def made_rows(
@@ -71,15 +64,15 @@ def rate_findings(case: Case, log: Smooth, t: np.ndarray, v: Float[np.ndarray, "
     ratios, units = [], []
     for i, unit in enumerate(case.names.units):
         seen = np.isfinite(v[:, i])
-        slope, units_of = log.v[log.used, i], RATES.get(f"{unit}/s", ())
+        slope = log.v[log.used, i]
         logged = np.interp(log.t[log.used], t[seen], v[seen, i]) if seen.sum() > 1 else slope
         square = float(slope @ slope)
         alike = np.corrcoef(slope, logged)[0, 1] if np.ptp(slope) and np.ptp(logged) else 0.0
         ratio = float(slope @ logged) / square if abs(alike) > SAME_RATE else 1.0
         ratios.append(ratio)
         now = unit_factor(stated[i if len(stated) > 1 else 0]) if stated else 1.0
-        near = (each for each in units_of if abs(unit_factor(each) * ratio / now - 1) < NAMED)
-        units.append(next(near, f"{now / ratio:.3g} {unit}/s".strip()))
+        text = named_unit(now / ratio, f"{unit}/s")
+        units.append(text if text[-1].isalpha() else f"{now / ratio:.3g} {unit}/s".strip())
     off = [i for i, ratio in enumerate(ratios) if abs(ratio - 1) > OFF_RATE]
     if off:
         texts = ", ".join(f"{names[i]} is {ratios[i]:.3g} times the slope of {case.names.q[i]}" for i in off)

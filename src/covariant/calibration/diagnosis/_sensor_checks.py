@@ -279,18 +279,19 @@ def _single_axis_note(seen: Pair, beside: Beside) -> str:
 def _units_line(beside: Beside, scale: np.ndarray) -> str:
     """The units that readings are in, which the table takes for others by a scale (k,)."""
     if beside.pose:
-        name = _unit(float(1 / scale[0]), "m")
+        name = named_unit(float(1 / scale[0]), "m")
         return f"has its position in m: {', '.join(beside.names[:3])} are in units of {name}"
     texts = list(beside.columns.units.get("q", ()))
     now = (texts * len(scale) if len(texts) == 1 else texts) or ["1"] * len(scale)
     factors = np.array([unit_factor(text) for text in now[: len(scale)]]) / scale
     written = [
-        text if s == 1 and texts else _unit(f, beside.unit) for f, s, text in zip(factors, scale, now, strict=False)
+        text if s == 1 and texts else named_unit(f, beside.unit)
+        for f, s, text in zip(factors, scale, now, strict=False)
     ]
     return f'units = "{written[0]}"' if len(set(written)) == 1 else f"units = {written}".replace("'", '"')
 
 
-def _unit(factor: float, unit: str) -> str:
+def named_unit(factor: float, unit: str) -> str:
     """Text of a unit of a factor to SI units, by name where one is near."""
     for name in UNITS.get(unit, ()):
         if abs(abs(factor) / unit_factor(name) - 1) < NAMED:
