@@ -23,7 +23,8 @@ _NOTHING = re.compile(rb"^[ \t]*(?:[#%][^\n]*)?(?:\n|\Z)", re.MULTILINE)
 DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
 """Beginning of a date."""
 TIME_OF_DAY = (
-    r"^\s*(?:[0-9]{1,4}[-/.][0-9]{1,2}[-/.][0-9]{1,4}[T ,]+)?(?:(?P<days>[0-9]+) days? \+?)?(?:(?P<hours>[0-9]{1,2}):)?(?P<minutes>[0-9]{1,2}):"
+    r"^\s*(?:[0-9]{1,4}[-/.][0-9]{1,2}[-/.][0-9]{1,4}[T ,]+)?(?:(?P<days>[0-9]+) days? \+?)?"
+    r"(?:(?P<hours>[0-9]{1,2}):)?(?P<minutes>[0-9]{1,2}):"
     r"(?P<seconds>[0-9]{2}(?:[.,][0-9]*)?)(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?\s*$"
 )
 """A time of day, as 14:43:24.754 or 2:43:24 PM, perhaps after a date that is not in the order of ISO 8601; or the time
