@@ -28,7 +28,7 @@ from ._smooth import (
     Smooth as Smooth,
     acceleration_kernel as acceleration_kernel,
     held_inputs as held_inputs,
-    second_derivative_weights as second_derivative_weights,
+    derivative_weights as derivative_weights,
 )
 from ._suspicion import BLOCKS as BLOCKS, Unexplained as Unexplained, judge as judge
 from ._thresholds import BARELY as BARELY, FEW_ROWS as FEW_ROWS, MOST_ROWS as MOST_ROWS

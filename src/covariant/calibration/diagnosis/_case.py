@@ -1,7 +1,7 @@
 """Comparison of a log with its model: smoothed accelerations, those of the model along the log, and their residuals."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -92,6 +92,13 @@ def residual(model: MechanicalSystem, log: Smooth) -> Residual:
     return Residual(log.a, modelled, used, log.a_noise)
 
 
+def input_effects(model: MechanicalSystem, log: Smooth, now: Residual) -> Iterator[Float[np.ndarray, "K n"]]:
+    """Accelerations (K, n) on the grid that each input causes in the model."""
+    for j in range(log.u.shape[1]):
+        without = residual(model, log._replace(u=np.where(np.arange(log.u.shape[1]) == j, 0.0, log.u)))
+        yield now.modelled - without.modelled
+
+
 def averaged(log: Smooth, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K n"]:
     """Average values on the grid with the weights that smoothing applies to the true accelerations."""
     # Smoothing then distorts measured and modelled accelerations alike, and the distortion cancels in the residual.
@@ -130,6 +137,14 @@ class Case(NamedTuple):
     @property
     def spacing(self) -> float:
         return float(np.median(np.diff(np.asarray(self.record.t))))
+
+    def with_readings(self, y: Float[np.ndarray, "T n"]) -> "Case":
+        """The case with other readings of its positions."""
+        return self._replace(record=self.record._replace(y=y))
+
+    def with_inputs(self, u: Float[np.ndarray, "T m"]) -> "Case":
+        """The case with other inputs."""
+        return self._replace(record=self.record._replace(u=u))
 
 
 def in_coordinates(file: ModelFile) -> bool:
@@ -179,7 +194,7 @@ def without_rows(columns: Sequence[int], begin: float, end: float) -> Callable[[
         t, y = np.asarray(case.record.t), np.array(case.record.y, float)
         for i in columns:
             y[(t >= begin) & (t <= end), i] = np.nan
-        return case._replace(record=case.record._replace(y=y))
+        return case.with_readings(y)
 
     return apply
 

@@ -50,16 +50,10 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
     # The mask changes in pairs: where a gap begins, and where it ends.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
     longest = int(np.max(edges[1::2] - edges[::2]))
-    return [
-        Finding(
-            "missing measurements",
-            "",
-            f"{int(lost.sum())} of {len(y)} rows ({100 * share:.2g} %) lack one, at most {longest} in a row",
-            "nothing to change: estimates run on with the model alone meanwhile",
-            False,
-            {"rows": int(lost.sum()), "share": share, "longest": longest},
-        )
-    ]
+    evidence = f"{int(lost.sum())} of {len(y)} rows ({100 * share:.2g} %) lack one, at most {longest} in a row"
+    line = "nothing to change: estimates run on with the model alone meanwhile"
+    numbers = {"rows": int(lost.sum()), "share": share, "longest": longest}
+    return [Finding("missing measurements", "", evidence, line, False, numbers)]
 
 
 def outliers(
@@ -193,21 +187,16 @@ def outlier_findings(
             continue
         share = float(column.mean())
         many = share > FEW_OUTLIERS
-        cells = f"{len(places)} of {len(column)} cells ({100 * share:.2g} %) are" if len(places) > 1 else "one cell is"
-        findings.append(
-            Finding(
-                "outliers",
-                name,
-                f"{cells} far from {'its' if len(places) == 1 else 'their'} neighbours, "
-                f"{'usually ' if len(places) > 1 else ''}by {size:.3g} {unit}".rstrip()
-                + f": {rows.listed(places)}",
-                "look for what disturbs the sensor; estimates refuse such cells, and scores leave them out"
-                if many
-                else "nothing to change: estimates refuse such cells; empty them where they are known to be wrong",
-                many,
-                {"cells": len(places), "share": share, "size": float(size)},
-            )
-        )
+        cells, by = "one cell is far from its neighbours", f"by {size:.3g} {unit}".rstrip()
+        if len(places) > 1:
+            cells = f"{len(places)} of {len(column)} cells ({100 * share:.2g} %) are far from their neighbours"
+            by = f"usually {by}"
+        line = "nothing to change: estimates refuse such cells; empty them where they are known to be wrong"
+        if many:
+            line = "look for what disturbs the sensor; estimates refuse such cells, and scores leave them out"
+        evidence = f"{cells}, {by}: {rows.listed(places)}"
+        numbers = {"cells": len(places), "share": share, "size": float(size)}
+        findings.append(Finding("outliers", name, evidence, line, many, numbers))
     return findings
 
 
@@ -220,16 +209,15 @@ def still_findings(
         return [], False
     whole = len(still) == len(names)
     values = ", ".join(f"{names[i]} is {np.nanmin(y[:, i]):.6g} {units[i]}".rstrip() for i in still)
-    line = "log a motion" if whole else "look at its sensor and its column, or hold that joint in the model as well"
-    finding = Finding(
-        "nothing moves" if whole else "a position does not move",
-        ", ".join(names[i] for i in still),
-        f"{values} in all {len(y)} rows",
-        f"{line}: nothing can be told from {'this log' if whole else 'it'}",
-        whole,
-        {"rows": len(y)},
-    )
-    return [finding], whole
+    what, line = "nothing moves", "log a motion: nothing can be told from this log"
+    if not whole:
+        what, line = (
+            "a position does not move",
+            "look at its sensor and its column, or hold that joint in the model as ",
+        )
+        line += "well: nothing can be told from it"
+    where, evidence = ", ".join(names[i] for i in still), f"{values} in all {len(y)} rows"
+    return [Finding(what, where, evidence, line, whole, {"rows": len(y)})], whole
 
 
 class Readings(NamedTuple):

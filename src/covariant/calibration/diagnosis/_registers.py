@@ -47,8 +47,7 @@ def held_inputs(case: Case) -> Iterator[tuple[Suspicion, Finding]]:
         def apply(case: Case, j: int = j, changes: np.ndarray = changes) -> Case:
             t, u = np.asarray(case.record.t), np.array(case.record.u, float)
             u[:, j] = np.interp(t, t[changes], u[changes, j])
-            file = case.file._replace(input_between="linear")
-            return case._replace(file=file, record=case.record._replace(u=u))
+            return case._replace(file=case.file._replace(input_between="linear")).with_inputs(u)
 
         claim = f"{name} changes only every {usual} rows"
         line = f"interpolate {name} between the rows in which it changes, or log it in every row"

@@ -5,7 +5,6 @@ readings pass the same filter: those of a velocity are integrated, and the slope
 taken. A velocity then is smoothed in the same way on both sides, so that wide windows leave no difference.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ from jaxtyping import Bool, Float
 from covariant import scoring
 from covariant.calibration.diagnosis._case import Case, acting, long_enough
 from covariant.calibration.diagnosis._readings import outliers, prediction_errors
-from covariant.calibration.diagnosis._smooth import FEWEST, FULL, ORDER, Smooth, smooth
+from covariant.calibration.diagnosis._smooth import FEWEST, FULL, ORDER, Smooth, gain, smooth
 from covariant.logs import Columns
 from covariant.observers import Instant, Sensor
 from covariant.observers.sensors import AbstractSensorKind, Checks
@@ -189,14 +188,14 @@ def _at(
     """The pair at one width of the windows, and which numbers no motion changes there."""
     predicted = output.along(log, PIECE)
     read, used, noise = _smooth_readings(log, readings, at, beside.checks.derivative)
-    spacing, mean = float(np.median(np.diff(at))), _gain(log.half, float(np.median(np.diff(at))), 0)
+    spacing, mean = float(np.median(np.diff(at))), gain(log.half, float(np.median(np.diff(at))), 0)
     points = np.flatnonzero(log.used)
     if not len(points):
         points = np.arange(len(log.t))
     slopes = output.at(log, points[np.linspace(0, len(points) - 1, SAMPLES).astype(int)])
     variance = np.zeros(predicted.shape[1])
     for derivative, slope in enumerate(slopes):
-        std = _gain(log.half, spacing, derivative) * log.noise
+        std = gain(log.half, spacing, derivative) * log.noise
         variance += np.mean(np.sum((slope * std) ** 2, axis=2), axis=0)
     stated = np.sqrt(np.diag(np.asarray(beside.sensor.cov)))
     if len(stated) < len(variance):  # of a pose: three numbers of its rotation for nine
@@ -228,13 +227,3 @@ def _smooth_readings(
         used &= held >= FULL * 2 * log.half / float(np.median(np.diff(when)))
         used &= (log.t > when[0] + log.half) & (log.t < when[-1] - log.half)
     return read, used, noise
-
-
-@functools.lru_cache
-def _gain(half: float, spacing: float, derivative: int) -> float:
-    """Ratio of the standard deviation of a derivative of the polynomials to that of a measurement."""
-    count = max(int(half / spacing), ORDER)
-    weights = scoring.local_polynomials(
-        spacing * np.arange(-count, count + 1), np.eye(2 * count + 1), np.zeros(1), half, ORDER
-    )[0, derivative]
-    return float(np.linalg.norm(weights)) * (2.0 if derivative == 2 else 1.0)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case, averaged
 from covariant.calibration.diagnosis._smooth import Smooth, held_inputs, smooth
-from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Unexplained
+from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Unexplained, blocks_of
 from covariant.geometry import differential
 from covariant.models import MechanicalSystem
 from scalargraph import on_batches
@@ -247,9 +247,6 @@ def _prepare(case: Case) -> Prepared:
     moves = np.abs(rate) > least_rate
     used = np.flatnonzero(log.used)
     rows = used[:: max(1, -(-len(used) // MAX_POINTS))]
-    blocks = np.zeros(len(rows), int)
-    for b, part in enumerate(np.array_split(np.arange(len(rows)), BLOCKS)):
-        blocks[part] = b
     resolved = np.maximum(log.noise, case.ticks)[servos.joint] * np.abs(servos.gear)
     known = np.array(
         [len(rows) > 0 and np.ptp(position[used, i]) > MIN_RANGE * resolved[i] for i in range(len(resolved))]
@@ -266,7 +263,7 @@ def _prepare(case: Case) -> Prepared:
         np.array(weighs),
         known,
         rows,
-        blocks,
+        blocks_of(len(rows)),
         std**2,
     )
 

@@ -201,7 +201,11 @@ def _drafted(log: LogColumns) -> Draft | None:
     remarks += [] if episodes is None else [f"the log {episodes}"]
     registers = {kind: log.of(kind) for kind in REGISTERS if log.of(kind)}
     guess = guess._replace(registers=registers, remarks=tuple(remarks), entries=log.entries, planar=planar)
-    guess = _with_servos(guess, log, inputs.of(order)) if inputs.named else guess
+    guess = (
+        _with_servos(guess, log, inputs._replace(drives=tuple(inputs.drives[i] for i in order)))
+        if inputs.named
+        else guess
+    )
     return _with_resolution(guess, log)
 
 

@@ -10,7 +10,6 @@ from covariant.calibration.identification._commands import (
     FOLLOWS,
     FOLLOWS_CLOSELY,
     Following,
-    command_unit,
     copied,
     follows,
 )
@@ -85,43 +84,37 @@ def position_units(columns: LogColumns, q: Sequence[str], servos: bool) -> dict[
     if not len(values):
         return by_tick
     largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
-    listed = ", ".join(unstated)
+    ends = f"{values.min():.6g} to {values.max():.6g}"
     answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
     if whole and largest > CERTAIN_TICKS:
         if values.min() >= 0 and largest < TICKS:
             return by_tick | dict.fromkeys(unstated, f"turn/{TICKS}")
-        raise InputError(
-            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
-        )
-    if not servos or largest <= MAX_RADIANS:
+        what = f"whole numbers from {ends}, as ticks; {answer}"
+    elif not servos or largest <= MAX_RADIANS:
         return by_tick
-    if largest > MAX_DEGREES:
-        raise InputError(
-            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
-            f"degrees; {answer}"
-        )
-    if whole:
-        raise InputError(
-            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
-            f"{answer}"
-        )
-    if largest <= MAX_PER_CENT:
-        raise InputError(
-            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
+    elif largest > MAX_DEGREES:
+        what = f"from {ends}, more than a servo turns in degrees; {answer}"
+    elif whole:
+        what = f"whole numbers from {ends}: ticks or degrees; {answer}"
+    elif largest <= MAX_PER_CENT:
+        what = (
+            f"from {ends}: degrees, or per cent of "
             "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
             "unit by `overrides=['units.q=\"deg\"']`; for -100 to 100 it is a 200th of the range of each joint, as "
             '`overrides=[\'units.q=["1.1 deg", "0.9 deg"]\']` for ranges of 220 and 180 degrees, from the calibration '
             "file of the arm: (range_max - range_min) / 4096 * 360 / 200; of a gripper from 0 to 100 it is a 100th"
         )
-    return by_tick | dict.fromkeys(unstated, "deg")
+    else:
+        return by_tick | dict.fromkeys(unstated, "deg")
+    raise InputError(f"the positions {', '.join(unstated)} are {what}")
 
 
 def servos_of(
     columns: LogColumns, inputs: Inputs, q: Sequence[str], q_units: Sequence[str]
 ) -> tuple[DraftedServo | None, ...]:
     """The servo of each position with the unit of its command; raises `ValueError` for an ambiguous unit."""
-    rows = zip(q, q_units, inputs.commands, inputs.following, strict=True)
-    return tuple(None if sent is None else _servo(columns, name, text, sent, fit) for name, text, sent, fit in rows)
+    rows = zip(q, q_units, inputs.drives, strict=True)
+    return tuple(None if drive is None else _servo(columns, name, text, *drive) for name, text, drive in rows)
 
 
 def _servo(columns: LogColumns, position: str, text: str, command: str, fit: Following | None) -> DraftedServo:
@@ -155,7 +148,11 @@ def _unit_of_command(columns: LogColumns, position: str, text: str, command: str
     slope = 0.0 if fit is None else fit.slope
     unit, size = unit_factor(named) if named else factor, abs(slope) * factor
     if follows(fit) and not named:
-        unit = command_unit(slope, factor)
+        sign = -1.0 if slope < 0 else 1.0
+        # A servo falls short of its command where it is soft, and does not go beyond it.
+        near = factor if 0.15 * factor < size < 1.3 * factor else None
+        near = near or next((each for each in _UNITS if 0.85 * each < size < 1.05 * each), None)
+        unit = None if near is None else sign * near
     # A position never moves farther than its command, however well it follows.
     if unit is None or size > 1.5 * abs(unit) or (named and follows(fit) and size < 0.15 * abs(unit)):
         raise InputError(
@@ -190,9 +187,10 @@ def remarks_on(
 ) -> list[str]:
     """Remarks on commands that may be in another unit or have gaps."""
     remarks = []
-    for position, factor, servo, follow_fit in zip(q, factors, servos, inputs.following, strict=True):
-        if servo is None:
+    for position, factor, servo, drive in zip(q, factors, servos, inputs.drives, strict=True):
+        if servo is None or drive is None:
             continue
+        follow_fit = drive.fit
         gaps = int(np.count_nonzero(~np.isfinite(columns[servo.command])))
         if gaps:
             remarks.append(
