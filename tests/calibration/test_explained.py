@@ -8,7 +8,7 @@ import pandas
 import pytest
 from scipy.spatial.transform import Rotation
 
-import covariant
+from covariant import models
 from covariant.calibration import draft
 
 T = np.arange(800) * 0.01
@@ -75,21 +75,20 @@ def test_angles_about_three_axes_are_an_attitude_and_get_the_line_that_converts_
 
 
 @pytest.mark.parametrize("seed", DRAWS)
-def test_a_pose_in_the_plane_is_that_of_a_craft(seed, tmp_path):
+def test_a_pose_in_the_plane_is_that_of_a_craft_whose_systems_are_named(seed):
     random = np.random.default_rng(seed)
     place = [("x", "y"), ("north", "east"), ("pos_x", "pos_y"), ("px", "py"), ("x_m", "y_m")][seed % 5]
     heading = ["heading", "yaw", "psi"][seed % 3]
     inputs = [("rudder", "rpm"), ("tau_x", "tau_y", "tau_n")][seed % 2]
-    rates = [("dvl_u", "dvl_v", "yaw_rate"), ("u", "v", "r"), ("surge", "sway", "yaw_rate")][seed % 3]
-    if "u" in rates and seed % 2:
-        rates = ("surge", "sway", "r")
     columns = dict(zip((*place, heading), (X, Y, HEADING), strict=True))
-    columns |= dict(zip(rates, (1 + 0 * T, 0 * T, 0.2 + 0 * T), strict=True))
-    columns |= {name: np.sin((k + 2) * T) for k, name in enumerate(inputs)}
-    result = covariant.verbs.init(pandas.DataFrame({"time": T} | shuffled(random, columns)))
-    found = result.draft
-    assert (found.planar, found.q, set(found.u), set(found.v)) == (True, (*place, heading), set(inputs), set(rates))
-    result.save(tmp_path / "craft.toml")
+    columns |= {"dvl_u": 1 + 0 * T, "dvl_v": 0 * T} | {name: np.sin((k + 2) * T) for k, name in enumerate(inputs)}
+    names = ", ".join((*place, heading))
+    with pytest.raises(ValueError, match=f"{names} are the pose of a craft in the plane, and no joints") as error:
+        draft({"time": T} | shuffled(random, columns))
+    for system in ("manoeuvring_ship", "supply_vessel", "cybership", "hovercraft"):
+        assert models.load(system).name == system
+        assert f'"{system}"' in str(error.value)
+    assert draft({"time": T} | columns, {"q": [*place, heading], "u": []}).q == (*place, heading)
 
 
 @pytest.mark.parametrize("name", ["rudder_deg", "flap_deg", "elevator [deg]", "fin_angle_deg", "steering_deg"])

@@ -61,7 +61,7 @@ def made_up(**numbers: tuple[float, float, bool]) -> RobotFit:
     names = tuple(name.replace("_", ".") for name in numbers)
     values, errors, determined = (np.array(column) for column in zip(*numbers.values(), strict=True))
     one, none = np.ones(1), Combinations((), (), 1)
-    return RobotFit(names, values, values, errors, determined, none, one, 0.03, 4, values, one)
+    return RobotFit(names, values, values, errors, determined, none, one, 0.03, values, one)
 
 
 def test_what_cannot_be_told_from_zero_is_named_with_its_standard_error():

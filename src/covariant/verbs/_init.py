@@ -129,8 +129,6 @@ class InitResult(AbstractResult):
             machine = robot_lines(self.draft, self.joints, path) + servo_lines(self.draft, self.joints)
             robot = {} if self.joints.path else {path: loose_joints(self.draft, self.joints)}
             return robot | {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
-        if self.draft.planar:
-            return {f"{stem}.toml": _model_file(log, self.draft, _craft(self.draft), self.remarks)}
         if not any(self.draft.lengths):
             machine = _turning_body() if self.draft.quaternion else _chain(self.draft)
             return {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
@@ -170,10 +168,6 @@ class InitResult(AbstractResult):
         lines += [f"left out: {', '.join(others)}"] if others else []
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])
-        if self.draft.planar:
-            return "\n".join(
-                [*lines, "a craft in the plane: see `system` of the model file for the inputs that it takes"]
-            )
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
             todo += (
@@ -247,7 +241,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         f"t = {quoted(guess.t)}",
         *_measured(guess),
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
-        *_velocities(guess),
+        *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
         *register_lines(guess),
         *([f"# left out: {', '.join(others)}"] if others else []),
         *_units(guess),
@@ -274,13 +268,6 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
     return "\n".join(lines)
 
 
-def _velocities(guess: Draft) -> list[str]:
-    """The line of the logged velocities, which a state-space model has no use for."""
-    if guess.planar:
-        return [f"# velocities in the body, which are not used: {', '.join(guess.v)}"] if guess.v else []
-    return [f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []
-
-
 def _measured(guess: Draft) -> list[str]:
     """The line of the columns of the measured configuration."""
     if guess.quaternion:
@@ -300,17 +287,6 @@ def _order_guess(guess: Draft) -> list[str]:
     if not any(re.search(r"[0-9]\]?$", name) for name in guess.quaternion):
         return []
     return [f"that {guess.quaternion[0]} is the scalar is guessed: where it is the last, write quaternion_xyzw"]
-
-
-def _craft(guess: Draft) -> list[str]:
-    """The system of a craft in the plane, by its number of inputs, which is that of the model."""
-    system = {2: "manoeuvring_ship", 3: "supply_vessel"}.get(len(guess.u), "cybership")
-    return [
-        f'system = "{system}"  # outputs are north, east and heading, clockwise; others are in docs/models.md',
-        '# manoeuvring_ship takes rudder [rad] and revolutions [1/s]: of a minute, [units] u = ["1", "0.0166667"].',
-        "# supply_vessel and cybership take two forces and a moment of the body; hovercraft, on SE(2), two thrusts,",
-        "# with [columns] position and angle in place of q.",
-    ]
 
 
 def _turning_body() -> list[str]:

@@ -27,8 +27,8 @@ from ._sensor_motion import Beside as Beside
 from ._smooth import (
     Smooth as Smooth,
     acceleration_kernel as acceleration_kernel,
-    held_inputs as held_inputs,
     derivative_weights as derivative_weights,
+    held_inputs as held_inputs,
 )
 from ._suspicion import BLOCKS as BLOCKS, Unexplained as Unexplained, judge as judge
 from ._thresholds import BARELY as BARELY, FEW_ROWS as FEW_ROWS, MOST_ROWS as MOST_ROWS

@@ -86,7 +86,7 @@ def _suspicion(
     weightless: bool = False,
 ) -> Suspicion:
     """The suspicion that a model lacks these torques; `case` has the model without gravity where it is about that."""
-    missing = regression.missing(needed)
+    missing = regression.missing(needed) if needed else []
     table, names = np.zeros((len(KINDS), len(case.names.q))), case.names
     for kind, joint, value in missing:
         table[KINDS.index(kind), joint] = value

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from covariant.calibration.diagnosis import periods
 from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
-from covariant.calibration.identification._names import LENGTHS, REGISTERS, dialect_of, point_in_plane
+from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, drive_of, last_part
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
@@ -73,7 +73,6 @@ class Draft(NamedTuple):
             N m and rad/s.
         guessed: Fields whose units follow from the content and not from the header.
         quaternion: Columns of the attitude of a body that turns, scalar first, in place of positions.
-        planar: Whether the positions are two coordinates and the heading of a craft in the plane.
         period: Period of each position after which its readings repeat, as of an encoder behind a gear; 0 for none.
         servos: What the log tells of the servo of each position, None for one without a command; empty where the inputs
             are no commands.
@@ -106,7 +105,6 @@ class Draft(NamedTuple):
     units: dict[str, tuple[str, ...]]
     guessed: tuple[str, ...]
     quaternion: tuple[str, ...] = ()
-    planar: bool = False
     period: tuple[float, ...] = ()
     servos: tuple[DraftedServo | None, ...] = ()
     switches: tuple[str, ...] = ()
@@ -181,12 +179,12 @@ def _drafted(log: LogColumns) -> Draft | None:
     attitude = () if "q" in log.given else quaternion(log)
     if attitude:
         return _draft_of_attitude(log, attitude) if log.t else None
-    log, q, inputs, planar = _positions_and_inputs(log)
-    log, v, guessed = _labels(log, q, inputs, planar)
+    log, q, inputs = _positions_and_inputs(log)
+    log, v, guessed = _labels(log, q, inputs)
     if not log.t:
         return None
     # Lengths come before angles, and forces before torques.
-    order = list(range(len(q))) if planar else sorted(range(len(q)), key=lambda i: not _is_length(log, q[i]))
+    order = sorted(range(len(q)), key=lambda i: not _is_length(log, q[i]))
     q, v = tuple(q[i] for i in order), tuple(v[i] for i in order if v)
     u = inputs.u if "u" in log.given else tuple(sorted(inputs.u, key=lambda name: _is_torque(log, name)))
     guess = _roles_and_units(log, q, u, v)
@@ -200,7 +198,7 @@ def _drafted(log: LogColumns) -> Draft | None:
     episodes = episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
     remarks += [] if episodes is None else [f"the log {episodes}"]
     registers = {kind: log.of(kind) for kind in REGISTERS if log.of(kind)}
-    guess = guess._replace(registers=registers, remarks=tuple(remarks), entries=log.entries, planar=planar)
+    guess = guess._replace(registers=registers, remarks=tuple(remarks), entries=log.entries)
     guess = (
         _with_servos(guess, log, inputs._replace(drives=tuple(inputs.drives[i] for i in order)))
         if inputs.named
@@ -218,11 +216,8 @@ def _read(
 ) -> LogColumns:
     """The columns with their roles by name, of a log whose stamps rise from row to row."""
     fixed = [name for names in given.values() for name in names]
-    product = dialect_of(columns)
-    named = {name: each for name in columns if product is not None and (each := product.of(name)) is not None}
-    # Units that the log or its program states are written as in a name, so that one parser reads both.
-    texts = {name: text for name, (_, text) in named.items() if text} | dict(stated)
-    labels = {name: f"{name} [{texts[name]}]" if name in texts else name for name in columns}
+    # Units that the log states are written as in a name, so that one parser reads both.
+    labels = {name: f"{name} [{stated[name]}]" if name in stated else name for name in columns}
     log = LogColumns(columns, labels, {}, given, units, entries, "", np.empty(0))
     for name in fixed:
         if name not in columns:
@@ -232,12 +227,14 @@ def _read(
         name for name in columns if words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
     }
     marks = {name: "desired" for name in desired if "d" in words_of(name)}
-    roles = {
-        name: named[name][0] if name in named else role(labels[name], entries.get(name, marks.get(name, "")))
-        for name in columns
-        if name not in fixed
-    }
-    log = dataclasses.replace(log, roles=roles, product="" if product is None else product.name)
+    roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
+    if (drive := drive_of(columns)) is not None:
+        named = {name: each for each, names in drive.roles.items() for name in names.split()}
+        roles = {name: named.get(last_part(name), each) for name, each in roles.items()}
+        fields = roles | {name: field for field, names in given.items() for name in names}
+        turns = {name: TURNS[each] for name, each in fields.items() if each in TURNS and labels[name] == name}
+        log = dataclasses.replace(log.labelled(turns), product=drive.name)
+    log = dataclasses.replace(log, roles=roles)
     t = given["t"][0] if "t" in given else log.ask(find_stamps, log, otherwise="")
     rows = len(next(iter(columns.values()), ()))
     values = dict(columns) | ({t: Register.continued(columns[t])} if t else {})
@@ -248,10 +245,8 @@ def _read(
     return log
 
 
-def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...], Inputs, bool]:
-    """The columns with the units of stamps and positions that the user states, the positions, the inputs, and whether
-    the positions are a pose in the plane.
-    """
+def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...], Inputs]:
+    """The columns with the units of stamps and positions that the user states, the positions, and the inputs."""
     q = log.given.get("q") or log.of("q")
     if not q:
         also = "" if "u" in log.given or log.of("u") or log.of("command") else ', and inputs by `columns["u"]`'
@@ -262,21 +257,13 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
     log = dataclasses.replace(log, clock=seconds(log, q))
     if "q" not in log.given:
         log, q = explained(log, q)
-    planar = len(q) == 3 and "q" not in log.given and point_in_plane(q) == q[:2]
-    if not planar:
-        log.ask(_one_family, "q", q, log, otherwise=None)
+    log.ask(_one_family, "q", q, log, otherwise=None)
     refuse_poses(log, q)
     inputs = find_inputs(log, q)
-    if "q" not in log.given and not planar:
+    if "q" not in log.given:
         q, inputs = without_rates(log, q, inputs)
         log.ask(refuse_commands_among, log, q, otherwise=None)
     log.ask(_one_family, "u", inputs.u, log, otherwise=None)
-    if planar and len(inputs.u) not in (2, 3):
-        raise InputError(
-            f"{', '.join(q)} are the pose of a craft in the plane, and {len(inputs.u)} inputs were found: name rudder "
-            'and revolutions, or two forces and a moment, by `columns["u"]`; or write a model file with the system '
-            f'"hovercraft", [columns] position = ["{q[0]}", "{q[1]}"] and angle = ["{q[2]}"]{log.listed}'
-        )
     if len(inputs.u) > len(q):
         raise InputError(
             f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
@@ -286,19 +273,17 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
     # Positions in two's complement begin anew there, as those of an encoder on a circle do.
     faults = [each.fault(name) for name, each in coded.items() if not (each.span and name in q)]
     log.questions.extend(filter(None, faults))
-    return log, q, inputs, planar
+    return log, q, inputs
 
 
-def _labels(
-    log: LogColumns, q: tuple[str, ...], inputs: Inputs, planar: bool
-) -> tuple[LogColumns, tuple[str, ...], tuple[str, ...]]:
+def _labels(log: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[LogColumns, tuple[str, ...], tuple[str, ...]]:
     """The columns with all units that are known, the velocities, and the fields whose units values show."""
     log = log.with_units("u", inputs.named or inputs.u)
     by_value = log.ask(position_units, log, q, bool(inputs.named), otherwise={})
     log = log.labelled(by_value)
     v = log.given.get("v") or velocities(log, q)
     log = log.with_units("v", v)
-    torques = [name for name in inputs.u if name not in driving(log, inputs.u) and not planar]
+    torques = [name for name in inputs.u if name not in driving(log, inputs.u)]
     asked = not log.t or any(repr(log.t) in each for each in log.questions)
     _ask_unknown_units(log, {"t": () if asked else (log.t,), "q": q, "u": torques, "v": v})
     return log, v, ("q", "v") if log.product else ("q",) if by_value else ()

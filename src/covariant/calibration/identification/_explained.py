@@ -6,11 +6,11 @@ import re
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration.identification._commands import FEWEST_CHANGES, SAME
+from covariant.calibration.identification._commands import FEWEST_CHANGES
 from covariant.calibration.identification._names import EULER, point_in_plane
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._stamp_columns import is_near
-from covariant.logs import Register, is_unit_of, unit_factor, without_unit, words_of
+from covariant.logs import Register, is_unit_of, without_unit, words_of
 from scalargraph.errors import InputError
 
 OFF_UNIT = 0.05
@@ -51,26 +51,18 @@ def explained(log: LogColumns, q: tuple[str, ...]) -> tuple[LogColumns, tuple[st
     plane = point_in_plane(words)
     heading = [name for name in words if words[name] & EULER[2] and name not in (plane or ())]
     if plane is not None:
-        log = log.labelled({name: "m" for name in plane if log.unit(name, "q") is None})
-        q = (*plane, *(heading[:1] or [name for name in words if words[name] & {"theta"}][:1]))
-        roles |= {name: "left out" for name in words if name not in q}
-        roles |= {name: "v" for name in roles if len(q) == 3 and is_in_body(log, q, name)}
-        roles |= {name: "u" for name in roles if len(q) == 3 and words_of(name) == {"rpm"}}
-        roles |= dict.fromkeys(q, "q")
+        if heading := heading or [name for name in words if words[name] & {"theta"}]:
+            (x, y), turn = plane, heading[0]
+            raise InputError(
+                f"{x}, {y}, {turn} are the pose of a craft in the plane, and no joints: write a model file with the "
+                'system "manoeuvring_ship" (u: rudder and revolutions), "supply_vessel" or "cybership" (u: two forces '
+                f'and a moment), all with [columns] q = ["{x}", "{y}", "{turn}"], or "hovercraft" (two thrusts) with '
+                f'position = ["{x}", "{y}"] and angle = ["{turn}"]; or name them by `columns["q"]` if they are joints'
+            )
+        log, q = log.labelled({name: "m" for name in plane if log.unit(name, "q") is None}), plane
+        roles |= dict.fromkeys(words, "left out") | dict.fromkeys(q, "q")
     log = dataclasses.replace(log, roles=roles)
     return log, q if plane else log.of("q")
-
-
-def is_in_body(log: LogColumns, q: tuple[str, ...], name: str) -> bool:
-    """Whether a column is a velocity of a pose in the plane, along an axis of the body or about it."""
-    if words_of(name) & {"u", "v", "r", "surge", "sway"} and log.roles[name] in ("u", "v", ""):
-        return True  # by name: a steady motion shows nothing
-    heading = log[q[2]] * unit_factor(log.unit(q[2], "q") or "rad")
-    x, y = (np.gradient(log[each], log.clock) for each in q[:2])
-    along = (np.cos(heading) * x + np.sin(heading) * y, np.cos(heading) * y - np.sin(heading) * x)
-    pairs = ((each[seen], log[name][seen]) for each in along for seen in (np.isfinite(each) & np.isfinite(log[name]),))
-    moving = (pair for pair in pairs if len(pair[0]) and all(map(np.ptp, pair)))
-    return any(np.corrcoef(*pair)[0, 1] > SAME for pair in moving)
 
 
 def _in_steps(values: Float[np.ndarray, "T"]) -> bool:

@@ -39,69 +39,42 @@ PLANE = ("x y", "px py", "north east", "n e", "easting northing")
 """Names of the two coordinates of a point in the plane, without the words for a position."""
 
 
-class Dialect(NamedTuple):
-    """What a drive or program calls its columns.
+class Drive(NamedTuple):
+    """A drive that logs turns, though no name says so.
 
     Attributes:
         name: Its name.
-        marks: Names, all of which a log of it has.
-        roles: Role and unit by name; the unit is "" where it is that of a model file.
+        marks: Names of columns, all of which a log of it has.
+        roles: Names that say another thing than their words, by role.
     """
 
     name: str
     marks: tuple[str, ...]
-    roles: dict[str, tuple[str, str]]
-
-    def of(self, name: str) -> tuple[str, str] | None:
-        """Role and unit of a column, by the last part of its name."""
-        last = re.split(r"[./]", name.lower())[-1]
-        return next((each for pattern, each in self.roles.items() if re.fullmatch(pattern, last)), None)
+    roles: dict[str, str]
 
 
-DIALECTS = (
-    Dialect(
+DRIVES = (
+    Drive(
         "moteus",
         ("position", "velocity", "torque", "q_current"),
-        {
-            "position": ("q", "turn"),
-            "velocity": ("v", "turn/s"),
-            "torque": ("u", ""),
-            "(control|command|stop)_?position|position_command": ("command", "turn"),
-            "[dq]_current": ("current", ""),
-            "abs_position|mode|fault|home_state|trajectory_complete|power|motor_temperature": ("left out", ""),
-        },
+        {"command": "control_position command_position", "left out": "stop_position abs_position"},
     ),
-    Dialect(
-        "ODrive",
-        ("pos_estimate", "vel_estimate"),
-        {
-            "pos_estimate": ("q", "turn"),
-            "vel_estimate": ("v", "turn/s"),
-            "input_pos|pos_setpoint": ("command", "turn"),
-            "input_torque|torque_setpoint|torque_estimate": ("u", ""),
-            "iq_measured|iq_setpoint|id_measured|id_setpoint|ibus": ("current", ""),
-            "v?bus_voltage": ("voltage", ""),
-            "input_vel|vel_setpoint|pos_estimate_counts|shadow_count": ("left out", ""),
-        },
-    ),
-    Dialect(
-        "RTDE",
-        ("actual_q_0",),
-        {
-            "actual_current_as_torque_.*": ("u", ""),
-            "(actual|target)_current_.*": ("current", ""),
-            "(target_qdd?|target_moment|actual_tcp|target_tcp|tcp).*": ("left out", ""),
-        },
-    ),
-    Dialect("ArduPilot", ("timeus",), {"timeus": ("t", "us"), "des.*": ("left out", "")}),
+    Drive("ODrive", ("pos_estimate", "vel_estimate"), {"command": "input_pos", "left out": "shadow_count"}),
 )
-"""Programs whose names do not say what they mean; names of ROS, LeRobot and PX4 consist of words that do."""
+"""Drives that log turns; names of other drives and programs consist of words that say what they mean."""
+TURNS = {"q": "turn", "command": "turn", "v": "turn/s"}
+"""Units of their columns by role."""
 
 
-def dialect_of(names: Iterable[str]) -> Dialect | None:
-    """The drive or program that gave the names of a log."""
-    last = {re.split(r"[./]", name.lower())[-1] for name in names}
-    return next((each for each in DIALECTS if last >= set(each.marks)), None)
+def last_part(name: str) -> str:
+    """The last part of a name, as pos_estimate of axis0.encoder.pos_estimate."""
+    return re.split(r"[./]", name.lower())[-1]
+
+
+def drive_of(names: Iterable[str]) -> Drive | None:
+    """The drive that gave the names of a log."""
+    last = set(map(last_part, names))
+    return next((each for each in DRIVES if last >= set(each.marks)), None)
 
 
 def point_in_plane(names: Iterable[str]) -> tuple[str, str] | None:

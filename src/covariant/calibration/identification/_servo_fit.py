@@ -7,6 +7,7 @@ alone.
 Source: Huber 1981 for the weights; White 1982 for the sandwich covariance, here over blocks.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -14,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
-from covariant.calibration.identification._robot_fit import RobotFit, minimise_above_bounds
-from covariant.calibration.identification._robot_torques import Determined
+from covariant.calibration._least_squares import PRIOR, block_covariance, robust
+from covariant.calibration.identification._robot_fit import RobotFit, minimise_above_bounds, scale_of
+from covariant.calibration.identification._robot_torques import Determined, usual_sizes
 from covariant.calibration.identification._servo_motion import ServoLog
 from covariant.models import RobotFamily
 from covariant.signals import Record
@@ -85,10 +86,11 @@ def fit_servos(
     if not records or len(families) != len(records):
         raise InputError("give a family and a log for each of the logs")
     search = _Search.of(families, records, between, length, late)
-    point, rounds = search.descend(search.started(), progress, 0)
+    rounds = itertools.count()
+    point = search.descend(search.started(), lambda: progress(next(rounds)))
     # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
     for x in search.shifted(point.x):
-        other, rounds = search.descend(search.point(x), progress, rounds)
+        other = search.descend(search.point(x), lambda: progress(next(rounds)))
         scale = search.normal(point).scale
         point = min(point, other, key=lambda each: search.loss(each, scale))
     step = search.normal(point)
@@ -103,19 +105,8 @@ def fit_servos(
     known = Determined.of(
         family, point.x, search.sizes, step.information, step.covariance + np.diag(integration_error**2)
     )
-    return RobotFit(
-        family.names,
-        family.first,
-        values,
-        known.standard_errors,
-        known.determined,
-        known.combinations,
-        step.scale,
-        (WINDOW if length is None else length) / 2,
-        rounds,
-        point.x,
-        step.losses,
-    )
+    reached = step.scale, (WINDOW if length is None else length) / 2, point.x, step.losses
+    return RobotFit(family.names, family.first, values, *known.said, *reached)
 
 
 class _Point(NamedTuple):
@@ -186,18 +177,10 @@ class _Search(NamedTuple):
         inertia = body.inertia + np.diag(armature)
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
         servos = logs[0].drive(np.zeros(len(family.names))).servos
-        command_errors = (
-            np.concatenate([log.u for log in logs]) @ np.asarray(servos.commands).T
-            - motion[0] @ np.asarray(servos.rows).T
-        )
-        servo_torques = (
-            (command_errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
-        )
-        usual = [
-            np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9)
-            for part in (torque, servo_torques, motion[1], motion[2])
-        ]
-        sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
+        directions, commanded = np.asarray(servos.rows), np.asarray(servos.commands)
+        errors = np.concatenate([log.u for log in logs]) @ commanded.T - motion[0] @ directions.T
+        servo_torques = (errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(directions)
+        sizes, _ = usual_sizes(family, servo_torques, torque, *motion[1:])
         # If the file states a stiffness, a speed or a limit, that value is its usual size.
         has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])
         sizes = np.where(has_positive_number & (np.abs(family.first) > 0), np.abs(family.first), sizes)
@@ -227,18 +210,17 @@ class _Search(NamedTuple):
             points += [
                 _Point(candidate, each, residuals[:0]) for candidate, each in zip(candidates, residuals, strict=True)
             ]
-        scale = np.array([_scale(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
+        scale = np.array([scale_of(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
         best = min(points, key=lambda point: self.loss(point, scale))
         if not np.isfinite(self.loss(best, scale)):
             raise InputError("the model predicts no finite motion from these commands; check units and first values")
         return self.point(best.x)
 
-    def descend(self, point: _Point, progress: Callable[[int], object], rounds: int) -> tuple[_Point, int]:
-        """The point that Levenberg–Marquardt steps reach, and the number of rounds so far."""
+    def descend(self, point: _Point, report: Callable[[], object]) -> _Point:
+        """The point that Levenberg–Marquardt steps reach, with a report before each round."""
         damping = 1e-3
         for _ in range(MAX_ROUNDS):
-            progress(rounds)
-            rounds += 1
+            report()
             step = self.normal(point)
             before = lowered = self.loss(point, step.scale)
             while damping < 1e6:
@@ -250,7 +232,7 @@ class _Search(NamedTuple):
                 damping = max(8 * damping, 1e-3)
             if lowered <= TOLERANCE * before:
                 break
-        return point, rounds
+        return point
 
     def shifted(self, x: np.ndarray) -> list[np.ndarray]:
         """Coordinates with changed delays, and with leads that compensate for the change."""
@@ -327,7 +309,7 @@ class _Search(NamedTuple):
         measured = np.isfinite(self._measured)
         residual = np.where(measured, point.residual, 0.0)
         n = residual.shape[2]
-        scale = np.array([_scale(residual[..., j][measured[..., j]]) for j in range(n)])
+        scale = np.array([scale_of(residual[..., j][measured[..., j]]) for j in range(n)])
         e = residual / scale
         loss, weight = robust(e)
         z = np.where(measured, point.slopes, 0.0) / scale
@@ -354,9 +336,3 @@ class _Search(NamedTuple):
         parts = 1 if windows >= MIN_WINDOWS else min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
         starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
         return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
-
-
-def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation of the finite values; 1 if there are none."""
-    values = values[np.isfinite(values)]
-    return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-9)) if len(values) else 1.0
