@@ -87,12 +87,3 @@ def test_centres_in_millimetres_are_doubted(name, tmp_path):
 def test_files_of_other_kinds_get_the_line_that_helps(name, text, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         models.load(written(tmp_path / name, text))
-
-
-@pytest.mark.parametrize("slope", [1.0, -0.5, 3.0])
-def test_joints_that_follow_others_do_so_as_in_mujoco(slope, tmp_path):
-    text = f"""<mujoco><worldbody><body><joint name="a" axis="0 1 0" ref="0.2"/><geom size="0.1" mass="1"/>
-    <body pos="0 0 0.4"><joint name="b" axis="0 1 0" ref="-0.3"/><geom size="0.1" mass="1"/></body></body></worldbody>
-    <equality><joint joint1="b" joint2="a" polycoef="0.1 {slope} 0 0 0"/></equality></mujoco>"""
-    model = robots.load(written(tmp_path / "two.xml", text))
-    assert model.coordinates == ("a",)

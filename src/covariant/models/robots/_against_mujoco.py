@@ -52,7 +52,6 @@ class _Dynamics(NamedTuple):
 def refuse_difference(engine: Any, robot: Description, actuated: Sequence[str] | None) -> None:
     """Raise `ValueError` if a described robot moves differently from MuJoCo's compiled model of its file."""
     mujoco = load_optional("mujoco", use="MJCF files are read with", extra="robots")
-    _refuse_other_couplings(mujoco, engine, robot)
     # Unsupported motors are refused when the robot is assembled; here robots are then compared without motor forces.
     if robot.loops:
         with jax.ensure_compile_time_eval():  # the file's numbers are known even if those of the model are traced
@@ -102,29 +101,6 @@ def _refuse_other_gaps(mujoco: ModuleType, engine: Any, robot: Description) -> N
                     f"equality {loop.name!r} is open by {ours[0]:.4g} at random positions, and by {theirs[0]:.4g} in "
                     "MuJoCo; an entry of it is not supported: make it inactive, or write it with sites"
                 )
-
-
-def _refuse_other_couplings(mujoco: ModuleType, engine: Any, robot: Description) -> None:
-    """Raise `ValueError` if joints that follow others do not meet the equalities of MuJoCo's model of the file."""
-    followers = {joint.name: joint.follows for joint in robot.joints if joint.follows is not None}
-    if not followers:
-        return
-    data, rng = mujoco.MjData(engine), np.random.default_rng(0)
-    place = dict(zip(names_of(mujoco, engine, "JOINT", engine.njnt), engine.jnt_qposadr, strict=True))
-    hinges = [joint.name for joint in robot.joints if joint.name in place and joint.kind not in QUATERNIONS]
-    data.qpos[[place[name] for name in hinges]] = rng.normal(size=len(hinges))
-    for _ in followers:  # a chain of followers is met after as many rounds
-        for name, law in followers.items():
-            data.qpos[place[name]] = law.offset + (law.ratio * data.qpos[place[law.joint]] if law.joint else 0.0)
-    mujoco.mj_forward(engine, data)
-    coupling = engine.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    rows = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & coupling[
-        np.minimum(data.efc_id, engine.neq - 1)
-    ]
-    named = [names_of(mujoco, engine, "JOINT", engine.njnt)[engine.eq_obj1id[i]] for i in data.efc_id[rows]]
-    for name, gap_of in zip(named, data.efc_pos[rows], strict=True):
-        if name in followers and not abs(gap_of) <= TOLERANCE:
-            raise InputError(f"joint {name!r} follows another one otherwise than in MuJoCo, by {gap_of:.4g}: remove it")
 
 
 def _sizes(gap: np.ndarray, scale: float | None = None) -> np.ndarray:
