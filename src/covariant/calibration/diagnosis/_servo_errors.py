@@ -233,12 +233,11 @@ def _prepare(case: Case) -> Prepared:
         bound = np.where(shown[0] & (np.arange(len(bound)) == 0), MAX_WEIGHT_ERROR / MAX_SLOPE_ERROR, 1.0) * bound
         most.append([np.inf, np.inf, np.inf, np.inf, *bound])
         columns.append(part)
+    # Explanations of a weight that does not change are zero, and their multiples are free between −1 and 1.
     width = max(part.shape[1] for part in columns)
-
-    def pad(part: list[float], value: float) -> np.ndarray:
-        return np.pad(np.array(part), (0, width - len(part)), constant_values=value)
-
-    columns = [np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in columns]
+    columns = np.array([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in columns])
+    least = np.array([np.pad(part, (0, width - len(part)), constant_values=-1.0) for part in least])
+    most = np.array([np.pad(part, (0, width - len(part)), constant_values=1.0) for part in most])
     rate = log.v[:, servos.joint] * servos.gear
     position = log.q[:, servos.joint] * servos.gear + servos.zero
     usual = np.sqrt(np.mean(rate[log.used] ** 2, axis=0)) if log.used.any() else np.ones(len(servos.joint))
@@ -256,9 +255,9 @@ def _prepare(case: Case) -> Prepared:
         log,
         position,
         rate,
-        np.array(columns),
-        np.array([pad(each, -1.0) for each in least]),
-        np.array([pad(each, 1.0) for each in most]),
+        columns,
+        least,
+        most,
         moves,
         np.array(weighs),
         known,
