@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from covariant.calibration.diagnosis._case import in_coordinates, names_of
 from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._misfit import OF_COMMANDS
 from covariant.calibration.diagnosis._sensor_motion import Beside
@@ -97,7 +98,9 @@ def diagnose(
         ()
     """
     quantum = file.quantum if quantum is None else quantum
-    log = Examination(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors, v)
+    if v is not None and in_coordinates(file):
+        sensors = (*sensors, Beside.of_velocities(names_of(file), file.columns.v, v))
+    log = Examination(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors)
     for stage in STAGES:
         if stage(log):
             break

@@ -32,11 +32,7 @@ OF_CHAIN = {
     "rotor inertia": ("rotor_inertia", 1.0),
 }
 """What a chain of pendulums calls them, and its numbers in these."""
-UNITS = {
-    "viscous friction": ("N s/m", "N m s/rad"),
-    "Coulomb friction": ("N", "N m"),
-    "rotor inertia": ("kg", "kg m²"),
-}
+UNITS = {"viscous friction": ("N s/m", "N m s/rad"), "Coulomb friction": ("N", "N m"), "rotor inertia": ("kg", "kg m²")}
 """Units of their numbers, for a coordinate that is a length and one that is an angle."""
 
 

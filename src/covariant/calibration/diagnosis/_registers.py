@@ -1,4 +1,4 @@
-"""How columns were read: rows made from others, inputs that were read less often, velocities in other units."""
+"""How columns were read: rows made from others, and inputs that were read less often."""
 
 from collections.abc import Iterator
 
@@ -7,11 +7,9 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case
 from covariant.calibration.diagnosis._finding import Finding, Names, Rows
-from covariant.calibration.diagnosis._sensor_checks import named_unit
-from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import Suspicion
-from covariant.calibration.diagnosis._thresholds import HELD_INPUT, HELD_REGULARLY, OFF_RATE, SAME_RATE
-from covariant.logs import Register, unit_factor
+from covariant.calibration.diagnosis._thresholds import HELD_INPUT, HELD_REGULARLY
+from covariant.logs import Register
 
 
 def made_rows(
@@ -55,29 +53,3 @@ def held_inputs(case: Case) -> Iterator[tuple[Suspicion, Finding]]:
         note = "if it acted so, nothing has to change; if it was only read so, interpolate between these rows"
         finding = Finding("inputs between rows", name, claim, note, False, numbers)
         yield Suspicion("inputs between rows", name, words, line, apply, "rows", claim, numbers), finding
-
-
-def rate_findings(case: Case, log: Smooth, t: np.ndarray, v: Float[np.ndarray, "T n"]) -> list[Finding]:
-    """Notes on logged velocities that are not those of the positions."""
-    names, stated, findings = case.file.columns.v, case.file.columns.units.get("v", ()), []
-    ratios, units = [], []
-    for i, unit in enumerate(case.names.units):
-        seen = np.isfinite(v[:, i])
-        slope = log.v[log.used, i]
-        logged = np.interp(log.t[log.used], t[seen], v[seen, i]) if seen.sum() > 1 else slope
-        square = float(slope @ slope)
-        alike = np.corrcoef(slope, logged)[0, 1] if np.ptp(slope) and np.ptp(logged) else 0.0
-        ratio = float(slope @ logged) / square if abs(alike) > SAME_RATE else 1.0
-        ratios.append(ratio)
-        now = unit_factor(stated[i if len(stated) > 1 else 0]) if stated else 1.0
-        text = named_unit(now / ratio, f"{unit}/s")
-        units.append(text if text[-1].isalpha() else f"{now / ratio:.3g} {unit}/s".strip())
-    off = [i for i, ratio in enumerate(ratios) if abs(ratio - 1) > OFF_RATE]
-    if off:
-        texts = ", ".join(f"{names[i]} is {ratios[i]:.3g} times the slope of {case.names.q[i]}" for i in off)
-        written = f'"{units[0]}"' if len(set(units)) == 1 else "[" + ", ".join(f'"{each}"' for each in units) + "]"
-        line = f"[units] v = {written}, or another column"
-        where, numbers = ", ".join(names[i] for i in off), {"ratio": ratios}
-        evidence = f"{texts}: they are in another unit, and estimates are compared with them"
-        findings.append(Finding("unit of velocities", where, evidence, line, False, numbers))
-    return findings

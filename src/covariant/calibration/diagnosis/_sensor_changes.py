@@ -165,12 +165,7 @@ def _shift_pair(data: _Data, delay: float) -> _Shifted:
     p = [pair.predicted[i + j] for j in (-1, 0, 1, 2)]
     # The cubic through four points of the grid, whose windows overlap by nine tenths.
     weights = (-f * (f - 1) * (f - 2) / 6, (f**2 - 1) * (f - 2) / 2, -f * (f + 1) * (f - 2) / 2, f * (f**2 - 1) / 6)
-    slopes = (
-        -(3 * f**2 - 6 * f + 2) / 6,
-        (3 * f**2 - 4 * f - 1) / 2,
-        -(3 * f**2 - 2 * f - 2) / 2,
-        (3 * f**2 - 1) / 6,
-    )
+    slopes = (-(3 * f**2 - 6 * f + 2) / 6, (3 * f**2 - 4 * f - 1) / 2, -(3 * f**2 - 2 * f - 2) / 2, (3 * f**2 - 1) / 6)
     moved, slope = (sum(w * each for w, each in zip(ws, p, strict=True)) for ws in (weights, slopes))
     known = pair.used & pair.used[i] & pair.used[i + 1] & (x >= 0) & (x <= size - 1)
     rows = np.flatnonzero(known)

@@ -1,5 +1,6 @@
 """Findings on each sensor beside the positions: its sign, axes, unit, delay, bias and noise."""
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -41,7 +42,20 @@ OTHER_ORDER = {"quaternion_wxyz": "quaternion_xyzw", "quaternion_xyzw": "quatern
 
 def sensor_checks(case: Case, t: Float[np.ndarray, "T"], sensors: Sequence[Beside], late: Any = 0.0) -> list[Finding]:
     """Judge each sensor beside the positions by what the positions predict of it."""
-    return [finding for each in sensors for finding in _findings(case, np.asarray(t, float), each, late)]
+    found = [(each, finding) for each in sensors for finding in _findings(case, np.asarray(t, float), each, late)]
+    return [
+        _of_velocities(each, finding) if each.compared else finding
+        for each, finding in found
+        if not each.compared or finding.what in ("unit of a sensor", "sign of a sensor")
+    ]
+
+
+def _of_velocities(beside: Beside, finding: Finding) -> Finding:
+    """The note on logged velocities in another unit: nothing else of them matters."""
+    line = f"[units] v{finding.line.rpartition('units')[2]}"
+    line = re.sub(r'"(-?[\d.]+)"', rf'"\1 {beside.unit}"', line) if beside.unit else line
+    where = ", ".join(beside.names)
+    return finding._replace(what="unit of velocities", where=where, line=f"{line}, or another column", wrong=False)
 
 
 def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Finding]:

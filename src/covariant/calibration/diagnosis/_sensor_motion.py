@@ -15,10 +15,11 @@ from jaxtyping import Bool, Float
 
 from covariant import scoring
 from covariant.calibration.diagnosis._case import Case, acting, long_enough
+from covariant.calibration.diagnosis._finding import Names
 from covariant.calibration.diagnosis._readings import outliers, prediction_errors
 from covariant.calibration.diagnosis._smooth import FEWEST, FULL, ORDER, Smooth, gain, smooth
 from covariant.logs import Columns
-from covariant.observers import Instant, Sensor
+from covariant.observers import Instant, Sensor, tachometer
 from covariant.observers.sensors import AbstractSensorKind, Checks
 
 WIDER = (1.0, 2.0, 4.0, 8.0)
@@ -27,6 +28,8 @@ CLEAR = 25.0
 """Ratio of the variance of a signal to that of its noise from which it is judged: it leaves a scale 4 % wrong."""
 SAMPLES = 40
 """Number of points at which the derivatives of an output are averaged."""
+EXACT = 1e-9
+"""Stated noise of velocities of which none is stated."""
 PIECE = 256
 """Points at which an output is computed at once."""
 ROUNDING = 1e-12
@@ -44,6 +47,7 @@ class Beside(NamedTuple):
         delay: Delay [s] of its readings that the model file states.
         unit: SI unit of its readings, of a pose of its position; "" where it is not known.
         readings: Readings (T, k) in SI units in the rows of the log; NaN where there is none.
+        compared: Whether estimates are only compared with it, as with logged velocities.
 
     Example:
         >>> import numpy as np
@@ -59,6 +63,15 @@ class Beside(NamedTuple):
     delay: float
     unit: str
     readings: Float[np.ndarray, "T k"]
+    compared: bool = False
+
+    @classmethod
+    def of_velocities(cls, names: Names, columns: tuple[str, ...], v: Float[np.ndarray, "T n"]) -> "Beside":
+        """The logged velocities, as of a sensor of them."""
+        units = {"q": names.stated["v"]} if "v" in names.stated else {}
+        unit = "rad/s" if names.angles.all() else "m/s" if not names.angles.any() else ""
+        sensor = tachometer(range(len(columns)), EXACT, name="v")
+        return cls(sensor, Columns(q=columns, units=units), 0.0, unit, v, compared=True)
 
     @property
     def names(self) -> tuple[str, ...]:

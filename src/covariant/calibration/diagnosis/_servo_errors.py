@@ -252,18 +252,7 @@ def _prepare(case: Case) -> Prepared:
     )
     std = np.maximum(np.where(case.ticks > 0, case.ticks / np.sqrt(12), log.noise)[servos.joint] * servos.gear, 1e-12)
     return Prepared(
-        log,
-        position,
-        rate,
-        columns,
-        least,
-        most,
-        moves,
-        np.array(weighs),
-        known,
-        rows,
-        blocks_of(len(rows)),
-        std**2,
+        log, position, rate, columns, least, most, moves, np.array(weighs), known, rows, blocks_of(len(rows)), std**2
     )
 
 

@@ -16,12 +16,7 @@ from covariant.calibration.diagnosis._case import Case, long_enough
 from covariant.calibration.diagnosis._finding import Finding, Rows
 from covariant.calibration.diagnosis._jumps import moved_zeros
 from covariant.calibration.diagnosis._servo_commands import COMMANDS
-from covariant.calibration.diagnosis._servo_errors import (
-    CommandErrors,
-    JointServos,
-    Prepared,
-    joint_name,
-)
+from covariant.calibration.diagnosis._servo_errors import CommandErrors, JointServos, Prepared, joint_name
 from covariant.calibration.diagnosis._servo_numbers import servo_numbers
 from covariant.calibration.diagnosis._servo_off import lets_go, with_servos, with_strength
 from covariant.calibration.diagnosis._suspicion import BLOCKS, Suspicion, choose, compare_all

@@ -10,20 +10,10 @@ import numpy as np
 from covariant.calibration.diagnosis._block_regression import weighted_least_squares
 from covariant.calibration.diagnosis._case import Case, averaged
 from covariant.calibration.diagnosis._finding import Finding
-from covariant.calibration.diagnosis._servo_errors import (
-    CommandErrors,
-    JointServos,
-    errors,
-    joint_name,
-)
+from covariant.calibration.diagnosis._servo_errors import CommandErrors, JointServos, errors, joint_name
 from covariant.calibration.diagnosis._smooth import held_inputs
 from covariant.calibration.diagnosis._suspicion import BLOCKS
-from covariant.calibration.diagnosis._thresholds import (
-    BARELY,
-    COMMAND_ERRORS,
-    COMMON_GAIN,
-    DELAY_ROWS,
-)
+from covariant.calibration.diagnosis._thresholds import BARELY, COMMAND_ERRORS, COMMON_GAIN, DELAY_ROWS
 from covariant.models import MechanicalSystem, applied_force, resistance
 from scalargraph import on_batches
 

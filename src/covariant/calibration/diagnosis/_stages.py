@@ -35,13 +35,8 @@ from covariant.calibration.diagnosis._jumps import (
 from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
 from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
-from covariant.calibration.diagnosis._readings import (
-    known_ticks,
-    missing_cells,
-    readings,
-    still_findings,
-)
-from covariant.calibration.diagnosis._registers import held_inputs, made_rows, rate_findings
+from covariant.calibration.diagnosis._readings import known_ticks, missing_cells, readings, still_findings
+from covariant.calibration.diagnosis._registers import held_inputs, made_rows
 from covariant.calibration.diagnosis._repeats import find_repeats, stuck
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
@@ -94,7 +89,6 @@ class Examination:
         quantum: Ticks that the model file states, or None.
         rows: Stamps, and where the rows are in the file.
         sensors: Sensors beside the positions.
-        v: Logged velocities, or None.
         findings: Findings of the stages so far.
         checks: Names of the checks that were made.
         case: The log without outliers, as it is compared with the model.
@@ -108,7 +102,6 @@ class Examination:
     quantum: float | tuple[float, ...] | None
     rows: Rows
     sensors: Sequence[Beside]
-    v: np.ndarray | None = None
     findings: list[Finding] = field(default_factory=list)
     checks: tuple[str, ...] = ("clock", "missing rows", "irregular stamps", "missing measurements")
     case: Case = field(init=False)
@@ -219,7 +212,6 @@ def look_at_servos(log: Examination) -> bool:
     on_servos, case = servo_findings(log.case)
     log.findings += [*log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *on_servos]
     log.findings += [*_sensors(case, log.quantum, log.edges), *sensor_checks(case, log.rows.t, log.sensors)]
-    log.findings += _rates(log, case)
     log.checks += ("sensors beside the positions",) if log.sensors else ()
     log.checks += ("units, signs and order of commands", "servos", "delays of commands")
     return True
@@ -257,7 +249,6 @@ def compare_accelerations(log: Examination) -> bool:
         log.findings.append(standstill(case.record, case.model.circles, case.names, case.ticks))
         return True
     log.checks += COMPARED
-    log.findings += _rates(log, case)
     for suspicion, note in held_inputs(case):
         accepted = judge(case, [suspicion], unexplained_at(best[0]))
         log.findings.append(note if accepted is None else accepted[1])
@@ -431,14 +422,6 @@ def _rows_and_inputs(case: Case, half: float, rows: bool) -> list[Finding]:
         if now is not None and now.most <= THRESHOLDS["rows"].least:
             break
     return []
-
-
-def _rates(log: Examination, case: Case) -> list[Finding]:
-    """Findings on logged velocities, once the units of stamps and positions are right."""
-    smooth = None if log.v is None else clearly(case)
-    if smooth is None or any(each.what.startswith("unit of") for each in log.findings):
-        return []
-    return rate_findings(case, smooth, log.rows.t, np.asarray(log.v))
 
 
 def _sensors(case: Case, stated: float | tuple[float, ...] | None, edges: list[Finding]) -> list[Finding]:

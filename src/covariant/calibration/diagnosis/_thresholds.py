@@ -105,9 +105,6 @@ FEW_OUTLIERS = 5e-3
 HELD_INPUT, HELD_REGULARLY = 6, 0.9
 """Fewest rows after which an input changes, and the fraction of its changes at such distances, from which it may have
 been read less often than the rows."""
-OFF_RATE, SAME_RATE = 0.25, 0.9
-"""Relative difference of velocities from the slope of positions, and the least correlation with it, from which they are
-in another unit."""
 FEW_REPEATED = 0.02
 """Fraction of rows that repeat the previous readings, up to which they are not an error."""
 AROUND, FAST_TICKS, FEWEST_FAST, HELD_TICKS = 3, 2.0, 40, 0.2

@@ -6,13 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration.identification._commands import (
-    FOLLOWS,
-    FOLLOWS_CLOSELY,
-    Following,
-    copied,
-    follows,
-)
+from covariant.calibration.identification._commands import FOLLOWS, FOLLOWS_CLOSELY, Following, copied, follows
 from covariant.calibration.identification._roles import LogColumns
 from covariant.calibration.identification._servo_columns import Inputs
 from covariant.logs import MEANT, Register, unit_factor, unit_in_name, unknown_unit, words_of
