@@ -108,10 +108,13 @@ def _since_first(pa: ModuleType, column: Any, values: np.ndarray) -> tuple[Fract
 
 def dated(column: Any) -> bool:
     """Whether a column of Arrow holds dates, as timestamps or as text."""
-    types = pyarrow().types
-    if types.is_timestamp(column.type):
-        return True
-    return types.is_string(column.type) and len(column) > 0 and re.match(DATE, column[0].as_py() or "") is not None
+    return pyarrow().types.is_timestamp(column.type) or _begins(column, DATE)
+
+
+def _begins(column: Any, pattern: str) -> bool:
+    """Whether a column of Arrow holds text whose first cell matches a pattern."""
+    is_text = pyarrow().types.is_string(column.type) and len(column) > 0
+    return is_text and re.match(pattern, column[0].as_py() or "") is not None
 
 
 def timed(column: Any) -> bool:
@@ -121,12 +124,7 @@ def timed(column: Any) -> bool:
 
 def _of_day(column: Any) -> bool:
     """Whether a column of Arrow holds times of day, by its type or as text."""
-    types = pyarrow().types
-    if types.is_time(column.type):
-        return True
-    return (
-        types.is_string(column.type) and len(column) > 0 and re.match(TIME_OF_DAY, column[0].as_py() or "") is not None
-    )
+    return pyarrow().types.is_time(column.type) or _begins(column, TIME_OF_DAY)
 
 
 def _times_of_day(pa: ModuleType, where: str, column: Any) -> Float[np.ndarray, "T"]:

@@ -79,6 +79,12 @@ class Residual(NamedTuple):
         return np.array([part.mean(axis=0) for part in parts]) / self.scale
 
     @property
+    def squares(self) -> Float[np.ndarray, "n"]:
+        """Mean squares (n,) of what the model leaves beyond the noise; by chance they may be negative."""
+        # Noise is independent of the model's error, so the variances subtract.
+        return np.mean(self.left**2, axis=0) - self.noise**2
+
+    @property
     def misfit(self) -> float:
         """Mean of `misfits` over the coordinates whose accelerations exceed the noise; NaN if there are none."""
         told = self.told

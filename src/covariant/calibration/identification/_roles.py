@@ -56,14 +56,11 @@ def role(name: str, entry: str = "") -> str:
     # Entries of a state are positions unless they say otherwise.
     if re.fullmatch(r"(?:.*[_./])?state\[[0-9]+\]", name):
         return "v" if is_rate else "u" if is_torque else "q"
-    roles = [kind for kind, synonyms in WORDS.items() if words & set(synonyms.split())]
+    by_unit = next((kind for kind in ("v", "u", *MEANT) if unit_in_name(name, MEANT[kind])), "")
     # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
-    if unit_in_name(name, MEANT["v"]):
-        return "v"
-    if unit_in_name(name, MEANT["u"]):
-        return "u"
-    roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
-    return next(iter(roles), "")
+    if by_unit in ("v", "u"):
+        return by_unit
+    return next((kind for kind, synonyms in WORDS.items() if words & set(synonyms.split())), by_unit)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,10 +122,9 @@ class LogColumns:
             raise InputError(
                 f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
             )
+        meant = (*MEANT[field], *(MEANT["q"] if field == "u" else ()))
         for text in texts:
-            if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(
-                text, MEANT[field]
-            ):
+            if not is_unit_of(text, meant):
                 raise InputError(
                     f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}"
                 )

@@ -122,11 +122,8 @@ def _suggest_from_accelerations(file: ModelFile, record: Record) -> list[Suggest
     if best is None or not (significant := best[1].told).any():
         return []
     left = best[1]
-    noise = np.asarray(left.noise)
-    # Noise is independent of the model's error, so the variances subtract.
-    squares = np.mean(left.left**2, axis=0) - noise**2
-    clear = squares > FAINT * noise**2
-    size = np.where(clear, np.sqrt(np.maximum(squares, 0.0)), noise)
+    clear = left.squares > FAINT * left.noise**2
+    size = np.where(clear, np.sqrt(np.maximum(left.squares, 0.0)), left.noise)
     value = float(f"{np.max(size[significant]):.2g}")
     if not 0 < value < np.inf:
         return []
