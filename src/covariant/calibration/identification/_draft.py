@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from covariant import logs
 from covariant.calibration.diagnosis import periods
 from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
 from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, drive_of, last_part
@@ -30,19 +31,6 @@ from covariant.calibration.identification._servo_units import (
     units_of_commands,
 )
 from covariant.calibration.identification._stamp_columns import find_stamps, refuse_stamps, seconds, unit_of_time
-from covariant.logs import (
-    MEANT,
-    Register,
-    episodes_fault,
-    is_unit_of,
-    odd_clock,
-    unit_factor,
-    unit_in_name,
-    unknown_unit,
-    unknown_unit_fault,
-    without_unit,
-    words_of,
-)
 from covariant.scoring import unwrap
 from scalargraph.errors import InputError
 
@@ -125,7 +113,7 @@ class Draft(NamedTuple):
     @property
     def plain_names(self) -> tuple[str, ...]:
         """Names of the positions without their units, `cart` for `cart [mm]`; full names where two would coincide."""
-        plain = tuple(without_unit(self.entries.get(name, name)).removesuffix(".pos") for name in self.q)
+        plain = tuple(logs.without_unit(self.entries.get(name, name)).removesuffix(".pos") for name in self.q)
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
@@ -195,7 +183,7 @@ def _drafted(log: LogColumns) -> Draft | None:
         f"{name} drives in a unit of its own: one of it in SI units is taken for 1 N m" for name in driving(log, u)
     ]
     remarks += [f"its names are those that {log.product} prints"] * bool(log.product)
-    episodes = episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
+    episodes = logs.episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
     remarks += [] if episodes is None else [f"the log {episodes}"]
     registers = {kind: log.of(kind) for kind in REGISTERS if log.of(kind)}
     guess = guess._replace(registers=registers, remarks=tuple(remarks), entries=log.entries)
@@ -224,9 +212,11 @@ def _read(
             raise InputError(f"there is no column {name!r} of numbers{log.listed}")
     # q_d is a desired position, unless there is a q_c.
     desired = {
-        name for name in columns if words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
+        name
+        for name in columns
+        if logs.words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
     }
-    marks = {name: "desired" for name in desired if "d" in words_of(name)}
+    marks = {name: "desired" for name in desired if "d" in logs.words_of(name)}
     roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
     if (drive := drive_of(columns)) is not None:
         named = {name: each for each, names in drive.roles.items() for name in names.split()}
@@ -237,7 +227,7 @@ def _read(
     log = dataclasses.replace(log, roles=roles)
     t = given["t"][0] if "t" in given else log.ask(find_stamps, log, otherwise="")
     rows = len(next(iter(columns.values()), ()))
-    values = dict(columns) | ({t: Register.continued(columns[t])} if t else {})
+    values = dict(columns) | ({t: logs.Register.continued(columns[t])} if t else {})
     log = dataclasses.replace(log, t=t, values=values, clock=np.arange(rows) * 0.01)
     if t:
         log.ask(refuse_stamps, log, otherwise=None)
@@ -269,7 +259,7 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
             f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
             f"{log.listed}"
         )
-    coded = {name: Register.of(log[name]) for name in (*q, *inputs.named, *inputs.u)}
+    coded = {name: logs.Register.of(log[name]) for name in (*q, *inputs.named, *inputs.u)}
     # Positions in two's complement begin anew there, as those of an encoder on a circle do.
     faults = [each.fault(name) for name, each in coded.items() if not (each.span and name in q)]
     log.questions.extend(filter(None, faults))
@@ -291,11 +281,11 @@ def _labels(log: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[LogCol
 
 def _is_length(log: LogColumns, name: str) -> bool:
     unit = log.unit(name, "q")
-    return is_unit_of(unit, ("m",)) if unit else bool(words_of(name) & LENGTHS)
+    return logs.is_unit_of(unit, ("m",)) if unit else bool(logs.words_of(name) & LENGTHS)
 
 
 def _is_torque(log: LogColumns, name: str) -> bool:
-    return unit_in_name(log.labels[name], ("N m",)) is not None
+    return logs.unit_in_name(log.labels[name], ("N m",)) is not None
 
 
 def _roles_and_units(
@@ -308,14 +298,14 @@ def _roles_and_units(
     span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)[: len(q)]
     units, guessed = _units(log, {"t": (t,), "q": q, "u": u, "v": v}, span)
     left_out = tuple(name for name in log.values if name not in (t, *q, *u, *v, *quaternion))
-    rate = 1 / (float(np.median(np.diff(log[t]))) * unit_factor(units.get("t", ("s",))[0]))
+    rate = 1 / (float(np.median(np.diff(log[t]))) * logs.unit_factor(units.get("t", ("s",))[0]))
     lengths = tuple(_is_length(log, name) for name in q)
     return Draft(t, q, u, v, left_out, rate, len(logged), lengths, None, 0.0, span, units, guessed, quaternion)
 
 
 def _with_servos(guess: Draft, log: LogColumns, inputs: Inputs) -> Draft:
     """A draft with the commands of servos, and their switches, as its inputs."""
-    units, factors = guess.units_of_positions, [unit_factor(text) for text in guess.units_of_positions]
+    units, factors = guess.units_of_positions, [logs.unit_factor(text) for text in guess.units_of_positions]
     servos = servos_of(log, inputs, guess.q, units)
     driven = [name for name, servo in zip(guess.q, servos, strict=True) if servo is not None]
     switches = switches_of(log, inputs.switches, driven)
@@ -333,8 +323,8 @@ def _with_servos(guess: Draft, log: LogColumns, inputs: Inputs) -> Draft:
 def _with_resolution(guess: Draft, log: LogColumns) -> Draft:
     """A draft with the ticks, the periods and the noise of its positions."""
     logged, lengths, n = log.stack(guess.q), guess.lengths, len(guess.q)
-    y = logged * [unit_factor(text) for text in guess.units_of_positions]
-    ticks = np.array([Register.of(column).tick for column in y.T])
+    y = logged * [logs.unit_factor(text) for text in guess.units_of_positions]
+    ticks = np.array([logs.Register.of(column).tick for column in y.T])
     # Angles that jump at a full turn have no other period.
     wraps = periods(log[guess.t], y, ticks, tuple(i for i in range(n) if not lengths[i]))
     continuous = unwrap(y, (), wraps)
@@ -350,9 +340,9 @@ def _ask_unknown_units(log: LogColumns, fields: Mapping[str, Sequence[str]]) -> 
     """Ask for the units of columns whose label states one that is none of its field."""
     for field, names in fields.items():
         for name in names:
-            text = unknown_unit(log.labels[name], MEANT[field], [log.labels[each] for each in names])
+            text = logs.unknown_unit(log.labels[name], logs.MEANT[field], [log.labels[each] for each in names])
             if text is not None:
-                log.questions.append(unknown_unit_fault(name, field, text, log.labels[name] != name, drafted=True))
+                log.questions.append(logs.unknown_unit_fault(name, field, text, log.labels[name] != name, drafted=True))
 
 
 def _units(
@@ -364,7 +354,7 @@ def _units(
     """
     stated = {field: [log.unit(name, field) for name in names] for field, names in fields.items()}
     stated["u"] = [text or log.unit(name, "q") for text, name in zip(stated["u"], fields["u"], strict=True)]
-    odd = odd_clock(log[log.t], stated["t"][0])
+    odd = logs.odd_clock(log[log.t], stated["t"][0])
     if odd is not None:
         raise InputError(f"column {log.labels[log.t]!r} {odd}")
     content = {"t": "s" if stated["t"][0] else unit_of_time(log, fields["q"])}
@@ -374,8 +364,8 @@ def _units(
     for field, named in stated.items():
         if None in named and field in content:
             guessed.append(field)
-        texts = tuple(text or (content[field] if field in content else MEANT[field][0]) for text in named)
-        if any(unit_factor(text) != 1 for text in texts):
+        texts = tuple(text or (content[field] if field in content else logs.MEANT[field][0]) for text in named)
+        if any(logs.unit_factor(text) != 1 for text in texts):
             units[field] = texts
     return units, tuple(field for field in guessed if field in units)
 
