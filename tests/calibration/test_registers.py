@@ -158,16 +158,6 @@ def test_positions_know_the_unit_of_velocities(unit):
     assert f'[units] v = "{unit}"' in found.line
 
 
-@pytest.mark.parametrize("every", [8, 12, 25])
-def test_an_input_that_was_read_less_often_is_named(every):
-    log = made("pendulum", 4, between="linear", counts=65536)
-    u = log.record.u[np.arange(len(log.record.u)) // every * every]
-    found = diagnose(log.file, log.record._replace(u=u)).findings
-    named = [each for each in found if each.what == "inputs between rows"]
-    assert named, found
-    assert f"changes only every {every} rows" in named[0].evidence
-
-
 @pytest.mark.parametrize("counts", [512, 1024, 2000, 2048, 4000, 4096, 16384])
 @pytest.mark.parametrize("unit", ["rad", "deg", "turn"])
 def test_a_tick_that_is_a_usual_part_of_a_turn_shows_the_unit(counts, unit):

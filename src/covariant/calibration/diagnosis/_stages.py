@@ -36,7 +36,7 @@ from covariant.calibration.diagnosis._missing_torques import friction_beside_sca
 from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
 from covariant.calibration.diagnosis._readings import known_ticks, missing_cells, readings, still_findings
-from covariant.calibration.diagnosis._registers import held_inputs, made_rows
+from covariant.calibration.diagnosis._registers import made_rows
 from covariant.calibration.diagnosis._repeats import find_repeats, stuck
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
@@ -249,10 +249,6 @@ def compare_accelerations(log: Examination) -> bool:
         log.findings.append(standstill(case.record, case.model.circles, case.names, case.ticks))
         return True
     log.checks += COMPARED
-    for suspicion, note in held_inputs(case):
-        accepted = judge(case, [suspicion], unexplained_at(best[0]))
-        log.findings.append(note if accepted is None else accepted[1])
-        case = case if accepted is None else suspicion.apply(case)
     lacking, case, timing = _torques_or_timing(case, *best)
     delays = timing.findings(case, best[0])
     if lacking and not timing.explains_most(case, best[0]):

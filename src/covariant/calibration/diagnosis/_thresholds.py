@@ -102,9 +102,6 @@ COARSE = 0.02
 """Allowed error of a local polynomial, as a fraction of the motion among the neighbours."""
 FEW_OUTLIERS = 5e-3
 """Fraction of outliers up to which they are only a note."""
-HELD_INPUT, HELD_REGULARLY = 6, 0.9
-"""Fewest rows after which an input changes, and the fraction of its changes at such distances, from which it may have
-been read less often than the rows."""
 FEW_REPEATED = 0.02
 """Fraction of rows that repeat the previous readings, up to which they are not an error."""
 AROUND, FAST_TICKS, FEWEST_FAST, HELD_TICKS = 3, 2.0, 40, 0.2
