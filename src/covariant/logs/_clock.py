@@ -17,8 +17,10 @@ _SMALLEST_STEP = 1e-6
 """Median step [s] below which numbers cannot be seconds: no machine is logged a million times a second."""
 _FEWEST_ROWS = 50
 """Number of rows needed to judge their rate: a few rows may be an excerpt."""
+BESIDE = 15
+"""Rows on either side of one that is not in their middle if it is displaced."""
 DISPLACED, REJOINED = 5.0, 3.0
-"""Step from which a row may be stamped wrongly, and largest one with the right stamp, in usual steps."""
+"""Usual steps by which a row is displaced at least, and by which rows may be displaced by different times."""
 SAME_SHIFT = 0.05
 """Relative difference up to which rows are displaced by one time."""
 
@@ -58,25 +60,19 @@ def displaced_rows(t: Float[np.ndarray, "T"]) -> Displaced | None:
         >>> rows.tolist(), round(late, 3)
         ([3], -1.0)
     """
-    steps = np.diff(t)
-    rising = steps[steps > 0]
+    rising = np.diff(t)[np.diff(t) > 0]
     usual = float(np.median(rising)) if len(rising) else 0.0
-    places = np.flatnonzero(np.abs(steps - usual) > DISPLACED * usual)
-    rows, shifts, k = list[int](), list[float](), 0
-    while k + 1 < len(places):
-        begin, end = int(places[k]) + 1, int(places[k + 1]) + 1
-        together = t[end] - t[begin - 1]
-        if steps[begin - 1] * steps[end - 1] < 0 and 0 < together < (end - begin + REJOINED) * usual:
-            rows += range(begin, end)
-            shifts += [float(steps[begin - 1] - steps[end - 1]) / 2] * (end - begin)
-            k += 2
-        else:
-            k += 1
-    late = float(np.median(shifts)) if shifts else 0.0
-    if not rows or 2 * len(rows) > len(t) or np.ptp(shifts) > max(SAME_SHIFT * abs(late), REJOINED * usual):
+    # Where stamps rise, each is in the middle of those around it.
+    beside = min(BESIDE, (len(t) - 1) // 2)
+    around = np.pad(t, beside, mode="reflect", reflect_type="odd")
+    others = np.delete(np.lib.stride_tricks.sliding_window_view(around, 2 * beside + 1), beside, axis=1)
+    off = t - np.median(others, axis=1)
+    rows = np.flatnonzero(np.abs(off) > DISPLACED * usual)
+    late = float(np.median(off[rows])) if len(rows) else 0.0
+    if not len(rows) or np.ptp(off[rows]) > max(SAME_SHIFT * abs(late), REJOINED * usual):
         return None
     plain = float(f"{late:.3g}")
-    return Displaced(np.array(rows), plain if abs(late - plain) < usual else late)
+    return Displaced(rows, plain if abs(late - plain) < usual else late)
 
 
 def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | None:

@@ -148,16 +148,13 @@ class Register(NamedTuple):
             >>> Register.continued(np.array([4294965296.0, 4294966296.0, 0.0, 1000.0])).tolist()
             [4294965296.0, 4294966296.0, 4294967296.0, 4294968296.0]
         """
-        steps = np.diff(values)
-        back = steps < 0
-        if not back.any() or back.all():
-            return values
-        usual = float(np.median(steps[~back]))
-        for period in periods:
-            rise = steps[back] + period
+        back = np.diff(values) < 0
+        for period in periods if back.any() else ():
+            rising = values + period * np.concatenate([[0], np.cumsum(back)])
+            steps, usual = np.diff(rising), float(np.median(np.diff(rising)))
             # It begins anew after the whole period, and nowhere else.
-            if NEAR * usual < period / 10 and np.ptp(values) < period and ((rise > 0) & (rise < NEAR * usual)).all():
-                return values + period * np.concatenate([[0], np.cumsum(back)])
+            if np.ptp(values) < period and steps.min() > 0 and steps[back].max() < NEAR * usual < period / 10:
+                return rising
         return values
 
 

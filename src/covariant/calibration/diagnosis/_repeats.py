@@ -1,4 +1,4 @@
-"""Readings that repeat those of the row before, although the position moves."""
+"""Readings that were not read: those that repeat the row before, although the position moves, or lie between others."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case, without_rows
-from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Rows, stated_time
+from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Names, Rows, stated_time
 from covariant.calibration.diagnosis._readings import ROUNDING, readings
 from covariant.calibration.diagnosis._suspicion import Suspicion
 from covariant.calibration.diagnosis._thresholds import (
@@ -20,11 +20,31 @@ from covariant.calibration.diagnosis._thresholds import (
     HELD_TICKS,
     HELD_TIMES,
 )
+from covariant.logs import Register
 
 EDGE_ROWS = (3, 6, 12, 25, 50)
 """Rows beside a run of equal readings in which its motion is looked at: the fewest in which it exceeds the ticks."""
 MOST_RUNS = 3
 """Longest runs of equal readings that are suspected."""
+
+
+def made_rows(
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], names: Names, rows: Rows
+) -> tuple[Bool[np.ndarray, "T n"], list[Finding]]:
+    """Readings (T, n) that lie on the line between others, in all but every k-th row, and findings on them."""
+    made, findings = np.zeros(y.shape, bool), []
+    for i, column in enumerate(y.T):
+        every, first = Register.read_rows(t, column)
+        if every == 1:
+            continue
+        made[:, i] = np.arange(len(t)) % every != first
+        begin = f" --from {t[first] - t[0]:.6g}" if first else ""
+        evidence = f"only one in {every} rows was read, {rows.named(first)} and every {every} rows from there: the "
+        evidence += "others lie on the line between readings, and show neither noise nor ticks"
+        line = f"leave them out by --every {every * rows.every}{begin}, or leave these cells empty"
+        numbers = {"every": every, "first": first}
+        findings.append(Finding("interpolated rows", names.q[i], evidence, line, True, numbers))
+    return made, findings
 
 
 def find_repeats(

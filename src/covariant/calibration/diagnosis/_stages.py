@@ -36,8 +36,7 @@ from covariant.calibration.diagnosis._missing_torques import friction_beside_sca
 from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
 from covariant.calibration.diagnosis._readings import known_ticks, missing_cells, readings, still_findings
-from covariant.calibration.diagnosis._registers import made_rows
-from covariant.calibration.diagnosis._repeats import find_repeats, stuck
+from covariant.calibration.diagnosis._repeats import find_repeats, made_rows, stuck
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
