@@ -63,7 +63,7 @@ def displaced_rows(t: Float[np.ndarray, "T"]) -> Displaced | None:
     rising = np.diff(t)[np.diff(t) > 0]
     usual = float(np.median(rising)) if len(rising) else 0.0
     # Where stamps rise, each is in the middle of those around it.
-    beside = min(BESIDE, (len(t) - 1) // 2)
+    beside = max(min(BESIDE, (len(t) - 1) // 2), 1)
     around = np.pad(t, beside, mode="reflect", reflect_type="odd")
     others = np.delete(np.lib.stride_tricks.sliding_window_view(around, 2 * beside + 1), beside, axis=1)
     off = t - np.median(others, axis=1)
