@@ -46,8 +46,8 @@ COUNTERS = tuple(2.0**k * unit for k in (16, 24, 31, 32) for unit in (1.0, 1e-3,
 """Numbers after which a counter of ticks begins anew, in its ticks or in seconds."""
 NEAR = 20.0
 """Largest step across which a counter begins anew, in usual steps: some rows may be missing there."""
-STRAGGLERS = 0.02
-"""Fraction of rows with a change of slope up to which a row of every n counts as made."""
+STRAGGLERS, READ = 0.02, 0.1
+"""Fraction of rows with a change of slope up to which rows count as made, and from which one of every n as read."""
 
 
 class Register(NamedTuple):
@@ -249,17 +249,13 @@ def _gcd(whole: np.ndarray) -> int:
 
 
 def _places(rows: np.ndarray, bent: np.ndarray) -> tuple[int, int] | None:
-    """The n of which most rows are straight, among rows that move, and the place of a row that is not."""
-    best, share = None, 0.0
-    for n in range(2, MOST_EVERY + 1):
+    """The largest n of which all rows but one are straight, among rows that move, and the place of that one."""
+    for n in range(MOST_EVERY, 1, -1):
         among = np.bincount(rows % n, minlength=n)
         often = np.bincount(rows % n, bent, n) / np.maximum(among, 1)
-        made = often <= STRAGGLERS
-        expected = bent.mean() * among[made]
-        if made.mean() <= share or expected.sum() < CERTAIN or (made.sum() < n - 1 and expected.min() < CERTAIN / 4):
-            continue
-        # A row that was read is alone: between two rows that were made the slope may change anywhere.
-        alone = ~made & np.roll(made, 1) & np.roll(made, -1)
-        if alone.any():
-            best, share = (n, int(np.argmax(np.where(alone, often, -1.0)))), float(made.mean())
-    return best
+        read = int(np.argmax(often))
+        # By chance no row of so many at each other place is straight, if any may bend.
+        chance = bent.mean() * (n - 1) * among.min()
+        if chance > CERTAIN and often[read] > READ and bent[rows % n != read].mean() <= STRAGGLERS:
+            return n, read
+    return None
