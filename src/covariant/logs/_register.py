@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-ROUNDING = 1e-9
+ROUNDING = 1e-11
 """Differences of readings, relative to the largest of them, up to which they are rounding errors and no change."""
-LATTICE = 0.05
-"""Largest distance of changes from whole ticks, as a fraction of one."""
+LATTICE, ROUNDED = 0.05, 0.3
+"""Largest distance of readings from whole ticks, as a fraction of one, and where they were rounded."""
 FEWEST_GAPS = 10
 """Least number of distances between neighbouring values that show ticks which were rounded."""
+REACHES = 3.0 ** np.arange(1, 13)
+"""Ticks on either side of a value over which their size is fitted in turn."""
 FEWEST_CHANGES = 20
 """Least number of changes of a column that show ticks, or between which rows were interpolated."""
 SIGN_BITS = tuple(float(2**k) for k in range(7, 32))
@@ -77,7 +79,7 @@ class Register(NamedTuple):
         some = values[:LONG]
         tick = _resolution(some)
         # Of bits, also where only even numbers were read, or few of those between them.
-        unit = 1.0 if not (values % 1).any() else tick or _common_step(np.diff(np.unique(some)))
+        unit = 1.0 if not (values % 1).any() else tick
         if not len(values) or values.min() < 0 or not unit:  # a number below zero has its sign
             return cls(tick)
         plain = float(f"{unit:.6g}")
@@ -187,65 +189,29 @@ def _is_coded(counts: Float[np.ndarray, "T"], bit: float, span: float) -> bool:
 
 
 def _resolution(y: Float[np.ndarray, "T"]) -> float:
-    """Step of which all changes of readings are multiples, up to their last digits; 0 for none."""
-    changes = np.abs(np.diff(y))
-    changes = changes[changes > ROUNDING * np.max(np.abs(y), initial=0.0)]
-    if len(changes) < FEWEST_CHANGES:
+    """Step of which all readings are multiples, up to their last digits; 0 for none."""
+    rounding = ROUNDING * np.max(np.abs(y), initial=0.0)
+    if np.count_nonzero(np.abs(np.diff(y)) > rounding) < FEWEST_CHANGES:
         return 0.0
-    if printed := _rounded(y):
-        return printed
-    return _common_step(changes)
-
-
-def _common_step(changes: Float[np.ndarray, "k"]) -> float:
-    """The step of which changes are multiples; 0 for none."""
-    if len(changes) < FEWEST_CHANGES:
-        return 0.0
-    # A low quantile and not the minimum, which one wrong cell can spoil.
-    smallest = float(np.quantile(changes, 0.01))
-    # The least change in a log may be two or three ticks.
-    for fraction in (1, 2, 3):
-        step = smallest / fraction
-        # Over k ticks an error of the step grows k times, so that large changes are no test of it.
-        small = changes[changes < 20.5 * step]
-        whole = np.rint(small / step)
-        if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
-            return float(np.sum(small) / np.sum(whole))  # the mean over many ticks, since logs hold few digits
-    return 0.0
-
-
-def _rounded(y: Float[np.ndarray, "T"]) -> float:
-    """Tick of readings that were rounded to a decimal after it, as 0.088° to 0.08 or 0.09; 0 if there is none.
-
-    Neighbouring values are then two distances apart that differ by one of the decimal, and all of them lie within half
-    of it from whole ticks.
-    """
     levels = np.unique(y)
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > ROUNDING * np.max(np.abs(levels), initial=0.0)]
-    if len(gaps) < FEWEST_GAPS:
-        return 0.0
-    smallest = float(np.quantile(gaps, 0.02))
-    near = gaps[(gaps > 0.5 * smallest) & (gaps < 1.6 * smallest)]
-    sizes, counts = np.unique(np.rint(near / smallest * 1e4), return_counts=True)
-    if len(near) < FEWEST_GAPS or len(sizes) > len(near) / 4:
-        return 0.0  # many sizes: noise
-    common = np.sort([near[np.rint(near / smallest * 1e4) == each].mean() for each in sizes[np.argsort(counts)[-2:]]])
-    if len(common) < 2 or counts.sum() * 0.95 > np.sort(counts)[-2:].sum():
-        return 0.0
-    digit = float(common[1] - common[0])
-    if abs(common[0] / digit - np.rint(common[0] / digit)) > LATTICE:
-        return 0.0
-    step, start, ticks = float(near.mean()), levels[0], np.zeros(len(levels))
-    for _ in range(3):  # each fit over all levels makes the step more exact, so that the next one counts better
-        ticks[1:] = np.cumsum(np.rint(np.diff(levels) / step))
-        step, start = (float(x) for x in np.polyfit(ticks, levels, 1))
-    off = np.abs(levels - start - step * ticks)
-    return step if np.quantile(off, 0.95) < 0.6 * digit and step > 2 * digit else 0.0
-
-
-def _gcd(whole: np.ndarray) -> int:
-    return int(np.gcd.reduce(whole.astype(int)))
+    gaps = np.diff(levels)[np.diff(levels) > rounding]
+    # Ticks may be rounded to a decimal after them, as 0.088° to 0.08 or 0.09; few values are near any ticks.
+    most = ROUNDED if len(gaps) > FEWEST_GAPS else LATTICE
+    # A low quantile and not the minimum, which one wrong cell can spoil; the least one may be two or three ticks.
+    for fraction in (1, 2, 3):
+        step = float(np.quantile(gaps, 0.02)) / fraction
+        # From where most values are close together: at the turns of a fast motion.
+        ends = (np.searchsorted(levels, levels + side * REACHES[1] * step) for side in (1, -1))
+        start = float(levels[np.argmax(np.subtract(*ends))])
+        for reach in REACHES:  # over k ticks an error of the step grows k times
+            near = levels[np.abs(levels - start) <= reach * step]
+            ticks = np.rint((near - start) / step)
+            if np.ptp(ticks) > 0:
+                step, start = (float(x) for x in np.polyfit(ticks, near, 1))
+        off = np.abs((levels - start) / step - np.rint((levels - start) / step))
+        if np.quantile(off, 0.95) < most:
+            return step
+    return 0.0
 
 
 def _places(rows: np.ndarray, bent: np.ndarray) -> tuple[int, int] | None:
