@@ -129,7 +129,6 @@ class Log(NamedTuple):
             otherwise None, and the stamps are as in the file.
         first_row: Number of the file's row, counted from 1, that is the first of the record.
         every: Distance in rows of the file between rows of the record.
-        note: What was done with stamps that begin anew; "" for none.
         whole: All rows of the log, if `record` has only some of them; otherwise None. Inputs before and between the
             rows of `record` act in them, see `signals.acting_inputs`.
         readings: For each sensor in `sensors`, its readings in these rows, NaN if there is none: numbers (T, k) of `q`
@@ -151,7 +150,6 @@ class Log(NamedTuple):
     every: int = 1
     readings: tuple[Float[np.ndarray, "T k"] | None, ...] = ()
     whole: Record | None = None
-    note: str = ""
 
     @property
     def all_rows(self) -> Record:

@@ -233,7 +233,7 @@ def _of_columns(asked: _Asked) -> Log:
         return np.concatenate([y[:, :3, 3], y[:, :3, :3].reshape(len(y), 9)], axis=1) if bodies(columns) else y
 
     unit = columns.unit_of("t", 0)
-    t, origin, note = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
+    t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
     u, y = (
         stack(columns, "u", needed=not asked.missing_inputs),
         from_cells(name, columns, stack(columns, *MEASURED, empty=False)),
@@ -250,7 +250,7 @@ def _of_columns(asked: _Asked) -> Log:
         if fault is None:
             raise
         raise ClockError(f"{name}: column {columns.t!r} {fault}", error.record) from error
-    return Log(record, v, truth, origin, readings=read, note=note)
+    return Log(record, v, truth, origin, readings=read)
 
 
 def _whole_column(name: str, source: LogSource, column: str) -> Float[np.ndarray, "T"]:
@@ -317,7 +317,7 @@ def _select_rows(
         raise LogError(f"{name}: row {row}, the first one kept, lacks a measurement; begin a little later or earlier")
     record, v, truth, readings = (_rows(part, rows) for part in (log.record, log.v, log.truth, log.readings))
     whole = None if len(record.t) == len(t) else log.record
-    return Log(record, v, truth, log.origin_ns, low + 1, every, readings, whole, log.note)
+    return Log(record, v, truth, log.origin_ns, low + 1, every, readings, whole)
 
 
 def _rows(part: Any, rows: slice) -> Any:

@@ -29,12 +29,10 @@ class Stamps(NamedTuple):
     Attributes:
         t: Stamps (T,) [s].
         origin_ns: Time [ns since 1970] at which t is zero; None if t is as in the file.
-        note: What was done with a counter that begins anew; "" for none.
     """
 
     t: Float[np.ndarray, "T"]
     origin_ns: int | None
-    note: str = ""
 
 
 def stamps(where: str, column: Any, given: str | None) -> Stamps:
@@ -62,7 +60,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
         return Stamps((ticks - ticks[0]) * 1e-9, int(ticks[0]))
     if _of_day(column):
         _need_no_unit(where, given, "times of day")
-        return _rising(_times_of_day(pa, where, column), (DAY, HOUR))
+        return Stamps(Register.continued(_times_of_day(pa, where, column), (DAY, HOUR)), None)
     if pa.types.is_duration(column.type):
         _need_no_unit(where, given, str(column.type))
         column, given = column.cast(pa.int64()), column.type.unit
@@ -85,8 +83,8 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
             f'write t = "{unit}" under [units] of the model file, or the unit that the stamps are in'
         )
     if not len(values) or abs(values[0] * factor) < LATEST:
-        rising = _rising(values)
-        return rising if factor == 1.0 else rising._replace(t=rising.t * factor)
+        rising = Register.continued(values)
+        return Stamps(rising if factor == 1.0 else rising * factor, None)
     first, since_first = _since_first(pa, column, values)
     # The product of a fraction and a whole number of nanoseconds is exact.
     return Stamps(since_first * factor, round(first * round(factor * 1e9)))
@@ -148,15 +146,6 @@ def _times_of_day(pa: ModuleType, where: str, column: Any) -> Float[np.ndarray, 
             count = count % 12 + 12 * (half.to_numpy(zero_copy_only=False) == "p")
         t += seconds * count
     return t
-
-
-def _rising(values: Float[np.ndarray, "T"], *periods: tuple[float, ...]) -> Stamps:
-    rising = Register.continued(values, *periods)
-    back = np.flatnonzero(np.diff(values) < 0) + 2
-    note = (
-        f"the stamps begin anew at row {back[0]}" + f" and {len(back) - 1} more" * (len(back) > 1) if len(back) else ""
-    )
-    return Stamps(rising, None, note if rising is not values else "")
 
 
 def _need_no_unit(where: str, unit: str | None, what: str) -> None:
