@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from covariant import models
@@ -42,35 +41,6 @@ def test_a_product_of_inertia_that_is_given_twice_has_to_be_the_same(tmp_path):
     assert not robots.read(written(tmp_path / "same.urdf", twice)).doubts
     (doubt,) = robots.read(written(tmp_path / "other.urdf", twice.replace('iyx="0.0001"', 'iyx="0.009"'))).doubts
     assert "iyx = 0.009 is ignored, and differs from ixy = 0.0001" in doubt
-
-
-@pytest.mark.parametrize("name", ["panda", "ur5e", "iiwa14", "scara", "so101", "quadruped", "humanoid_torso"])
-@pytest.mark.parametrize("power", [-9, -6, -4, 4, 6, 9])
-def test_inertias_in_other_units_are_doubted_with_the_power_that_mends_them(name, power, tmp_path):
-    text = robots.located(name).read_text()
-    assert not robots.read(name).doubts
-
-    def scaled(match):
-        return f'{match[1]}"{float(match[2]) * 10.0**power!r}"'
-
-    found = robots.read(written(tmp_path / "a.urdf", re.sub(r'(i[xyz][xyz]=)"([^"]*)"', scaled, text)))
-    named = [int(power) for each in found.doubts for power in re.findall(r"1e(-?[0-9]+) times", each)]
-    assert named
-    assert -power in named
-    assert np.abs(np.array(named) + power).max() <= 3
-
-
-@pytest.mark.parametrize("name", ["panda", "ur5e", "quadruped"])
-def test_centres_in_millimetres_are_doubted(name, tmp_path):
-    text = robots.located(name).read_text()
-
-    def in_mm(match):
-        return match[1] + " ".join(f"{1000 * float(x):g}" for x in match[2].split()) + '"'
-
-    inertial = re.compile(r'(<inertial>\s*<origin[^>]*?xyz=")([^"]*)"')
-    assert inertial.search(text)
-    found = robots.read(written(tmp_path / "a.urdf", inertial.sub(in_mm, text)))
-    assert any("is it in mm, 1e-3 m?" in each for each in found.doubts)
 
 
 @pytest.mark.parametrize(

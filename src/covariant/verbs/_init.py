@@ -313,7 +313,7 @@ def _chain(guess: Draft) -> list[str]:
         "[parameters]",
         'angles = "relative"  # or "absolute": each link from the vertical',
         'zero = "hanging"  # or "upright": where the angles are 0',
-        f"gravity = {'0.0  # about a vertical axis' if _is_vertical(guess) else '9.81'}",
+        "gravity = 9.81",
         _guess_line("mass", 1.0, n, "kg"),
         f"length = {_list(0.3, n)}  {between}m, from joint to joint; that of the last link does not matter",
         _guess_line("com", 0.15, n, "m, from joint to centre of mass"),
@@ -327,10 +327,6 @@ def _chain(guess: Draft) -> list[str]:
             + ("  # joints that the inputs drive, from 0: the first ones are guessed" if guess.u else "")
         )
     return lines
-
-
-def _is_vertical(guess: Draft) -> bool:
-    return all(logs.words_of(name) & {"heading", "yaw", "hdg", "azimuth", "compass"} for name in guess.q)
 
 
 def _guess_line(key: str, value: float, n: int, what: str) -> str:

@@ -12,13 +12,6 @@ from scalargraph.errors import InputError
 
 MOST_TURNS = 4
 """Number of turns above which limits of a joint are suspected to be in degrees."""
-FARTHEST, WIDEST, TINY = 5.0, 3.0, 4e-3
-"""Distance of the centre of mass, and radii of gyration, relative to the reach of the joints, from and below which the
-inertia of a link may be in other units; radii of real links are 0.03 to 0.7 of it."""
-USUAL = 0.12
-"""Usual radius of gyration, relative to the reach of the joints."""
-POWERS = (-9, -6, -4, -3, 3, 4, 6, 9)
-"""Powers of ten between kg m² and other units: g mm², kg mm² or g cm², kg cm², g m²."""
 SMALLEST_ENTRY = 1e-10
 """Entries of rotations below this count as zero: quarter turns in files are rounded, and zeros save work."""
 
@@ -420,31 +413,6 @@ def limits_in_doubt(joint: Joint) -> list[str]:
         f"joint {joint.name!r}: its limits are {joint.lower:g} and {joint.upper:g} rad, more than {MOST_TURNS} turns; "
         "are they degrees?"
     ]
-
-
-def sizes_in_doubt(links: Mapping[str, BodyInertia], joints: Iterable[Joint]) -> list[str]:
-    """Sentences on links whose centre or inertia does not go with the reach of the joints, each after its carrier."""
-    reach: dict[str, float] = {}
-    for joint in joints:
-        reach[joint.child] = reach.get(joint.parent, 0.0) + float(np.linalg.norm(joint.place))
-    size = max(reach.values(), default=0.0)
-    heavy = 0.05 * sum(float(link.mass) for link in links.values())
-    doubts = []
-    for name, link in links.items() if size else ():
-        if not link.mass > 0:
-            continue
-        centre = float(np.linalg.norm(link.first)) / float(link.mass)
-        radius = float(np.sqrt(max(np.linalg.eigvalsh(link.about_centre)[2], 0.0) / link.mass))
-        wrong = f"the joints reach no farther than {size:.3g} m"
-        if centre > FARTHEST * size:
-            doubts.append(f"link {name!r}: its centre of mass is at {centre:.3g} m, and {wrong}; is it in mm, 1e-3 m?")
-        elif radius > WIDEST * size or (0 < radius < TINY * size and link.mass > heavy):
-            power = min(POWERS, key=lambda each: abs(each + 2 * np.log10(radius / (USUAL * size))))
-            doubts.append(
-                f"link {name!r}: its inertia is that of {link.mass:.3g} kg at {radius:.3g} m from the centre, and "
-                f"{wrong}; 1e{power} times as much would be usual: is it, or the mass, in other units?"
-            )
-    return doubts
 
 
 def in_order(links: dict[str, BodyInertia], joints: list[Joint]) -> tuple[str, tuple[Joint, ...]]:

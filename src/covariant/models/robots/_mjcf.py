@@ -24,7 +24,6 @@ from covariant.models.robots._description import (
     exact,
     in_order,
     limits_in_doubt,
-    sizes_in_doubt,
     turn_about,
 )
 from covariant.models.robots._mjcf_compile import compiled_model
@@ -108,7 +107,6 @@ def read_mjcf(path: Path) -> tuple[Description, Any]:
         if count > 0:
             read.ignored[what] += count
     root, ordered = in_order(links, joints)
-    read.doubts += sizes_in_doubt(links, ordered)
     gravity = np.zeros(3) if read.off("GRAVITY") else np.array(model.opt.gravity)
     robot = Description(
         bytes(model.names).split(b"\0")[0].decode() or path.stem,

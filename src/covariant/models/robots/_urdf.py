@@ -20,7 +20,6 @@ from covariant.models.robots._description import (
     exact,
     in_order,
     limits_in_doubt,
-    sizes_in_doubt,
 )
 from covariant.models.robots._transmission import with_rotors
 from covariant.models.robots._xml import attribute, finite, name_of, number, unread, vector
@@ -69,7 +68,6 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
     transmissions = [entry for entry in robot if name_of(entry) == "transmission"]
     joints = with_rotors(transmissions, joints, motor_torques, used, ignored)
     root, ordered = in_order(links, joints)
-    doubts += sizes_in_doubt(links, ordered)
     return Description(
         robot.get("name", name),
         links,
