@@ -12,7 +12,7 @@ from jaxtyping import Float
 from covariant import logs
 from covariant.calibration.diagnosis import periods
 from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
-from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, drive_of, last_part
+from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, last_part, product_of
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
@@ -156,9 +156,9 @@ def draft(
     guess = log.ask(_drafted, log, otherwise=None)
     texts = [each.replace(log.listed, "") for each in log.questions]
     if guess is None or texts:
-        asked = "; ".join(f"({k}) {text}" for k, text in enumerate(texts, 1)) if len(texts) > 1 else texts[0]
-        head = f"{len(texts)} things cannot be told: " if len(texts) > 1 else ""
-        raise InputError(head + asked + (log.listed if any(log.listed in each for each in log.questions) else ""))
+        asked = "; ".join(f"({k}) {text}" for k, text in enumerate(texts, 1))
+        asked = f"{len(texts)} things cannot be told: {asked}" if len(texts) > 1 else texts[0]
+        raise InputError(asked + (log.listed if any(log.listed in each for each in log.questions) else ""))
     return guess
 
 
@@ -174,25 +174,20 @@ def _drafted(log: LogColumns) -> Draft | None:
     # Lengths come before angles, and forces before torques.
     order = sorted(range(len(q)), key=lambda i: not _is_length(log, q[i]))
     q, v = tuple(q[i] for i in order), tuple(v[i] for i in order if v)
-    u = inputs.u if "u" in log.given else tuple(sorted(inputs.u, key=lambda name: _is_torque(log, name)))
+    inputs = inputs._replace(drives=tuple(inputs.drives[i] for i in order if inputs.drives))
+    torques = {name: logs.unit_in_name(log.labels[name], ("N m",)) is not None for name in inputs.u}
+    u = inputs.u if "u" in log.given else tuple(sorted(inputs.u, key=torques.__getitem__))
     guess = _roles_and_units(log, q, u, v)
     if "q" not in log.units:
         guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
-    remarks = [*inputs.remarks, *odd_rates(log, q, v)]
-    remarks += [
-        f"{name} drives in a unit of its own: one of it in SI units is taken for 1 N m" for name in driving(log, u)
-    ]
+    own = "drives in a unit of its own: one of it in SI units is taken for 1 N m"
+    remarks = [*inputs.remarks, *odd_rates(log, q, v), *(f"{name} {own}" for name in driving(log, u))]
     remarks += [f"its names are those that {log.product} prints"] * bool(log.product)
     episodes = logs.episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
     remarks += [] if episodes is None else [f"the log {episodes}"]
     registers = {kind: log.of(kind) for kind in REGISTERS if log.of(kind)}
     guess = guess._replace(registers=registers, remarks=tuple(remarks), entries=log.entries)
-    guess = (
-        _with_servos(guess, log, inputs._replace(drives=tuple(inputs.drives[i] for i in order)))
-        if inputs.named
-        else guess
-    )
-    return _with_resolution(guess, log)
+    return _with_resolution(_with_servos(guess, log, inputs) if inputs.named else guess, log)
 
 
 def _read(
@@ -218,12 +213,12 @@ def _read(
     }
     marks = {name: "desired" for name in desired if "d" in logs.words_of(name)}
     roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
-    if (drive := drive_of(columns)) is not None:
-        named = {name: each for each, names in drive.roles.items() for name in names.split()}
+    if (product := product_of(columns)) is not None:
+        named = {name: each for each, names in product.roles.items() for name in names.split()}
         roles = {name: named.get(last_part(name), each) for name, each in roles.items()}
         fields = roles | {name: field for field, names in given.items() for name in names}
         turns = {name: TURNS[each] for name, each in fields.items() if each in TURNS and labels[name] == name}
-        log = dataclasses.replace(log.labelled(turns), product=drive.name)
+        log = dataclasses.replace(log.labelled(turns), product=product.name)
     log = dataclasses.replace(log, roles=roles)
     t = given["t"][0] if "t" in given else log.ask(find_stamps, log, otherwise="")
     rows = len(next(iter(columns.values()), ()))
@@ -282,10 +277,6 @@ def _labels(log: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[LogCol
 def _is_length(log: LogColumns, name: str) -> bool:
     unit = log.unit(name, "q")
     return logs.is_unit_of(unit, ("m",)) if unit else bool(logs.words_of(name) & LENGTHS)
-
-
-def _is_torque(log: LogColumns, name: str) -> bool:
-    return logs.unit_in_name(log.labels[name], ("N m",)) is not None
 
 
 def _roles_and_units(

@@ -49,10 +49,10 @@ def explained(log: LogColumns, q: tuple[str, ...]) -> tuple[LogColumns, tuple[st
             f'frame[[{z!r}, {y!r}, {x!r}]]{degrees}).as_quat(), or name them by `columns["q"]` if they are joints'
         )
     plane = point_in_plane(words)
-    heading = [name for name in words if words[name] & EULER[2] and name not in (plane or ())]
     if plane is not None:
-        if heading := heading or [name for name in words if words[name] & {"theta"}]:
-            (x, y), turn = plane, heading[0]
+        turn = next((name for name in words if words[name] & (EULER[2] | {"theta"}) and name not in plane), None)
+        if turn is not None:
+            x, y = plane
             raise InputError(
                 f"{x}, {y}, {turn} are the pose of a craft in the plane, and no joints: write a model file with the "
                 'system "manoeuvring_ship" (u: rudder and revolutions), "supply_vessel" or "cybership" (u: two forces '

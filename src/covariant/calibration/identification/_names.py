@@ -39,7 +39,7 @@ PLANE = ("x y", "px py", "north east", "n e", "easting northing")
 """Names of the two coordinates of a point in the plane, without the words for a position."""
 
 
-class Drive(NamedTuple):
+class Product(NamedTuple):
     """A drive that logs turns, though no name says so.
 
     Attributes:
@@ -53,13 +53,13 @@ class Drive(NamedTuple):
     roles: dict[str, str]
 
 
-DRIVES = (
-    Drive(
+PRODUCTS = (
+    Product(
         "moteus",
         ("position", "velocity", "torque", "q_current"),
         {"command": "control_position command_position", "left out": "stop_position abs_position"},
     ),
-    Drive("ODrive", ("pos_estimate", "vel_estimate"), {"command": "input_pos", "left out": "shadow_count"}),
+    Product("ODrive", ("pos_estimate", "vel_estimate"), {"command": "input_pos", "left out": "shadow_count"}),
 )
 """Drives that log turns; names of other drives and programs consist of words that say what they mean."""
 TURNS = {"q": "turn", "command": "turn", "v": "turn/s"}
@@ -71,10 +71,10 @@ def last_part(name: str) -> str:
     return re.split(r"[./]", name.lower())[-1]
 
 
-def drive_of(names: Iterable[str]) -> Drive | None:
+def product_of(names: Iterable[str]) -> Product | None:
     """The drive that gave the names of a log."""
     last = set(map(last_part, names))
-    return next((each for each in DRIVES if last >= set(each.marks)), None)
+    return next((each for each in PRODUCTS if last >= set(each.marks)), None)
 
 
 def point_in_plane(names: Iterable[str]) -> tuple[str, str] | None:
