@@ -1,4 +1,4 @@
-"""The report of a robot file says what was used: attributes by name, other kinds of files, inertias in other units."""
+"""The report of a robot file says what was used: attributes by name, and other kinds of files."""
 
 import re
 from pathlib import Path

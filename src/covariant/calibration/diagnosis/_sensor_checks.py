@@ -42,12 +42,12 @@ OTHER_ORDER = {"quaternion_wxyz": "quaternion_xyzw", "quaternion_xyzw": "quatern
 
 def sensor_checks(case: Case, t: Float[np.ndarray, "T"], sensors: Sequence[Beside], late: Any = 0.0) -> list[Finding]:
     """Judge each sensor beside the positions by what the positions predict of it."""
-    found = [(each, finding) for each in sensors for finding in _findings(case, np.asarray(t, float), each, late)]
-    return [
-        _of_velocities(each, finding) if each.compared else finding
-        for each, finding in found
-        if not each.compared or finding.what in ("unit of a sensor", "sign of a sensor")
-    ]
+    findings = []
+    for each in sensors:
+        found = _findings(case, np.asarray(t, float), each, late)
+        units = [one for one in found if one.what in ("unit of a sensor", "sign of a sensor")]
+        findings += [_of_velocities(each, one) for one in units] if each.compared else found
+    return findings
 
 
 def _of_velocities(beside: Beside, finding: Finding) -> Finding:

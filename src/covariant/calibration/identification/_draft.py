@@ -11,8 +11,8 @@ from jaxtyping import Float
 
 from covariant import logs
 from covariant.calibration.diagnosis import periods
-from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
-from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, last_part, product_of
+from covariant.calibration.identification._explained import driving, explained, quaternion, velocities
+from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, product_of
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
@@ -181,7 +181,7 @@ def _drafted(log: LogColumns) -> Draft | None:
     if "q" not in log.units:
         guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
     own = "drives in a unit of its own: one of it in SI units is taken for 1 N m"
-    remarks = [*inputs.remarks, *odd_rates(log, q, v), *(f"{name} {own}" for name in driving(log, u))]
+    remarks = [*inputs.remarks, *(f"{name} {own}" for name in driving(log, u))]
     remarks += [f"its names are those that {log.product} prints"] * bool(log.product)
     episodes = logs.episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
     remarks += [] if episodes is None else [f"the log {episodes}"]
@@ -213,12 +213,10 @@ def _read(
     }
     marks = {name: "desired" for name in desired if "d" in logs.words_of(name)}
     roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
-    if (product := product_of(columns)) is not None:
-        named = {name: each for each, names in product.roles.items() for name in names.split()}
-        roles = {name: named.get(last_part(name), each) for name, each in roles.items()}
+    if product := product_of(columns):
         fields = roles | {name: field for field, names in given.items() for name in names}
         turns = {name: TURNS[each] for name, each in fields.items() if each in TURNS and labels[name] == name}
-        log = dataclasses.replace(log.labelled(turns), product=product.name)
+        log = dataclasses.replace(log.labelled(turns), product=product)
     log = dataclasses.replace(log, roles=roles)
     t = given["t"][0] if "t" in given else log.ask(find_stamps, log, otherwise="")
     rows = len(next(iter(columns.values()), ()))

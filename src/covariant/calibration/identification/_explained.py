@@ -76,16 +76,6 @@ def driving(log: LogColumns, u: tuple[str, ...]) -> list[str]:
     return [name for name in u if log.unit(name, "u") is None and log.unit(name, "q") is not None]
 
 
-def odd_rates(log: LogColumns, q: tuple[str, ...], v: tuple[str, ...]) -> list[str]:
-    """Remarks on columns that are called velocities and are another multiple of the slope of a position."""
-    remarks = []
-    for name in log.of("v"):
-        remarks += [f"{fault}; left out" for fault in (Register.of(log[name]).fault(name),) if fault]
-        ratios = [(each, log.slope_ratio(each, name)) for each in q if name not in v]
-        remarks += [f"{name} is {ratio:.3g} times the slope of {each}, and left out" for each, ratio in ratios if ratio]
-    return remarks
-
-
 def velocities(log: LogColumns, q: tuple[str, ...]) -> tuple[str, ...]:
     """The velocity of each position: of what is called so, or of what has no name, what follows its slope."""
     named = tuple(name for name in log.of("v") if not Register.of(log[name]).negative)

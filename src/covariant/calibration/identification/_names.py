@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterable
-from typing import NamedTuple
 
 from covariant.logs import without_unit, words_of
 
@@ -39,42 +38,22 @@ PLANE = ("x y", "px py", "north east", "n e", "easting northing")
 """Names of the two coordinates of a point in the plane, without the words for a position."""
 
 
-class Product(NamedTuple):
-    """A drive that logs turns, though no name says so.
+PRODUCTS = {
+    "moteus": ("position", "velocity", "torque", "q_current"),
+    "ODrive": ("pos_estimate", "vel_estimate"),
+}
+"""Drives that log turns, though no name says so, and names of columns all of which a log of each has.
 
-    Attributes:
-        name: Its name.
-        marks: Names of columns, all of which a log of it has.
-        roles: Names that say another thing than their words, by role.
-    """
-
-    name: str
-    marks: tuple[str, ...]
-    roles: dict[str, str]
-
-
-PRODUCTS = (
-    Product(
-        "moteus",
-        ("position", "velocity", "torque", "q_current"),
-        {"command": "control_position command_position", "left out": "stop_position abs_position"},
-    ),
-    Product("ODrive", ("pos_estimate", "vel_estimate"), {"command": "input_pos", "left out": "shadow_count"}),
-)
-"""Drives that log turns; names of other drives and programs consist of words that say what they mean."""
+Names of other drives and programs consist of words that say what they mean.
+"""
 TURNS = {"q": "turn", "command": "turn", "v": "turn/s"}
 """Units of their columns by role."""
 
 
-def last_part(name: str) -> str:
-    """The last part of a name, as pos_estimate of axis0.encoder.pos_estimate."""
-    return re.split(r"[./]", name.lower())[-1]
-
-
-def product_of(names: Iterable[str]) -> Product | None:
-    """The drive that gave the names of a log."""
-    last = set(map(last_part, names))
-    return next((each for each in PRODUCTS if last >= set(each.marks)), None)
+def product_of(names: Iterable[str]) -> str:
+    """The drive of `PRODUCTS` that gave the names of a log, "" for none."""
+    last = {re.split(r"[./]", name.lower())[-1] for name in names}
+    return next((product for product, marks in PRODUCTS.items() if last >= set(marks)), "")
 
 
 def point_in_plane(names: Iterable[str]) -> tuple[str, str] | None:

@@ -1,7 +1,6 @@
 """The stamps among the columns of a log, and the unit of time that its other columns show."""
 
 import dataclasses
-import re
 
 import numpy as np
 from jaxtyping import Float
@@ -28,15 +27,8 @@ def find_stamps(log: LogColumns) -> str:
         _refuse_episodes(log, name)
     if len(candidates) == 1:
         return candidates[0]
-    what = f"{', '.join(candidates)} all rise from row to row"
-    if not candidates:
-        what = "no column of stamps rises from row to row"
-        parts = {re.sub("nano(?=s)|nsec", "", name): name for name in log.values if re.search("nanos|nsec", name)}
-        whole = next((name for name in log.values if name in parts or name.removesuffix("sec") in parts), None)
-        if whole is not None:
-            part = parts.get(whole) or parts[whole.removesuffix("sec")]
-            what += f"; {whole} and {part} are one stamp: write frame['t'] = frame[{whole!r}] + 1e-9 * frame[{part!r}]"
-    raise InputError(f'{what}; name the one of the stamps by `columns["t"]`{log.listed}')
+    what = f"{', '.join(candidates)} all rise" if candidates else "no column of stamps rises"
+    raise InputError(f'{what} from row to row; name the one of the stamps by `columns["t"]`{log.listed}')
 
 
 def refuse_stamps(log: LogColumns) -> None:
