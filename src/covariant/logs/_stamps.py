@@ -83,8 +83,7 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
             f'write t = "{unit}" under [units] of the model file, or the unit that the stamps are in'
         )
     if not len(values) or abs(values[0] * factor) < LATEST:
-        rising = Register.continued(values)
-        return Stamps(rising if factor == 1.0 else rising * factor, None)
+        return Stamps(Register.continued(values) * factor, None)
     first, since_first = _since_first(pa, column, values)
     # The product of a fraction and a whole number of nanoseconds is exact.
     return Stamps(since_first * factor, round(first * round(factor * 1e9)))

@@ -178,9 +178,8 @@ class _Regression(NamedTuple):
 
     @classmethod
     def of(cls, model: MechanicalSystem, log: Smooth, before: Residual) -> "_Regression":
-        count = int(before.used.sum())
-        held_out = HELD_OUT[blocks_of(count)]
-        made = cls(np.empty((0, count, int(before.told.sum()))), np.empty(0), held_out, before)
+        held_out = HELD_OUT[blocks_of(int(before.used.sum()))]
+        made = cls(np.empty((0, 0, 0)), np.empty((0, 0)), held_out, before)
         torques = (-log.v, -np.tanh(log.v / _speeds(log)), -log.a)
         columns = []
         for kind, torque in zip(KINDS, torques, strict=True):

@@ -28,8 +28,6 @@ CLEAR = 25.0
 """Ratio of the variance of a signal to that of its noise from which it is judged: it leaves a scale 4 % wrong."""
 SAMPLES = 40
 """Number of points at which the derivatives of an output are averaged."""
-EXACT = 1e-9
-"""Stated noise of velocities of which none is stated."""
 PIECE = 256
 """Points at which an output is computed at once."""
 ROUNDING = 1e-12
@@ -70,7 +68,7 @@ class Beside(NamedTuple):
         """The logged velocities, as of a sensor of them."""
         units = {"q": names.stated["v"]} if "v" in names.stated else {}
         unit = "rad/s" if names.angles.all() else "m/s" if not names.angles.any() else ""
-        sensor = tachometer(range(len(columns)), EXACT, name="v")
+        sensor = tachometer(range(len(columns)), 1e-9, name="v")  # hardly any noise, since none is stated
         return cls(sensor, Columns(q=columns, units=units), 0.0, unit, v, compared=True)
 
     @property

@@ -82,7 +82,6 @@ def _edges(prepared: Prepared) -> np.ndarray:
 
 def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
     """A change of the zero of servo i at one time, at which its readings jump."""
-    del judge
     place = JointServos.of(case).joint[i]
     for each in moved_zeros(case, np.asarray(case.record.y), Rows(np.asarray(case.record.t))):
         if each.where == case.names.q[place]:

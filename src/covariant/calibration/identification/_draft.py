@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from covariant import logs
 from covariant.calibration.diagnosis import periods
-from covariant.calibration.identification._explained import driving, explained, quaternion, velocities
+from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
 from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, product_of
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
@@ -181,7 +181,7 @@ def _drafted(log: LogColumns) -> Draft | None:
     if "q" not in log.units:
         guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
     own = "drives in a unit of its own: one of it in SI units is taken for 1 N m"
-    remarks = [*inputs.remarks, *(f"{name} {own}" for name in driving(log, u))]
+    remarks = [*inputs.remarks, *odd_rates(log, q, v), *(f"{name} {own}" for name in driving(log, u))]
     remarks += [f"its names are those that {log.product} prints"] * bool(log.product)
     episodes = logs.episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
     remarks += [] if episodes is None else [f"the log {episodes}"]

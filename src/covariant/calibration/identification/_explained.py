@@ -76,6 +76,14 @@ def driving(log: LogColumns, u: tuple[str, ...]) -> list[str]:
     return [name for name in u if log.unit(name, "u") is None and log.unit(name, "q") is not None]
 
 
+def odd_rates(log: LogColumns, q: tuple[str, ...], v: tuple[str, ...]) -> list[str]:
+    """Remarks on columns that are called velocities and are another multiple of the slope of a position."""
+    coded = [Register.of(log[name]).fault(name) for name in log.of("v")]
+    ratios = [(name, log.slope_ratio(each, name), each) for name in log.of("v") if name not in v for each in q]
+    odd = [f"{name} is {ratio:.3g} times the slope of {each}, and left out" for name, ratio, each in ratios if ratio]
+    return [*(f"{fault}; left out" for fault in coded if fault), *odd]
+
+
 def velocities(log: LogColumns, q: tuple[str, ...]) -> tuple[str, ...]:
     """The velocity of each position: of what is called so, or of what has no name, what follows its slope."""
     named = tuple(name for name in log.of("v") if not Register.of(log[name]).negative)

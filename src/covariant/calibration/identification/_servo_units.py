@@ -144,8 +144,8 @@ def _unit_of_command(columns: LogColumns, position: str, text: str, command: str
     if follows(fit) and not named:
         sign = -1.0 if slope < 0 else 1.0
         # A servo falls short of its command where it is soft, and does not go beyond it.
-        near = factor if 0.15 * factor < size < 1.3 * factor else None
-        near = near or next((each for each in _UNITS if 0.85 * each < size < 1.05 * each), None)
+        near = next((each for each in _UNITS if 0.85 * each < size < 1.05 * each), None)
+        near = factor if 0.15 * factor < size < 1.3 * factor else near
         unit = None if near is None else sign * near
     # A position never moves farther than its command, however well it follows.
     if unit is None or size > 1.5 * abs(unit) or (named and follows(fit) and size < 0.15 * abs(unit)):
