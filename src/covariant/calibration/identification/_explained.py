@@ -39,10 +39,10 @@ def explained(log: LogColumns, q: tuple[str, ...]) -> tuple[LogColumns, tuple[st
         if name not in moved and role(without_unit(log.labels[name])) == "" and _in_steps(log[name]):
             roles[name] = "u"
     words = {name: words_of(name) for name in roles if roles[name] in ("q", "") and name != log.t}
-    axes = [next((name for name, each in words.items() if each & axis), None) for axis in EULER]
-    if None not in axes and not log.of("command") and not log.of("u"):
-        x, y, z = map(str, axes)
-        degrees = ", degrees=True" if max(np.nanmax(np.abs(log[name])) for name in axes) > 2 * np.pi else ""
+    axes = [[name for name, each in words.items() if each & axis] for axis in EULER]
+    if all(axes) and not log.of("command") and not log.of("u"):
+        x, y, z = (names[0] for names in axes)
+        degrees = ", degrees=True" if max(np.nanmax(np.abs(log[name])) for name in (x, y, z)) > 2 * np.pi else ""
         raise InputError(
             f"{x}, {y}, {z} are the angles of a body that turns, and no joints: write its quaternion into the log, as "
             f'frame[["qx", "qy", "qz", "qw"]] = scipy.spatial.transform.Rotation.from_euler("ZYX", '
