@@ -36,6 +36,9 @@ from scalargraph.errors import InputError
 
 DEGREES = 50.0
 """Span [rad] of an angle from which it is more likely in degrees."""
+HIDDEN = 50.0
+"""Usual change of the steps from row to row, in ticks, from which noise hides these: they are how numbers were printed.
+"""
 SAME_TICK = 1e-4
 """Relative difference up to which ticks are equal, or such a part of a turn."""
 
@@ -313,7 +316,9 @@ def _with_resolution(guess: Draft, log: LogColumns) -> Draft:
     """A draft with the ticks, the periods and the noise of its positions."""
     logged, lengths, n = log.stack(guess.q), guess.lengths, len(guess.q)
     y = logged * [logs.unit_factor(text) for text in guess.units_of_positions]
-    ticks = np.array([logs.Register.of(column).tick for column in y.T])
+    seen = [column[np.isfinite(column)] for column in y.T]
+    ticks = np.array([logs.Register.of(column).tick for column in seen])
+    ticks[[np.median(np.abs(np.diff(x, 2, prepend=x[[0, 0]]))) for x in seen] > HIDDEN * ticks] = 0.0
     # Angles that jump at a full turn have no other period.
     wraps = periods(log[guess.t], y, ticks, tuple(i for i in range(n) if not lengths[i]))
     continuous = unwrap(y, (), wraps)
@@ -343,8 +348,7 @@ def _units(
     """
     stated = {field: [log.unit(name, field) for name in names] for field, names in fields.items()}
     stated["u"] = [text or log.unit(name, "q") for text, name in zip(stated["u"], fields["u"], strict=True)]
-    odd = logs.odd_clock(log[log.t], stated["t"][0])
-    if odd is not None:
+    if (odd := logs.odd_clock(log[log.t], stated["t"][0])) is not None:
         raise InputError(f"column {log.labels[log.t]!r} {odd}")
     content = {"t": "s" if stated["t"][0] else unit_of_time(log, fields["q"])}
     unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]

@@ -105,9 +105,7 @@ def _closest(
 
 def _is_named_command(label: str) -> bool:
     words = words_of(label)
-    return bool(words & POSITION_WORDS) and bool(
-        words - POSITION_WORDS or words & {"action", "actions", "leader", "goal"}
-    )
+    return bool(words & POSITION_WORDS and (words - POSITION_WORDS or words & {"action", "actions", "leader", "goal"}))
 
 
 def _drives(
