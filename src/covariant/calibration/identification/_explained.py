@@ -59,10 +59,10 @@ def explained(log: LogColumns, q: tuple[str, ...]) -> tuple[LogColumns, tuple[st
                 f'and a moment), all with [columns] q = ["{x}", "{y}", "{turn}"], or "hovercraft" (two thrusts) with '
                 f'position = ["{x}", "{y}"] and angle = ["{turn}"]; or name them by `columns["q"]` if they are joints'
             )
-        log, q = log.labelled({name: "m" for name in plane if log.unit(name, "q") is None}), plane
-        roles |= dict.fromkeys(words, "left out") | dict.fromkeys(q, "q")
+        log = log.labelled({name: "m" for name in plane if log.unit(name, "q") is None})
+        roles |= dict.fromkeys(plane, "q")
     log = dataclasses.replace(log, roles=roles)
-    return log, q if plane else log.of("q")
+    return log, log.of("q")
 
 
 def _in_steps(values: Float[np.ndarray, "T"]) -> bool:
