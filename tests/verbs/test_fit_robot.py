@@ -61,7 +61,7 @@ def made_up(**numbers: tuple[float, float, bool]) -> RobotFit:
     names = tuple(name.replace("_", ".") for name in numbers)
     values, errors, determined = (np.array(column) for column in zip(*numbers.values(), strict=True))
     one, none = np.ones(1), Combinations((), (), 1)
-    return RobotFit(names, values, values, errors, determined, none, one, 0.03, 4, values, one)
+    return RobotFit(names, values, values, errors, determined, none, one, 0.03, values, one)
 
 
 def test_what_cannot_be_told_from_zero_is_named_with_its_standard_error():
@@ -82,7 +82,7 @@ def test_the_numbers_of_a_joint_that_is_predicted_worse_stay():
     names, count = family.names, len(family.names)
     x, one, none = np.full(count, 0.1), np.ones(count), Combinations((), (), 1)
     values = np.asarray(family.values(x))
-    whole = RobotFit(names, family.first, values, 0.1 * one, one > 0, none, one[:2], 0.03, 4, x, one)
+    whole = RobotFit(names, family.first, values, 0.1 * one, one > 0, none, one[:2], 0.03, x, one)
     parted = whole.without(family, np.array([False, True]))
     assert parted is not None
     assert parted.kept == ("elbow",)

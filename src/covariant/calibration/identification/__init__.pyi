@@ -9,7 +9,6 @@ from ._error_model import (
     smoothed as smoothed,
 )
 from ._excitation import (
-    Excitation as Excitation,
     ExcitationPlan as ExcitationPlan,
     JointLimits as JointLimits,
     design_excitation as design_excitation,

@@ -12,6 +12,7 @@ Technology 21(2), and Janot, Vandanjon & Gautier 2014, Robotica 32, on instrumen
 combinations that a log shows; Huber 1981 for weights; White 1982 for the sandwich by blocks.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -87,7 +88,6 @@ class RobotFit(NamedTuple):
         combinations: What the log determines of numbers that it cannot tell apart.
         torque: Robust standard deviation (n,) of the residual torques [N m or N].
         half: Half width [s] of the windows.
-        rounds: Number of Gauss–Newton steps.
         coordinates: Coordinates (p,) of the family.
         losses: Negative log-likelihood (B,) of each block of the logs, up to a constant.
         unlike: Sentences on machines whose logs contradict a number that all machines share.
@@ -100,7 +100,7 @@ class RobotFit(NamedTuple):
         >>> from covariant.calibration.identification import Combinations
         >>> none = Combinations((), (), 1)
         >>> one = np.ones(1)
-        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, one > 0, none, one, 0.03, 4, one, one)
+        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, one > 0, none, one, 0.03, one, one)
         >>> fitted.determined.tolist()
         [True]
     """
@@ -113,7 +113,6 @@ class RobotFit(NamedTuple):
     combinations: Combinations
     torque: Float[np.ndarray, "n"]
     half: float
-    rounds: int
     coordinates: Float[np.ndarray, "p"]
     losses: Float[np.ndarray, "B"]
     unlike: tuple[str, ...] = ()
@@ -178,11 +177,10 @@ def fit_robot(
     search = _Search.of(family, records, half, [0] * len(records) if machines is None else machines)
     x = np.zeros(len(family.names)) if start is None else start.coordinates
     point = search.point(x, search.tracks[0].half if start is None else start.half)
-    rounds = 0
+    rounds = itertools.count()
     for most in (ROUNDS, MORE_ROUNDS) if start is None else (ROUNDS,):
         for _ in range(most):
-            progress(rounds)
-            rounds += 1
+            progress(next(rounds))
             step = search.step(point)
             point = search.point(point.x + step.dx, point.half, point.motions)
             if step.settled:
@@ -192,20 +190,9 @@ def fit_robot(
     solution = search.step(point)
     known = Determined.of(family, point.x, search.sizes, solution.information, solution.covariance)
     values = _rounded(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
-    return RobotFit(
-        family.names,
-        family.first,
-        values,
-        known.standard_errors,
-        known.determined,
-        known.combinations,
-        solution.scale,
-        point.half,
-        rounds,
-        point.x,
-        solution.losses,
-        search.unlike(point, values) if len(family.parts) > 1 else (),
-    )
+    unlike = search.unlike(point, values) if len(family.parts) > 1 else ()
+    reached = solution.scale, point.half, point.x, solution.losses
+    return RobotFit(family.names, family.first, values, *known.said, *reached, unlike)
 
 
 class _Track(NamedTuple):
@@ -457,11 +444,12 @@ def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.nda
 
 def _scales(torque: Float[np.ndarray, "k n"], counts: Bool[np.ndarray, "k n"]) -> Float[np.ndarray, "n"]:
     """Robust standard deviations of the torques that count."""
-    return np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
+    return np.array([scale_of(torque[counts[:, j], j]) for j in range(torque.shape[1])])
 
 
-def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation; 1 where there is nothing."""
+def scale_of(values: np.ndarray) -> float:
+    """Robust standard deviation of finite values; 1 where there are none."""
+    values = values[np.isfinite(values)]
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
 
 

@@ -144,11 +144,6 @@ def _concluded(family: RobotFamily, found: RobotFit, unknowns: RobotUnknowns, po
     outer = np.outer(sizes, sizes)
     known = Determined.of(family, x, sizes, blocks.information / outer, covariance * outer)
     values = np.asarray(jax.jit(family.values)(x))
-    return found._replace(
-        values=values,
-        standard_errors=known.standard_errors,
-        determined=known.determined,
-        combinations=known.combinations,
-        coordinates=x,
-        likeliest=True,
-    )
+    errors, determined, combined = known.said
+    found = found._replace(values=values, standard_errors=errors, determined=determined, combinations=combined)
+    return found._replace(coordinates=x, likeliest=True)

@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 from covariant.calibration._least_squares import (
     PRIOR,
-    STD_OF_MEDIAN,
     Blocks,
     Fixed,
     Point,
@@ -25,8 +24,8 @@ from covariant.calibration._least_squares import (
     minimise,
     robust,
 )
-from covariant.calibration.identification._robot_fit import RobotFit
-from covariant.calibration.identification._robot_torques import Determined
+from covariant.calibration.identification._robot_fit import RobotFit, scale_of
+from covariant.calibration.identification._robot_torques import Determined, usual_sizes
 from covariant.calibration.identification._servo_motion import ServoLog
 from covariant.models import RobotFamily
 from covariant.signals import Record
@@ -120,19 +119,8 @@ def fit_servos(
     integration_error = np.where(np.array(times) > 0, times, RELATIVE_ACCURACY * np.abs(values))
     covariance += np.diag(integration_error**2)
     known = Determined.of(family, x, search.sizes, information / outer, covariance)
-    return RobotFit(
-        family.names,
-        family.first,
-        values,
-        known.standard_errors,
-        known.determined,
-        known.combinations,
-        search.scale,
-        search.length / 2,
-        next(rounds),
-        x,
-        blocks.loss,
-    )
+    reached = search.scale, search.length / 2, x, blocks.loss
+    return RobotFit(family.names, family.first, values, *known.said, *reached)
 
 
 class _Search(NamedTuple):
@@ -177,18 +165,10 @@ class _Search(NamedTuple):
         inertia = body.inertia + np.diag(armature)
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
         servos = logs[0].drive(np.zeros(len(family.names))).servos
-        command_errors = (
-            np.concatenate([log.u for log in logs]) @ np.asarray(servos.commands).T
-            - motion[0] @ np.asarray(servos.rows).T
-        )
-        servo_torques = (
-            (command_errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
-        )
-        usual = [
-            np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9)
-            for part in (torque, servo_torques, motion[1], motion[2])
-        ]
-        sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
+        directions, commanded = np.asarray(servos.rows), np.asarray(servos.commands)
+        errors = np.concatenate([log.u for log in logs]) @ commanded.T - motion[0] @ directions.T
+        servo_torques = (errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(directions)
+        sizes, _ = usual_sizes(family, servo_torques, torque, *motion[1:])
         # If the file states a stiffness, a speed or a limit, that value is its usual size.
         has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])
         sizes = np.where(has_positive_number & (np.abs(family.first) > 0), np.abs(family.first), sizes)
@@ -348,5 +328,4 @@ class _Search(NamedTuple):
 
 def _scales(errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:
     """Robust standard deviations of the finite errors of each joint; 1 if there are none."""
-    columns = [column[np.isfinite(column)] for column in errors.reshape(-1, errors.shape[2]).T]
-    return np.array([max(STD_OF_MEDIAN * np.median(np.abs(each)), 1e-9) if len(each) else 1.0 for each in columns])
+    return np.array([scale_of(column) for column in errors.reshape(-1, errors.shape[2]).T])
