@@ -8,8 +8,8 @@ from two_links import Truth, swing
 import covariant
 from covariant import models, scoring
 from covariant.calibration import fit_robot
-from covariant.calibration.identification import Unknowns, error_model, gather, likeliest_robot
-from covariant.calibration.identification._robot_likelihood import RobotUnknowns, linearised
+from covariant.calibration.identification import Unknowns, error_model, gather, likeliest_robot, linearised_robot
+from covariant.calibration.identification._robot_likelihood import RobotUnknowns
 from covariant.signals import Record
 
 TRUTH = Truth(coulomb=(0.0, 0.0), asymmetry=(0.0, 0.0))
@@ -35,7 +35,7 @@ def free() -> dict[str, dict[str, float]]:
 def test_all_rows_tell_many_times_more_than_residual_torques(short):
     family, record, rows = short
     by_torques = fit_robot(family, [record], HALF)
-    found = likeliest_robot(family, by_torques, rows)
+    found = likeliest_robot(RobotUnknowns.of(family, rows), by_torques, rows)
     assert found.determined.all()
     assert (np.abs(found.values - TRUE) < 4 * found.standard_errors).all()
     assert (found.standard_errors < by_torques.standard_errors / 4).all()
@@ -45,9 +45,9 @@ def test_derivatives_in_the_numbers_are_those_of_a_step_of_the_model(short):
     """Beside forward differentiation of the step itself."""
     family, _, rows = short
     unknowns = RobotUnknowns.of(family, rows)
-    z = np.array([0.3, -0.2, 0.1, 0.2]) * 0.1
+    z = np.array([0.3, -0.2, 0.1, 0.2]) * 0.01
     here = rows._replace(start=rows.start)
-    ours = linearised(unknowns, jnp.asarray(z), rows.start, here, 1)
+    ours = linearised_robot(unknowns, jnp.asarray(z), rows.start, here, 1)
 
     def make(values):
         return family.make(values), 0.0
@@ -61,7 +61,8 @@ def test_derivatives_in_the_numbers_are_those_of_a_step_of_the_model(short):
     both = moving[1:-1] & moving[2:]
     scale = np.abs(at).max(axis=(0, 1))
     np.testing.assert_allclose((np.asarray(ours.slopes)[1:-1] / scale)[both], (at[1:-1] / scale)[both], atol=0.06)
-    np.testing.assert_allclose(ours.defect, expected.defect, atol=1e-12)
+    np.testing.assert_allclose(ours.defect, expected.defect, atol=1e-4)
+    np.testing.assert_allclose(ours.transition, expected.transition, atol=5e-3)
 
 
 @pytest.mark.exhaustive

@@ -9,17 +9,17 @@ from two_links import Truth, swing
 
 from covariant import models
 from covariant.calibration import fit_robot
-from covariant.calibration.identification._robot_fit import _rounded
+from covariant.calibration.identification._robot_fit import rounded_values
 from covariant.calibration.identification._robot_torques import _told_from_zero
 from covariant.signals import Record
 
 HALF = 0.03
 
 
-def test_only_what_has_become_zero_is_rounded_to_it():
+def test_only_what_has_become_zero_isrounded_values_to_it():
     """At its bound a friction is zero but for rounding; one that the log does not show stays, whatever its prior."""
     values, first = np.array([1e-17, 1e-18, 0.05]), np.array([0.05, 0.0, 0.05])
-    assert _rounded(values, first, np.array([1.0, 1.0, 1e12])).tolist() == [0.0, 0.0, 0.05]
+    assert rounded_values(values, first, np.array([1.0, 1.0, 1e12])).tolist() == [0.0, 0.0, 0.05]
 
 
 def test_a_log_that_is_too_short_is_refused():

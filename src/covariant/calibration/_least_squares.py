@@ -202,19 +202,14 @@ def _step(point: Point, fixed: Fixed, damping: float, lowest: NumpyArray) -> tup
 
 
 def minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
-    held = np.zeros(len(gradient), bool)
-    step = np.zeros(len(gradient))
-    for _ in range(len(gradient) + 1):
-        step[held] = least[held]
-        free = ~held
-        right = -gradient[free] - matrix[np.ix_(free, held)] @ step[held]
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], right)
-        worse = free & (step < least - 1e-12)
-        if not worse.any():
-            break
-        held |= worse
-    return step
+    """The step that minimises a quadratic function above bounds."""
+    from scipy.optimize import lsq_linear
+
+    step = -np.linalg.solve(matrix, gradient)
+    if (step >= least - 1e-12).all():
+        return step
+    root = np.linalg.cholesky(matrix)
+    return lsq_linear(root.T, -np.linalg.solve(root, gradient), (least, np.inf), method="bvls").x
 
 
 def _span(projection: NumpyArray) -> Float[NumpyArray, "p d"]:

@@ -329,7 +329,6 @@ class FitResult(AbstractTable):
             f"{result['scored_against']} [unit/s].",
             self._errors,
             *([inputs] if inputs else []),
-            *([result["start"]] if result.get("start") else []),
         ]
 
     def _figure(self) -> Any:
@@ -384,7 +383,6 @@ class FitResult(AbstractTable):
         lines = [
             f"{how} of {', '.join(result['logs'])}",
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
-            *([result["start"]] if result.get("start") else []),
             "",
             table(numbers),
             *self._on_numbers,

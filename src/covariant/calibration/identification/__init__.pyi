@@ -43,7 +43,11 @@ from ._predict import (
 from ._rivals import Rival as Rival, better_reading as better_reading
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
-from ._robot_likelihood import likeliest_robot as likeliest_robot
+from ._robot_likelihood import (
+    RobotUnknowns as RobotUnknowns,
+    likeliest_robot as likeliest_robot,
+    linearised_robot as linearised_robot,
+)
 from ._robot_misfit import robot_misfit as robot_misfit, standing_still as standing_still
 from ._robot_torques import motor_inputs as motor_inputs
 from ._rows import (

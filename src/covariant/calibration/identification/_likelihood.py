@@ -292,7 +292,12 @@ def stable_steps(unknowns: Unknowns, z: NumpyArray, rows: Rows) -> Array:
 
 
 def window_errors(
-    unknowns: Unknowns, z: NumpyArray, rows: Rows, length: float, judged: Bool[NumpyArray, "T"]
+    unknowns: Any,
+    z: NumpyArray,
+    rows: Rows,
+    length: float,
+    judged: Bool[NumpyArray, "T"],
+    linearised: Callable[..., ErrorModel] = error_model,
 ) -> PredictionErrors:
     """Root mean square errors of the motion that a model predicts over windows [s], each from its best first motion."""
     t = np.asarray(rows.t)
@@ -305,12 +310,12 @@ def window_errors(
     speed, steps = jnp.asarray(FASTER * np.abs(v).max()), stable_steps(unknowns, z, rows)
     # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
     noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
-    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
+    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed, None, linearised)
     run, off, system = problem.rows.start, np.zeros((0, 0)), problem.linear(z, problem.rows.start)
     for _ in range(MOVES):
         run = problem.moved_run(z, Kept(np.asarray(z), run, system))
         if not np.isfinite(run.v).all():
-            return PredictionErrors(*np.full((2, len(size)), np.inf))
+            return PredictionErrors(*np.full((2, len(size)), np.inf), np.full((1, len(size)), np.inf))
         off = np.where(system.present, (now := problem.linear(z, run)).residual, np.nan)
         # Those far off the others are left out from the next time on.
         off[(off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)] = np.nan

@@ -5,7 +5,6 @@ its prediction is thus that of the estimate, propagated to that time, plus an in
 prediction errors judge estimates without a reference.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -235,12 +234,6 @@ def _errors_ahead(
         return jnp.where(seen, jnp.where(jnp.isfinite(errors), errors, jnp.inf), jnp.nan)
 
     return jax.vmap(ahead)(starts)
-
-
-def size(errors: Sequence[Float[np.ndarray, "_ _ n"]]) -> Float[np.ndarray, "n"]:
-    """Root mean squares of errors, with limited influence of outliers."""
-    columns = np.concatenate([np.reshape(each, (-1, each.shape[-1])) for each in errors]).T
-    return np.sqrt([mean_square(column[~np.isnan(column)]) for column in columns])
 
 
 def mean_square(r: np.ndarray) -> float:

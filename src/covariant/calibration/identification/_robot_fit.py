@@ -189,7 +189,7 @@ def fit_robot(
             point = search.with_best_window(point)
     solution = search.step(point)
     known = Determined.of(family, point.x, search.sizes, solution.information, solution.covariance)
-    values = _rounded(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
+    values = rounded_values(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
     unlike = search.unlike(point, values) if len(family.parts) > 1 else ()
     reached = solution.scale, point.half, point.x, solution.losses
     return RobotFit(family.names, family.first, values, *known.said, *reached, unlike)
@@ -411,6 +411,8 @@ def _track(record: Record, half: float, circles: tuple[int, ...], total: float) 
 
 def _smooth_positions(track: _Track, half: float, modelled: np.ndarray | None) -> _Path:
     """Smooth what accelerations along the grid leave of the positions; without them the positions themselves."""
+    from scipy.interpolate import CubicHermiteSpline
+
     t, y, grid, step = track.t, track.y, track.grid, track.step
     if modelled is None:
         modelled = np.zeros((len(grid), y.shape[1]))
@@ -418,8 +420,7 @@ def _smooth_positions(track: _Track, half: float, modelled: np.ndarray | None) -
     middle = np.cumsum(modelled, axis=0) * step
     places = np.concatenate([np.zeros_like(middle[:1]), np.cumsum(middle[:-1], axis=0) * step])
     speeds = middle - modelled * step / 2
-    at = np.clip(np.searchsorted(grid, t) - 1, 0, len(grid) - 2)
-    left = y - _hermite((t - grid[at]) / step, places[at], places[at + 1], speeds[at] * step, speeds[at + 1] * step)
+    left = y - CubicHermiteSpline(grid, places, speeds)(t)
     c = scoring.local_polynomials(t, left, grid, half, ORDER)
     used = (grid >= t[0] + half) & (grid <= t[-1] - half)
     for column in np.isfinite(y).T:
@@ -429,14 +430,7 @@ def _smooth_positions(track: _Track, half: float, modelled: np.ndarray | None) -
     return _Path(places + c[:, 0], speeds + c[:, 1], modelled, 2 * c[:, 2], used)
 
 
-def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.ndarray, slope_right: np.ndarray):
-    """Cubic at s in [0, 1] with these values and slopes at its ends."""
-    s = s[:, None]
-    across = (2 * s - 3) * s**2
-    return (1 + across) * left - across * right + s * (1 - s) ** 2 * slope_left - s**2 * (1 - s) * slope_right
-
-
-def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
+def rounded_values(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
     size = np.abs(values)
     return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)

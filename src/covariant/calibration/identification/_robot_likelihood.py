@@ -5,7 +5,7 @@ positions of a whole log tell much more, and a short log is enough.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from covariant.calibration._least_squares import PRIOR, Fixed, Point
-from covariant.calibration.identification._error_model import ErrorModel, error_model
+from covariant.calibration.identification._error_model import ErrorModel, assembled
 from covariant.calibration.identification._fit import DIFFERENT, Solved, begun, likeliest
-from covariant.calibration.identification._robot_fit import RobotFit, accelerations, driving
+from covariant.calibration.identification._likelihood import stable_steps
+from covariant.calibration.identification._robot_fit import RobotFit, accelerations, driving, rounded_values
 from covariant.calibration.identification._robot_torques import (
     Determined,
     Torques,
@@ -25,9 +26,12 @@ from covariant.calibration.identification._robot_torques import (
     usual_sizes,
 )
 from covariant.calibration.identification._rows import Rows
-from covariant.calibration.identification._unknowns import Unknowns
 from covariant.geometry import AbstractManifold
 from covariant.models import MechanicalSystem, Motion, RobotFamily
+
+STEEPEST = 10
+"""Most Runge–Kutta steps in a row of which the linear model of a row is good: where dry friction is so steep that it
+would take more, a joint stops or reverses between two rows, and residual torques say more of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +45,12 @@ class RobotUnknowns:
     sizes: Float[np.ndarray, "p"]
     sticking: Float[np.ndarray, "n"]
     torques: Torques
-    _functions: dict[str, Callable[..., np.ndarray]] = field(default_factory=dict)
+    accelerations: Callable[..., np.ndarray]
+    rates: Callable[..., np.ndarray]
+    inertias: Callable[..., np.ndarray]
+    first: Float[np.ndarray, "p"]
+    parts: Int[np.ndarray, "M k"]
+    manifold: AbstractManifold
 
     @classmethod
     def of(cls, family: RobotFamily, rows: Rows) -> "RobotUnknowns":
@@ -54,19 +63,9 @@ class RobotUnknowns:
         torques, first = Torques.of(family), np.zeros(len(family.names))
         both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
         sizes, speed = usual_sizes(family, *both, v, a)
-        return cls(family, sizes, sticking_speeds(family, speed), torques)
-
-    @property
-    def first(self) -> Float[np.ndarray, "p"]:
-        return np.zeros_like(self.sizes)
-
-    @property
-    def parts(self) -> Int[np.ndarray, "M k"]:
-        return self.family.parts
-
-    @property
-    def manifold(self) -> AbstractManifold:
-        return self.family.file.model.manifold
+        functions = map(torques.rows, (accelerations, _rates, lambda model, q: model.space(q)))
+        at = first, family.parts, family.file.model.manifold
+        return cls(family, sizes, sticking_speeds(family, speed), torques, *functions, *at)
 
     def model(self, z: Array, machine: int = 0) -> Any:
         """The model at relative coordinates z (p,)."""
@@ -85,65 +84,97 @@ class RobotUnknowns:
         """Coordinates (p,) at which undetermined combinations are fixed: those of the first values."""
         return np.zeros_like(z)
 
-    def along(self, name: str, function: Callable[..., Any], x: np.ndarray, *columns: np.ndarray) -> np.ndarray:
-        """A function of the model and a row at rows; its graph is made once."""
-        if name not in self._functions:
-            self._functions[name] = self.torques.rows(function)
-        return self._functions[name](x, *columns)
 
+def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
+    """Linearise a robot along a run: in its state by exponentials, in its numbers by torques.
 
-def linearised(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
-    """Linearise a robot along a run: in its state by a step of the model, in its numbers by torques.
-
-    Torques are fewer than numbers, so that derivatives of torques cost less than those of a step in each number.
+    Dry friction of light joints is so steep that explicit steps would have to be tiny: each half of a step is the exact
+    solution of the equations linearised at its beginning (Hochbruck & Ostermann 2010, Exponential integrators, Acta
+    Numerica 19, section 2), extrapolated with that of the whole step. Torques are fewer than numbers, so that their
+    derivatives cost less than those of a step in each number.
     """
-    x = np.asarray(z) * unknowns.sizes
-    system = error_model(Unknowns.none(unknowns.model(z)), jnp.zeros(0), run, rows, steps)
+    del steps
+    x, n = np.asarray(z) * unknowns.sizes, run.v.shape[1]
     q, v = np.asarray(run.q), np.asarray(run.v)
-    u = np.asarray(rows.inputs)[np.asarray(rows.rows)]
+    u, fresh = np.asarray(rows.inputs)[np.asarray(rows.rows)][:-1], np.asarray(rows.fresh)
+    dt = np.where(fresh[1:], 0.0, np.diff(np.asarray(rows.t)))
+    start, then = (np.concatenate([q[at], v[at]], axis=1) for at in (slice(-1), slice(1, None)))
+    whole, first_half = (_exponential(unknowns, x, start, u, h) for h in (dt, dt / 2))
+    second_half = _exponential(unknowns, x, start + first_half[:, :, -1], u, dt / 2)
+    halves = first_half[:, :, -1] + second_half[:, :, -1]
+    defect = start + (4 * halves - whole[:, :, -1]) / 3 - then
+    transition = 2 * second_half[:, :, :-1] @ first_half[:, :, :-1] - whole[:, :, :-1]
     changes = []
     # Inputs of the row before act in a step, from its beginning to its end.
     for at in (slice(None, -1), slice(1, None)):
-        a = unknowns.along("accelerations", accelerations, x, q[at], v[at], u[:-1], np.ones_like(v[:-1]))
-        torque = unknowns.torques.derivatives(x, q[at], v[at], a, u[:-1])
+        a = unknowns.accelerations(x, q[at], v[at], u, np.ones_like(v[:-1]))
+        torque = unknowns.torques.derivatives(x, q[at], v[at], a, u)
         torque *= (np.abs(v[at]) >= unknowns.sticking)[:, :, None]
-        inertia = unknowns.along("inertia", _inertia, x, q[at])
-        changes.append(-np.linalg.solve(inertia, torque))
+        changes.append(-np.linalg.solve(unknowns.inertias(x, q[at]), torque))
     begin, end = changes
-    dt, n = np.asarray(system.dt)[1:, None, None], v.shape[1]
+    h = dt[:, None, None]
     # What a number changes at the beginning of a step is damped until its end.
-    damped = np.asarray(system.transition)[1:, n:, n:] @ begin
-    slopes = np.concatenate([dt**2 * (begin / 3 + end / 6), dt * (damped + end) / 2], axis=1)
-    slopes = np.where(np.isfinite(slopes), slopes, 0.0) * unknowns.sizes
-    slopes = np.concatenate([np.zeros_like(slopes[:1]), slopes])
-    return system._replace(slopes=jnp.asarray(np.where(np.asarray(system.fresh)[:, None, None], 0.0, slopes)))
+    damped = transition[:, n:, n:] @ begin
+    slopes = np.concatenate([h**2 * (begin / 3 + end / 6), h * (damped + end) / 2], axis=1) * unknowns.sizes
+    linear = transition, defect, slopes, np.linalg.inv(unknowns.inertias(x, q[:-1]))
+    whole = np.all([np.isfinite(part.reshape(len(dt), -1)).all(axis=1) for part in linear], axis=0)
+    linear = [jnp.asarray(np.where(whole.reshape(-1, *[1] * (part.ndim - 1)), part, np.nan)) for part in linear]
+    return assembled(unknowns.manifold, linear, jnp.asarray(dt), run, rows)
 
 
-def _inertia(model: MechanicalSystem, q: Array) -> Array:
-    return model.space(q)
+def _exponential(
+    unknowns: RobotUnknowns,
+    x: Float[np.ndarray, "p"],
+    state: Float[np.ndarray, "T n2"],
+    u: Float[np.ndarray, "T m"],
+    h: Float[np.ndarray, "T"],
+) -> Float[np.ndarray, "T n2 n21"]:
+    """Transition of errors in a time, and in the last column the change of the state, of the linearised equations."""
+    from scipy.linalg import expm
+
+    n, count = state.shape[1] // 2, len(state)
+    q, v = state[:, :n], state[:, n:]
+    rates = unknowns.rates(x, q, v, u)
+    matrix = np.zeros((count, 2 * n + 1, 2 * n + 1))
+    matrix[:, :n, n : 2 * n], matrix[:, :n, -1] = np.eye(n), v
+    matrix[:, n : 2 * n] = rates
+    matrix = np.where(np.isfinite(rates).all(axis=(1, 2))[:, None, None], matrix, 0.0) * h[:, None, None]
+    return expm(matrix)[:, :-1]
+
+
+def _rates(model: MechanicalSystem, q: Array, v: Array, u: Array) -> Float[Array, "n n21"]:
+    """Derivatives (n, 2n) of the accelerations in position and velocity, and these themselves as the last column."""
+    n = len(q)
+
+    def acceleration(state: Array) -> tuple[Array, Array]:
+        a = accelerations(model, state[:n], state[n:], u, jnp.ones(n))
+        return a, a
+
+    slopes, a = jax.jacfwd(acceleration, has_aux=True)(jnp.concatenate([q, v]))
+    return jnp.concatenate([slopes, a[:, None]], axis=1)
 
 
 def likeliest_robot(
-    family: RobotFamily, found: RobotFit, rows: Rows, progress: Callable[[int, int], object] = lambda *_: None
+    unknowns: RobotUnknowns, found: RobotFit, rows: Rows, progress: Callable[[int, int], object] = lambda *_: None
 ) -> RobotFit:
-    """The numbers of greatest likelihood near those of a fit by residual torques."""
-    unknowns: Any = RobotUnknowns.of(family, rows)
-    problem, bounds = begun(unknowns, rows, None, linearised)
-    start = np.maximum(found.coordinates / unknowns.sizes, family.least / unknowns.sizes)
-    problem, _ = problem.likelier(Point.at(problem, start).blocks.rest, bounds, 10)
-    solved = Solved(family, None, problem, Point.at(problem, start), Fixed.nothing(len(start)), bounds)
-    return _concluded(family, found, unknowns, likeliest(solved, progress).point)
+    """The numbers of greatest likelihood near those of a fit by residual torques; these where friction is too steep."""
+    start = unknowns.moved(found.coordinates / unknowns.sizes, np.zeros_like(unknowns.sizes))
+    if stable_steps(unknowns, start, rows) > STEEPEST:
+        return found
+    problem, bounds = begun(unknowns, rows, None, linearised_robot)
+    begin: Any = unknowns.family, None, problem, Point.at(problem, start), Fixed.nothing(len(start)), bounds
+    return _concluded(found, unknowns, likeliest(Solved(*begin), progress).point)
 
 
-def _concluded(family: RobotFamily, found: RobotFit, unknowns: RobotUnknowns, point: Point) -> RobotFit:
+def _concluded(found: RobotFit, unknowns: RobotUnknowns, point: Point) -> RobotFit:
     """The fit with the numbers of a point, and their standard errors."""
+    family = unknowns.family
     x, sizes, blocks = point.z * unknowns.sizes, unknowns.sizes, point.blocks
     covariance = np.linalg.inv(blocks.information + np.eye(len(x)) / PRIOR**2)
     if blocks.overdispersion > DIFFERENT**2:
         covariance = covariance * blocks.overdispersion
     outer = np.outer(sizes, sizes)
     known = Determined.of(family, x, sizes, blocks.information / outer, covariance * outer)
-    values = np.asarray(jax.jit(family.values)(x))
-    errors, determined, combined = known.said
-    found = found._replace(values=values, standard_errors=errors, determined=determined, combinations=combined)
-    return found._replace(coordinates=x, likeliest=True)
+    values = rounded_values(np.asarray(jax.jit(family.values)(x)), family.first, known.prior)
+    named = dict(zip(("standard_errors", "determined", "combinations"), known.said, strict=True))
+    return found._replace(values=values, coordinates=x, likeliest=True, **named)

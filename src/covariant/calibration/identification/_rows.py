@@ -114,8 +114,8 @@ def gather(
     steps[offsets[:-1]] = BETWEEN_LOGS
     fresh = np.concatenate([_begins(own[0]) for own in logs])
     # Where a turn of a joint counts as none, the motion is one without jumps.
-    q = np.concatenate([_filled(own[0], unwrap(own[1], manifold.circles)) for own in logs])
-    v = np.concatenate([_filled(own[0], np.asarray(velocity)) for own, velocity in zip(logs, velocities, strict=True)])
+    q = np.concatenate([filled(own[0], unwrap(own[1], manifold.circles)) for own in logs])
+    v = np.concatenate([filled(own[0], np.asarray(velocity)) for own, velocity in zip(logs, velocities, strict=True)])
     chosen = np.arange(len(t))
     if len(t) > MOST_ROWS:
         stretches = len(t) // STRETCH
@@ -150,7 +150,7 @@ def _begins(t: Float[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
     return np.concatenate([[True], steps > LONGEST_GAP * np.median(steps)])
 
 
-def _filled(t: np.ndarray, column: np.ndarray) -> np.ndarray:
+def filled(t: np.ndarray, column: np.ndarray) -> np.ndarray:
     """The column with values between the nearest known ones where rows are missing: the last one known of those that
     cannot be interpolated, as the parts of an attitude that is missing whole."""
     flat = np.array(column).reshape(len(t), -1)

@@ -23,17 +23,6 @@ MIRRORED = (
 )
 
 
-def start_sentence(best: Fit) -> str:
-    """Where the search began that won, and what the others ended at."""
-    (won, _), *others = best.starts or (("", 0.0),)
-    if not won:
-        return ""
-    if not others:
-        return f"The search began from {won}."
-    rest = ", ".join(f"that from {name} by {behind:.3g} worse in log-likelihood" for name, behind in others)
-    return f"The search from {won} ended best, {rest}."
-
-
 def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float, machine: str = "") -> str:
     """What another reading of the logs explains, or of those of one machine, with the line of the model file that says
     so; `step` is of its rows."""

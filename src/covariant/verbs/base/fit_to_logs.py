@@ -1,5 +1,6 @@
 """Computes a fit to logs: reads them, solves with held and with linear inputs, and judges on what is held out."""
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from covariant._names import refuse_unknown
 from covariant.calibration import Fit, PredictionErrors, RobotFit, fit_robot, relations
 from covariant.calibration.identification import (
     FITTED,
+    RobotUnknowns,
     Rows,
     Solved,
     Unknowns,
@@ -21,10 +23,12 @@ from covariant.calibration.identification import (
     better_reading,
     block_losses,
     error_growth,
+    error_model,
     fit_servos,
     gather,
     held_out_rows,
     likeliest_robot,
+    linearised_robot,
     predict_servos,
     predicts_worse,
     profile,
@@ -42,7 +46,6 @@ from covariant.verbs.base.fit_sentences import (
     rival_sentence,
     robot_details,
     servo_details,
-    start_sentence,
     unlike_servos,
 )
 from covariant.verbs.base.inputs import Job, MisfitError, coordinates
@@ -107,10 +110,8 @@ def fit_to_logs(
             content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
         if gain is not None and gain.clear:
             content.setdefault("inputs", {})["between"] = used
-    details = _details(jobs[0], logs, guessed, found, before, after, suspicion) | {
-        "inputs": _input_details(used, logs.stated, gain)
-    }
-    details |= problem.details(found)
+    details = _details(jobs[0], logs, guessed, found, before, after, suspicion)
+    details |= {"inputs": _input_details(used, logs.stated, gain), "better": better, **problem.details(found)}
     if (origin := logs.logs[0].loaded.origin) is not None:
         details["t_counts_from"] = origin
     # A log that is misread says nothing of what it determines.
@@ -153,7 +154,7 @@ def _solve(problem: "_Problem", parts: dict[str, _Part], progress: Progress) -> 
 
         def report(done: int, fraction: float, k: int = k, word: str = word) -> None:
             which = f" with {word} inputs" if len(tried) > 1 else ""
-            progress(f"round {done + 1}{which}", (k + fraction) / len(tried))
+            progress(f"round {done + 1}{which}", (k + min(fraction, 1.0)) / len(tried))
 
         start = fits[word] = problem.fit(word, parts[word], start, report)
     return fits
@@ -215,13 +216,8 @@ class _PredictionProblem(_Problem):
     @classmethod
     def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_PredictionProblem":
         refuse_other_parameters(jobs, ("between", "lag"))
-        family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
-        if own is not None:
-            machines, of_log = own.numbered
-            try:
-                family = family.of_machines(machines, own.names)
-            except InputError as error:
-                raise InputError(f"each: {error}") from error
+        family = models.family(jobs[0].model_name, names, jobs[0].overrides)
+        family, machines, of_log = _of_machines(family, own, lambda own: own)
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], of_log), machines)
 
     def acting(self, log: Aligned, between: str) -> Record:
@@ -231,16 +227,11 @@ class _PredictionProblem(_Problem):
     def fit(self, word: str, part: _Part, start: Solved | None, report: Callable[[int, float], None]) -> Solved:
         del word
 
-        def progress(done: int, step: int) -> None:
-            report(done, min((done + step / STEPS) / ROUNDS, 1.0))
-
         begin = None if start is None else start.fit.values
         quantum = self.logs.logs[0].loaded.file.quantum
         # The noise of a reading is at least that of rounding.
         least = None if quantum is None else np.asarray(quantum, float) / np.sqrt(12)
-        found = search(self.family, part.rows.only(~part.judged), progress, begin, least)
-        # Which place won is known from the first search; a later one begins where that ended.
-        return found if start is None else found._replace(fit=found.fit._replace(starts=start.fit.starts))
+        return search(self.family, part.rows.only(~part.judged), _reported(report), begin, least)
 
     def ended(self, best: Solved, part: _Part | None) -> Fit:
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
@@ -270,28 +261,26 @@ class _PredictionProblem(_Problem):
         return window_errors(unknowns, unknowns.relative(values), part.rows, self.logs.length, part.judged)
 
     def details(self, best: Fit) -> dict[str, Any]:
-        return {"start": start_sentence(best), "undetermined": list(relations(best)), "unlike": list(best.unlike)}
+        return {"undetermined": list(relations(best)), "unlike": list(best.unlike)}
 
 
 class _RobotProblem(_Problem):
     """Numbers of a robot's joints and links, fitted by residual torques, and from these by the likelihood of logs."""
 
+    @functools.cached_property
+    def unknowns(self) -> RobotUnknowns:
+        """The numbers of one machine, whose graphs are made once."""
+        return RobotUnknowns.of(self.family.one, _Part.of(self, self.logs.tried[0]).rows)
+
     @classmethod
     def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_RobotProblem":
         refuse_other_parameters(jobs, ("between",))
-        family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
-        if own is not None:
-            machines, of_log = own.numbered
-            try:
-                family = family.of_machines(machines, _own_robot_numbers(jobs[0], own.names, family.names))
-            except InputError as error:
-                raise InputError(f"each: {error}") from error
+        family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
+        all_names = family.names
+        family, machines, of_log = _of_machines(family, own, lambda own: _own_robot_numbers(jobs[0], own, all_names))
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs], of_log)
-        for name, log in zip(logs.names, logs.logs, strict=True):
-            finding = None if jobs[0].anyway else robot_misfit(family.one, log.loaded.file, log.raw)
-            if finding is not None:
-                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
+        _refuse_misfits(jobs[0], logs, lambda log: robot_misfit(family.one, log.loaded.file, log.raw))
         return cls(family, logs, machines)
 
     def fit(self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
@@ -302,45 +291,39 @@ class _RobotProblem(_Problem):
             records = [_first_part(record) for record in records]
         half = self.logs.logs[0].loaded.file.reference_half
 
-        def progress(done: int) -> None:
-            report(done, min(done / ROBOT_ROUNDS, 1.0))
-
-        return fit_robot(self.family, records, half, progress, start, machines)
+        return fit_robot(self.family, records, half, lambda done: report(done, done / ROBOT_ROUNDS), start, machines)
 
     def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
         """The fit of greatest likelihood, where that predicts no worse than the one by residual torques."""
         if len(self.machines) > 1:
             return best
 
-        def report(done: int, step: int) -> None:
-            progress(f"all rows, round {done + 1}", min((done + step / STEPS) / ROUNDS, 1.0))
-
-        other = likeliest_robot(self.family, best, part.rows.only(~part.judged), report)
+        report = _reported(lambda done, fraction: progress(f"all rows, round {done + 1}", fraction))
+        other = likeliest_robot(self.unknowns, best, part.rows.only(~part.judged), report)
         worse = error_growth(self.errors(best, part), self.errors(other, part)) > CLEARLY_WORSE
         return best if worse else other
 
     def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
         """The fit, once more to all rows of a part where it was found good there."""
         whole = part is not None and best.likeliest and not best.kept
-        return likeliest_robot(self.family, best, part.rows) if whole else best
+        return likeliest_robot(self.unknowns, best, part.rows) if whole else best
 
     def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
         """Root mean squares over the machines, of the first values where there is no fit."""
-        # At the first values the family has the program of the fitted model; but a load that it adds was not there.
+        # A load that the family adds was not there before.
         added = any(number.group == "payload" for number in self.family.numbers)
         x = np.zeros(len(self.family.names)) if best is None else best.coordinates
-        old = best is None and added
-        each: list[Any] = [self.family.file.model if old else self.family.make(own) for own in x[self.family.parts]]
         machine, found = part.rows.of_machine, []
-        for k, model in enumerate(each):
-            rows = part.rows._replace(machine=np.zeros_like(part.rows.machine))
-            judged = part.judged & (machine == k)
+        for k, own in enumerate(x[self.family.parts]):
+            rows, judged = part.rows._replace(machine=np.zeros_like(part.rows.machine)), part.judged & (machine == k)
+            of: Any = (self.unknowns, own / self.unknowns.sizes), linearised_robot
+            if best is None and added:
+                of = (Unknowns.none(self.family.file.model), np.zeros(0)), error_model
             if judged.any():
-                found.append(window_errors(Unknowns.none(model), np.zeros(0), rows, self.logs.length, judged))
+                found.append(window_errors(*of[0], rows, self.logs.length, judged, of[1]))
         *sizes, windows = zip(*found, strict=True)
         position, velocity = (np.sqrt(np.mean(np.square(kind), axis=0)) for kind in sizes)
-        known = all(each is not None for each in windows)
-        return PredictionErrors(position, velocity, np.concatenate(windows) if known else None)
+        return PredictionErrors(position, velocity, np.concatenate(windows))
 
     def details(self, best: RobotFit) -> dict[str, Any]:
         return robot_details(best)
@@ -374,10 +357,7 @@ class _ServoProblem(_Problem):
         family = families[0] if same else models.robot_family(jobs[0].model_name, names)
         # A servo whose numbers are first values explains little of a log, as the fit is for that.
         logs = FitLogs.read([job._replace(anyway=True) for job in jobs])
-        for name, log in zip(logs.names, logs.logs, strict=True):
-            finding = None if jobs[0].anyway else standing_still(log.loaded.file, log.raw)
-            if finding is not None:
-                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
+        _refuse_misfits(jobs[0], logs, lambda log: standing_still(log.loaded.file, log.raw))
         file = logs.logs[0].loaded.file
         return cls(family, logs._replace(tried=(file.input_between,)), [""], families)
 
@@ -389,17 +369,15 @@ class _ServoProblem(_Problem):
         if len(self.logs.logs) == 1:
             records = [_first_part(records[0])]
 
-        def progress(done: int) -> None:
-            report(done, min(done / ROBOT_ROUNDS, 1.0))
-
         del part, start
-        return fit_servos(self.families[:seen], records, word, progress, _late(self.logs.logs[0]), whole)
+        late = _late(self.logs.logs[0])
+        return fit_servos(self.families[:seen], records, word, lambda k: report(k, k / ROBOT_ROUNDS), late, whole)
 
     def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
         """The fit with windows as long as the logs, where that predicts clearly better: they are few."""
 
         def report(done: int, fraction: float) -> None:
-            progress(f"whole logs, round {done + 1}", fraction)
+            progress(f"whole logs, round {done + 1}", min(fraction, 1.0))
 
         other = self.fit(self.logs.tried[0], part, None, report, whole=True)
         return other if error_growth(self.errors(other), self.errors(best)) > CLEARLY_WORSE else best
@@ -439,6 +417,29 @@ def _kind_of(job: Job, names: Sequence[str]) -> type[Any]:
         return _PredictionProblem
     model = models.load(job.model, job.overrides).model
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
+
+
+def _reported(report: Callable[[int, float], None]) -> Callable[[int, int], None]:
+    """Report of a round and of the part that is done, at a step of a round."""
+    return lambda done, step: report(done, min((done + step / STEPS) / ROUNDS, 1.0))
+
+
+def _of_machines(family: Any, own: OwnNumbers | None, named: Callable[[list[str]], list[str]]) -> Any:
+    """The family of all machines, their names, and the machine of each log."""
+    if own is None:
+        return family, [""], None
+    machines, of_log = own.numbered
+    try:
+        return family.of_machines(machines, named(own.names)), machines, of_log
+    except InputError as error:
+        raise InputError(f"each: {error}") from error
+
+
+def _refuse_misfits(job: Job, logs: FitLogs, find: Callable[[Aligned], Any]) -> None:
+    """Raise if something is found that makes a log useless for a fit, unless it is fitted anyway."""
+    for name, log in zip(logs.names, logs.logs, strict=True):
+        if not job.anyway and (finding := find(log)) is not None:
+            raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
 
 
 def _own_robot_numbers(job: Job, names: Sequence[str], fitted: tuple[str, ...]) -> list[str]:
@@ -520,7 +521,6 @@ def _details(
             for when, errors in (("before", before), ("after", after))
         },
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
-        "better": not predicts_worse(before, after) and not suspicion,
         "suspicion": suspicion,
     }
 
