@@ -285,7 +285,7 @@ def descend(
     return at(minimum.x), float(minimum.fun)
 
 
-def stable_steps(unknowns: Unknowns, z: NumpyArray, rows: Rows) -> Array:
+def stable_steps(unknowns: Any, z: NumpyArray, rows: Rows) -> Array:
     """Runge–Kutta steps between rows that the stiffest of the machines needs."""
     each = [unknowns.model(jnp.asarray(z), machine) for machine in range(len(unknowns.parts))]
     return jnp.asarray(max(needed_substeps(model, rows) for model in each))
@@ -315,7 +315,7 @@ def window_errors(
     for _ in range(MOVES):
         run = problem.moved_run(z, Kept(np.asarray(z), run, system))
         if not np.isfinite(run.v).all():
-            return PredictionErrors(*np.full((2, len(size)), np.inf), np.full((1, len(size)), np.inf))
+            return PredictionErrors(*np.full((2, len(size)), np.inf), windows=np.full((1, len(size)), np.inf))
         off = np.where(system.present, (now := problem.linear(z, run)).residual, np.nan)
         # Those far off the others are left out from the next time on.
         off[(off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)] = np.nan

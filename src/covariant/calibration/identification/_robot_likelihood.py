@@ -64,12 +64,11 @@ class RobotUnknowns:
         both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
         sizes, speed = usual_sizes(family, *both, v, a)
         functions = map(torques.rows, (accelerations, _rates, lambda model, q: model.space(q)))
-        at = first, family.parts, family.file.model.manifold
-        return cls(family, sizes, sticking_speeds(family, speed), torques, *functions, *at)
+        rest: Any = *functions, first, family.parts, family.file.model.manifold
+        return cls(family, sizes, sticking_speeds(family, speed), torques, *rest)
 
-    def model(self, z: Array, machine: int = 0) -> Any:
+    def model(self, z: Array, _machine: int = 0) -> Any:
         """The model at relative coordinates z (p,)."""
-        del machine
         return self.family.make(z * self.sizes)
 
     def moved(self, z: np.ndarray, dz: np.ndarray) -> np.ndarray:
@@ -85,7 +84,7 @@ class RobotUnknowns:
         return np.zeros_like(z)
 
 
-def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
+def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows, _steps: Any) -> ErrorModel:
     """Linearise a robot along a run: in its state by exponentials, in its numbers by torques.
 
     Dry friction of light joints is so steep that explicit steps would have to be tiny: each half of a step is the exact
@@ -93,7 +92,6 @@ def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows,
     Numerica 19, section 2), extrapolated with that of the whole step. Torques are fewer than numbers, so that their
     derivatives cost less than those of a step in each number.
     """
-    del steps
     x, n = np.asarray(z) * unknowns.sizes, run.v.shape[1]
     q, v = np.asarray(run.q), np.asarray(run.v)
     u, fresh = np.asarray(rows.inputs)[np.asarray(rows.rows)][:-1], np.asarray(rows.fresh)
@@ -117,8 +115,8 @@ def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows,
     damped = transition[:, n:, n:] @ begin
     slopes = np.concatenate([h**2 * (begin / 3 + end / 6), h * (damped + end) / 2], axis=1) * unknowns.sizes
     linear = transition, defect, slopes, np.linalg.inv(unknowns.inertias(x, q[:-1]))
-    whole = np.all([np.isfinite(part.reshape(len(dt), -1)).all(axis=1) for part in linear], axis=0)
-    linear = [jnp.asarray(np.where(whole.reshape(-1, *[1] * (part.ndim - 1)), part, np.nan)) for part in linear]
+    valid = np.stack([np.isfinite(part.reshape(len(dt), -1)).all(axis=1) for part in linear]).all(axis=0)
+    linear = [jnp.asarray(np.where(valid.reshape(-1, *[1] * (part.ndim - 1)), part, np.nan)) for part in linear]
     return assembled(unknowns.manifold, linear, jnp.asarray(dt), run, rows)
 
 

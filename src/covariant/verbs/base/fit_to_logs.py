@@ -145,7 +145,7 @@ def _by_joint(
     return (best, after) if predicts_worse(before, errors) else (parted, errors)
 
 
-def _solve(problem: "_Problem", parts: dict[str, _Part], progress: Progress) -> dict[str, Any]:
+def _solve(problem: Any, parts: dict[str, _Part], progress: Progress) -> dict[str, Any]:
     """The fit for each way of inputs between stamps, each search from where the one before ended."""
     tried = problem.logs.tried
     fits: dict[str, Any] = {}
@@ -305,8 +305,8 @@ class _RobotProblem(_Problem):
 
     def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
         """The fit, once more to all rows of a part where it was found good there."""
-        whole = part is not None and best.likeliest and not best.kept
-        return likeliest_robot(self.unknowns, best, part.rows) if whole else best
+        known = best.likeliest and not best.kept
+        return likeliest_robot(self.unknowns, best, part.rows) if part is not None and known else best
 
     def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
         """Root mean squares over the machines, of the first values where there is no fit."""
@@ -316,11 +316,11 @@ class _RobotProblem(_Problem):
         machine, found = part.rows.of_machine, []
         for k, own in enumerate(x[self.family.parts]):
             rows, judged = part.rows._replace(machine=np.zeros_like(part.rows.machine)), part.judged & (machine == k)
-            of: Any = (self.unknowns, own / self.unknowns.sizes), linearised_robot
+            of: Any = self.unknowns, own / self.unknowns.sizes, linearised_robot
             if best is None and added:
-                of = (Unknowns.none(self.family.file.model), np.zeros(0)), error_model
+                of = Unknowns.none(self.family.file.model), np.zeros(0), error_model
             if judged.any():
-                found.append(window_errors(*of[0], rows, self.logs.length, judged, of[1]))
+                found.append(window_errors(of[0], of[1], rows, self.logs.length, judged, of[2]))
         *sizes, windows = zip(*found, strict=True)
         position, velocity = (np.sqrt(np.mean(np.square(kind), axis=0)) for kind in sizes)
         return PredictionErrors(position, velocity, np.concatenate(windows))
