@@ -136,8 +136,8 @@ def _exponential(
     matrix = np.zeros((count, 2 * n + 1, 2 * n + 1))
     matrix[:, :n, n : 2 * n], matrix[:, :n, -1] = np.eye(n), v
     matrix[:, n : 2 * n] = rates
-    matrix = np.where(np.isfinite(rates).all(axis=(1, 2))[:, None, None], matrix, 0.0) * h[:, None, None]
-    return expm(matrix)[:, :-1]
+    finite: Any = np.isfinite(np.sum(rates, axis=(1, 2), keepdims=True))
+    return np.where(finite, expm(np.where(finite, matrix, 0.0) * h[:, None, None])[:, :-1], np.nan)
 
 
 def _rates(model: MechanicalSystem, q: Array, v: Array, u: Array) -> Float[Array, "n n21"]:
