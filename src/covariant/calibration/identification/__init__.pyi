@@ -52,6 +52,7 @@ from ._robot_misfit import robot_misfit as robot_misfit, standing_still as stand
 from ._robot_torques import motor_inputs as motor_inputs
 from ._rows import (
     FITTED as FITTED,
+    MOST_ROWS as MOST_ROWS,
     Rows as Rows,
     gather as gather,
     held_out_logs as held_out_logs,

@@ -89,12 +89,6 @@ def follow(
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, after)
 
 
-def differences(model: MechanicalSystem, q: Array, y: Array) -> tuple[Float[Array, "L1 n"], Bool[Array, "L1 n"]]:
-    """Prediction errors of the configuration, in the frame."""
-    manifold = model.manifold
-    return jax.vmap(manifold.towards)(q, y), ~jax.vmap(manifold.missing)(y)
-
-
 def needed_substeps(model: MechanicalSystem, rows: Rows) -> int:
     """Number of Runge–Kutta steps in one step of the log, none longer than 10 ms nor than 1/rate of the friction.
 
@@ -230,7 +224,8 @@ def _errors_ahead(
     def ahead(k):
         rows = k + jnp.arange(horizon + 1)
         motions = follow(model, t[rows], u[rows[:-1]], Motion(motion.q[k], motion.v[k]), substeps)
-        errors, seen = differences(model, motions.q[1:], y[rows[1:]])
+        seen = ~jax.vmap(model.manifold.missing)(y[rows[1:]])
+        errors = jax.vmap(model.manifold.towards)(motions.q[1:], y[rows[1:]])
         return jnp.where(seen, jnp.where(jnp.isfinite(errors), errors, jnp.inf), jnp.nan)
 
     return jax.vmap(ahead)(starts)

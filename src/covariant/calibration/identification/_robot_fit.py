@@ -125,13 +125,12 @@ class RobotFit(NamedTuple):
         if not held.any() or held.all():
             return None
         x = np.where(held, 0.0, self.coordinates)
-        names = np.array(family.file.columns.q)[joints]
         return self._replace(
             values=np.asarray(jax.jit(family.values)(x)),
             standard_errors=np.where(held, np.nan, self.standard_errors),
             determined=self.determined & ~held,
             coordinates=x,
-            kept=tuple(map(str, names)),
+            kept=tuple(np.array(family.file.columns.q)[joints].tolist()),
         )
 
 

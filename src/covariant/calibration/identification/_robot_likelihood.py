@@ -55,11 +55,10 @@ class RobotUnknowns:
     @classmethod
     def of(cls, family: RobotFamily, rows: Rows) -> "RobotUnknowns":
         """The numbers with usual sizes and speeds in the motion of rows."""
-        t, q, v = (np.asarray(each)[: rows.used] for each in (rows.t, rows.start.q, rows.start.v))
+        q, v = (np.asarray(each)[: rows.used] for each in rows.start)
         u = np.asarray(rows.inputs)[np.asarray(rows.rows)[: rows.used]]
-        steps = np.maximum(np.diff(t), 1e-9)[:, None]
-        a = np.concatenate([np.diff(v, axis=0) / steps, np.zeros_like(v[:1])])
-        a[np.concatenate([np.asarray(rows.fresh)[1 : rows.used], [True]])] = 0.0
+        a = np.diff(v, axis=0, append=v[-1:]) / rows.step
+        a[np.asarray(rows.fresh)[1 : rows.used].nonzero()] = 0.0
         torques, first = Torques.of(family), np.zeros(len(family.names))
         both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
         sizes, speed = usual_sizes(family, *both, v, a)

@@ -15,6 +15,7 @@ from covariant._names import refuse_unknown
 from covariant.calibration import Fit, PredictionErrors, RobotFit, fit_robot, relations
 from covariant.calibration.identification import (
     FITTED,
+    MOST_ROWS,
     RobotUnknowns,
     Rows,
     Solved,
@@ -128,7 +129,10 @@ class _Part(NamedTuple):
     def of(cls, problem: "_Problem", word: str) -> "_Part":
         logs = problem.logs
         records = [problem.acting(log, word) for log in logs.logs]
-        rows = gather(logs.logs[0].loaded.model.manifold, records, logs.references, logs.machines)
+        model = logs.logs[0].loaded.model
+        # A step of a robot with many joints costs as the square of their number.
+        cost = 1 if isinstance(problem.family, models.Family) else max(1, len(model.coordinates) // 2) ** 2
+        rows = gather(model.manifold, records, logs.references, logs.machines, MOST_ROWS // cost)
         stamps = [np.asarray(record.t) for record in records]
         return cls(rows, held_out_rows(rows, stamps, logs.length, logs.machines))
 
@@ -294,14 +298,15 @@ class _RobotProblem(_Problem):
         return fit_robot(self.family, records, half, lambda done: report(done, done / ROBOT_ROUNDS), start, machines)
 
     def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
-        """The fit of greatest likelihood, where that predicts no worse than the one by residual torques."""
+        """The fit of greatest likelihood, where it knows more and predicts no worse than that by residual torques."""
         if len(self.machines) > 1:
             return best
-
         report = _reported(lambda done, fraction: progress(f"all rows, round {done + 1}", fraction))
         other = likeliest_robot(self.unknowns, best, part.rows.only(~part.judged), report)
-        worse = error_growth(self.errors(best, part), self.errors(other, part)) > CLEARLY_WORSE
-        return best if worse else other
+        # Of a long log not all rows are used.
+        if not np.nanmedian(other.standard_errors / best.standard_errors) < 1:
+            return best
+        return best if error_growth(self.errors(best, part), self.errors(other, part)) > CLEARLY_WORSE else other
 
     def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
         """The fit, once more to all rows of a part where it was found good there."""
@@ -310,14 +315,13 @@ class _RobotProblem(_Problem):
 
     def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
         """Root mean squares over the machines, of the first values where there is no fit."""
-        # A load that the family adds was not there before.
-        added = any(number.group == "payload" for number in self.family.numbers)
         x = np.zeros(len(self.family.names)) if best is None else best.coordinates
         machine, found = part.rows.of_machine, []
         for k, own in enumerate(x[self.family.parts]):
             rows, judged = part.rows._replace(machine=np.zeros_like(part.rows.machine)), part.judged & (machine == k)
             of: Any = self.unknowns, own / self.unknowns.sizes, linearised_robot
-            if best is None and added:
+            # A load that the family adds was not there before.
+            if best is None and any(number.group == "payload" for number in self.family.numbers):
                 of = Unknowns.none(self.family.file.model), np.zeros(0), error_model
             if judged.any():
                 found.append(window_errors(of[0], of[1], rows, self.logs.length, judged, of[2]))
