@@ -4,7 +4,7 @@ Torques over windows know nothing of the motion from one window to the next. Whe
 positions of a whole log tell much more, and a short log is enough.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from covariant.calibration._least_squares import PRIOR, Fixed, Point
 from covariant.calibration.identification._error_model import ErrorModel, assembled
-from covariant.calibration.identification._fit import DIFFERENT, Solved, begun, likeliest
+from covariant.calibration.identification._fit import ACCURACY, DIFFERENT, Solved, begun, likeliest
 from covariant.calibration.identification._likelihood import stable_steps
 from covariant.calibration.identification._robot_fit import RobotFit, accelerations, driving, rounded_values
 from covariant.calibration.identification._robot_torques import (
@@ -96,8 +96,8 @@ def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows,
     u, fresh = np.asarray(rows.inputs)[np.asarray(rows.rows)][:-1], np.asarray(rows.fresh)
     dt = np.where(fresh[1:], 0.0, np.diff(np.asarray(rows.t)))
     start, then = (np.concatenate([q[at], v[at]], axis=1) for at in (slice(-1), slice(1, None)))
-    whole, first_half = (_exponential(unknowns, x, start, u, h) for h in (dt, dt / 2))
-    second_half = _exponential(unknowns, x, start + first_half[:, :, -1], u, dt / 2)
+    whole, first_half = _exponentials(unknowns, x, start, u, (dt, dt / 2))
+    (second_half,) = _exponentials(unknowns, x, start + first_half[:, :, -1], u, (dt / 2,))
     halves = first_half[:, :, -1] + second_half[:, :, -1]
     defect = start + (4 * halves - whole[:, :, -1]) / 3 - then
     transition = 2 * second_half[:, :, :-1] @ first_half[:, :, :-1] - whole[:, :, :-1]
@@ -119,14 +119,14 @@ def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows,
     return assembled(unknowns.manifold, linear, jnp.asarray(dt), run, rows)
 
 
-def _exponential(
+def _exponentials(
     unknowns: RobotUnknowns,
     x: Float[np.ndarray, "p"],
     state: Float[np.ndarray, "T n2"],
     u: Float[np.ndarray, "T m"],
-    h: Float[np.ndarray, "T"],
-) -> Float[np.ndarray, "T n2 n21"]:
-    """Transition of errors in a time, and in the last column the change of the state, of the linearised equations."""
+    times: Sequence[Float[np.ndarray, "T"]],
+) -> list[Float[np.ndarray, "T n2 n21"]]:
+    """For each time the transition of errors, and in the last column the change of the state, linearised."""
     from scipy.linalg import expm
 
     n, count = state.shape[1] // 2, len(state)
@@ -136,7 +136,7 @@ def _exponential(
     matrix[:, :n, n : 2 * n], matrix[:, :n, -1] = np.eye(n), v
     matrix[:, n : 2 * n] = rates
     finite: Any = np.isfinite(np.sum(rates, axis=(1, 2), keepdims=True))
-    return np.where(finite, expm(np.where(finite, matrix, 0.0) * h[:, None, None])[:, :-1], np.nan)
+    return [np.where(finite, expm(np.where(finite, matrix, 0.0) * h[:, None, None])[:, :-1], np.nan) for h in times]
 
 
 def _rates(model: MechanicalSystem, q: Array, v: Array, u: Array) -> Float[Array, "n n21"]:
@@ -167,7 +167,7 @@ def _concluded(found: RobotFit, unknowns: RobotUnknowns, point: Point) -> RobotF
     """The fit with the numbers of a point, and their standard errors."""
     family = unknowns.family
     x, sizes, blocks = point.z * unknowns.sizes, unknowns.sizes, point.blocks
-    covariance = np.linalg.inv(blocks.information + np.eye(len(x)) / PRIOR**2)
+    covariance = np.linalg.inv(blocks.information + np.eye(len(x)) / PRIOR**2) + ACCURACY**2 * np.eye(len(x))
     if blocks.overdispersion > DIFFERENT**2:
         covariance = covariance * blocks.overdispersion
     outer = np.outer(sizes, sizes)
