@@ -8,6 +8,7 @@ import pytest
 
 from covariant import models
 from covariant.calibration import PredictionErrors
+from covariant.calibration._least_squares import minimise_above_bounds
 from covariant.calibration.identification import Unknowns, error_growth, gather, predicts_worse, window_errors
 from covariant.signals import Record
 
@@ -70,3 +71,17 @@ def test_a_log_with_few_positions_is_refused():
     y = np.where(np.arange(len(t)) % 100 < 1, np.sin(t), np.nan)
     with pytest.raises(ValueError, match="fewer than 12 rows with positions"):
         gather(models.oscillator().manifold, [Record(t, y=y[:, None])], [np.cos(t)[:, None]])
+
+
+def test_a_bounded_step_is_the_least_of_all_and_one_that_is_not_finite_ends_nothing():
+    """Beside all choices of numbers at their bounds; a point beyond all numbers is refused by the search, not here."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        root, gradient, least = rng.normal(size=(4, 4)), rng.normal(size=4), -rng.uniform(0, 0.5, 4)
+        matrix = root @ root.T + 0.1 * np.eye(4)
+        step = minimise_above_bounds(matrix, gradient, least)
+        slope = matrix @ step + gradient
+        assert (step >= least - 1e-12).all()
+        np.testing.assert_allclose(slope[step > least + 1e-9], 0.0, atol=1e-9)
+        assert (slope > -1e-9).all()
+    assert np.isnan(minimise_above_bounds(np.full((2, 2), np.nan), np.ones(2), np.zeros(2))).all()

@@ -206,7 +206,7 @@ def minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.nd
     from scipy.optimize import lsq_linear
 
     step = -np.linalg.solve(matrix, gradient)
-    if (step >= least - 1e-12).all():
+    if not (step < least - 1e-12).any():  # nor where it is not finite, which whoever searches refuses
         return step
     root = np.linalg.cholesky(matrix)
     return lsq_linear(root.T, -np.linalg.solve(root, gradient), (least, np.inf), method="bvls").x
