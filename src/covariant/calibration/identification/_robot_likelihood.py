@@ -159,7 +159,10 @@ def likeliest_robot(
     if stable_steps(unknowns, start, rows) > STEEPEST:
         return found
     problem, bounds = begun(unknowns, rows, None, linearised_robot)
-    begin: Any = unknowns.family, None, problem, Point.at(problem, start), Fixed.nothing(len(start)), bounds
+    point = Point.at(problem, start)
+    if not np.isfinite(point.blocks.loss).all():
+        return found
+    begin: Any = unknowns.family, None, problem, point, Fixed.nothing(len(start)), bounds
     return _concluded(found, unknowns, likeliest(Solved(*begin), progress).point)
 
 

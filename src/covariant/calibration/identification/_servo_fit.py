@@ -176,16 +176,8 @@ class _Search(NamedTuple):
             has_positive_number, np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first)), family.least
         )
         rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS)
-        return cls(
-            logs,
-            rows,
-            tuple(count for count in counts if count),
-            sizes,
-            least,
-            rigid,
-            length,
-            np.ones(len(logs[0].q[0])),
-        )
+        counted, unscaled = tuple(count for count in counts if count), np.ones(logs[0].q.shape[1])
+        return cls(logs, rows, counted, sizes, least, rigid, length, unscaled)
 
     def started(self) -> Float[np.ndarray, "p"]:
         """The first values, with the delay and the stiffness among those tried that predict best, in usual sizes."""
@@ -193,7 +185,7 @@ class _Search(NamedTuple):
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
         is_stiffness = np.array([kind == "stiffness" for kind in kinds])
-        tried, losses, scale = [], [], None
+        tried, losses, search = [], [], self
         for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
             candidates = [
@@ -204,15 +196,14 @@ class _Search(NamedTuple):
             # Batches have the size of a point's batch, so that one compiled program serves both.
             batch = (candidates * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
             residuals = self._residuals(batch, batch[0], [], np.zeros((len(batch), len(self.rigid))))
-            scale = _scales(residuals[0]) if scale is None else scale
+            search = self._replace(scale=_scales(residuals[0])) if search is self else search
             for candidate, residual in zip(batch, residuals, strict=True):
-                e = np.where(np.isfinite(self._measured), np.nan_to_num(residual, nan=np.inf), 0.0) / scale
-                prior = np.sum((candidate / self.sizes / PRIOR) ** 2) / 2
-                losses.append(np.sum(robust(e)[0]) / self._alike + prior if np.isfinite(e).all() else np.inf)
+                point = Point(candidate / self.sizes, search._weigh((residual, np.zeros((1, *residual.shape)))))
+                losses.append(point.loss(Fixed.nothing(len(kinds))))
             tried += batch
         if not np.isfinite(losses).any():
             raise InputError("the model predicts no finite motion from these commands; check units and first values")
-        return tried[int(np.argmin(losses))] / self.sizes
+        return tried[int(np.nanargmin(np.where(np.isfinite(losses), losses, np.nan)))] / self.sizes
 
     def descend(self, z: np.ndarray, progress: Callable[[int], object], rounds: Iterator[int]) -> Point:
         """The point that a search reaches; the scale of the errors follows them."""
@@ -222,7 +213,7 @@ class _Search(NamedTuple):
             point = search.weighed(point)
             before = point.loss(free)
             point = minimise(search, point, free, lambda _: progress(next(rounds)), STEPS)
-            if before - point.loss(free) <= TOLERANCE * abs(before):
+            if before - point.loss(free) <= TOLERANCE * before:
                 break
         return point
 
@@ -281,7 +272,7 @@ class _Search(NamedTuple):
         e, slopes = (np.where(seen, each, 0.0) / self.scale for each in errors)
         loss, weight = robust(e)
         slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-        losses = share * np.sum((loss + np.log(self.scale)) * seen, axis=(1, 2))
+        losses = share * np.sum(loss * seen, axis=(1, 2))
         scores = share * self._by_blocks(np.einsum("pbkj,bkj->bkp", slopes, weight * e, optimize=True))
         flat = slopes.reshape(len(slopes), -1)
         majorised, information = (share * (flat * w.ravel()) @ flat.T for w in (weight, weight**3))

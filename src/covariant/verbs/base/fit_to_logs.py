@@ -88,10 +88,10 @@ def fit_to_logs(
         fits = _solve(problem, parts, progress)
     except InputError as error:
         raise InputError(f"{', '.join(logs.names)}: {error}") from error
-    progress("errors on what is held out", 1.0)
     gain = problem.gain(fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
     best, part = problem.refined(fits[used], parts[used], progress), parts[used]
+    progress("errors on what is held out", 1.0)
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.errors(None, parts[logs.tried[0]])
     after = problem.errors(best, part)
@@ -100,6 +100,7 @@ def fit_to_logs(
     if isinstance(best, RobotFit) and not suspicion:
         best, after = _by_joint(problem, best, part, before, after)
     better = not predicts_worse(before, after) and not suspicion
+    progress("all rows" if better else "what the logs do not tell", 1.0)
     found: Any = problem.ended(best, part if better else None)
     values = np.array([float(f"{value:.{DIGITS}g}") for value in found.values])[problem.family.parts]
     contents = {
