@@ -208,11 +208,13 @@ def first_noise(
 
 def _roughness(manifold: AbstractManifold, rows: Rows) -> Float[NumpyArray, "n"]:
     """Noise (n,) of readings by their fourth differences, in which a motion that they resolve hardly remains."""
-    y = jnp.asarray(rows.y)[: rows.used]
-    steps = np.asarray(jax.vmap(manifold.towards)(y[:-1], y[1:]))
-    fourth = np.abs(np.diff(steps, 3, axis=0))
+    seen = ~np.asarray(jax.vmap(manifold.missing)(jnp.asarray(rows.y)[: rows.used]))
+    # Of each coordinate the rows with a reading: positions may come at fewer rows than inputs.
+    read = [jnp.asarray(rows.start.q)[np.flatnonzero(each)] for each in seen.T]
+    steps = [np.asarray(jax.vmap(manifold.towards)(q[:-1], q[1:]))[:, j] for j, q in enumerate(read)]
     # White noise of one has a variance of 1 + 16 + 36 + 16 + 1 = 70 there.
-    return STD_OF_MEDIAN / np.sqrt(70.0) * np.nan_to_num(np.nanmedian(fourth, axis=0))
+    fourth = [np.median(np.abs(np.diff(each, 3))) if len(each) > 3 else 0.0 for each in steps]
+    return STD_OF_MEDIAN / np.sqrt(70.0) * np.array(fourth)
 
 
 def levels(z: AnyArray, n: int) -> NoiseLevels:

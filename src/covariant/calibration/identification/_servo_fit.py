@@ -106,8 +106,7 @@ def fit_servos(
     search = search.scaled(point)
     point = search.weighed(point)
     x, blocks, outer = point.z * search.sizes, point.blocks, np.outer(search.sizes, search.sizes)
-    prior = np.eye(len(x)) / PRIOR**2
-    information = blocks.information
+    prior, information = np.eye(len(x)) / PRIOR**2, blocks.information
     covariance = outer * block_covariance(blocks.z, information, np.linalg.inv(information + prior), prior)
     family = families[0]
     # Integration steps of a few milliseconds bias the numbers in every window alike, which blocks do not show.
