@@ -267,11 +267,11 @@ def test_few_rows_are_no_judge(readings):
 
 def test_noise_of_readings_is_seen_however_slow_the_motion_is():
     """Where it is taken for less, a search takes the rest for friction."""
-    rng, t = np.random.default_rng(0), np.arange(600) * 0.01
+    rng, t = np.random.default_rng(0), np.arange(3000) * 0.01
     for std, every in ((1e-4, 1), (0.05, 1), (0.05, 2), (0.05, 3)):
         y = np.sin(2 * t) + std * rng.normal(size=len(t))
         y[np.arange(len(t)) % every > 0] = np.nan  # positions come at fewer rows than inputs
         manifold = oscillator(NUMBERS)[0].manifold
-        rows = gather(manifold, [Record(t, np.zeros((600, 1)), y[:, None])], [2 * np.cos(2 * t)[:, None]])
+        rows = gather(manifold, [Record(t, np.zeros((3000, 1)), y[:, None])], [2 * np.cos(2 * t)[:, None]])
         noise, _ = likelihoods.first_noise(unknowns(), rows, None)
         np.testing.assert_allclose(noise.measurement, std, rtol=0.15)
