@@ -28,6 +28,15 @@ def test_a_log_that_is_too_short_is_refused():
         fit_robot(models.robot_family("double_pendulum", ["friction"]), [Record(t, u[0], y[0])], HALF)
 
 
+def test_positions_may_come_at_fewer_rows_than_torques():
+    """Those of every second row: the numbers are those of all rows, within their standard errors."""
+    t, u, y = swing(1, Truth(), 4.0)
+    family = models.robot_family("double_pendulum", ["friction.viscous"])
+    half = np.where(np.arange(len(t))[:, None] % 2, np.nan, y[0])
+    whole, fewer = (fit_robot(family, [Record(t, u[0], each)], HALF) for each in (y[0], half))
+    assert (np.abs(whole.values - fewer.values) < 3 * fewer.standard_errors).all()
+
+
 def test_a_number_is_determined_where_zero_and_a_tenth_of_its_usual_size_are_told_apart():
     """A Coulomb friction of 0 ± 0.78 N m says nothing where the motor has 3 N m; one of 2.6 ± 0.78 N m does."""
     values, errors = np.array([0.0, 2.6, 0.0, 0.4]), np.array([0.78, 0.78, 0.1, 0.1])

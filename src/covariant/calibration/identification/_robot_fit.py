@@ -425,7 +425,7 @@ def _smooth_positions(track: _Track, half: float, modelled: np.ndarray | None) -
     for column in np.isfinite(y).T:
         seen = t[column]
         held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
-        used &= held >= FULL * 2 * half / float(np.median(np.diff(t)))
+        used &= held >= FULL * 2 * half / float(np.median(np.diff(seen)))
     return _Path(places + c[:, 0], speeds + c[:, 1], modelled, 2 * c[:, 2], used)
 
 
