@@ -55,7 +55,7 @@ def test_what_may_be_chance_is_not_worse():
     old = np.stack([np.full(4, 0.01), np.full(4, 1e-4)], axis=1) * rng.uniform(0.99, 1.01, (4, 2))
     for more, worse in ((np.array([0.84, 0.0, 0.0, 0.0]), False), (np.full(4, 0.21), True)):
         new = old * np.stack([np.full(4, 0.1), 1 + more], axis=1)
-        before, after = (PredictionErrors(*[np.sqrt(np.mean(each, axis=0))] * 2, each) for each in (old, new))
+        before, after = (PredictionErrors(*2 * [np.sqrt(np.mean(each, axis=0))], windows=each) for each in (old, new))
         assert predicts_worse(before, after) == worse
 
 
