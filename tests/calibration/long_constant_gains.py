@@ -82,7 +82,8 @@ def test_the_smoother_of_errors_is_that_of_rauch_tung_and_striebel():
         jnp.asarray(np.eye(4) + 0.1 * rng.normal(size=(count, 4, 4))),
         jnp.asarray(0.1 * rng.normal(size=(count, 4))),
         jnp.zeros((count, 4, 0)),
-        jnp.asarray(rng.normal(size=(count, 2, 2))),
+        jnp.asarray(np.pad(rng.normal(size=(count, 2, 2)), ((0, 0), (2, 0), (0, 0)))),
+        *_driven(count),
         jnp.asarray(np.where(present, 0.3 * rng.normal(size=(count, 2)), 0.0)),
         jnp.asarray(present),
         jnp.asarray(dt),
@@ -119,13 +120,19 @@ def test_the_estimate_from_later_rows_is_that_of_least_squares():
     np.testing.assert_allclose(std[at], np.sqrt(np.diag(expected_cov))[2:4], rtol=1e-4)
 
 
+def _driven(count):
+    """Which errors a force drives, and which readings show: velocities and positions of n = 2."""
+    return jnp.tile(jnp.arange(4) >= 2, (count, 1)), jnp.tile(jnp.eye(2, 4), (count, 1, 1)), jnp.zeros((count, 2, 0))
+
+
 def _random_system(count):
     rng = np.random.default_rng(1)
     return ErrorModel(
         jnp.asarray(np.eye(4) + 0.1 * rng.normal(size=(count, 4, 4)) + 0.3 * np.eye(4, k=2)),
         jnp.asarray(0.1 * rng.normal(size=(count, 4))),
         jnp.zeros((count, 4, 0)),
-        jnp.asarray(np.eye(2) + 0.3 * rng.normal(size=(count, 2, 2))),
+        jnp.asarray(np.pad(np.eye(2) + 0.3 * rng.normal(size=(count, 2, 2)), ((0, 0), (2, 0), (0, 0)))),
+        *_driven(count),
         jnp.asarray(0.3 * rng.normal(size=(count, 2))),
         jnp.ones((count, 2), bool),
         jnp.full(count, 0.3),
@@ -135,9 +142,10 @@ def _random_system(count):
 
 def _plain_step(system, noise, k):
     """Transition, defect and added covariance of the step to row k, for a random walk of the force."""
-    h, push = float(system.dt[k]), np.asarray(system.input_matrix[k])
-    whole, added = np.eye(6), np.zeros((6, 6))
-    whole[:4, :4], whole[:2, 4:], whole[2:4, 4:] = system.transition[k], h**2 / 2 * push, h * push
-    blocks = float(noise.acceleration) ** 2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
-    added[:4, :4], added[4:, 4:] = np.kron(blocks, np.eye(2)), float(noise.force) ** 2 * h * np.eye(2)
+    h, push, step = float(system.dt[k]), np.asarray(system.input_matrix[k]), np.asarray(system.transition[k])
+    whole, added, driven = np.eye(6), np.zeros((6, 6)), np.diag([0.0, 0.0, 1.0, 1.0])
+    whole[:4, :4], whole[:4, 4:] = step, h * (push + step @ push) / 2
+    between = (np.eye(4) + step) / 2
+    white = h / 6 * (driven + 4 * between @ driven @ between.T + step @ driven @ step.T)
+    added[:4, :4], added[4:, 4:] = float(noise.acceleration) ** 2 * white, float(noise.force) ** 2 * h * np.eye(2)
     return whole, np.append(system.defect[k], [0.0, 0.0]), added

@@ -8,7 +8,7 @@ from two_links import Truth, swing
 import covariant
 from covariant import models, scoring
 from covariant.calibration import fit_robot
-from covariant.calibration.identification import Unknowns, error_model, gather, likeliest_robot, linearised_robot
+from covariant.calibration.identification import Unknowns, error_model, gather, likeliest_robot
 from covariant.calibration.identification._robot_likelihood import RobotUnknowns
 from covariant.signals import Record
 
@@ -47,7 +47,7 @@ def test_derivatives_in_the_numbers_are_those_of_a_step_of_the_model(short):
     unknowns = RobotUnknowns.of(family, rows)
     z = np.array([0.3, -0.2, 0.1, 0.2]) * 0.01
     here = rows._replace(start=rows.start)
-    ours = linearised_robot(unknowns, jnp.asarray(z), rows.start, here, 1)
+    ours = unknowns.linearised(jnp.asarray(z), rows.start, here, 1)
 
     def make(values):
         return family.make(values), 0.0

@@ -311,11 +311,21 @@ class FitResult(AbstractTable):
                 **{
                     f"{kind.replace('_', ' ')}, {when}": result["held_out_errors"][when][kind][i]
                     for kind in ("position", "velocity")
+                    if any(
+                        result["held_out_errors"]["before"][kind]
+                    )  # outputs of a state-space model have no velocities
                     for when in ("before", "after")
                 },
             }
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
+
+    @property
+    def _judged(self) -> str:
+        """What the errors are of."""
+        result = self.details
+        velocities = f", velocities against the {result['scored_against']} [unit/s]" * bool(result["scored_against"])
+        return f"{_reach(result)} {result['held_out']}{velocities}"
 
     @property
     def _blocks(self) -> list[Any]:
@@ -325,8 +335,7 @@ class FitResult(AbstractTable):
             "# Parameters",
             self._numbers,
             "# Errors on held-out rows",
-            f"Root mean square errors of predictions {_reach(result)} {result['held_out']}, velocities against the "
-            f"{result['scored_against']} [unit/s].",
+            f"Root mean square errors of predictions {self._judged}.",
             self._errors,
             *([inputs] if inputs else []),
         ]
@@ -386,8 +395,7 @@ class FitResult(AbstractTable):
             "",
             table(numbers),
             *self._on_numbers,
-            f"Errors (RMS) of predictions {_reach(result)} {result['held_out']}, velocities against "
-            f"the {result['scored_against']} [unit/s]:",
+            f"Errors (RMS) of predictions {self._judged}:",
             "",
             table(errors),
             *(() if self.better else (self._worse,)),

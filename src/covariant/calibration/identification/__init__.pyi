@@ -46,7 +46,6 @@ from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_likelihood import (
     RobotUnknowns as RobotUnknowns,
     likeliest_robot as likeliest_robot,
-    linearised_robot as linearised_robot,
 )
 from ._robot_misfit import robot_misfit as robot_misfit, standing_still as standing_still
 from ._robot_torques import motor_inputs as motor_inputs
@@ -69,4 +68,5 @@ from ._servo_excitation import (
 from ._servo_fit import fit_servos as fit_servos
 from ._servo_motion import predict_servos as predict_servos
 from ._servo_units import DraftedServo as DraftedServo
+from ._states import rows_of as rows_of, unknowns_of as unknowns_of
 from ._unknowns import Unknowns as Unknowns

@@ -4,12 +4,13 @@ Along a run of an observer, with the estimate x̂ after each sample, the true st
 
     δ⁺ = F δ + c + C ζ + G f + w,   r = Hδ + e,
 
-where `x̂ ⊕ δ` moves along the retraction, c is the model's prediction minus the next estimate, F and C its derivatives
-in the state and in unknown numbers of the model, and r the reading minus the estimated position. f is a force that the
-model does not know, a random walk or a Gauss–Markov process; w is white acceleration, e the noise of a reading. F, C,
-G, c and r do not depend on the noise: one run of the model serves for all noises, and the filter of this system is the
-extended Kalman filter to first order in the error of the run. Any motion near the readings will do for the run: no step
-of the model follows another, so that a model that is unstable or wrong is linearised as well as a good one.
+where δ are positions and velocities along the retraction, or the states of a `StateSpace` in their usual sizes; c is
+the model's prediction minus the next estimate, F and C its derivatives in the state and in unknown numbers of the
+model, and r the reading minus the estimated one. f is a force that the model does not know, or an unknown rate of each
+state, a random walk or a Gauss–Markov process; w is white acceleration, e the noise of a reading. F, C, G, c and r do
+not depend on the noise: one run of the model serves for all noises, and the filter of this system is the extended
+Kalman filter to first order in the error of the run. Any motion near the readings will do for the run: no step of the
+model follows another, so that a model that is unstable or wrong is linearised as well as a good one.
 
 Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, IEEE TIT 11(1); Anderson & Moore 1979,
 Optimal Filtering, section 10.1, for the likelihood. Huber 1981, section 7.7, for the weight of an outlier.
@@ -28,7 +29,6 @@ from covariant._gauss_markov import gauss_markov
 from covariant._typing import Flag, Scalar, Vector
 from covariant.calibration.identification._predict import lagged
 from covariant.calibration.identification._rows import Rows
-from covariant.calibration.identification._unknowns import Unknowns
 from covariant.models import MechanicalSystem, Motion, advance
 
 CREDIBLE = 5.0
@@ -70,20 +70,27 @@ class ErrorModel(NamedTuple):
     """Linear system of the errors along a run of T rows.
 
     Attributes:
-        transition: F (T, 2n, 2n) of the step to each row.
-        defect: c (T, 2n) of the step to each row.
-        slopes: C (T, 2n, p) of the step to each row, for p unknown numbers.
-        input_matrix: Acceleration (T, n, n) per unit of the unknown force.
+        transition: F (T, N, N) of the step to each row, N = 2n for a mechanical system.
+        defect: c (T, N) of the step to each row.
+        slopes: C (T, N, p) of the step to each row, for p unknown numbers.
+        input_matrix: Rate (T, N, d) of the errors per unit of the unknown force, at the beginning of the step.
+        driven: Errors (T, N) whose rates the force and white noise change; of the others readings tell where a stretch
+            begins.
+        shows: H (T, n, N).
+        shown_slopes: Derivatives (T, n, p) of what a reading shows in the unknown numbers, at the same state.
         residual: r (T, n), zero where nothing was measured.
         present: Whether each number (T, n) was measured.
         dt: Length (T,) of the step to each row [s].
         fresh: Rows (T,) at which the filter restarts.
     """
 
-    transition: Float[Array, "T n2 n2"]
-    defect: Float[Array, "T n2"]
-    slopes: Float[Array, "T n2 p"]
-    input_matrix: Float[Array, "T n n"]
+    transition: Float[Array, "T N N"]
+    defect: Float[Array, "T N"]
+    slopes: Float[Array, "T N p"]
+    input_matrix: Float[Array, "T N d"]
+    driven: Bool[Array, "T N"]
+    shows: Float[Array, "T n N"]
+    shown_slopes: Float[Array, "T n p"]
     residual: Float[Array, "T n"]
     present: Bool[Array, "T n"]
     dt: Float[Array, "T"]
@@ -97,30 +104,30 @@ class Filtered(NamedTuple):
         loss: Twice the negative log-likelihood (T, n) of each number, without the constant.
         innovation: Innovations (T, n), each given those before it in the row, so that they are independent.
         spread: Their standard deviations (T, n).
-        error: Estimate (T, 2n) of δ after the row.
-        gain: Means (T, 2) of the diagonals of the gains from a reading to position [1] and velocity [1/s], which are
-            the same in all frames.
-        velocity_std: Standard deviations (T, n) of the velocity after the row.
+        error: Estimate (T, N) of δ after the row.
+        gain: Means (T, 2) of the diagonals of the gains from a reading to position [1] and velocity [1/s] of a
+            mechanical system, which are the same in all frames.
+        velocity_std: Standard deviations (T, n) of its velocity after the row.
         slope: Derivatives (T, n, p) of the innovations in the unknown numbers, with the gains as they are.
     """
 
     loss: Float[Array, "T n"]
     innovation: Float[Array, "T n"]
     spread: Float[Array, "T n"]
-    error: Float[Array, "T n2"]
+    error: Float[Array, "T N"]
     gain: Float[Array, "T 2"]
     velocity_std: Float[Array, "T n"]
     slope: Float[Array, "T n p"]
 
 
 @eqx.filter_jit
-def error_model(unknowns: Unknowns, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
+def error_model(unknowns: Any, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
     """Linearise a model along a run, by forward differentiation of each step, in the state and in its unknown numbers.
 
     After a row at which a stretch begins, or a step that is not finite, the error model restarts.
     """
     n, p = run.v.shape[1], z.shape[0]
-    t, u, change = jnp.asarray(rows.t), *_acting(unknowns, z, rows)
+    t, u, change = jnp.asarray(rows.t), *acting(unknowns, z, rows)
     dt, machine = jnp.diff(t), jnp.asarray(rows.machine)[jnp.asarray(rows.block)]
     # Across the border of two stretches nothing is used: a step of no time is finite.
     dt = jnp.where(jnp.asarray(rows.fresh)[1:], 0.0, dt)
@@ -143,20 +150,40 @@ def error_model(unknowns: Unknowns, z: Array, run: Motion, rows: Rows, steps: An
 
     now, then = (jax.tree.map(lambda part, cut=cut: part[cut], run) for cut in (slice(-1), slice(1, None)))
     linear = jax.vmap(step)(t[:-1], now, u[:-1], change[:-1], machine[1:], dt, then)
-    return assembled(manifold, linear, dt, run, rows)
+    return of_motion(manifold, linear, dt, run, rows)
 
 
-def assembled(manifold: Any, linear: Any, dt: Array, run: Motion, rows: Rows) -> ErrorModel:
-    """The error model of transitions, defects, slopes and input matrices of the steps after each row but the last."""
+def of_motion(manifold: Any, linear: Any, dt: Array, run: Motion, rows: Rows) -> ErrorModel:
+    """The error model of a motion, of transitions, defects, slopes and accelerations per unit of a force, (T − 1, n,
+    n), of the steps after each row but the last."""
+    n = run.v.shape[1]
+    *linear, pushes = linear
+    y = jnp.asarray(rows.y)
+    read = jax.vmap(manifold.towards)(run.q, y), ~jax.vmap(manifold.missing)(y)
+    shows = jnp.broadcast_to(jnp.eye(n, 2 * n), (len(y), n, 2 * n)), jnp.zeros((len(y), n, linear[2].shape[2]))
+    pushes = jnp.concatenate([jnp.zeros_like(pushes), pushes], axis=1)
+    return assembled((*linear, pushes), dt, rows, jnp.arange(2 * n) >= n, *shows, *read)
+
+
+def assembled(linear: Any, dt: Array, rows: Rows, driven: Bool[Array, "N"], *read: Array) -> ErrorModel:
+    """The error model of transitions, defects, slopes and input matrices of the steps after each row but the last.
+
+    `read` is what readings show, its slopes, the residual, and whether each number is present.
+    """
     # After an invalid step the filter restarts and its numbers are not used: zero is as good as any, and finite.
     valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & ~jnp.asarray(rows.fresh)[1:]
     linear = [jnp.where(valid.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in linear]
     linear = [jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in linear]
-    y = jnp.asarray(rows.y)
-    present = ~jax.vmap(manifold.missing)(y)
-    residual = jnp.where(present, jax.vmap(manifold.towards)(run.q, y), 0.0)
     zero, fresh = jnp.zeros_like(dt[:1]), jnp.ones(1, bool)
-    found: Any = *linear, residual, present, jnp.concatenate([zero, dt]), jnp.concatenate([fresh, ~valid])
+    *shows, residual, present = read
+    read = *shows, jnp.where(present, residual, 0.0), present
+    found: Any = (
+        *linear,
+        jnp.tile(driven, (len(present), 1)),
+        *read,
+        jnp.concatenate([zero, dt]),
+        jnp.concatenate([fresh, ~valid]),
+    )
     return ErrorModel(*found)
 
 
@@ -166,33 +193,34 @@ def input_matrix(model: MechanicalSystem, q: Array) -> Float[Array, "n n"]:
     return jax.vmap(model.space.raise_, (None, 0))(q, identity).T
 
 
-def _acting(unknowns: Unknowns, z: Array, rows: Rows) -> tuple[Float[Array, "T m"], Float[Array, "T m k"]]:
+def acting(unknowns: Any, z: Array, rows: Rows) -> tuple[Float[Array, "T m"], Float[Array, "T m k"]]:
     """Inputs that act in the step after each row, behind its machine's lag, and their derivatives in its numbers."""
     inputs, at = jnp.asarray(rows.inputs), jnp.asarray(rows.rows)
 
-    def acting(own_z, machine):
+    def behind(own_z, machine):
         own, _, _ = unknowns.of_machine(machine, z)
         return lagged(inputs, jnp.asarray(rows.steps), own.make(own.values(own_z))[1])[at]
 
     each = [unknowns.of_machine(m, z) for m in range(len(unknowns.parts))]
     first, own_z, _ = each[0]
     if not isinstance(first.make(first.values(own_z))[1], Tracer):
-        u = acting(own_z, 0)
+        u = behind(own_z, 0)
         return u, jnp.zeros((*u.shape, len(own_z)))
     u, change = (
-        jnp.stack([of(own_z, m) for m, (_, own_z, _) in enumerate(each)]) for of in (acting, jax.jacfwd(acting))
+        jnp.stack([of(own_z, m) for m, (_, own_z, _) in enumerate(each)]) for of in (behind, jax.jacfwd(behind))
     )
     machine, row = jnp.asarray(rows.machine)[jnp.asarray(rows.block)], jnp.arange(len(at))
     return u[machine, row], change[machine, row]
 
 
 class _Past(NamedTuple):
-    """What a smoother needs of a row: the transition (3n, 3n) to it, state and covariance after it, and for each number
-    the gain (n, 3n), the innovation and its variance (n,), in the order of the corrections."""
+    """What a smoother needs of a row: the transition to it, state and covariance after it, what readings show, and for
+    each number the gain, the innovation and its variance (n,), in the order of the corrections."""
 
     transition: Array
     x: Array
     cov: Array
+    shows: Array
     gain: Array
     innovation: Array
     variance: Array
@@ -210,7 +238,7 @@ def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt:
     return jax.lax.scan(row, start, errors)[1]
 
 
-def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float = 1.0) -> Float[Array, "T n3"]:
+def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float = 1.0) -> Float[Array, "T Nd"]:
     """Estimate the errors and the unknown force at each row from all rows, by the smoother that belongs to `kalman`.
 
     Of the smoothed velocity v_s, the mean given all readings, `E(v̂ − v)² = E(v̂ − v_s)² + E(v_s − v)²` for any estimate
@@ -219,7 +247,6 @@ def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doub
     Source: Bierman 1973, Fixed interval smoothing with discrete measurements, International Journal of Control 18(1),
     which inverts no covariance.
     """
-    n = errors.residual.shape[1]
     start, step = _recursion(errors, noise, speed, doubt)
 
     def forwards(state, now):
@@ -236,13 +263,13 @@ def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doub
             change = adjoint @ gain + innovation / variance
             return adjoint - jnp.where(present, change, 0.0) * shows, None
 
-        numbers = _shown(n), past.gain, past.innovation, past.variance, present
+        numbers = past.shows, past.gain, past.innovation, past.variance, present
         adjoint = jax.lax.scan(correct, adjoint, numbers, reverse=True)[0]
         return jnp.where(fresh, 0.0, past.transition.T @ adjoint), estimate
 
     pasts = jax.lax.scan(forwards, start, errors)[1]
     rows = pasts, errors.present, errors.fresh
-    return jax.lax.scan(backwards, jnp.zeros(4 * n), rows, reverse=True)[1][:, : 3 * n]
+    return jax.lax.scan(backwards, jnp.zeros_like(start[0]), rows, reverse=True)[1][:, : -errors.residual.shape[1]]
 
 
 def from_later(
@@ -271,7 +298,7 @@ def from_later(
 def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: Scalar | float) -> Any:
     n, variance = errors.residual.shape[1], noise.measurement**2
     # Nothing is known: positions and velocities far beyond their size, and a force far beyond its own.
-    first = VAGUE**2 * _first(noise, speed, n)[: 3 * n, : 3 * n]
+    first = VAGUE**2 * _first(errors, noise, speed)[: 3 * n, : 3 * n]
     later = jax.tree.map(lambda column: jnp.roll(column, -1, axis=0), (errors, inverse))
 
     def step(state, rows):
@@ -293,41 +320,38 @@ def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: S
 
 def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float):
     """The start of the filter, and its step `(state, row) -> (state, Filtered, _Past)`."""
-    n, p = errors.residual.shape[1], errors.slopes.shape[2]
+    n, (size, p) = errors.residual.shape[1], errors.slopes.shape[1:]
     variance = noise.measurement**2
-    first = _first(noise, speed, n, doubt)
+    first = _first(errors, noise, speed, doubt)
+    whole_size, start = len(first), jnp.zeros(len(first))
 
     def step(state, row):
         x, cov, slope = state
         whole, defect, added = _transition(row, noise)
         x = whole @ x + defect
-        slope = whole @ slope + jnp.concatenate([row.slopes, jnp.zeros((2 * n, p))])
+        slope = whole @ slope + jnp.pad(row.slopes, ((0, whole_size - size), (0, 0)))
         cov = _symmetric(whole @ cov @ whole.T + added)
-        current = jax.tree.map(lambda *both: jnp.where(row.fresh, *both), (jnp.zeros(4 * n), first), (x, cov))
+        current = jax.tree.map(lambda *both: jnp.where(row.fresh, *both), (start, first), (x, cov))
 
         def correct(current: Any, number: Any):
             *now, slope = current
-            *after, results = _reading(*now, *number)
-            gain, felt = results[3], -number[0] @ slope
+            *after, results = _reading(*now, *number[:4])
+            gain, felt = results[3], -number[0] @ slope - number[4]
             return (*after, slope + jnp.outer(gain, felt)), (*results, jnp.where(number[3], felt, 0.0))
 
         # Their noise is independent, so they correct one after the other.
-        numbers = _shown(n), row.residual, variance, row.present
+        shows = jnp.concatenate([jnp.pad(row.shows, ((0, 0), (0, whole_size - size - n))), jnp.eye(n)], axis=1)
+        numbers = shows, row.residual, variance, row.present, row.shown_slopes
         found: Any = jax.lax.scan(correct, (*current, jnp.where(row.fresh, 0.0, slope)), numbers)
         current, (loss, innovation, std, gains, used, felt) = found
         x, cov, _ = current
         # K = P Hᵀ R⁻¹ with the covariance P after the correction.
         gain = jnp.stack([jnp.mean(jnp.diag(cov[at : at + n, :n]) / variance) for at in (0, n)])
         velocity_std = jnp.sqrt(jnp.diag(cov)[n : 2 * n])
-        result = Filtered(loss, innovation, std, x[: 2 * n], gain, velocity_std, felt)
-        return current, result, _Past(whole, x, cov, gains, innovation, used)
+        result = Filtered(loss, innovation, std, x[:size], gain, velocity_std, felt)
+        return current, result, _Past(whole, x, cov, shows, gains, innovation, used)
 
-    return (jnp.zeros(4 * n), first, jnp.zeros((4 * n, p))), step
-
-
-def _shown(n: int) -> Float[Array, "n n4"]:
-    """What a reading of each coordinate shows of errors, force and wiggle."""
-    return jnp.concatenate([jnp.eye(n, 3 * n), jnp.eye(n)], axis=1)
+    return (start, first, jnp.zeros((whole_size, p))), step
 
 
 def _symmetric(cov: Array) -> Array:
@@ -335,31 +359,43 @@ def _symmetric(cov: Array) -> Array:
     return (cov + cov.T) / 2
 
 
-def _first(noise: NoiseLevels, speed: Scalar | float, n: int, doubt: float = 1.0) -> Float[Array, "n4 n4"]:
+def _first(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float = 1.0) -> Float[Array, "M M"]:
     """Covariance of the errors, the force and the wiggle before any measurement.
 
     A random walk then has its variance of one second, and a force with a time its usual one.
     """
-    force, wiggle = (jnp.broadcast_to(jnp.asarray(each) ** 2, n) for each in (noise.force, noise.wiggle))
-    return jnp.diag(jnp.concatenate([(doubt * noise.measurement) ** 2, jnp.full(n, speed**2), force, wiggle]))
+    sizes = errors.input_matrix.shape[2], errors.residual.shape[1]
+    processes = zip((noise.force, noise.wiggle), sizes, strict=True)
+    force, wiggle = (jnp.broadcast_to(jnp.asarray(size) ** 2, count) for size, count in processes)
+    errors_first = jnp.where(errors.driven[0], speed**2, (doubt * noise.measurement) ** 2 @ errors.shows[0])
+    return jnp.diag(jnp.concatenate([errors_first, force, wiggle]))
 
 
 def _transition(row: ErrorModel, noise: NoiseLevels) -> tuple[Array, Array, Array]:
-    """Transition (4n, 4n) of errors, force and wiggle to a row, its defect (4n,), and the covariance that it adds."""
-    n = row.residual.shape[0]
-    # The force is constant over a step, at its mean.
+    """Transition (M, M) of errors, force and wiggle to a row, its defect (M,), and the covariance that it adds."""
+    size, count, n = *row.input_matrix.shape, row.residual.shape[0]
+    # The force is constant over a step, at its mean; its effect is the mean of those at both ends (trapezoidal rule).
     mean, decay, added = forgotten(row.dt, noise.force_time)
     _, remains, moved = forgotten(row.dt, noise.wiggle_time)
-    push = mean * jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
-    rest = jnp.diag(jnp.concatenate([jnp.full(n, decay), jnp.full(n, remains)]))
-    above = jnp.concatenate([row.transition, push, jnp.zeros((2 * n, n))], axis=1)
-    whole = jnp.concatenate([above, jnp.concatenate([jnp.zeros((2 * n, 2 * n)), rest], axis=1)])
+    push = mean * row.dt / 2 * (row.input_matrix + row.transition @ row.input_matrix)
+    rest = jnp.concatenate([jnp.full(count, decay), jnp.full(n, remains)])
+    above = jnp.concatenate([row.transition, push, jnp.zeros((size, n))], axis=1)
+    whole = jnp.concatenate([above, jnp.pad(jnp.diag(rest), ((0, 0), (size, 0)))])
     grown = [
-        jnp.broadcast_to(share * jnp.asarray(size) ** 2, n)
-        for share, size in ((added, noise.force), (moved, noise.wiggle))
+        jnp.broadcast_to(share * jnp.asarray(each) ** 2, many)
+        for share, each, many in ((added, noise.force, count), (moved, noise.wiggle, n))
     ]
-    walk = jnp.diag(jnp.concatenate([jnp.zeros(2 * n), *grown]))
-    return whole, jnp.concatenate([row.defect, jnp.zeros(2 * n)]), walk + _white(noise.acceleration, row.dt, n)
+    defect = jnp.pad(row.defect, (0, count + n))
+    walk = jnp.diag(jnp.concatenate([jnp.zeros(size), *grown]))
+    return whole, defect, walk + jnp.pad(noise.acceleration**2 * _white(row), (0, count + n))
+
+
+def _white(row: ErrorModel) -> Float[Array, "N N"]:
+    """Covariance of the errors that white noise of unit density adds in a step, by Simpson's rule."""
+    size = len(row.driven)
+    middle, driven = (jnp.eye(size) + row.transition) / 2, jnp.diag(row.driven.astype(row.dt.dtype))
+    ends = driven + row.transition @ driven @ row.transition.T
+    return row.dt / 6 * (ends + 4 * middle @ driven @ middle.T)
 
 
 def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]:
@@ -372,13 +408,6 @@ def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]
     steps = dt / time
     mean, end, added = gauss_markov(steps)
     return mean, end, jnp.where(steps > 0, added, dt)
-
-
-def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:
-    """Covariance (4n, 4n) that white acceleration adds to position, velocity and force in a step."""
-    # The integral of [s, 1]ᵀ [s, 1] over the step, times the spectral density.
-    block = acceleration**2 * jnp.stack([jnp.stack([dt**3 / 3, dt**2 / 2]), jnp.stack([dt**2 / 2, dt])])
-    return jnp.zeros((4 * n, 4 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(block, jnp.eye(n)))
 
 
 def _reading(x: Vector, cov: Array, shows: Vector, residual: Scalar, variance: Scalar, present: Flag):

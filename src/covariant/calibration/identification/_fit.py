@@ -25,9 +25,10 @@ from covariant.calibration._least_squares import (
     minimise,
 )
 from covariant.calibration.identification._contradictions import Evidence, contradictions
-from covariant.calibration.identification._error_model import ErrorModel, NoiseLevels, error_model
-from covariant.calibration.identification._likelihood import FASTER, GAINED, Likelihood, first_noise, stable_steps
-from covariant.calibration.identification._rows import Rows, gather
+from covariant.calibration.identification._error_model import NoiseLevels
+from covariant.calibration.identification._likelihood import GAINED, Likelihood, first_noise
+from covariant.calibration.identification._rows import Rows
+from covariant.calibration.identification._states import rows_of, unknowns_of
 from covariant.calibration.identification._unknowns import Unknowns
 from covariant.models import Family
 from covariant.signals import Record
@@ -132,7 +133,7 @@ class Solved(NamedTuple):
     @property
     def least(self) -> Float[NumpyArray, "n"]:
         """Least noise (n,) of a reading."""
-        return np.exp(self.bounds[1 : 1 + self.point.blocks.rest.run.v.shape[1], 0])
+        return np.exp(self.bounds[1 : 1 + self.point.blocks.rest.system.residual.shape[1], 0])
 
 
 def fit(
@@ -154,7 +155,7 @@ def fit(
         family: The model as a function of its p open parameters, from `models.family`.
         records: The logs.
         velocities: Velocities (T, n) of each near the true ones, as from `scoring.zero_phase_velocity`: the search for
-            the motion begins there.
+            the motion begins there. Of a `StateSpace` rates (T, p) of its outputs.
         progress: Called with the index of the round and of its step before each step, from 0.
 
     Returns:
@@ -175,8 +176,7 @@ def fit(
         >>> result.names, result.values.round(4).tolist()
         (('stiffness',), [1.0])
     """
-    family.file.need_mechanical(family.file.name, "numbers are fitted for")
-    return profile(search(family, gather(family.file.model.manifold, records, velocities), progress)).fit
+    return profile(search(family, rows_of(family, records, velocities), progress)).fit
 
 
 def search(
@@ -190,7 +190,7 @@ def search(
 
     The prior, and what is not determined, stay at the first values. `least` (n,) is the least noise of a reading.
     """
-    unknowns = Unknowns.of(family)
+    unknowns = unknowns_of(family, rows)
     free = Fixed.nothing(len(family.first))
     rough, bounds = begun(unknowns, rows, least)
     places = _places(unknowns, family) if start is None else [unknowns.relative(start)]
@@ -217,17 +217,17 @@ def likeliest(solved: Solved, progress: Callable[[int, int], object]) -> Solved:
 
 
 def begun(
-    unknowns: Any, rows: Rows, least: Float[NumpyArray, "n"] | None, linearised: Callable[..., ErrorModel] = error_model
+    unknowns: Any, rows: Rows, least: Float[NumpyArray, "n"] | None
 ) -> tuple[Likelihood, Float[NumpyArray, "k 2"]]:
     """The likelihood with which a search begins: with the noise that explains the motion under the first values.
 
     Also bounds of the logarithms of noise.
     """
-    noise, bounds = first_noise(unknowns, rows, least)
-    speed, first = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max()), np.zeros(len(unknowns.first))
-    steps = stable_steps(unknowns, first, rows)
-    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed, None, linearised)
-    rough = rough._replace(pushes=rough.linear(first, rough.rows.start).input_matrix)
+    first, rows = np.zeros(len(unknowns.first)), jax.tree.map(jnp.asarray, rows)
+    speed, steps = unknowns.speed(rows), unknowns.steps(first, rows)
+    system = unknowns.linearised(jnp.asarray(first), rows.start, rows, steps)
+    noise, bounds = first_noise(unknowns, rows, system, least)
+    rough = Likelihood(unknowns, rows, steps, noise, speed, system.input_matrix)
     # With less noise of readings than there is a search would take it for friction.
     return rough.likelier(Point.at(rough, first).blocks.rest, bounds, NOISE_STEPS)[0], bounds
 
@@ -240,7 +240,7 @@ def _alternate(
     _, _, problem, point, fixed, bounds, quiet = solved
     loss, before = np.inf, np.inf
     for k in range(1, ROUNDS):
-        problem = problem._replace(substeps=stable_steps(problem.unknowns, point.z, problem.rows))
+        problem = problem._replace(substeps=problem.unknowns.steps(point.z, problem.rows))
         problem, loss = problem.likelier(point.blocks.rest, bounds, NOISE_STEPS, quiet)
         point = Point.at(problem, point.z, point.blocks.rest)
         point = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)

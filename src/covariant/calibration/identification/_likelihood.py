@@ -10,7 +10,7 @@ Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, 
 Kalman smoother as a Gauss–Newton method, SIAM Journal on Optimization 4(3); Ljung 1999, System Identification, 7.4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -25,12 +25,10 @@ from covariant.calibration.identification._error_model import (
     VAGUE,
     ErrorModel,
     NoiseLevels,
-    error_model,
-    input_matrix,
     kalman,
     smoothed,
 )
-from covariant.calibration.identification._predict import FAR, PredictionErrors, needed_substeps
+from covariant.calibration.identification._predict import FAR, PredictionErrors
 from covariant.calibration.identification._rows import Rows
 from covariant.calibration.identification._unknowns import Unknowns
 from covariant.geometry import AbstractManifold
@@ -47,8 +45,6 @@ QUIET = np.log(1e-12)
 """Logarithm of a noise that is none."""
 GAINED, PRECISE = 0.2, 1e-3
 """Decreases of twice the negative log-likelihood in a round, and in a step for noise, below which a search ends."""
-FASTER = 3.0
-"""Standard deviation of the velocity at the start of a stretch, in largest velocities of the reference."""
 BEYOND = 1e100
 """Error in standard deviations that is as good as any larger one."""
 MOVES = 4
@@ -68,9 +64,8 @@ class Likelihood(NamedTuple):
         substeps: Runge–Kutta steps from a row to the next.
         noise: Noise levels.
         speed: Standard deviation of velocities where a stretch begins.
-        pushes: Accelerations (T, n, n) per unit of the unknown force, held while parameters move: numbers that make a
-            machine heavier must not gain by making the force that nobody knows weaker.
-        linearised: Function of unknowns, z, a motion, rows and steps that returns the linear model of errors along it.
+        pushes: The input matrix of the error model, held while parameters move: numbers that make a machine heavier
+            must not gain by making the force that nobody knows weaker.
     """
 
     unknowns: Unknowns
@@ -79,7 +74,6 @@ class Likelihood(NamedTuple):
     noise: NoiseLevels
     speed: Any
     pushes: Any = None
-    linearised: Callable[..., ErrorModel] = error_model
 
     def blocks(self, z: NumpyArray, kept: Any = None) -> Blocks:
         """The loss and its derivatives at z (p,); `kept` is what the last point has kept, near which that at z is."""
@@ -87,6 +81,7 @@ class Likelihood(NamedTuple):
         # A motion that a step has carried beyond all numbers is judged as it was before.
         run = run if kept is None or np.isfinite(run.v).all() else kept.run
         system = self.linear(z, run)
+        pushes, system = system.input_matrix, self.with_force(system)
         result = _filtered(system, self.noise, self.speed, VAGUE)
         e, slope, spread = (np.asarray(each) for each in (result.innovation, result.slope, result.spread))
         seen = spread != 0  # a variance that rounding made negative is not a number, and no row without a reading
@@ -112,7 +107,9 @@ class Likelihood(NamedTuple):
 
         scores = sums(np.einsum("ti,tip->tp", weight * e, slope))
         loss = sums(np.sum(loss + np.log(size), axis=1))
-        return Blocks(loss, scores, np.sum(curvatures(weight), axis=0), curvatures(weight**3), Kept(z, run, system))
+        return Blocks(
+            loss, scores, np.sum(curvatures(weight), axis=0), curvatures(weight**3), Kept(z, run, system, pushes)
+        )
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
         """Unknowns (p,) after a step."""
@@ -124,86 +121,76 @@ class Likelihood(NamedTuple):
 
     def linear(self, z: NumpyArray, run: Motion) -> ErrorModel:
         """The linear model of errors along a motion."""
-        system = self.linearised(self.unknowns, jnp.asarray(z), run, self.rows, self.substeps)
+        return self.unknowns.linearised(jnp.asarray(z), run, self.rows, self.substeps)
+
+    def with_force(self, system: ErrorModel) -> ErrorModel:
+        """The linear model with the force as it was at first."""
         return system if self.pushes is None else system._replace(input_matrix=self.pushes)
 
     def moved_run(self, z: NumpyArray, kept: "Kept") -> Motion:
         """The smoothed motion at z, by the linear model along one near it."""
         errors = _smoothed_at(kept.system, jnp.asarray(z - kept.z), self.noise, self.speed)
-        return _along(self.unknowns.manifold, kept.run, errors)
+        return self.unknowns.along(kept.run, errors)
 
     def likelier(
         self, kept: "Kept", bounds: Float[NumpyArray, "k 2"], steps: int, quiet: bool = False
     ) -> tuple["Likelihood", float]:
         """The same with the likeliest noise within bounds, and twice its negative log-likelihood; where it is `quiet`,
         readings alone are noisy."""
-        n = kept.run.v.shape[1]
-        pushes = _pushes(self.unknowns, jnp.asarray(kept.z), kept.run, self.rows)
-        system = kept.system._replace(slopes=kept.system.slopes[:, :, :0], input_matrix=pushes)
-        start = np.clip(logarithms(self.noise, n), *bounds.T)
+        (_, n), d = kept.system.residual.shape, kept.pushes.shape[2]
+        system = without_slopes(kept.system)._replace(input_matrix=kept.pushes)
+        start = np.clip(logarithms(self.noise, n, d), *bounds.T)
         free = np.arange(1, 1 + n) if quiet else np.arange(len(start))
         if quiet:
-            start[[0, *range(1 + n, 1 + 2 * n), *range(2 + 2 * n, 2 + 3 * n)]] = QUIET
+            start[[0, *range(1 + n, 1 + n + d), *range(2 + n + d, 2 + 2 * n + d)]] = QUIET
         best, loss = descend(start, free, bounds, [system], None, self.speed, steps, VAGUE)
-        return self._replace(noise=levels(best, n), pushes=pushes), loss
+        return self._replace(noise=levels(best, n, d), pushes=kept.pushes), loss
 
 
 class Kept(NamedTuple):
-    """What a point keeps for the next one: the unknowns, the motion and the linear model of errors along it."""
+    """What a point keeps for the next one: the unknowns, the motion, the linear model of errors along it, and its input
+    matrix under the numbers there."""
 
     z: NumpyArray
     run: Motion
     system: ErrorModel
+    pushes: Any
+
+
+def without_slopes(system: ErrorModel) -> ErrorModel:
+    """The linear model for numbers that are known."""
+    return system._replace(slopes=system.slopes[:, :, :0], shown_slopes=system.shown_slopes[:, :, :0])
 
 
 @eqx.filter_jit
 def _smoothed_at(system: ErrorModel, dz: Array, noise: NoiseLevels, speed: Any) -> Array:
     """Errors with which numbers that change by dz explain the rows best."""
-    changed = system._replace(defect=system.defect + system.slopes @ dz, slopes=system.slopes[:, :, :0])
+    defect, residual = system.defect + system.slopes @ dz, system.residual - system.shown_slopes @ dz
+    changed = without_slopes(system._replace(defect=defect, residual=jnp.where(system.present, residual, 0.0)))
     return smoothed(changed, noise, speed, VAGUE)
 
 
-@eqx.filter_jit
-def _along(manifold: Any, run: Motion, errors: Array) -> Motion:
-    """The motion with its errors corrected."""
-    n = run.v.shape[1]
-    return Motion(jax.vmap(manifold.retract)(run.q, errors[:, :n]), run.v + errors[:, n : 2 * n])
-
-
-@eqx.filter_jit
-def _pushes(unknowns: Unknowns, z: Array, run: Motion, rows: Rows) -> Float[Array, "T n n"]:
-    """Accelerations per unit of a force, at each row."""
-    machine = jnp.asarray(rows.machine)[jnp.asarray(rows.block)]
-
-    def push(q, m):
-        return input_matrix(unknowns.model(z, m if len(unknowns.parts) > 1 else 0), q)
-
-    # Those that act in the step to each row are those at the row before, as in the error model.
-    return jnp.roll(jax.vmap(push)(run.q, machine), 1, axis=0)
-
-
 def first_noise(
-    unknowns: Unknowns, rows: Rows, least: Float[NumpyArray, "n"] | None
+    unknowns: Unknowns, rows: Rows, system: ErrorModel, least: Float[NumpyArray, "n"] | None
 ) -> tuple[NoiseLevels, Float[NumpyArray, "k 2"]]:
     """Noise with which forces explain all motion, from which a search begins, and bounds of the logarithms of noise.
 
     `least` (n,) is the least noise of a reading, such as that of its quantum.
     """
-    step, v = rows.step, np.asarray(rows.start.v)[: rows.used]
-    motion = np.maximum(np.sqrt(np.mean(v**2, axis=0)) * step * np.sqrt(len(v)), 1e-12)
+    step, (_, n) = rows.step, system.residual.shape
+    motion, rates = unknowns.sizes_of(rows)
     floor = np.maximum(FINEST * motion, 0.0 if least is None else least)
     noise = np.maximum(_roughness(unknowns.manifold, rows), floor)
-    within = ~np.asarray(rows.fresh)[1 : len(v)]
-    acceleration = float(np.sqrt(np.mean((np.diff(v, axis=0)[within] / step) ** 2))) + 1e-9
-    gains = np.asarray(_pushes(unknowns, jnp.zeros(len(unknowns.first)), rows.start, rows))
+    within = ~np.asarray(rows.fresh)[1 : len(rates)]
+    acceleration = float(np.sqrt(np.mean((np.diff(rates, axis=0)[within] / step) ** 2))) + 1e-9
+    gains = np.asarray(system.input_matrix)[:, np.asarray(system.driven[0])]
     force, white = acceleration / np.sqrt(np.mean(gains**2, axis=(0, 1))), USUAL * acceleration * np.sqrt(step)
     usual = np.log([white, *noise, *force, 8 * step, *noise, 8 * step])
     lower, upper = usual - np.log(RANGE), usual + np.log(RANGE)
-    n = v.shape[1]
     lower[1 : 1 + n] = np.log(floor)
-    times = [1 + 2 * n, -1]
-    lower[times], upper[times] = np.log(4 * step), np.log(step * max(len(v), 8))
-    return levels(usual, n), np.stack([lower, upper], axis=1)
+    times = [1 + n + len(force), -1]
+    lower[times], upper[times] = np.log(4 * step), np.log(step * max(len(rates), 8))
+    return levels(usual, n, len(force)), np.stack([lower, upper], axis=1)
 
 
 def _roughness(manifold: AbstractManifold, rows: Rows) -> Float[NumpyArray, "n"]:
@@ -217,19 +204,19 @@ def _roughness(manifold: AbstractManifold, rows: Rows) -> Float[NumpyArray, "n"]
     return STD_OF_MEDIAN / np.sqrt(70.0) * np.array(fourth)
 
 
-def levels(z: AnyArray, n: int) -> NoiseLevels:
-    """Noise of the logarithms of the noise of acceleration, readings (n,) and force (n,), of the force's time, and, if
+def levels(z: AnyArray, n: int, d: int) -> NoiseLevels:
+    """Noise of the logarithms of the noise of acceleration, readings (n,) and force (d,), of the force's time, and, if
     there are so many, of wiggles (n,) and their time."""
-    each = jnp.exp(jnp.asarray(z))
-    noise = NoiseLevels(each[0], each[1 : 1 + n], each[1 + n : 1 + 2 * n], each[1 + 2 * n])
-    if len(each) == 2 + 2 * n:
+    each, force = jnp.exp(jnp.asarray(z)), 1 + n
+    noise = NoiseLevels(each[0], each[1:force], each[force : force + d], each[force + d])
+    if len(each) == force + d + 1:
         return noise
-    return noise._replace(wiggle=each[2 + 2 * n : -1], wiggle_time=each[-1])
+    return noise._replace(wiggle=each[force + d + 1 : -1], wiggle_time=each[-1])
 
 
-def logarithms(noise: NoiseLevels, n: int) -> Float[NumpyArray, "k"]:
+def logarithms(noise: NoiseLevels, n: int, d: int) -> Float[NumpyArray, "k"]:
     """The logarithms that `levels` makes a noise of."""
-    force, wiggle = (np.broadcast_to(np.asarray(each), n) for each in (noise.force, noise.wiggle))
+    force, wiggle = np.broadcast_to(np.asarray(noise.force), d), np.broadcast_to(np.asarray(noise.wiggle), n)
     own = [float(noise.acceleration), *np.asarray(noise.measurement), *force, float(noise.force_time)]
     return np.log(np.maximum([*own, *wiggle, float(noise.wiggle_time)], 1e-300))
 
@@ -239,7 +226,7 @@ def _losses(z: Float[Array, "k p"], system: ErrorModel, mask: Any, speed: Any, d
     """Twice the negative log-likelihood of the noise `levels(z)` for each row of z."""
 
     def loss(z):
-        each = kalman(system, levels(z, system.residual.shape[1]), speed, doubt).loss
+        each = kalman(system, levels(z, system.residual.shape[1], system.input_matrix.shape[2]), speed, doubt).loss
         return jnp.sum(each if mask is None else jnp.where(mask, each, 0.0))
 
     return jax.vmap(loss)(z)
@@ -287,19 +274,8 @@ def descend(
     return at(minimum.x), float(minimum.fun)
 
 
-def stable_steps(unknowns: Any, z: NumpyArray, rows: Rows) -> Array:
-    """Runge–Kutta steps between rows that the stiffest of the machines needs."""
-    each = [unknowns.model(jnp.asarray(z), machine) for machine in range(len(unknowns.parts))]
-    return jnp.asarray(max(needed_substeps(model, rows) for model in each))
-
-
 def window_errors(
-    unknowns: Any,
-    z: NumpyArray,
-    rows: Rows,
-    length: float,
-    judged: Bool[NumpyArray, "T"],
-    linearised: Callable[..., ErrorModel] = error_model,
+    unknowns: Any, z: NumpyArray, rows: Rows, length: float, judged: Bool[NumpyArray, "T"]
 ) -> PredictionErrors:
     """Root mean square errors of the motion that a model predicts over windows [s], each from its best first motion."""
     t = np.asarray(rows.t)
@@ -307,22 +283,21 @@ def window_errors(
     begun = t[np.maximum.accumulate(np.where(rows.fresh, np.arange(len(t)), 0))]
     window = np.floor((t - begun) / length + 1e-9)
     rows = rows._replace(fresh=np.asarray(rows.fresh) | (np.diff(window, prepend=-1) != 0))
-    v = np.asarray(rows.start.v)
-    size = np.maximum(np.sqrt(np.mean(v[: rows.used] ** 2, axis=0)) * length, 1e-12)
-    speed, steps = jnp.asarray(FASTER * np.abs(v).max()), stable_steps(unknowns, z, rows)
+    size = np.maximum(unknowns.sizes_of(rows)[0] * length / rows.step / np.sqrt(rows.used), 1e-12)
+    speed, steps = unknowns.speed(rows), unknowns.steps(z, rows)
     # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
     noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
-    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed, None, linearised)
+    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
     run, off, system = problem.rows.start, np.zeros((0, 0)), problem.linear(z, problem.rows.start)
     for _ in range(MOVES):
-        run = problem.moved_run(z, Kept(np.asarray(z), run, system))
+        run = problem.moved_run(z, Kept(np.asarray(z), run, system, None))
         if not np.isfinite(run.v).all():
             return PredictionErrors(*np.full((2, len(size)), np.inf), windows=np.full((1, len(size)), np.inf))
         off = np.where(system.present, (now := problem.linear(z, run)).residual, np.nan)
         # Those far off the others are left out from the next time on.
         off[(off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)] = np.nan
         system = now._replace(residual=jnp.nan_to_num(off), present=jnp.asarray(np.isfinite(off)))
-    slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, np.asarray(rows.start.v) - np.asarray(run.v), np.nan)
+    slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, unknowns.slower(rows, run), np.nan)
     slow[~np.isfinite(off)] = np.nan
     first = np.flatnonzero(np.asarray(rows.fresh) & np.asarray(judged))
     total, count = (np.add.reduceat(part, first) for part in (np.nan_to_num(off**2), np.isfinite(off).astype(float)))

@@ -21,6 +21,7 @@ from covariant.calibration.identification._fit import Solved, block_losses, sear
 from covariant.calibration.identification._likelihood import window_errors
 from covariant.calibration.identification._predict import error_growth
 from covariant.calibration.identification._rows import Rows
+from covariant.calibration.identification._states import unknowns_of
 from covariant.models import Family
 
 SHIFTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
@@ -123,7 +124,7 @@ def _apart(solved: Solved) -> Solved:
     """The same with all numbers of each machine its own."""
     family = _with_parts(solved.family, solved.family.parts)
     values = solved.fit.values[solved.family.parts.ravel()]
-    unknowns = type(solved.problem.unknowns).of(family)
+    unknowns = unknowns_of(family, solved.problem.rows)
     point = solved.point._replace(z=unknowns.relative(values))
     problem = solved.problem._replace(unknowns=unknowns)
     return solved._replace(family=family, fit=solved.fit._replace(values=values), point=point, problem=problem)

@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from covariant.calibration._least_squares import PRIOR, Fixed, Point
-from covariant.calibration.identification._error_model import ErrorModel, assembled
+from covariant.calibration.identification._error_model import ErrorModel, of_motion
 from covariant.calibration.identification._fit import ACCURACY, DIFFERENT, Solved, begun, likeliest
-from covariant.calibration.identification._likelihood import stable_steps
 from covariant.calibration.identification._robot_fit import RobotFit, accelerations, driving, rounded_values
 from covariant.calibration.identification._robot_torques import (
     Determined,
@@ -26,6 +25,7 @@ from covariant.calibration.identification._robot_torques import (
     usual_sizes,
 )
 from covariant.calibration.identification._rows import Rows
+from covariant.calibration.identification._unknowns import OfMotions
 from covariant.geometry import AbstractManifold
 from covariant.models import MechanicalSystem, Motion, RobotFamily
 
@@ -35,7 +35,7 @@ would take more, a joint stops or reverses between two rows, and residual torque
 
 
 @dataclass(frozen=True, eq=False)
-class RobotUnknowns:
+class RobotUnknowns(OfMotions):
     """Coordinates of a robot's open numbers, relative to their usual sizes (p,); zero at the first values.
 
     Below the speeds `sticking` (n,) dry friction may be anything, so that no number is read from a joint's torque.
@@ -66,8 +66,9 @@ class RobotUnknowns:
         rest: Any = *functions, first, family.parts, family.file.model.manifold
         return cls(family, sizes, sticking_speeds(family, speed), torques, *rest)
 
-    def model(self, z: Array, _machine: int = 0) -> Any:
+    def model(self, z: Array, machine: int = 0) -> Any:
         """The model at relative coordinates z (p,)."""
+        del machine
         return self.family.make(z * self.sizes)
 
     def moved(self, z: np.ndarray, dz: np.ndarray) -> np.ndarray:
@@ -82,41 +83,41 @@ class RobotUnknowns:
         """Coordinates (p,) at which undetermined combinations are fixed: those of the first values."""
         return np.zeros_like(z)
 
+    def linearised(self, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
+        """Linearise a robot along a run: in its state by exponentials, in its numbers by torques.
 
-def linearised_robot(unknowns: RobotUnknowns, z: Array, run: Motion, rows: Rows, _steps: Any) -> ErrorModel:
-    """Linearise a robot along a run: in its state by exponentials, in its numbers by torques.
-
-    Dry friction of light joints is so steep that explicit steps would have to be tiny: each half of a step is the exact
-    solution of the equations linearised at its beginning (Hochbruck & Ostermann 2010, Exponential integrators, Acta
-    Numerica 19, section 2), extrapolated with that of the whole step. Torques are fewer than numbers, so that their
-    derivatives cost less than those of a step in each number.
-    """
-    x, n = np.asarray(z) * unknowns.sizes, run.v.shape[1]
-    q, v = np.asarray(run.q), np.asarray(run.v)
-    u, fresh = np.asarray(rows.inputs)[np.asarray(rows.rows)][:-1], np.asarray(rows.fresh)
-    dt = np.where(fresh[1:], 0.0, np.diff(np.asarray(rows.t)))
-    start, then = (np.concatenate([q[at], v[at]], axis=1) for at in (slice(-1), slice(1, None)))
-    whole, first_half = _exponentials(unknowns, x, start, u, (dt, dt / 2))
-    (second_half,) = _exponentials(unknowns, x, start + first_half[:, :, -1], u, (dt / 2,))
-    halves = first_half[:, :, -1] + second_half[:, :, -1]
-    defect = start + (4 * halves - whole[:, :, -1]) / 3 - then
-    transition = 2 * second_half[:, :, :-1] @ first_half[:, :, :-1] - whole[:, :, :-1]
-    changes = []
-    # Inputs of the row before act in a step, from its beginning to its end.
-    for at in (slice(None, -1), slice(1, None)):
-        a = unknowns.accelerations(x, q[at], v[at], u, np.ones_like(v[:-1]))
-        torque = unknowns.torques.derivatives(x, q[at], v[at], a, u)
-        torque *= (np.abs(v[at]) >= unknowns.sticking)[:, :, None]
-        changes.append(-np.linalg.solve(unknowns.inertias(x, q[at]), torque))
-    begin, end = changes
-    h = dt[:, None, None]
-    # What a number changes at the beginning of a step is damped until its end.
-    damped = transition[:, n:, n:] @ begin
-    slopes = np.concatenate([h**2 * (begin / 3 + end / 6), h * (damped + end) / 2], axis=1) * unknowns.sizes
-    linear = transition, defect, slopes, np.linalg.inv(unknowns.inertias(x, q[:-1]))
-    valid = np.stack([np.isfinite(part.reshape(len(dt), -1)).all(axis=1) for part in linear]).all(axis=0)
-    linear = [jnp.asarray(np.where(valid.reshape(-1, *[1] * (part.ndim - 1)), part, np.nan)) for part in linear]
-    return assembled(unknowns.manifold, linear, jnp.asarray(dt), run, rows)
+        Dry friction of light joints is so steep that explicit steps would have to be tiny: each half of a step is the
+        exact solution of the equations linearised at its beginning (Hochbruck & Ostermann 2010, Exponential
+        integrators, Acta Numerica 19, section 2), extrapolated with that of the whole step. Torques are fewer than
+        numbers, so that their derivatives cost less than those of a step in each number.
+        """
+        del steps
+        x, n = np.asarray(z) * self.sizes, run.v.shape[1]
+        q, v = np.asarray(run.q), np.asarray(run.v)
+        u, fresh = np.asarray(rows.inputs)[np.asarray(rows.rows)][:-1], np.asarray(rows.fresh)
+        dt = np.where(fresh[1:], 0.0, np.diff(np.asarray(rows.t)))
+        start, then = (np.concatenate([q[at], v[at]], axis=1) for at in (slice(-1), slice(1, None)))
+        whole, first_half = _exponentials(self, x, start, u, (dt, dt / 2))
+        (second_half,) = _exponentials(self, x, start + first_half[:, :, -1], u, (dt / 2,))
+        halves = first_half[:, :, -1] + second_half[:, :, -1]
+        defect = start + (4 * halves - whole[:, :, -1]) / 3 - then
+        transition = 2 * second_half[:, :, :-1] @ first_half[:, :, :-1] - whole[:, :, :-1]
+        changes = []
+        # Inputs of the row before act in a step, from its beginning to its end.
+        for at in (slice(None, -1), slice(1, None)):
+            a = self.accelerations(x, q[at], v[at], u, np.ones_like(v[:-1]))
+            torque = self.torques.derivatives(x, q[at], v[at], a, u)
+            torque *= (np.abs(v[at]) >= self.sticking)[:, :, None]
+            changes.append(-np.linalg.solve(self.inertias(x, q[at]), torque))
+        begin, end = changes
+        h = dt[:, None, None]
+        # What a number changes at the beginning of a step is damped until its end.
+        damped = transition[:, n:, n:] @ begin
+        slopes = np.concatenate([h**2 * (begin / 3 + end / 6), h * (damped + end) / 2], axis=1) * self.sizes
+        linear = transition, defect, slopes, np.linalg.inv(self.inertias(x, q[:-1]))
+        valid = np.stack([np.isfinite(part.reshape(len(dt), -1)).all(axis=1) for part in linear]).all(axis=0)
+        linear = [jnp.asarray(np.where(valid.reshape(-1, *[1] * (part.ndim - 1)), part, np.nan)) for part in linear]
+        return of_motion(self.manifold, linear, jnp.asarray(dt), run, rows)
 
 
 def _exponentials(
@@ -156,9 +157,9 @@ def likeliest_robot(
 ) -> RobotFit:
     """The numbers of greatest likelihood near those of a fit by residual torques; these where friction is too steep."""
     start = unknowns.moved(found.coordinates / unknowns.sizes, np.zeros_like(unknowns.sizes))
-    if stable_steps(unknowns, start, rows) > STEEPEST:
+    if unknowns.steps(start, rows) > STEEPEST:
         return found
-    problem, bounds = begun(unknowns, rows, None, linearised_robot)
+    problem, bounds = begun(unknowns, rows, None)
     point = Point.at(problem, start)
     if not np.isfinite(point.blocks.loss).all():
         return found

@@ -1,22 +1,73 @@
 """Unknowns of a search for the parameters of a model: their relative changes, which keep positive ones positive."""
 
+import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from covariant.calibration._least_squares import PRIOR
+from covariant.calibration.identification._error_model import ErrorModel, error_model
+from covariant.calibration.identification._predict import needed_substeps
+from covariant.calibration.identification._rows import Rows
 from covariant.geometry import AbstractManifold
-from covariant.models import Family, MechanicalSystem
+from covariant.models import Family, MechanicalSystem, Motion
 from covariant.signals import AnyArray
+
+FASTER = 3.0
+"""Standard deviation of the velocity at the start of a stretch, in largest velocities of the reference."""
 
 NumpyArray = np.ndarray
 
 
-class Unknowns(NamedTuple):
+class OfMotions:
+    """What a fit has to know of a mechanical system, the run of which is a motion."""
+
+    manifold: Any
+    parts: Any
+
+    def sizes_of(self, rows: Rows) -> tuple[Float[NumpyArray, "n"], Float[NumpyArray, "T n"]]:
+        """How far each coordinate moves (n,), and the velocities (T, n), without the padding."""
+        v = np.asarray(rows.start.v)[: rows.used]
+        return np.maximum(np.sqrt(np.mean(v**2, axis=0)) * rows.step * np.sqrt(len(v)), 1e-12), v
+
+    def speed(self, rows: Rows) -> Array:
+        """Standard deviation of velocities where a stretch begins."""
+        return jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max())
+
+    def steps(self, z: NumpyArray, rows: Rows) -> Array:
+        """Runge–Kutta steps between rows that the stiffest of the machines needs."""
+        each = [self.model(jnp.asarray(z), machine) for machine in range(len(self.parts))]
+        return jnp.asarray(max(needed_substeps(model, rows) for model in each))
+
+    def model(self, z: Array, machine: int = 0) -> Any:
+        """The model of a machine at unknowns z (p,)."""
+        raise NotImplementedError
+
+    def linearised(self, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
+        """The linear model of errors along a motion, at unknowns z (p,)."""
+        return error_model(self, z, run, rows, steps)
+
+    def along(self, run: Motion, errors: Array) -> Motion:
+        """The motion with its errors (T, ≥ 2n) corrected."""
+        return _along(self.manifold, run, errors)
+
+    def slower(self, rows: Rows, run: Motion) -> Float[NumpyArray, "T n"]:
+        """Reference velocities minus those of a motion."""
+        return np.asarray(rows.start.v) - np.asarray(run.v)
+
+
+@eqx.filter_jit
+def _along(manifold: Any, run: Motion, errors: Array) -> Motion:
+    n = run.v.shape[1]
+    return Motion(jax.vmap(manifold.retract)(run.q, errors[:, :n]), run.v + errors[:, n : 2 * n])
+
+
+class Unknowns(eqx.Module, OfMotions):
     """The fitted function `make (k,) -> (model, lag)`, first values (p,), which are positive, which k of the p are
     those of each machine, and the configurations of the model.
 
@@ -52,7 +103,11 @@ class Unknowns(NamedTuple):
     def of_machine(self, machine: Any, z: Array) -> tuple["Unknowns", Array, Array]:
         """Unknowns of one machine, their relative changes (k,), and where they are among all."""
         part = jnp.asarray(self.parts)[machine]
-        return self._replace(first=self.first[part], positive=jnp.asarray(self.positive)[part]), z[part], part
+        return (
+            dataclasses.replace(self, first=self.first[part], positive=jnp.asarray(self.positive)[part]),
+            z[part],
+            part,
+        )
 
     @property
     def size(self) -> Float[Array, "p"]:

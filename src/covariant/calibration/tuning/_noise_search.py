@@ -92,7 +92,7 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     # At first one half of the variance of the innovations is noise of the reading.
     first = np.maximum(size / np.sqrt(2), least)
     explained = frequency**2 * float(np.sqrt(np.mean(first**2)))
-    gains = [np.sqrt(np.mean(np.asarray(s.input_matrix) ** 2, axis=(0, 1))) for s in systems]
+    gains = [np.sqrt(np.mean(np.asarray(s.input_matrix)[:, n:] ** 2, axis=(0, 1))) for s in systems]
     force = explained / np.mean(gains, axis=0)  # (n,) that explains all innovations
     rate = logs[0].rate
     ends = [len(log.first_part.t) for log in logs]
@@ -122,4 +122,4 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     tried = [total_loss(z, systems, held_out, speed)[0] for z in (plain, forced)]
     # Schwarz's criterion for n + 1 parameters more, and what is held out has to confirm them.
     confirmed = without - lower_loss > (n + 1) * np.log(count) and tried[1] < tried[0]
-    return levels(forced if confirmed else plain, n)._replace(**({} if confirmed else {"force": jnp.asarray(0.0)}))
+    return levels(forced if confirmed else plain, n, n)._replace(**({} if confirmed else {"force": jnp.asarray(0.0)}))

@@ -141,7 +141,6 @@ def family(spec: str, names: Sequence[str], overrides: Overrides = ()) -> Family
 
 def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
     file = finish(spec, content)
-    file.need_mechanical(spec, "numbers are fitted for")
     numbers = {_name(place): place for place in _numbers(content)}
     chosen = [name for pattern in names for name in _match_names(pattern, numbers)]
     twice = next((name for name in chosen if chosen.count(name) > 1), None)
@@ -175,7 +174,8 @@ def _family(spec: str, names: Sequence[str], content: dict[str, Any]) -> Family:
             f"the function that makes the model cannot be traced by JAX ({_source.first_line(error)[:80]}); compute "
             f"with jax.numpy in it, or leave {', '.join(names)} as they are"
         ) from error
-    bounded = _bounded(make, first) if not all(positive) else np.ones(len(first), bool)
+    known = all(positive) or not file.mechanical
+    bounded = np.zeros(len(first), bool) if known else _bounded(make, first)
     positive = tuple(bool(refused or bound) for refused, bound in zip(positive, bounded, strict=True))
     return Family(file, tuple(chosen), first, positive, make, content, places, np.arange(len(first))[None])
 

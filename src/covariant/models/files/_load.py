@@ -83,6 +83,7 @@ def load(spec: str | PathLike[str] | Model | ModelFile, overrides: Overrides = (
             return kept[key]
         file = finish(name, document(name, overrides))
     if file.uncertain:
+        file.need_mechanical(name, "uncertain parameters are those of")
         file = file._replace(family=family(name, tuple(file.uncertain), overrides))
     if kept is not None and len(kept) < MOST_KEPT:
         kept[key] = file

@@ -40,7 +40,7 @@ def aligned(job: Job) -> Aligned:
     delay = np.asarray(file.delay, float)
     # Read without a delay: here the delay moves the inputs instead, by `late`.
     undelayed = job._replace(overrides=_with(job.overrides, "measurement.delay", 0))
-    loaded = load(undelayed, why="this command takes")
+    loaded = load(undelayed, why="" if job.fits else "this command takes")
     complete = loaded.kind.complete(np.asarray(loaded.log.record.y))
     loaded = loaded._replace(log=loaded.log._replace(record=loaded.log.record._replace(y=complete)))
     whole = loaded.log.all_rows

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant import models
+from covariant import models, scoring
 from covariant.calibration import outliers
 from covariant.calibration.identification import held_out_logs, horizon
 from covariant.verbs.base.aligned import Aligned, aligned
@@ -57,7 +57,7 @@ class FitLogs(NamedTuple):
         """Read the logs, the same model in each."""
         logs = [_without_outliers(aligned(job)) for job in jobs]
         machines = [0] * len(jobs) if machines is None else machines
-        file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
+        file, references = logs[0].loaded.file, [_slopes(log) for log in logs]
         firsts = [machines.index(machine) for machine in sorted(set(machines))]
         length = float(np.median([horizon(np.asarray(logs[k].raw.t), references[k]) for k in firsts]))
         document = models.document(jobs[0].model_name, jobs[0].overrides)
@@ -95,6 +95,15 @@ class FitLogs(NamedTuple):
         if len(last) == 1:
             return self.names[last[0]]
         return f"the last {len(last)} logs" if len(machines) == 1 else f"the last logs of {len(machines)} machines"
+
+
+def _slopes(log: Aligned) -> Float[np.ndarray, "T n"]:
+    """Reference velocities of a log, or the rates of the outputs of a `StateSpace`."""
+    if (reference := log.loaded.reference) is not None:
+        return reference.v
+    t, file = np.asarray(log.raw.t), log.loaded.file
+    y = scoring.unwrap(np.asarray(log.raw.y), log.loaded.model.circles)
+    return scoring.zero_phase_velocity(t, y, t, file.reference_half, int(file.reference_order))
 
 
 def _without_outliers(log: Aligned) -> Aligned:

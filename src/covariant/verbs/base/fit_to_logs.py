@@ -24,21 +24,21 @@ from covariant.calibration.identification import (
     better_reading,
     block_losses,
     error_growth,
-    error_model,
     fit_servos,
-    gather,
     held_out_rows,
     likeliest_robot,
-    linearised_robot,
     predict_servos,
     predicts_worse,
     profile,
     robot_misfit,
+    rows_of,
     search,
     standing_still,
+    unknowns_of,
     window_errors,
     worse_coordinates,
 )
+from covariant.observers import on_legs
 from covariant.signals import Record
 from covariant.verbs.base.aligned import Aligned
 from covariant.verbs.base.fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
@@ -133,7 +133,7 @@ class _Part(NamedTuple):
         model = logs.logs[0].loaded.model
         # A step of a robot with many joints costs as the square of their number.
         cost = 1 if isinstance(problem.family, models.Family) else max(1, len(model.coordinates) // 2) ** 2
-        rows = gather(model.manifold, records, logs.references, logs.machines, MOST_ROWS // cost)
+        rows = rows_of(problem.family, records, logs.references, logs.machines, MOST_ROWS // cost)
         stamps = [np.asarray(record.t) for record in records]
         return cls(rows, held_out_rows(rows, stamps, logs.length, logs.machines))
 
@@ -203,6 +203,8 @@ class _PredictionProblem(_Problem):
     def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_PredictionProblem":
         refuse_other_parameters(jobs, ("between", "lag"))
         family = models.family(jobs[0].model_name, names, jobs[0].overrides)
+        if on_legs(family.file.model):
+            family.file.need_mechanical(jobs[0].model_name, "numbers are fitted for")
         family, machines, of_log = _of_machines(family, own, lambda own: own)
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], of_log), machines)
 
@@ -241,7 +243,7 @@ class _PredictionProblem(_Problem):
 
     def errors(self, best: Solved | None, part: _Part) -> PredictionErrors:
         """Errors on what is held out, of the first values where there is no fit."""
-        unknowns, values = Unknowns.of(self.family), self.family.first if best is None else best.fit.values
+        unknowns, values = unknowns_of(self.family, part.rows), self.family.first if best is None else best.fit.values
         return window_errors(unknowns, unknowns.relative(values), part.rows, self.logs.length, part.judged)
 
     def details(self, best: Fit) -> dict[str, Any]:
@@ -299,12 +301,12 @@ class _RobotProblem(_Problem):
         machine, found = part.rows.of_machine, []
         for k, own in enumerate(x[self.family.parts]):
             rows, judged = part.rows._replace(machine=np.zeros_like(part.rows.machine)), part.judged & (machine == k)
-            of: Any = self.unknowns, own / self.unknowns.sizes, linearised_robot
+            of: Any = self.unknowns, own / self.unknowns.sizes
             # A load that the family adds was not there before.
             if best is None and any(number.group == "payload" for number in self.family.numbers):
-                of = Unknowns.none(self.family.file.model), np.zeros(0), error_model
+                of = Unknowns.none(self.family.file.model), np.zeros(0)
             if judged.any():
-                found.append(window_errors(of[0], of[1], rows, self.logs.length, judged, of[2]))
+                found.append(window_errors(of[0], of[1], rows, self.logs.length, judged))
         *sizes, windows = zip(*found, strict=True)
         position, velocity = (np.sqrt(np.mean(np.square(kind), axis=0)) for kind in sizes)
         return PredictionErrors(position, velocity, np.concatenate(windows))
@@ -470,7 +472,8 @@ def _details(
     suspicion: str,
 ) -> dict[str, Any]:
     """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
-    names, units = coordinates(logs.logs[0].loaded.file)
+    file = logs.logs[0].loaded.file
+    names, units = coordinates(file) if file.mechanical else (file.columns.q, ("",) * len(file.columns.q))
     reference = logs.logs[-1].loaded.reference
     ratio = error_growth(before, after)
     # The number of a machine, viscous@arm1, is no longer the placeholder of the file if one machine shows it.
