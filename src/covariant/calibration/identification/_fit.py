@@ -244,7 +244,7 @@ def _alternate(
         problem, loss = problem.likelier(point.blocks.rest, bounds, NOISE_STEPS, quiet)
         point = Point.at(problem, point.z, point.blocks.rest)
         point = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)
-        if loss > worth + (FAR_OFF if k > 2 else np.isfinite(np.asarray(problem.rows.y)).sum()):
+        if k > 1 and loss > worth + (FAR_OFF if k > 2 else np.isfinite(np.asarray(problem.rows.y)).sum()):
             break
         if before - loss < GAINED:
             if fixed.directions.any() or not (held := point.blocks.undetermined).any():

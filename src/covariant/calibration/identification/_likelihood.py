@@ -39,6 +39,8 @@ USUAL, FINEST = 1e-3, 1e-6
 """Usual and least noise of a reading, as fractions of the motion: below the least is rounding."""
 RANGE = 1e4
 """Ratio of the bounds of a noise to what explains all motion."""
+REACH = np.log(20.0)
+"""How far the logarithm of a noise may move in a search, which is one of many."""
 DIFFERENCE = 1e-4
 """Change of the logarithm of a noise by which a derivative is taken: far above rounding, far below what counts."""
 QUIET = np.log(1e-12)
@@ -143,7 +145,9 @@ class Likelihood(NamedTuple):
         free = np.arange(1, 1 + n) if quiet else np.arange(len(start))
         if quiet:
             start[[0, *range(1 + n, 1 + n + d), *range(2 + n + d, 2 + 2 * n + d)]] = QUIET
-        best, loss = descend(start, free, bounds, [system], None, self.speed, steps, VAGUE)
+        # The first step of L-BFGS-B goes as far as bounds let it, where filters of hardly any noise overflow.
+        near = np.clip(bounds, (start - REACH)[:, None], (start + REACH)[:, None])
+        best, loss = descend(start, free, near, [system], None, self.speed, steps, VAGUE)
         return self._replace(noise=levels(best, n, d), pushes=kept.pushes), loss
 
 

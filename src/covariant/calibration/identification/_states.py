@@ -71,7 +71,7 @@ class StateUnknowns(Unknowns):
 
     def along(self, run: Motion, errors: Array) -> Motion:
         """The states with their errors (T, ≥ N) corrected."""
-        return Motion(run.q, run.v + self.sizes * errors[:, : len(self.sizes)])
+        return Motion(run.q, run.v + self.sizes[None] * errors[:, : len(self.sizes)])
 
     def slower(self, rows: Rows, run: Motion) -> Float[np.ndarray, "T n"]:
         """Nothing: outputs have no velocities."""
@@ -85,7 +85,7 @@ def _rates(model: StateSpace, sizes: Array, x: Array, u: Array) -> Float[Array, 
 
     def rate(x, u):
         jacobian = jax.jacfwd(lambda x: model.f(jnp.zeros(()), x, u))(x)
-        return jnp.max(jnp.sum(jnp.abs(jacobian * sizes / sizes[:, None]), axis=1))
+        return jnp.max(jnp.sum(jnp.abs(jacobian * sizes[None] / sizes[:, None]), axis=1))
 
     return jax.vmap(rate)(x, u)
 
@@ -95,7 +95,8 @@ def _linearised(unknowns: StateUnknowns, z: Array, run: Motion, rows: Rows, step
     n, p, sizes, manifold = run.v.shape[1], z.shape[0], unknowns.sizes, unknowns.manifold
     t, u, change = jnp.asarray(rows.t), *acting(unknowns, z, rows)
     dt = jnp.where(jnp.asarray(rows.fresh)[1:], 0.0, jnp.diff(t))
-    machine = jnp.asarray(rows.machine)[jnp.asarray(rows.block)] * (len(unknowns.parts) > 1)
+    machine = jnp.asarray(rows.machine)[jnp.asarray(rows.block)]
+    machine = machine if len(unknowns.parts) > 1 else jnp.zeros_like(machine)
 
     def derivatives(function, machine):
         """Derivatives in the states and in all numbers of a function of a model and of both, and its value."""
