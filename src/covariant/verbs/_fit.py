@@ -40,7 +40,7 @@ def fit(
 
     Args:
         model: A model file (.toml), `module:attribute`, or the name of a system or a robot of the library: a model that
-            can be built anew with other numbers.
+            can be built anew with other numbers, mechanical or a `StateSpace`.
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them, or a dictionary with the logs of
             each machine by its name. The last of several is held out to judge the fit by, or the last third of one.
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot

@@ -202,9 +202,9 @@ class _PredictionProblem(_Problem):
     @classmethod
     def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_PredictionProblem":
         refuse_other_parameters(jobs, ("between", "lag"))
+        if on_legs((file := models.load(jobs[0].model, jobs[0].overrides)).model):
+            file.need_mechanical(jobs[0].model_name, "numbers are fitted for")
         family = models.family(jobs[0].model_name, names, jobs[0].overrides)
-        if on_legs(family.file.model):
-            family.file.need_mechanical(jobs[0].model_name, "numbers are fitted for")
         family, machines, of_log = _of_machines(family, own, lambda own: own)
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], of_log), machines)
 
