@@ -17,6 +17,11 @@ from .base import (
     tangent_metric as tangent_metric,
 )
 from .checking import Checked as Checked, check as check, check_sample as check_sample
+from .everywhere import (
+    GlobalCertificate as GlobalCertificate,
+    certify_globally as certify_globally,
+    check_globally as check_globally,
+)
 from .proving import (
     Attempt as Attempt,
     CheckerName as CheckerName,

@@ -20,6 +20,7 @@ from covariant.verbs.base.by_distance import BY_DISTANCE, DistanceResult, by_dis
 from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
 from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
+from covariant.verbs.base.globally import GLOBALLY, GlobalResult, certify_globally
 from covariant.verbs.base.inputs import numbered
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
@@ -30,7 +31,7 @@ from scalargraph.proofs import read_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OBSERVERS = "intrinsic", "geodesic", BY_DISTANCE
+OBSERVERS = "intrinsic", "geodesic", BY_DISTANCE, GLOBALLY
 """The observers that there are certificates for."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
@@ -49,7 +50,7 @@ def certify(
     velocity: Amounts | None = None,
     error: Amounts | None = None,
     region: Region | None = None,
-    observer: str = "intrinsic",
+    observer: str | None = None,
     alpha: float | None = None,
     beta: float | None = None,
     sampling: float | None = None,
@@ -69,8 +70,9 @@ def certify(
     find: str | None = None,
     runs: int = 10,
     overrides: Overrides = (),
+    jerk: Amounts = 0.0,
     progress: Progress = notebook_line,
-) -> "CertifyResult | DistanceResult":
+) -> "CertifyResult | DistanceResult | GlobalResult":
     """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
 
     Use it to state how far an estimate may start from the truth and still converge. The result holds for the whole
@@ -82,13 +84,16 @@ def certify(
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
         velocity: Bound of the true velocities [unit/s], one for all or one each; required. There is no certificate
             without it.
-        error: How far estimated positions may be off [unit], one bound for all or one each; required.
-        region: Ends of the positions by coordinate; rotations need none. On another group the entries of its
+        error: How far estimated positions may be off [unit], one bound for all or one each; without it the statement is
+            about all first errors, of the observer "measured-coefficients".
+        region: Ends of the positions by coordinate; rotations need none, nor do limits of joints for all first errors. On another group the entries of its
             matrices, named g11, g12, ….
-        observer: "intrinsic", "geodesic", or "lagrangian-metric", which converges from far away at high gains and has a
-            statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`, `lost`, `seconds`,
-            `processes`, `find`, a checker and a file.
-        alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file.
+        observer: "intrinsic" (default with an `error`), "geodesic", or "lagrangian-metric", which converges from far
+            away at high gains and has a statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`,
+            `lost`, `seconds`, `processes`, `find`, a checker and a file; or "measured-coefficients" (default without an
+            `error`), without `times`, `q`, `input`, `find`, in one process, and with a checker of files alone.
+        alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file, for all
+            first errors the least that are proved.
         beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
         input: Bound of the inputs, one for all or one each.
@@ -112,6 +117,7 @@ def certify(
             "interval" the longest time between two samples.
         runs: With `find`, how many certificates are tried at most.
         overrides: Values that replace those of the model file.
+        jerk: For all first errors, bound of the change of each acceleration within a sample, per second.
         progress: Called with the current proof and the fraction of its region that is decided.
 
     Returns:
@@ -131,14 +137,30 @@ def certify(
             "velocity is missing: no certificate exists without a bound of the velocity, because the tube in which "
             "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
         )
-    if error is None:
-        raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
+    observer = (GLOBALLY if error is None else OBSERVERS[0]) if observer is None else observer
     if observer not in OBSERVERS:
         raise InputError(unknown("observer", observer, OBSERVERS))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
     file = _read(model, name, overrides)
+    recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
+    limits = _effort(boxes, seconds, processes)
+    if observer == GLOBALLY:
+        within = {"error": error, "times": times, "q": q, "input": input, "find": find}
+        within |= {"checker": checker == "all"}
+        del limits["processes"]  # it takes one, whatever the command line's default is
+        given = {"lost": lost, "recipe": recipe, **limits}
+        given["disturbed"] = {"noise": noise, "disturbance": disturbance, "jerk": jerk}
+        every = None if sampling is None else (1 / above_zero("sampling", sampling),) * 2
+        period = every if interval is None else tuple(interval)
+        return certify_globally(
+            name, file, pair, region, progress, within, rate=rate, interval=period, velocity=velocity, **given
+        )
+    if error is None:
+        raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
+    if np.any(jerk):
+        raise InputError(f"jerk is for certificates of {GLOBALLY}; leave it out")
     designed = design(file, observer, pair, None if sampling is None else above_zero("sampling", sampling))
     settings = _region(name, file, velocity, error, region, input, noise, disturbance)
     settings |= {
@@ -149,8 +171,7 @@ def certify(
         "lost": lost,
         "lost_rows": lost_rows,
     }
-    settings |= _effort(boxes, seconds, processes) | {"checker": checker}
-    recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
+    settings |= limits | {"checker": checker}
     prove = functools.partial(_prove, designed, recipe, progress, **settings)
     notes = designed.notes + runs_otherwise(file, observer)
     if observer == BY_DISTANCE:
@@ -352,13 +373,17 @@ def check_certificate(
     """
     path = Path(path)
     content = read_file(path)  # only once, so that both checks examine the same content
+    counted = functools.partial(_leaves, progress)
     try:
+        checked = certificates.check_globally(path, content, model=model, progress=counted)
+        if checked is not None:
+            return CertificateCheckResult(path, model, checked, 0, "none in ball arithmetic")
         document = certificates.parse(path, content)
         checked = certificates.check(
             document,
             model=model,
             processes=int(above_zero("processes", processes)),
-            progress=lambda done, total: progress(f"checking leaves, {done} of {total}", done / max(total, 1)),
+            progress=counted,
         )
         return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
     except InputError as refusal:
@@ -414,6 +439,10 @@ class CertificateCheckResult(AbstractResult):
             given = f"The model is {self.model}, given by the person who checks"
             lines.append(f"{given}; that the file means this one is not verified.")
         return "\n".join([*lines, str(details.statement)])
+
+
+def _leaves(progress: Progress, done: int, total: int) -> None:
+    progress(f"checking leaves, {done} of {total}", done / max(total, 1))
 
 
 def _in_balls(document: certificates.Document, model: str | None) -> tuple[int, str]:

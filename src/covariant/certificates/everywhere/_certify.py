@@ -1,0 +1,372 @@
+"""Certifies that `MeasuredCoefficients` converges from all first errors, and chooses its gains.
+
+The small-gain condition is `‖diag(1/ω) W⁻¹ N W‖₂ ≤ R`, N the coupling of the joints by their velocities, with channels
+whose gain is below 1/R; see `_document`. With N the largest sampled coupling, ω_i ∝ (N w)_i/w_i satisfies it for every
+w > 0, and the variance of the velocities by encoder noise is ∝ Σ σ_i² ω_i³, which is convex in log w.
+
+Source: an addition; Boyd, Kim, Vandenberghe & Hassibi 2007, A tutorial on geometric programming, for the gains.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike, Float
+from scipy.optimize import minimize
+
+from covariant._domains import NOT_NEGATIVE, SPAN, Count, Positive, Whole, check_numbers
+from covariant.certificates.base import (
+    PERIODIC,
+    SPEED,
+    Bounds,
+    Hypothesis,
+    Statement,
+    amount,
+    check_recipe,
+    dimension,
+    friction_of,
+    need_doubles,
+    need_joint_friction,
+    need_known,
+)
+from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
+from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, Weights, bound_coupling
+from covariant.certificates.everywhere._document import GlobalDocument, statement_of
+from covariant.certificates.theory import compare_connections
+from covariant.models import MechanicalSystem
+from covariant.observers import MeasuredCoefficients
+from scalargraph import enclose, expand, lower
+from scalargraph.errors import InputError
+from scalargraph.proofs import MOST_BOXES, Box, Proof, check_box, prove, show_conditions, to_letters
+
+ROOM = 0.99
+"""Square of the gain that is asked for, as a fraction of the square that is proved."""
+RATE = 0.1
+"""Rate μ of gains that are chosen here, as a fraction of the least ω."""
+DENSE = 1.0
+"""Largest ω times the longest time between samples."""
+CELLS = 4096
+PLACES = 50
+"""Random configurations at which the connection is compared."""
+
+
+class GlobalCertificate(NamedTuple):
+    """A statement about all first errors, with the observer and the numbers that it is about.
+
+    Attributes:
+        statement: the claim with its hypotheses.
+        observer: the observer, with its gains and the bound of its speeds.
+        document: all numbers of the claim, as they are saved.
+        proof: the tree of boxes of the coupling.
+        norm: the largest ‖diag(1/ω) W⁻¹ N W‖₂ proved so far; the claim needs it below 1/γ.
+
+    Example:
+        >>> from covariant import models
+        >>> from covariant.certificates import certify_globally
+        >>> arm = models.pendulum_chain((1.0, 1.0), (0.5, 0.5))
+        >>> certify_globally(arm, velocity=1.0, interval=(0.001, 0.001)).observer.speed.tolist()
+        [1.0, 1.0]
+    """
+
+    statement: Statement
+    observer: MeasuredCoefficients
+    document: GlobalDocument
+    proof: Proof
+    norm: float
+
+    def velocity_noise(self, std: ArrayLike) -> Float[np.ndarray, "n"]:
+        """Standard deviations (n,) of the velocities by independent encoder noise, of linear channels.
+
+        Args:
+            std: standard deviation of the encoders [unit], one or (n,).
+
+        Returns:
+            `√(h ω³/2c) σ` with c = α/ω and the longest interval h between samples.
+        """
+        omega, alpha = self.document.omega, self.document.alpha
+        return np.asarray(std) * np.sqrt(self.document.interval[1] * omega**4 / (2 * alpha))
+
+
+@check_numbers
+def certify_globally(
+    observer: MeasuredCoefficients | MechanicalSystem,
+    *,
+    interval: Annotated[ArrayLike, SPAN],
+    velocity: Annotated[ArrayLike, SPEED] | None = None,
+    position: Bounds | None = None,
+    noise: Annotated[ArrayLike, NOT_NEGATIVE] = 0.0,
+    disturbance: Annotated[ArrayLike, NOT_NEGATIVE] = 0.0,
+    jerk: Annotated[ArrayLike, NOT_NEGATIVE] = 0.0,
+    lost: Whole = 0,
+    rate: Positive | None = None,
+    recipe: dict[str, Any] | None = None,
+    boxes: Count = 50 * MOST_BOXES,
+    seconds: Positive | None = None,
+    progress: Callable[[str, float, int], None] | None = None,
+) -> GlobalCertificate:
+    """Prove that `MeasuredCoefficients` converges from all first errors of position and velocity, at samples.
+
+    Use it for an arm whose speeds are bounded. It bounds by interval arithmetic how strongly the joints couple, over
+    all configurations within their limits, and compares that with the gain of the observer's channels from sample to
+    sample. Given a model, it chooses the smallest gains that it can prove, one ω for each joint.
+
+    Args:
+        observer: the observer, or a model in coordinates, for which gains are chosen.
+        interval: shortest and longest time between samples [s].
+        velocity: bound V of each true velocity [unit/s], a number or (n,); by default that of the observer.
+        position: least and largest configurations, (n,) each; by default, and where they are NaN, the limits of the
+            joints in a robot's file, and a whole turn of circles.
+        noise: bound of the error of each measured position [unit], a number or (n,).
+        disturbance: bound of the force in each coordinate that the model does not know, a number or (n,).
+        jerk: bound of the change of each acceleration within a sample, per second [unit/s³]. The statement also says
+            what each unit of it adds.
+        lost: how many samples in a row may be lost.
+        rate: rate μ [1/s] of the errors; by default a tenth of the least ω for gains that are chosen, else the largest
+            that is found.
+        recipe: recipe of the model, for the statement and its file.
+        boxes: largest number of boxes.
+        seconds: limit of time [s] for the boxes; the bound so far is then used.
+        progress: called with the proof, the share that is done, and the number of boxes.
+
+    Returns:
+        The certificate. Its statement is undecided if the coupling has no bound within the effort, or if the gains
+        suffice for none.
+
+    Raises:
+        TypeError: the observer is of a subclass.
+        ValueError: the model is on a group, has friction that couples joints, jumps or depends on the position, or a
+            coordinate without limits.
+
+    Example:
+        >>> from covariant import models
+        >>> from covariant.certificates import certify_globally
+        >>> arm = models.pendulum_chain((1.0, 1.0), (0.5, 0.5))
+        >>> certificate = certify_globally(arm, velocity=1.0, interval=(0.001, 0.001))
+        >>> certificate.statement.short, bool(certificate.document.omega.max() < 20)
+        ('holds (proved)', True)
+    """
+    need_doubles("certify_globally")
+    given = None if isinstance(observer, MechanicalSystem) else observer
+    if given is not None and type(given) is not MeasuredCoefficients:
+        raise TypeError(f"certify_globally is about MeasuredCoefficients itself; got {type(given).__name__}")
+    model = observer if isinstance(observer, MechanicalSystem) else observer.model
+    need_known(model)
+    if not model.manifold.commuting:
+        raise InputError("certify_globally needs a model in coordinates; on a group there are no differences of them")
+    check_recipe(model, recipe)
+    need_joint_friction(model)
+    n = dimension(model)
+    speed = np.broadcast_to(np.asarray(given.speed), (n,)) if velocity is None and given is not None else velocity
+    if speed is None or not np.isfinite(speed).all():
+        raise InputError("certify_globally: velocity is missing, the bound of the true speeds that the clip is for")
+    speed = amount("velocity", speed, n)
+    viscous, dry = _friction(model, speed)
+    errors = {key: amount(key, value, n) for key, value in (("noise", noise), ("disturbance", disturbance))}
+    force = dry + errors["disturbance"]
+    domain = _domain(model, position, n)
+    domain = domain._replace(low=domain.low - errors["noise"], high=domain.high + errors["noise"])
+    coupling = Coupling.of(model, domain)
+    symbols, inverse = coupling.sampled()
+    sampled = Weights(speed, viscous, np.ones(n), np.ones(n), force).coupling(symbols, inverse).max(0)
+    # Coordinates that do not couple get a small gain too.
+    sampled = sampled + 0.02 * max(float(sampled.max()), 1e-3)
+    if given is None:
+        omega, weights = _shape(sampled, np.where(errors["noise"] > 0, errors["noise"], 1.0))
+    else:
+        omega = np.broadcast_to(np.sqrt(np.asarray(given.beta, float)), (n,))
+        weights = _perron(sampled / omega[:, None])
+    blank = GlobalDocument(
+        recipe,
+        domain.low,
+        domain.high,
+        speed,
+        DAMPING * omega if given is None else np.broadcast_to(np.asarray(given.alpha, float), (n,)),
+        omega**2 if given is None else np.broadcast_to(np.asarray(given.beta, float), (n,)),
+        weights,
+        viscous,
+        dry,
+        errors["noise"],
+        errors["disturbance"],
+        amount("jerk", jerk, n),
+        np.zeros(n),
+        np.asarray(interval, float),
+        lost,
+        rate or 0.0,
+        math.inf,
+        np.broadcast_to(np.eye(2), (n, 2, 2)),
+        (),
+    )
+    # Of given gains it is known which coupling they allow.
+    enough = 0.0 if given is None else _allowed(blank._replace(rate=rate or 0.02 * float(omega.min())))
+    told = None if progress is None else lambda share, count: progress("the coupling", share, count)
+    bound = bound_coupling(coupling, Weights(speed, viscous, omega, weights, force), enough, boxes, seconds, told)
+    blank = blank._replace(
+        acceleration=bound.acceleration, coupling=bound.norm, levels=tuple(to_letters(bound.proof.levels))
+    )
+    document = blank if bound.norm == math.inf else _design(blank, rate) if given is None else _verify(blank, rate)
+    made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given
+    if given is not None and not np.array_equal(np.broadcast_to(np.asarray(given.speed), (n,)), speed):
+        raise InputError("certify_globally: velocity differs from the speed to which the observer clips")
+    hypotheses = (*_hypotheses(document, bound, omega, model), _connection(model, coupling))
+    proved = all(each.verdict == "holds" for each in hypotheses)
+    statement = statement_of(document, model, hypotheses, proved)
+    return GlobalCertificate(statement, made, document, bound.proof, bound.norm)
+
+
+def _connection(model: MechanicalSystem, coupling: Coupling) -> Hypothesis:
+    """Whether the connection that the observer computes is that of the metric, whose graph the bounds use."""
+    points = np.random.default_rng(0).uniform(coupling.domain.low, coupling.domain.high, (PLACES, len(coupling.domain.low)))
+    symbols = coupling.symbols(points)[1]
+    return compare_connections(model.space, points, np.moveaxis(symbols, 1, 3))
+
+
+def _domain(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
+    """The box of configurations: as given, or the limits of the joints."""
+    limits = {name: ends for name, *ends in getattr(model.space, "limits", ())}
+    ends = np.array([limits.get(name, (-math.inf, math.inf)) for name in model.coordinates], float)
+    ends[list(model.circles)] = -math.pi, math.pi
+    given = np.stack([np.broadcast_to(np.asarray(side, float), (n,)) for side in position or (math.nan, math.nan)])
+    low, high = np.where(np.isnan(given), ends.T, given)
+    if not np.isfinite([low, high]).all():
+        name = model.coordinates[int(np.flatnonzero(~np.isfinite([low, high]).all(0))[0])]
+        raise InputError(f"certify_globally: {name} has no limits; give the ends of all configurations as position")
+    return check_box(Box(model.coordinates, model.units or ("",) * n, low, high))
+
+
+def _friction(model: MechanicalSystem, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Viscous friction F (n,), and bounds (n,) of how much the rest of the friction differs between two velocities."""
+    n = len(speed)
+    friction = lower(lambda v: friction_of(model, jnp.zeros(n), v), jnp.zeros(n), real=True)
+    names = tuple(f"v_{name}" for name in model.coordinates)
+    assert friction.conditions is not None
+    if reason := show_conditions(friction.conditions, Box(names, ("",) * n, -speed, speed)):
+        raise InputError(f"the friction of the model jumps, or is not defined, everywhere in the region: {reason}")
+    slopes = expand(friction._replace(conditions=None), range(n), 1)
+    diagonal = n + np.arange(n) * (n + 1)
+    ends = np.linspace(-1, 1, CELLS + 1)[:, None] ** 3 * speed  # small where dry friction is steep, near rest
+    at, on = enclose(slopes, speed[None], speed[None]), enclose(slopes, ends[:-1], ends[1:])
+    # Any F is sound; that at the largest speed leaves dry friction, which is steep near rest, to the rest.
+    viscous = np.maximum(-at.low[0, diagonal], 0.0)
+    steep = np.maximum(np.abs(on.low[:, diagonal] + viscous), np.abs(on.high[:, diagonal] + viscous))
+    dry = (steep * np.diff(ends, axis=0)).sum(0)
+    if not np.isfinite(dry).all():
+        raise InputError("the slope of the model's friction has no bound over the velocities; make them smaller")
+    # The margin leaves room for a checker that bounds slopes in another way.
+    return viscous, 1.02 * dry + 1e-9 * viscous * speed
+
+
+def _perron(matrix: np.ndarray) -> np.ndarray:
+    """W (n,) with which `W⁻¹AW` has the spectral radius of A > 0 as its norm: the root of its two eigenvectors' ratio."""
+    right = left = np.ones(len(matrix))
+    for _ in range(500):
+        right, left = matrix @ right, matrix.T @ left
+        right, left = right / right.max(), left / left.max()
+    return np.sqrt(right / left)
+
+
+def _shape(sampled: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """ω (n,) up to a factor, for the least noise of the velocities, and W (n,)."""
+
+    def variance(logs):
+        return math.log(float((noise**2 * (sampled @ np.exp(logs) * np.exp(-logs)) ** 3).sum()))
+
+    w = np.exp(minimize(variance, np.zeros(len(sampled)), method="BFGS").x)
+    omega = sampled @ w / w
+    return omega, _perron(sampled / omega[:, None])
+
+
+def _gains(document: GlobalDocument) -> list[tuple[float, np.ndarray]]:
+    """For each channel the least square of its gain at the document's rate, with its metric."""
+    ages = np.unique(document.ages)
+    pairs = zip(document.alpha.tolist(), document.beta.tolist(), strict=True)
+    return [least_gain_of(alpha, beta, document.rate, ages) for alpha, beta in pairs]
+
+
+def _allowed(document: GlobalDocument) -> float:
+    """The coupling that the gains of a document allow at its rate."""
+    return math.sqrt(0.98 * ROOM / max(square for square, _ in _gains(document)))
+
+
+def _metrics(document: GlobalDocument) -> GlobalDocument | None:
+    """The document with metrics that prove its gain at its rate; None where none are found."""
+    found = _gains(document)
+    fits = all(square <= ROOM * document.square for square, _ in found)
+    return document._replace(metrics=np.stack([p for _, p in found])) if fits else None
+
+
+def _design(document: GlobalDocument, rate: float | None) -> GlobalDocument:
+    """The smallest multiple of ω for which metrics are found."""
+    shape, norm = document.omega, document.coupling
+    factor = 1.38 * norm
+    while factor * shape.max() * document.ages[-1, 1] <= DENSE:
+        omega = factor * shape
+        tried = document._replace(
+            alpha=DAMPING * omega,
+            beta=omega**2,
+            coupling=norm / factor * (1 + 1e-12),
+            rate=rate or RATE * float(omega.min()),
+        )
+        if (found := _metrics(tried)) is not None:
+            return found
+        factor *= 1.03
+    return document
+
+
+def _verify(document: GlobalDocument, rate: float | None) -> GlobalDocument:
+    """The document at the largest rate for which metrics are found, or at a given one."""
+    if rate is not None:
+        return _metrics(document) or document
+    best, low, high = document, 0.0, float(document.alpha.min()) / 2
+    for _ in range(12):
+        middle = (low + high) / 2 if low else high / 16
+        found = _metrics(document._replace(rate=middle))
+        if found is None:
+            high = middle
+        else:
+            best, low = found, middle
+    return best
+
+
+def _hypotheses(
+    document: GlobalDocument, bound: CouplingBound, omega: np.ndarray, model: MechanicalSystem
+) -> tuple[Hypothesis, ...]:
+    bounded = bound.proof.verdict == "holds"
+    needed = np.array2string(1.45 * bound.sampled * omega, precision=3)
+    coupled = Hypothesis(
+        f"the coupling of the coordinates is below {document.coupling:.6g}, and unknown accelerations are below their "
+        f"bounds ({bound.proof.boxes} boxes)",
+        "proved",
+        "holds" if bounded else "undecided",
+        place=""
+        if bounded
+        else f"{bound.proof.open_share:.1%} of the configurations, where boxes are too large for a bound; more boxes or "
+        f"time, or a smaller region, may do; by sampling, ω = {needed} 1/s would suffice",
+    )
+    gains = [
+        prove(
+            gain_matrix(alpha, beta, p, document.rate, document.square), Box(("age",), ("s",), age[:1], age[1:])
+        ).verdict
+        == "holds"
+        for alpha, beta, p in zip(document.alpha.tolist(), document.beta.tolist(), document.metrics, strict=True)
+        for age in document.ages
+        if bounded and document.rate > 0
+    ]
+    holds = bool(gains) and all(gains)
+    least = np.array2string(1.45 * bound.norm * omega, precision=3)
+    channels = Hypothesis(
+        "the gain of each channel is below the inverse of that at the rate stated, at all times between samples",
+        "proved",
+        "holds" if holds else "undecided",
+        place=f"these gains; ω = {least} 1/s or more is needed, at samples closer than 1/ω" if bounded and not holds else "",
+    )
+    found = [coupled, channels]
+    if model.circles:
+        turn = 2 * document.velocity * document.ages[-1, 1] + 2 * document.noise
+        less = bool((turn[list(model.circles)] < math.pi * (1 - 1e-9)).all())
+        found += [
+            Hypothesis(PERIODIC, "proved"),
+            Hypothesis("circles turn by less than half a turn between samples", "proved", "holds" if less else "undecided"),
+        ]
+    return tuple(found)
