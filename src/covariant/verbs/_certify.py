@@ -86,8 +86,8 @@ def certify(
             without it.
         error: How far estimated positions may be off [unit], one bound for all or one each; without it the statement is
             about all first errors, of the observer "measured-coefficients".
-        region: Ends of the positions by coordinate; rotations need none, nor do limits of joints for all first errors. On another group the entries of its
-            matrices, named g11, g12, ….
+        region: Ends of the positions by coordinate; rotations need none, nor do limits of joints for all first errors.
+            On another group the entries of its matrices, named g11, g12, ….
         observer: "intrinsic" (default with an `error`), "geodesic", or "lagrangian-metric", which converges from far
             away at high gains and has a statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`,
             `lost`, `seconds`, `processes`, `find`, a checker and a file; or "measured-coefficients" (default without an

@@ -9,8 +9,9 @@ with n the error of the measurement. The matrix P > 0 proves the gain γ at the 
 
     (Ax + bδ)ᵀP(Ax + bδ) ≤ e^(−2μτ) xᵀPx + τ(γ²δ² − ζ²)   for all x and δ,
 
-the bounded real lemma in discrete time; the factor τ, the same for all coordinates, makes long and short times alike. As τ → 0, γ² tends to 2/((r − 1)(3 − r)), r = √(1 + 2α²/β), which is least,
-2, at a damping of .612. Encoder noise at equal proof is least near .693, γ = 1.443.
+the bounded real lemma in discrete time; the factor τ, the same for all coordinates, makes long and short times alike.
+As τ → 0, γ² tends to 2/((r − 1)(3 − r)), r = √(1 + 2α²/β), which is least, 2, at a damping of .612. Encoder noise at
+equal proof is least near .693, γ = 1.443.
 """
 
 import math
@@ -103,8 +104,7 @@ def least_gain_of(
     start = solve_discrete_lyapunov(middle.T, 2 * output[0] + 0.02 * times[0] * np.eye(2))
     roots = np.sqrt(np.diag(start))
     x = np.array([*np.log(roots), math.atanh(start[0, 1] / roots.prod())])
-    starts = [x + [shift, shift, 0.0] for shift in (0.0, 0.35, 0.7, 1.05)]
-    x = min(starts, key=square)
+    x = min((x + np.array([shift, shift, 0.0]) for shift in (0.0, 0.35, 0.7, 1.05)), key=square)
     for size in (0.3, 0.03):
         simplex = x + np.vstack([np.zeros(3), size * np.eye(3)])
         x = minimize(square, x, method="Nelder-Mead", options={"initial_simplex": simplex, "maxiter": 400}).x

@@ -9,8 +9,8 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -52,7 +52,7 @@ def check_globally(
     Example:
         >>> from covariant import models
         >>> from covariant.certificates import certify_globally, check_globally
-        >>> recipe = models.recipe("pendulum_chain", {"parameters.lengths": [1.0, 1.0], "parameters.masses": [1.0, 1.0]})
+        >>> recipe = models.recipe("pendulum_chain")
         >>> made = certify_globally(models.from_recipe(recipe), velocity=1.0, interval=(0.001, 0.001), recipe=recipe)
         >>> check_globally(made.document.save("arm.json")).statement.proved
         True
@@ -62,10 +62,10 @@ def check_globally(
         return None
     need_doubles("a check")
     try:
-        system = from_recipe(document.recipe or {}, model)
-        if not isinstance(system, MechanicalSystem) or len(system.coordinates) != len(document.low):
-            raise InputError("recipe: its model is no mechanical system of as many coordinates")
+        system: Any = from_recipe(document.recipe or {}, model)
         need_known(system)
+        if len(system.coordinates) != len(document.low):
+            raise InputError(f"recipe: its model has {len(system.coordinates)} coordinates, not {len(document.low)}")
         need_joint_friction(system)
         count = _show(document, system, progress)
     except Exception as error:  # the model of a user may fail in any way while it is traced
@@ -97,9 +97,7 @@ def _show(document: GlobalDocument, system: MechanicalSystem, progress: Callable
     return _show_coupling(document, system, progress)
 
 
-def _gain_matrix(
-    observer: MeasuredCoefficients, p: np.ndarray, document: GlobalDocument
-) -> Callable[[Array], Array]:
+def _gain_matrix(observer: MeasuredCoefficients, p: np.ndarray, document: GlobalDocument) -> Callable[[Array], Array]:
     """Half of `e^(−2μτ)P − …`, as a quadratic form of (ωe, ζ, d/ω), of the step that the observer makes."""
     omega = jnp.sqrt(observer.beta)
     scale = jnp.stack([1 / omega, jnp.ones(()), omega])
@@ -162,7 +160,9 @@ def _show_coupling(
         good, axes = _bounded(document, enclosure(a, b), b - a)
         if (depth[~good] >= DEEPEST).any():
             k = np.flatnonzero(~good)[depth[~good].argmax()]
-            raise InputError(f"coupling: it is not shown to be below {document.coupling:.6g} at {((a + b) / 2)[k].tolist()}")
+            raise InputError(
+                f"coupling: it is not shown to be below {document.coupling:.6g} at {((a + b) / 2)[k].tolist()}"
+            )
         lower, upper = halves(a[~good], b[~good], axes[~good])
         low, high = np.concatenate([low, lower]), np.concatenate([high, upper])
         left = np.concatenate([left, np.repeat(depth[~good] + 1, 2)])

@@ -67,7 +67,7 @@ class Weights(NamedTuple):
         x = np.ones((*square.shape[:2], 1))
         for _ in range(8):
             x = square @ x
-            x = x / x.max(1, keepdims=True) + 1e-3
+            x = x / (x.max(1, keepdims=True) + 1e-200) + 1e-3
         with np.errstate(all="ignore"):
             return np.sqrt((square @ x / x).max((1, 2))) * (1 + ROUND)
 
@@ -233,8 +233,7 @@ def _ball(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _at_most(k: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Bounds x of every |T| ≤ b + k|T|, infinite where there is none: x > 0 with b + kx ≤ x is one."""
-    boxes, n = k.shape[:2]
-    b = b + 1e-200
+    n, b = k.shape[1], b + 1e-200
     safe = np.isfinite(k).all((1, 2)) & np.isfinite(b).all((1, 2))
     matrix = np.where(safe[:, None, None], np.eye(n) - k, np.eye(n))
     try:

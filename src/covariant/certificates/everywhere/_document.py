@@ -44,12 +44,12 @@ ASSUMED = (
     "and keeps to the configurations and to the bounds of velocities",
     "within a sample, the acceleration that the model has at the true motion changes by no more than the stated jerk, "
     "beside jumps of the input between samples",
-    "measurements are of all coordinates, unless a sample is lost, exact up to the stated noise, and come at the stated "
-    "times; what their noise changes in the acceleration of the model counts as unknown force",
+    "measurements are of all coordinates, unless a sample is lost, exact up to the stated noise, and come at the "
+    "stated times; what their noise changes in the acceleration of the model counts as unknown force",
     "the code of the model is read as exact functions of real numbers, with its constants as they were computed",
     "the running observer does not round",
-    "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles in NumPy, and what is argued on paper: that gains "
-    "below 1 in a loop compose, and the reduction of a sample to its channel",
+    "trusted are JAX's tracing, the reading of its jaxprs, IEEE doubles in NumPy, and what is argued on paper: that "
+    "gains below 1 in a loop compose, and the reduction of a sample to its channel",
 )
 
 
@@ -206,7 +206,8 @@ def statement_of(
         f"observer: measured-coefficients, speed = {document.velocity.tolist()}, alpha = {document.alpha.tolist()} "
         f"1/s, beta = {document.beta.tolist()} 1/s²",
         f"samples {every} apart, of which at most {document.lost} in a row are lost, as rows or without them",
-        "measured configurations: " + ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, low, high, unit in bounds),
+        "measured configurations: "
+        + ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, low, high, unit in bounds),
         f"true velocities up to {document.velocity.tolist()}",
         f"friction: {document.viscous.tolist()} times the velocity, and forces that differ by up to "
         f"{document.dry.tolist()}",

@@ -1,4 +1,4 @@
-"""Defines the high-gain observer whose coefficients are those at the measured configuration, and whose speed is clipped.
+"""Defines the high-gain observer with the coefficients at the measured configuration and with clipped speeds.
 
     q̂' = v̂ − αe,   v̂' = −Γ(y)(σ(v̂), σ(v̂)) + S(y, u) + friction(y, σ(v̂)) − βe,   e = q̂ − y,
 
