@@ -8,7 +8,7 @@ Source: an addition; Boyd, Kim, Vandenberghe & Hassibi 2007, A tutorial on geome
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
@@ -93,7 +93,7 @@ class GlobalCertificate(NamedTuple):
 def certify_globally(
     observer: MeasuredCoefficients | MechanicalSystem,
     *,
-    interval: Annotated[ArrayLike, SPAN],
+    interval: Annotated[Sequence[float], SPAN],
     velocity: Annotated[ArrayLike, SPEED] | None = None,
     position: Bounds | None = None,
     noise: Annotated[ArrayLike, NOT_NEGATIVE] = 0.0,
@@ -155,74 +155,55 @@ def certify_globally(
     check_recipe(model, recipe)
     need_joint_friction(model)
     n = dimension(model)
-    speed = np.broadcast_to(np.asarray(given.speed), (n,)) if velocity is None and given is not None else velocity
-    if speed is None or not np.isfinite(speed).all():
+    clip: Any = None if given is None else np.broadcast_to(np.asarray(given.speed), (n,))
+    if velocity is None and (clip is None or not np.isfinite(clip).all()):
         raise InputError("certify_globally: velocity is missing, the bound of the true speeds that the clip is for")
-    speed = amount("velocity", speed, n)
+    speed = amount("velocity", clip if velocity is None else velocity, n)
+    if clip is not None and not np.array_equal(clip, speed):
+        raise InputError("certify_globally: velocity differs from the speed to which the observer clips")
     viscous, dry = _friction(model, speed)
-    errors = {key: amount(key, value, n) for key, value in (("noise", noise), ("disturbance", disturbance))}
-    force = dry + errors["disturbance"]
-    domain = _domain(model, position, n)
-    domain = domain._replace(low=domain.low - errors["noise"], high=domain.high + errors["noise"])
-    coupling = Coupling.of(model, domain)
-    symbols, inverse = coupling.sampled()
-    sampled = Weights(speed, viscous, np.ones(n), np.ones(n), force).coupling(symbols, inverse).max(0)
+    given_bounds = ("noise", noise), ("disturbance", disturbance), ("jerk", jerk)
+    errors = [amount(key, value, n) for key, value in given_bounds]
+    coupling = Coupling.of(model, _domain(model, position, errors[0]))
+    # What is weighed here, at ω = W = 1, is the coupling itself.
+    weights = Weights(speed, viscous, np.ones(n), np.ones(n), dry + errors[1])
+    sampled = weights.coupling(*coupling.sampled()).max(0)
     # Coordinates that do not couple get a small gain too.
     sampled = sampled + 0.02 * max(float(sampled.max()), 1e-3)
     if given is None:
-        omega, weights = _shape(sampled, np.where(errors["noise"] > 0, errors["noise"], 1.0))
+        omega = _shape(sampled, np.where(errors[0] > 0, errors[0], 1.0))
+        gains = DAMPING * omega, omega**2
     else:
-        omega = np.broadcast_to(np.sqrt(np.asarray(given.beta, float)), (n,))
-        weights = _perron(sampled / omega[:, None])
-    blank = GlobalDocument(
-        recipe,
-        domain.low,
-        domain.high,
-        speed,
-        DAMPING * omega if given is None else np.broadcast_to(np.asarray(given.alpha, float), (n,)),
-        omega**2 if given is None else np.broadcast_to(np.asarray(given.beta, float), (n,)),
-        weights,
-        viscous,
-        dry,
-        errors["noise"],
-        errors["disturbance"],
-        amount("jerk", jerk, n),
-        np.zeros(n),
-        np.asarray(interval, float),
-        lost,
-        rate or 0.0,
-        math.inf,
-        np.broadcast_to(np.eye(2), (n, 2, 2)),
-        (),
-    )
+        gains = [np.broadcast_to(np.asarray(gain, float), (n,)) for gain in (given.alpha, given.beta)]
+        omega = np.sqrt(gains[1])
+    weights = weights._replace(omega=omega, weights=_perron(sampled / omega[:, None]))
+    rest = np.zeros(n), np.asarray(interval, float), lost, rate or 0.0, math.inf, np.tile(np.eye(2), (n, 1, 1)), ()
+    numbers = recipe, *coupling.domain[2:], speed, *gains, weights.weights, viscous, dry, *errors, *rest
+    document = GlobalDocument._make(numbers)
     # Of given gains it is known which coupling they allow.
-    enough = 0.0 if given is None else _allowed(blank._replace(rate=rate or 0.02 * float(omega.min())))
+    enough = 0.0 if given is None else _allowed(document._replace(rate=rate or 0.02 * float(omega.min())))
     told = None if progress is None else lambda share, count: progress("the coupling", share, count)
-    bound = bound_coupling(coupling, Weights(speed, viscous, omega, weights, force), enough, boxes, seconds, told)
-    blank = blank._replace(
-        acceleration=bound.acceleration, coupling=bound.norm, levels=tuple(to_letters(bound.proof.levels))
-    )
-    document = blank if bound.norm == math.inf else _design(blank, rate) if given is None else _verify(blank, rate)
-    made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given
-    if given is not None and not np.array_equal(np.broadcast_to(np.asarray(given.speed), (n,)), speed):
-        raise InputError("certify_globally: velocity differs from the speed to which the observer clips")
+    bound = bound_coupling(coupling, weights, enough, boxes, seconds, told)
+    levels = tuple(to_letters(bound.proof.levels))
+    document = document._replace(acceleration=bound.acceleration, coupling=bound.norm, levels=levels)
+    if bound.norm < math.inf:
+        document = (_design if given is None else _verify)(document, rate)
     hypotheses = (*_hypotheses(document, bound, omega, model), _connection(model, coupling))
-    proved = all(each.verdict == "holds" for each in hypotheses)
-    statement = statement_of(document, model, hypotheses, proved)
+    statement = statement_of(document, model, hypotheses, all(each.verdict == "holds" for each in hypotheses))
+    made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given
     return GlobalCertificate(statement, made, document, bound.proof, bound.norm)
 
 
 def _connection(model: MechanicalSystem, coupling: Coupling) -> Hypothesis:
     """Whether the connection that the observer computes is that of the metric, whose graph the bounds use."""
-    points = np.random.default_rng(0).uniform(
-        coupling.domain.low, coupling.domain.high, (PLACES, len(coupling.domain.low))
-    )
-    symbols = coupling.symbols(points)[1]
-    return compare_connections(model.space, points, np.moveaxis(symbols, 1, 3))
+    low, high = coupling.domain[2:]
+    points = np.random.default_rng(0).uniform(low, high, (PLACES, len(low)))
+    return compare_connections(model.space, points, np.moveaxis(coupling.symbols(points)[1], 1, 3))
 
 
-def _domain(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
-    """The box of configurations: as given, or the limits of the joints."""
+def _domain(model: MechanicalSystem, position: Bounds | None, noise: np.ndarray) -> Box:
+    """The box of measured configurations: as given, or the limits of the joints, and the noise around it."""
+    n = len(noise)
     limits = {name: ends for name, *ends in getattr(model.space, "limits", ())}
     ends = np.array([limits.get(name, (-math.inf, math.inf)) for name in model.coordinates], float)
     ends[list(model.circles)] = -math.pi, math.pi
@@ -231,7 +212,7 @@ def _domain(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
     if not np.isfinite([low, high]).all():
         name = model.coordinates[int(np.flatnonzero(~np.isfinite([low, high]).all(0))[0])]
         raise InputError(f"certify_globally: {name} has no limits; give the ends of all configurations as position")
-    return check_box(Box(model.coordinates, model.units or ("",) * n, low, high))
+    return check_box(Box(model.coordinates, model.units or ("",) * n, low - noise, high + noise))
 
 
 def _friction(model: MechanicalSystem, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -265,15 +246,14 @@ def _perron(matrix: np.ndarray) -> np.ndarray:
     return np.sqrt(right / left)
 
 
-def _shape(sampled: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """ω (n,) up to a factor, for the least noise of the velocities, and W (n,)."""
+def _shape(sampled: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """ω (n,) up to a factor, for the least noise of the velocities."""
 
     def variance(logs):
         return math.log(float((noise**2 * (sampled @ np.exp(logs) * np.exp(-logs)) ** 3).sum()))
 
     w = np.exp(minimize(variance, np.zeros(len(sampled)), method="BFGS").x)
-    omega = sampled @ w / w
-    return omega, _perron(sampled / omega[:, None])
+    return sampled @ w / w
 
 
 def _gains(document: GlobalDocument) -> list[tuple[float, np.ndarray]]:
@@ -332,45 +312,30 @@ def _verify(document: GlobalDocument, rate: float | None) -> GlobalDocument:
 def _hypotheses(
     document: GlobalDocument, bound: CouplingBound, omega: np.ndarray, model: MechanicalSystem
 ) -> tuple[Hypothesis, ...]:
+    def judge(text, holds, remedy=""):
+        return Hypothesis(text, "proved", "holds" if holds else "undecided", place="" if holds else remedy)
+
     bounded = bound.proof.verdict == "holds"
-    needed = np.array2string(1.45 * bound.sampled * omega, precision=3)
-    coupled = Hypothesis(
-        f"the coupling of the coordinates is below {document.coupling:.6g}, and unknown accelerations are below their "
-        f"bounds ({bound.proof.boxes} boxes)",
-        "proved",
-        "holds" if bounded else "undecided",
-        place=""
-        if bounded
-        else f"{bound.proof.open_share:.1%} of the configurations, where boxes are too large for a bound; more boxes "
-        f"or time, or a smaller region, may do; by sampling, ω = {needed} 1/s would suffice",
-    )
-    gains = [
-        prove(
-            gain_matrix(alpha, beta, p, document.rate, document.square), Box(("age",), ("s",), age[:1], age[1:])
-        ).verdict
-        == "holds"
+    needed = np.array2string(1.45 * (bound.norm if bounded else bound.sampled) * omega, precision=3)
+    claims = [
+        (gain_matrix(alpha, beta, p, document.rate, document.square), Box(("age",), ("s",), age[:1], age[1:]))
         for alpha, beta, p in zip(document.alpha.tolist(), document.beta.tolist(), document.metrics, strict=True)
         for age in document.ages
-        if bounded and document.rate > 0
     ]
-    holds = bool(gains) and all(gains)
-    least = np.array2string(1.45 * bound.norm * omega, precision=3)
-    channels = Hypothesis(
-        "the gain of each channel is below the inverse of that at the rate stated, at all times between samples",
-        "proved",
-        "holds" if holds else "undecided",
-        place=f"these gains; ω = {least} 1/s or more is needed, at samples closer than 1/ω"
-        if bounded and not holds
-        else "",
+    turn = 2 * (document.velocity * document.ages[-1, 1] + document.noise)[list(model.circles)]
+    return (
+        judge(
+            f"the coupling of the coordinates is below {document.coupling:.6g}, and unknown accelerations are below "
+            f"their bounds ({bound.proof.boxes} boxes)",
+            bounded,
+            f"{bound.proof.open_share:.1%} of the configurations, where boxes are too large for a bound; more boxes or "
+            f"time, or a smaller region, may do; by sampling, ω = {needed} 1/s would suffice",
+        ),
+        judge(
+            "the gain of each channel is below the inverse of that at the rate stated, at all times between samples",
+            bounded and document.rate > 0 and all(prove(*claim).verdict == "holds" for claim in claims),
+            f"these gains; ω = {needed} 1/s or more is needed, at samples closer than 1/ω",
+        ),
+        judge("circles turn by less than half a turn between samples", (turn < math.pi * (1 - 1e-9)).all()),
+        *([Hypothesis(PERIODIC, "proved")] if model.circles else []),
     )
-    found = [coupled, channels]
-    if model.circles:
-        turn = 2 * document.velocity * document.ages[-1, 1] + 2 * document.noise
-        less = bool((turn[list(model.circles)] < math.pi * (1 - 1e-9)).all())
-        found += [
-            Hypothesis(PERIODIC, "proved"),
-            Hypothesis(
-                "circles turn by less than half a turn between samples", "proved", "holds" if less else "undecided"
-            ),
-        ]
-    return tuple(found)

@@ -200,7 +200,7 @@ class Coupling(NamedTuple):
             slant = np.abs(linear - tilt @ g[:, None])
             size_g = np.abs(g)
             b = size_g + slant.sum(1) + loose + rest @ size_g + e @ wander
-            b = b * (1 + ROUND) + ROUND * (size @ np.concatenate([np.abs(c), np.broadcast_to(identity, r.shape)], 2))
+            b = b * (1 + ROUND) + ROUND * (e @ size_g + np.concatenate([size @ np.abs(c), size], axis=2))
             x = _at_most(e @ e * (1 + ROUND), b)
             shares = slant + np.abs(tilt) @ (e @ size_g + wander)[:, None] + curved.sum(2) @ size_g[:, None]
             parts = [self._norm(each, weights) for each in np.moveaxis(shares, 1, 0)]
@@ -209,11 +209,9 @@ class Coupling(NamedTuple):
             lost = ~np.isfinite(x).all((1, 2))
             if len(self.free):
                 parts[lost] = np.stack([each.sum((1, 2)) for each in blind], 1)[lost]
-            inverse = x[:, :, n * n :]
-            norm = self._norm(x, weights)
-        norm = np.where(np.isnan(norm), np.inf, norm)
+            norm = np.nan_to_num(self._norm(x, weights), nan=np.inf, posinf=np.inf)
         axis = self.free[np.nan_to_num(parts).argmax(1)] if len(self.free) else np.full(boxes, OPEN)
-        return norm, weights.acceleration(inverse), axis
+        return norm, weights.acceleration(x[:, :, n * n :]), axis
 
     def _norm(self, columns: np.ndarray, weights: Weights) -> np.ndarray:
         n = len(self.domain.low)
@@ -234,13 +232,13 @@ def _ball(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _at_most(k: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Bounds x of every |T| ≤ b + k|T|, infinite where there is none: x > 0 with b + kx ≤ x is one."""
     n, b = k.shape[1], b + 1e-200
-    safe = np.isfinite(k).all((1, 2)) & np.isfinite(b).all((1, 2))
+    safe = np.asarray(np.isfinite(k).all((1, 2)) & np.isfinite(b).all((1, 2)))
     matrix = np.where(safe[:, None, None], np.eye(n) - k, np.eye(n))
     try:
         x = np.linalg.solve(matrix, b) * (1 + 1e-9)
     except np.linalg.LinAlgError:
         x = np.full_like(b, np.inf)
-    good = safe & (x > 0).all((1, 2)) & ((b + k @ x) * (1 + ROUND) <= x).all((1, 2))
+    good = np.asarray(safe & (x > 0).all((1, 2)) & ((b + k @ x) * (1 + ROUND) <= x).all((1, 2)))
     return np.where(good[:, None, None], x, np.inf)
 
 

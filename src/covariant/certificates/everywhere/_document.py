@@ -132,7 +132,7 @@ class GlobalDocument(NamedTuple):
             return jnp.sqrt(square) / -jnp.expm1(-self.rate * tau)
 
         lowered = lower(ratio, jnp.zeros(()), real=True)._replace(conditions=None)
-        ends = np.concatenate([np.linspace(*age, CELLS + 1) for age in self.ages.tolist()]).reshape(-1, CELLS + 1)
+        ends = np.concatenate([np.linspace(first, last, CELLS + 1) for first, last in self.ages]).reshape(-1, CELLS + 1)
         found = enclose(lowered, ends[:, :-1].reshape(-1, 1), ends[:, 1:].reshape(-1, 1))
         return math.inf if not np.isfinite(found.high).all() else float(found.high.max())
 

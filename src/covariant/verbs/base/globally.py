@@ -1,5 +1,6 @@
 """Certifies convergence from all first errors: the part of `certify` for the observer with measured coefficients."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -30,7 +31,7 @@ def certify_globally(
     without: dict[str, Any],
     *,
     rate: float | None,
-    interval: tuple[float, float] | None,
+    interval: Sequence[float] | None,
     velocity: Amounts,
     disturbed: dict[str, Amounts],
     **settings: Any,
