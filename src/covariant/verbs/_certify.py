@@ -137,13 +137,14 @@ def certify(
             "velocity is missing: no certificate exists without a bound of the velocity, because the tube in which "
             "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
         )
-    observer = (GLOBALLY if error is None else OBSERVERS[0]) if observer is None else observer
-    if observer not in OBSERVERS:
+    if observer is not None and observer not in OBSERVERS:
         raise InputError(unknown("observer", observer, OBSERVERS))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
     file = _read(model, name, overrides)
+    if observer is None:
+        observer = GLOBALLY if error is None and file.model.manifold.commuting else OBSERVERS[0]
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
     limits = _effort(boxes, seconds, processes)
     if observer == GLOBALLY:

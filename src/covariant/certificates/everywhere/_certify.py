@@ -316,6 +316,7 @@ def _hypotheses(
         return Hypothesis(text, "proved", "holds" if holds else "undecided", place="" if holds else remedy)
 
     bounded = bound.proof.verdict == "holds"
+    limit = f"below {document.coupling:.6g}" if bounded else "bounded"
     needed = np.array2string(1.45 * (bound.norm if bounded else bound.sampled) * omega, precision=3)
     claims = [
         (gain_matrix(alpha, beta, p, document.rate, document.square), Box(("age",), ("s",), age[:1], age[1:]))
@@ -325,8 +326,8 @@ def _hypotheses(
     turn = 2 * (document.velocity * document.ages[-1, 1] + document.noise)[list(model.circles)]
     return (
         judge(
-            f"the coupling of the coordinates is below {document.coupling:.6g}, and unknown accelerations are below "
-            f"their bounds ({bound.proof.boxes} boxes)",
+            f"the coupling of the coordinates is {limit}, and unknown "
+            f"accelerations are below their bounds ({bound.proof.boxes} boxes)",
             bounded,
             f"{bound.proof.open_share:.1%} of the configurations, where boxes are too large for a bound; more boxes or "
             f"time, or a smaller region, may do; by sampling, ω = {needed} 1/s would suffice",
@@ -334,7 +335,7 @@ def _hypotheses(
         judge(
             "the gain of each channel is below the inverse of that at the rate stated, at all times between samples",
             bounded and document.rate > 0 and all(prove(*claim).verdict == "holds" for claim in claims),
-            f"these gains; ω = {needed} 1/s or more is needed, at samples closer than 1/ω",
+            f"these gains; ω = {needed} 1/s or more is needed, at samples closer than 1/ω" if bounded else "",
         ),
         judge("circles turn by less than half a turn between samples", (turn < math.pi * (1 - 1e-9)).all()),
         *([Hypothesis(PERIODIC, "proved")] if model.circles else []),
