@@ -234,6 +234,30 @@ def test_dry_friction_is_an_unknown_force_and_viscous_friction_couples():
     assert viscous.document.radius() < 1e-3
 
 
+def of_friction(dissipation):
+    return Lagrangian(
+        lambda q: jnp.array([[2.0, 0.3 * jnp.cos(q[1])], [0.3 * jnp.cos(q[1]), 1.0]]),
+        dissipation=dissipation,
+        circles=(1,),
+        coordinates=("a", "b"),
+        inputs=2,
+    )
+
+
+@pytest.mark.parametrize(
+    ("dissipation", "message"),
+    [
+        (lambda q, v: -jnp.sign(v), "jumps"),
+        (lambda q, v: -v[::-1], "couples joints"),
+        (lambda q, v: -(2 + jnp.cos(q[1])) * v, "depends on the position"),
+        (lambda t, q, v, u: -v * (1 + u**2), "depends on u1"),
+    ],
+)
+def test_friction_that_is_not_covered_is_refused(dissipation, message):
+    with pytest.raises(ValueError, match=message):
+        certify_globally(of_friction(dissipation), velocity=1.0, interval=(STEP, STEP), position=(-1.0, 1.0))
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -30,6 +30,7 @@ from covariant.certificates.base import (
     need_doubles,
     need_joint_friction,
     need_known,
+    need_steady_friction,
 )
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
 from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, Weights, bound_coupling
@@ -152,9 +153,10 @@ def certify_globally(
     need_known(model)
     if not model.manifold.commuting:
         raise InputError("certify_globally needs a model in coordinates; on a group there are no differences of them")
-    check_recipe(model, recipe)
-    need_joint_friction(model)
     n = dimension(model)
+    check_recipe(model, recipe)
+    need_steady_friction(model)
+    need_joint_friction(model)
     clip: Any = None if given is None else np.broadcast_to(np.asarray(given.speed), (n,))
     if velocity is None and (clip is None or not np.isfinite(clip).all()):
         raise InputError("certify_globally: velocity is missing, the bound of the true speeds that the clip is for")

@@ -15,7 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from covariant.certificates.base import Hypothesis, friction_of, need_doubles, need_joint_friction, need_known
+from covariant.certificates.base import (
+    Hypothesis,
+    friction_of,
+    need_doubles,
+    need_joint_friction,
+    need_known,
+    need_steady_friction,
+)
 from covariant.certificates.checking import Checked
 from covariant.certificates.everywhere._document import GlobalDocument, read_document, statement_of
 from covariant.models import Lagrangian, MechanicalSystem, from_recipe
@@ -66,6 +73,7 @@ def check_globally(
         need_known(system)
         if len(system.coordinates) != len(document.low):
             raise InputError(f"recipe: its model has {len(system.coordinates)} coordinates, not {len(document.low)}")
+        need_steady_friction(system)
         need_joint_friction(system)
         count = _show(document, system, progress)
     except Exception as error:  # the model of a user may fail in any way while it is traced
