@@ -234,6 +234,17 @@ def test_dry_friction_is_an_unknown_force_and_viscous_friction_couples():
     assert viscous.document.radius() < 1e-3
 
 
+def test_one_coordinate_that_does_not_couple_converges_at_any_gains(tmp_path):
+    recipe = models.recipe("oscillator")
+    observer = MeasuredCoefficients(models.from_recipe(recipe), 4.0, 8.0, 1.0)
+    bounds = {"position": (-1.0, 1.0), "interval": (0.001, 0.002), "noise": 1e-4}
+    made = certify_globally(observer, lost=2, recipe=recipe, **bounds)
+    assert made.statement.proved
+    assert check_globally(made.document.save(tmp_path / "one.json")) is not None
+    with pytest.raises(ValueError, match="any gains do"):
+        certify_globally(observer.model, velocity=1.0, **bounds)
+
+
 def of_friction(dissipation):
     return Lagrangian(
         lambda q: jnp.array([[2.0, 0.3 * jnp.cos(q[1])], [0.3 * jnp.cos(q[1]), 1.0]]),

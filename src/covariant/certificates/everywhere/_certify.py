@@ -170,6 +170,8 @@ def certify_globally(
     # What is weighed here, at ω = W = 1, is the coupling itself.
     weights = Weights(speed, viscous, np.ones(n), np.ones(n), dry + errors[1])
     sampled = weights.coupling(*coupling.sampled()).max(0)
+    if given is None and not sampled.any():
+        raise InputError("certify_globally: no coordinate couples by its speed, so that any gains do; give an observer")
     # Coordinates that do not couple get a small gain too.
     sampled = sampled + 0.02 * max(float(sampled.max()), 1e-3)
     if given is None:

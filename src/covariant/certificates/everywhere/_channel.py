@@ -28,6 +28,8 @@ from covariant.observers.base import sampled_gains
 
 DAMPING = math.sqrt(1.92)
 """α/√β of gains that are chosen here, at which noise is least for equal proof."""
+NONE = 1e30
+"""A gain that nothing proves; finite, so that a search may subtract it."""
 
 
 class Channel(NamedTuple):
@@ -76,7 +78,7 @@ def gain_matrix(alpha: float, beta: float, p: np.ndarray, rate: float, square: f
 def least_gain_of(
     alpha: float, beta: float, rate: float, ages: Float[np.ndarray, "a"]
 ) -> tuple[float, Float[np.ndarray, "2 2"]]:
-    """The least square of the gain at some times between samples, and its P, by a search; infinite if none is found."""
+    """The least square of the gain at some times between samples, and its P, by a search; `NONE` if none is found."""
     channels = [Channel.of(alpha, beta, float(age)) for age in ages]
     a, b = (np.stack([np.asarray(each[k]) for each in channels]) for k in (0, 1))
     kept = np.exp(-2 * rate * np.asarray(ages))[:, None, None]
@@ -92,7 +94,7 @@ def least_gain_of(
         left = kept * p - a.swapaxes(1, 2) @ p @ a - output
         det = left[:, 0, 0] * left[:, 1, 1] - left[:, 0, 1] ** 2
         if not (np.isfinite(p).all() and (left[:, 0, 0] > 0).all() and (det > 0).all()):
-            return math.inf
+            return NONE
         cross = np.einsum("aji,jk,ak->ai", a, p, b)
         inner = left[:, 1, 1] * cross[:, 0] ** 2 - 2 * left[:, 0, 1] * cross[:, 0] * cross[:, 1]
         inner = (inner + left[:, 0, 0] * cross[:, 1] ** 2) / det
@@ -100,7 +102,7 @@ def least_gain_of(
 
     middle = a[0] * math.exp(rate * float(ages[0]))
     if max(abs(np.linalg.eigvals(middle))) >= 1:
-        return math.inf, np.eye(2)
+        return NONE, np.eye(2)
     start = solve_discrete_lyapunov(middle.T, 2 * output[0] + 0.02 * times[0] * np.eye(2))
     roots = np.sqrt(np.diag(start))
     x = np.array([*np.log(roots), math.atanh(start[0, 1] / roots.prod())])

@@ -226,7 +226,7 @@ def _bounded(document: GlobalDocument, found: np.ndarray, width: np.ndarray) -> 
         x, limit = np.ones((boxes, n)), document.coupling
         for _ in range(20):
             x = np.einsum("bij,bik,bk->bj", scaled, scaled, x)
-            x = x / x.max(1, keepdims=True) + 1e-3
+            x = x / (x.max(1, keepdims=True) + 1e-200) + 1e-3
         y = np.einsum("bij,bj->bi", scaled, x) * (1 + ROUND) / limit
         good = sound & (np.einsum("bij,bi->bj", scaled, y) * (1 + ROUND) <= limit * x).all(1)
         pushed = inverse @ (document.dry + document.disturbance) * (1 + ROUND)

@@ -221,7 +221,7 @@ class Coupling(NamedTuple):
     def _columns(self, by_free: np.ndarray, sign: int = -1) -> np.ndarray:
         """Symbols of the first kind as matrices (..., n, n²)."""
         symbols = first_kind(self._all(by_free), sign)
-        return symbols.reshape(*symbols.shape[:-2], -1)
+        return symbols.reshape(*symbols.shape[:-2], symbols.shape[-1] ** 2)
 
 
 def _ball(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
