@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from covariant import models
-from covariant.calibration import cut_windows, fit, horizon, observer_gains, relations
+from covariant.calibration import fit, observer_gains, relations
 from covariant.observers import Intrinsic
 from covariant.verbs.base.inputs import Job, data_sheet, load
 from covariant.verbs.base.outcome import drive
@@ -60,7 +60,7 @@ if __name__ == "__main__":
         family = models.family(spec, names, first)
         seen = [load(Job(spec, DATA / log, first, 1, None, COLUMNS, True)) for log in fitted_logs]
         records, velocities = [one.log.record for one in seen], [one.reference.v for one in seen if one.reference]
-        found = fit(family, cut_windows(records, velocities, horizon(records[0], velocities[0])))
+        found = fit(family, records, velocities)
 
         def error(overrides, spec=spec, judged=judged):
             loaded = load(Job(spec, DATA / judged, tuple(overrides), 1, None, COLUMNS, True))

@@ -17,7 +17,7 @@ from covariant.models.files._source import system
 from covariant.models.files._systems import SYSTEMS
 
 FACTORIES = {name: system(name) for name in SYSTEMS} | {
-    name: getattr(marine, name) for name in ("cybership", "odin", "odin_on_group", "supply_vessel")
+    name: getattr(marine, name) for name in ("cybership", "odin", "supply_vessel")
 }
 FACTORIES["manoeuvring_ship"] = marine.manoeuvring_ship
 

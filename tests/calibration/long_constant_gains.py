@@ -6,7 +6,7 @@ import pytest
 from test_constant_gains import RECORD, TRUE, T, _gains, stationary
 
 from covariant.calibration import errors_ahead, predict_sampled_errors
-from covariant.calibration.identification import NoiseLevels
+from covariant.calibration.identification import NoiseLevels, Unknowns, stretch
 from covariant.calibration.identification._error_model import ErrorModel, error_model, from_later, kalman, smoothed
 from covariant.calibration.identification._predict import size
 from covariant.calibration.tuning._constant_gains import as_poles
@@ -20,7 +20,8 @@ def test_the_gain_of_the_error_filter_is_that_of_the_stationary_design():
     mass = oscillator(stiffness=1e-9)
     record = Record(T, np.zeros((400, 1)), np.zeros((400, 1)))
     t, u, y = (jnp.asarray(each) for each in record[:3])
-    errors = error_model(mass, jnp.zeros((400, 1)), jnp.zeros((400, 1)), t, u, y, 1)
+    rows = stretch(t, y, u, Motion(jnp.zeros((400, 1)), jnp.zeros((400, 1))))
+    errors = error_model(Unknowns.none(mass), jnp.zeros(0), rows.start, rows, 1)
     noise = NoiseLevels(jnp.asarray(0.3), jnp.array([1e-3]), jnp.asarray(0.0))
     filtered = kalman(errors, noise, 1.0)
     np.testing.assert_allclose(filtered.gain[-1], stationary(1e-3, 0.09, 50.0), rtol=1e-4)
@@ -81,6 +82,7 @@ def test_the_smoother_of_errors_is_that_of_rauch_tung_and_striebel():
     system = ErrorModel(
         jnp.asarray(np.eye(4) + 0.1 * rng.normal(size=(count, 4, 4))),
         jnp.asarray(0.1 * rng.normal(size=(count, 4))),
+        jnp.zeros((count, 4, 0)),
         jnp.asarray(rng.normal(size=(count, 2, 2))),
         jnp.asarray(np.where(present, 0.3 * rng.normal(size=(count, 2)), 0.0)),
         jnp.asarray(present),
@@ -123,6 +125,7 @@ def _random_system(count):
     return ErrorModel(
         jnp.asarray(np.eye(4) + 0.1 * rng.normal(size=(count, 4, 4)) + 0.3 * np.eye(4, k=2)),
         jnp.asarray(0.1 * rng.normal(size=(count, 4))),
+        jnp.zeros((count, 4, 0)),
         jnp.asarray(np.eye(2) + 0.3 * rng.normal(size=(count, 2, 2))),
         jnp.asarray(0.3 * rng.normal(size=(count, 2))),
         jnp.ones((count, 2), bool),

@@ -8,8 +8,8 @@ import pytest
 from plain import rk4
 
 from covariant import models, scoring
-from covariant.calibration import cut_windows, fit, horizon, relations
-from covariant.calibration.identification import error_growth, family_errors, split_windows
+from covariant.calibration import PredictionErrors, fit, relations
+from covariant.calibration.identification import Unknowns, error_growth, gather, held_out_rows, search, window_errors
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
 
@@ -72,7 +72,7 @@ def family(folder: Path, *names: str, text: str = PENDULUM, overrides=()) -> mod
 def fits(tmp_path_factory):
     """Fits of mass, inertia and friction to forty logs with different noise."""
     open_numbers = family(tmp_path_factory.mktemp("family"), "mass", "inertia", "viscous")
-    return [fit(open_numbers, cut_windows([record], [v], 0.25)) for record, v in swung(True, 40)]
+    return [fit(open_numbers, [record], [v]) for record, v in swung(True, 40)]
 
 
 @pytest.mark.exhaustive
@@ -93,7 +93,7 @@ def test_outliers_and_missing_samples_hardly_move_a_fit(fits, tmp_path):
     y[rng.choice(np.arange(1, len(y)), 10, replace=False)] += 0.5
     y[0] = record.y[0]
     spoiled = record._replace(y=y)
-    found = fit(family(tmp_path, "mass", "inertia", "viscous"), cut_windows([spoiled], [reference(spoiled)], 0.25))
+    found = fit(family(tmp_path, "mass", "inertia", "viscous"), [spoiled], [reference(spoiled)])
     assert np.all(np.abs(found.values - [MASS, INERTIA, VISCOUS]) < 4 * fits[0].standard_errors)
 
 
@@ -131,7 +131,7 @@ def test_friction_too_steep_for_the_steps_of_the_first_values_is_found(tmp_path,
             q += 2e-4 * v
     y = np.array(path) + 2e-4 * np.random.default_rng(1).normal(size=len(t))
     record = Record(t, u[:, None], y[:, None])
-    found = fit(open_numbers, cut_windows([record], [reference(record)], 0.5))
+    found = fit(open_numbers, [record], [reference(record)])
     assert found.determined.all(), relations(found)
     np.testing.assert_allclose(found.values, [0.57, 1.2, 0.6], rtol=0.1)
     assert found.starts[0][1] == 0
@@ -140,13 +140,18 @@ def test_friction_too_steep_for_the_steps_of_the_first_values_is_found(tmp_path,
 @pytest.mark.exhaustive
 def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
     [(record, v)] = swung(True)
-    training, held_out = split_windows([record], [v], 0.25)
     right, wrong = (
         family(tmp_path, "mass", "inertia", "viscous", overrides=[f"parameters.gravity={g}"]) for g in (9.81, -9.81)
     )
-    truth = family_errors(right, fits[0].values, held_out)
-    found = fit(wrong, training)
-    assert error_growth(truth, family_errors(wrong, found.values, held_out)) > 3
+    rows = gather(right.file.model.manifold, [record], [v])
+    held_out = held_out_rows(rows, [record.t], 0.25, [0])
+
+    def errors(family: models.Family, values: np.ndarray) -> PredictionErrors:
+        unknowns = Unknowns.of(family)
+        return window_errors(unknowns, unknowns.relative(values), rows, 0.25, held_out)
+
+    found = search(wrong, rows.only(~held_out)).fit
+    assert error_growth(errors(right, fits[0].values), errors(wrong, found.values)) > 3
     assert not np.allclose(found.values[0], MASS, rtol=0.2)
 
 
@@ -154,7 +159,7 @@ def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
 def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
     [(record, v)] = swung(False, viscous=0.0, seconds=6.0)
     open_numbers = family(tmp_path, "mass", "com", "inertia", overrides=["parameters.viscous=[0.0]"])
-    found = fit(open_numbers, cut_windows([record], [v], 0.25))
+    found = fit(open_numbers, [record], [v])
     m, c, i = found.values
     j, true = i + m * c**2, INERTIA + MASS * COM**2
     np.testing.assert_allclose(m * c / j, MASS * COM / true, rtol=2e-3)
@@ -170,7 +175,7 @@ def test_a_pendulum_that_nothing_drives_shows_its_frequency_only(tmp_path):
 def test_what_cannot_be_told_apart_is_named(tmp_path):
     [(record, v)] = swung(True)
     text = PENDULUM.replace(f"inertia = [{1.3 * INERTIA}]", 'inertia = [0.2]\ninertia_about = "joint"')
-    found = fit(family(tmp_path, "mass", "com", "inertia", text=text), cut_windows([record], [v], 0.25))
+    found = fit(family(tmp_path, "mass", "com", "inertia", text=text), [record], [v])
     assert relations(found) == (
         "only the product com[0] · mass[0] is determined: com[0] and mass[0] cannot be told apart",
     ) or relations(found) == (
@@ -193,7 +198,7 @@ def test_what_vanishes_on_the_way_is_not_called_determined(tmp_path):
     names = ("mass", "viscous", "coulomb", "inputs.lag")
     given = ["inputs.lag=0.02", "parameters.mass=[1.3]", "parameters.viscous=[0.03]"]
     v = scoring.zero_phase_velocity(t, record.y, t, half=0.1)
-    found = fit(family(tmp_path, *names, text=text, overrides=given), cut_windows([record], [v], horizon(record, v)))
+    found = fit(family(tmp_path, *names, text=text, overrides=given), [record], [v])
     assert (found.standard_errors < found.values)[found.determined].all()
     assert not found.determined[3]
     assert any("inputs.lag" in said for said in relations(found))

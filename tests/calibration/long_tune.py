@@ -6,8 +6,9 @@ import pytest
 from test_tune import ACCELERATION, MODEL, RATE, STD, STIFFNESS, log, swing
 
 from covariant.calibration import DataSheet, gains, tune
-from covariant.calibration.identification import NoiseLevels
+from covariant.calibration.identification import NoiseLevels, Unknowns, stretch
 from covariant.calibration.identification._error_model import error_model, kalman
+from covariant.models import Motion
 from covariant.observers import Intrinsic, IntrinsicForce, IntrinsicKalman, external_force, run
 from covariant.signals import Record
 from covariant.simulation import hold, simulate
@@ -71,7 +72,8 @@ def test_the_filter_of_the_errors_is_the_kalman_filter(log, time):
     noise = NoiseLevels(jnp.asarray(0.4), jnp.array([2e-3]), jnp.asarray(0.7), jnp.asarray(time))
     t, u, y = map(jnp.asarray, record[:3])
     along = run(Intrinsic(MODEL, 3.0, 5.0), record).estimate
-    found = kalman(error_model(MODEL, along[:, :1], along[:, 1:], t, u, y, 4), noise, 2.0)
+    rows = stretch(t, y, u, Motion(along[:, :1], along[:, 1:]))
+    found = kalman(error_model(Unknowns.none(MODEL), jnp.zeros(0), rows.start, rows, 4), noise, 2.0)
     axes = jnp.eye(1)
     force = external_force(0.49 * axes) if np.isinf(time) else external_force(std=0.7, time=time)
     filtered = IntrinsicKalman(MODEL, 0.16 * axes, 4e-6 * axes, 4.0 * axes, force, gate=None, substeps=4)

@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.calibration import PredictionErrors, cut_windows
-from covariant.calibration.identification import error_growth, machine_errors, predicts_worse
+from covariant.calibration import PredictionErrors
+from covariant.calibration.identification import Unknowns, error_growth, gather, predicts_worse, window_errors
 from covariant.signals import Record
+
+
+def errors_over_a_second(t: np.ndarray, y: np.ndarray, stiffness: float) -> PredictionErrors:
+    """Errors of predictions of the motion cos t over windows of a second."""
+    unknowns = Unknowns.none(models.oscillator(stiffness=stiffness))
+    record = Record(t, np.zeros((len(t), 1)), y[:, None])
+    rows = gather(unknowns.manifold, [record], [-np.sin(t)[:, None]])
+    return window_errors(unknowns, np.zeros(0), rows, 1.0, np.ones(len(rows.t), bool))
 
 
 def test_outliers_do_not_hide_that_a_model_predicts_worse():
@@ -17,9 +25,7 @@ def test_outliers_do_not_hide_that_a_model_predicts_worse():
     rng = np.random.default_rng(0)
     y = np.cos(t) + 1e-3 * rng.normal(size=len(t))
     y[rng.choice(len(t), 12, replace=False)] += 2.0
-    record = Record(t, np.zeros((len(t), 1)), y[:, None])
-    pieces = cut_windows([record], [-np.sin(t)[:, None]], length=1.0)
-    before, after = (machine_errors([models.oscillator(stiffness=k)], pieces) for k in (1.0, 1.05))
+    before, after = (errors_over_a_second(t, y, stiffness) for stiffness in (1.0, 1.05))
     assert error_growth(before, after) > 1.5
 
 
@@ -30,23 +36,27 @@ def test_bursts_of_outliers_are_refused_in_the_errors_of_predictions():
     y = clean.copy()
     for k in rng.choice(np.arange(5, len(t) - 5), 10, replace=False):
         y[k : k + 3] += 2.0
-    velocity = [-np.sin(t)[:, None]]
-    logs = [cut_windows([Record(t, np.zeros((len(t), 1)), each[:, None])], velocity, 1.0) for each in (clean, y)]
-    right, spoiled = (machine_errors([models.oscillator(stiffness=1.05)], pieces) for pieces in logs)
+    right, spoiled = (errors_over_a_second(t, each, 1.05) for each in (clean, y))
     np.testing.assert_allclose(spoiled.position, right.position, rtol=0.1)
-    np.testing.assert_allclose(spoiled.one_step, right.one_step, rtol=0.1)
+    np.testing.assert_allclose(spoiled.velocity, right.velocity, rtol=0.1)
 
 
 def test_a_fit_that_predicts_one_coordinate_clearly_worse_is_worse():
-    before, after = (PredictionErrors(*[np.array(size)] * 3) for size in ([0.1, 0.01], [0.01, 0.012]))
+    before, after = (PredictionErrors(*[np.array(size)] * 2) for size in ([0.1, 0.01], [0.01, 0.012]))
     assert error_growth(before, after) < 1
     assert predicts_worse(before, after)
     assert not predicts_worse(before, before)
 
 
-@pytest.mark.parametrize(("velocity", "message"), [(0.0, "nothing moves"), (np.nan, "windows of")])
-def test_a_log_that_stands_still_is_told_from_one_whose_velocities_are_unknown(velocity, message):
+def test_a_log_that_stands_still_is_refused():
     t = np.arange(0.0, 20.0, 0.02)
     record = Record(t, y=np.sin(t)[:, None])
-    with pytest.raises(ValueError, match=message):
-        cut_windows([record], [np.full((len(t), 1), velocity)], length=1.0)
+    with pytest.raises(ValueError, match="nothing moves"):
+        gather(models.oscillator().manifold, [record], [np.zeros((len(t), 1))])
+
+
+def test_a_log_with_few_positions_is_refused():
+    t = np.arange(0.0, 20.0, 0.02)
+    y = np.where(np.arange(len(t)) % 100 < 1, np.sin(t), np.nan)
+    with pytest.raises(ValueError, match="fewer than 12 rows with positions"):
+        gather(models.oscillator().manifold, [Record(t, y=y[:, None])], [np.cos(t)[:, None]])

@@ -40,7 +40,8 @@ def test_inertias_and_friction_of_a_model_of_ones_own_stay_positive(tmp_path, mo
 
 def test_a_number_that_starts_from_zero_is_searched_too():
     """Relative changes of it are in units, also where another number is positive."""
-    unknowns = Unknowns(lambda values: (None, values), jnp.array([0.0, 2.0]), (False, True), np.arange(1)[None])
+    first, manifold = jnp.array([0.0, 2.0]), models.oscillator().manifold
+    unknowns = Unknowns(lambda values: (None, values), first, (False, True), np.arange(1)[None], manifold)
     z = unknowns.relative(np.array([0.5, 4.0]))
     np.testing.assert_allclose(unknowns.values(jnp.asarray(z)), [0.5, 4.0])
     np.testing.assert_allclose(unknowns.values(jnp.asarray(unknowns.multiplied(z, 1, 8.0))), [0.5, 32.0])

@@ -1,6 +1,7 @@
 """What takes long of `test_distance_certificate.py`."""
 
 import math
+import re
 
 import jax
 import jax.numpy as jnp
@@ -53,6 +54,11 @@ def test_a_flat_space_has_no_turning():
     assert 2 <= certificate.bounds.stiffness[1] < 2.2
     late = certify_distance(with_part(FLAT, 0.9, 4.0, 2.0), interval=2.0, **bounds)
     assert late.statement.verdict == "undecided"
+    printed = str(late.statement)
+    assert not re.search(r"\bnan\b", printed)
+    for known in ("1/s or faster", "radius ", "metric: m"):  # there is no such metric without a rate
+        assert known in str(certificate.statement)
+        assert known not in printed
 
 
 @pytest.mark.exhaustive

@@ -39,6 +39,7 @@ REFUSED = {
     "another kind of output": ("estimate oscillator log.csv -o v.xlsx", "must end in .csv"),
     "another kind of report": ("compare oscillator log.csv --report page.pdf", "must end in .html"),
     "a page of a saved certificate": ("certify --check a.json --report page.html", "leave --check out"),
+    "a file of distances": ("certify oscillator --observer lagrangian-metric -o a.json", "is only printed; leave -o"),
     "no folder": ("certify oscillator -o absent/proof.json", "there is no folder absent"),
     "no certificate": ("certify --check nofile.json", "nofile.json does not exist"),
     "no store": ("design metric lorenz --grid 5 -o metric.csv", "must end in .zarr"),

@@ -49,7 +49,6 @@ def inside(folder, monkeypatch):
     [
         (("--parameters", "lenght"), "unknown number 'lenght'. Did you mean"),
         (("--parameters", "length", "-o", "model.toml"), "this is the model file itself; write to another file"),
-        (("--parameters", "length", "--horizon", "5"), "windows of 5 s with at least 12 rows and no gap, and 8 are"),
         (("--parameters", "length", "--horizon", "-1"), "horizon must be a positive number of seconds; got -1"),
     ],
 )

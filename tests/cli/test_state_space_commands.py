@@ -15,5 +15,4 @@ def test_ships_and_underwater_vehicles_are_systems():
         file = load(name)
         assert (file.dimension, len(file.columns.u)) == (states, inputs), name
     assert load("odin").dimension == 12
-    assert load("odin_on_group").mechanical
     assert load("cybership", ("parameters.mass=30.0",)).model.parameters

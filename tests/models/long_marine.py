@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.models import Motion, marine, state_space
+from covariant.models import Motion, marine, state_space, underwater_vehicle
 from covariant.simulation import simulate
 
 CRUISE = 1.179, 11.8516
@@ -17,7 +17,7 @@ def pose(eta):
 
 
 @pytest.mark.exhaustive
-def test_odin_on_the_group_moves_as_in_euler_angles_with_coriolis():
+def test_a_body_on_se3_moves_as_odin_in_euler_angles_with_coriolis():
     x0 = jnp.array([0.0, 0.0, 5.0, 0.4, -0.3, 1.0, 0.5, -0.2, 0.3, 0.2, 0.3, -0.4])
     t = jnp.linspace(0.0, 4.0, 9)
 
@@ -26,7 +26,11 @@ def test_odin_on_the_group_moves_as_in_euler_angles_with_coriolis():
 
     uneven = {"inertia": (8.0, 9.0, 11.0), "added_mass": (40.0, 60.0, 80.0, 0.5, 1.0, 0.0)}
     angles = simulate(state_space(marine.odin(**uneven, coriolis=True)), x0, t, push)
-    group = simulate(marine.odin_on_group(**uneven), Motion(pose(x0[:6]), x0[6:]), t, push)
+    # z points down, so that the weight acts along it; both forces are as large.
+    forces = {"gravity": -9.81, "buoyancy": -125.0 * 9.81, "centre_of_mass": (0.0,) * 3}
+    drag = {"drag": (0.0,) * 6, "quadratic_drag": (48.0,) * 3 + (80.0,) * 3}
+    body = underwater_vehicle(mass=125.0, centre_of_buoyancy=(0.0, 0.0, -0.05), **forces, **drag, **uneven)
+    group = simulate(body, Motion(pose(x0[:6]), x0[6:]), t, push)
     np.testing.assert_allclose(group.x.v, angles.x[:, 6:], atol=1e-8)
     np.testing.assert_allclose(group.x.q, jax.vmap(pose)(angles.x[:, :6]), atol=1e-8)
     without = simulate(state_space(marine.odin(**uneven)), x0, t, push)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.geometry.lie import SO3
+from covariant.geometry.lie import SO3, quaternion_from_rotation, rotation_from_quaternion
 from covariant.models import marine
 
 CRAFT = {"supply": marine.supply_vessel, "cybership": marine.cybership, "odin": marine.odin}
@@ -25,6 +25,30 @@ def test_euler_rates_are_those_of_the_rotation():
     omega = jnp.array([0.4, -1.0, 0.7])
     moved = jax.jvp(marine.euler_rotation, (ANGLES,), (marine.euler_rates(ANGLES) @ omega,))[1]
     np.testing.assert_allclose(moved, marine.euler_rotation(ANGLES) @ SO3.hat(omega), atol=1e-14)
+
+
+def test_quaternion_craft_moves_and_measures_as_the_rotation_does():
+    robot = marine.odin(quaternion=True)
+    first, second = (
+        jnp.concatenate([position, quaternion_from_rotation(SO3.exp(turn))])
+        for position, turn in ((jnp.arange(3.0), ANGLES), (jnp.ones(3), ANGLES[::-1]))
+    )
+    twist = jnp.array([0.2, 0.5, -0.3, 0.4, -1.0, 0.7])
+    rate = robot.transform(first) @ twist
+    rotation, rotation_rate = jax.jvp(rotation_from_quaternion, (first[3:],), (rate[3:],))
+    np.testing.assert_allclose(rate[:3], rotation @ twist[:3], atol=1e-14)
+    np.testing.assert_allclose(rotation_rate, rotation @ SO3.hat(twist[3:]), atol=1e-14)
+    assert abs(first[3:] @ rate[3:]) < 1e-15  # its length stays
+    step = robot.displacement(first, second)
+    between = quaternion_from_rotation(rotation.T @ rotation_from_quaternion(second[3:]))
+    np.testing.assert_allclose(step[:3], rotation.T @ (second - first)[:3], atol=1e-14)
+    np.testing.assert_allclose(step[3:], 2 * between[1:], atol=1e-14)
+    euler = marine.odin().restoring(jnp.concatenate([jnp.zeros(3), ANGLES]))
+    same = quaternion_from_rotation(marine.euler_rotation(ANGLES))
+    np.testing.assert_allclose(robot.restoring(jnp.concatenate([jnp.zeros(3), same])), euler, atol=1e-13)
+    roll, pitch, _ = ANGLES
+    moment = np.array([np.cos(pitch) * np.sin(roll), np.sin(pitch), 0.0])  # (85)
+    np.testing.assert_allclose(euler[3:], 0.05 * 125.0 * 9.81 * moment, atol=1e-13)
 
 
 @pytest.mark.exhaustive("3")

@@ -1,11 +1,13 @@
 """Figure 4, the basin and the tutorial of Aghannan & Rouchon 2003, against an independent integration to 1e-11."""
 
 import json
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 FIGURE_4 = {
     "exact": ("2.065", ".3957", "2.254e-2", "3.794e-5", "5.5e-11"),
@@ -50,6 +52,19 @@ def test_figure_4(reproduced, observer):
         share = 0.01 if t == 40 else 0.001
         slack = max(share * float(known), 0.5 * last_digit(known))
         assert found == pytest.approx(float(known), abs=slack), f"t = {t} s"
+
+
+@pytest.mark.exhaustive
+def test_decay_is_printed_beside_that_of_a_double_pole(reproduced):
+    """q'' + 2ω0 q' + ω0² q = 0 from rest, by its matrix, and not by the formula of the printed line."""
+    from covariant.papers import aghannan_rouchon as paper
+
+    line = paper.decay_line(reproduced["fig4"])
+    *measured, theory = (float(number) for number in re.findall(r"\d\.\d+e-\d+", line))
+    matrix = np.array([[0.0, 1.0], [-paper.BETA, -paper.ALPHA]])
+    assert theory == pytest.approx(expm(40.0 * matrix)[0, 0] / expm(20.0 * matrix)[0, 0], rel=0.005)
+    for found in measured:
+        assert found == pytest.approx(theory, rel=0.1)
 
 
 @pytest.mark.exhaustive

@@ -11,6 +11,7 @@ from covariant.certificates import contraction, crossed_metric, feedthrough, vir
 from covariant.models import marine
 from covariant.papers import jouffroy_fossen as paper
 from covariant.report import write_article
+from covariant.simulation import Backstepping, follow
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def test_ship_obeys_the_rate_of_its_lyapunov_function(reproduced):
     bound = np.exp(-2 * found["rate"] * found["t"]) * found["lyapunov"][0]
     assert (found["lyapunov"] <= bound * (1 + 1e-9)).all()
     assert found["fitted"] >= found["rate"] >= found["printed"] > 0
-    assert reproduced["ship"]["rate"] == found["rate"]
+    assert reproduced["ship"]["fitted"] >= reproduced["ship"]["rate"] > 0
 
 
 @pytest.mark.exhaustive
@@ -96,15 +97,31 @@ def test_closed_loop_of_odin_converges_faster_than_certified(reproduced):
         assert rate >= paper.RATE / 2
 
 
-def test_a_pitch_of_ninety_degrees_is_no_event_on_the_group():
+def test_with_a_quaternion_controller_and_observer_pass_a_pitch_of_ninety_degrees():
+    """(87): the representation singularity can be avoided by quaternions."""
     turning = paper.somersault()
     steep = np.abs(turning["pitch"]) > np.deg2rad(80.0)
     assert np.rad2deg(np.abs(turning["pitch"]).max()) > 89.0
     assert (np.diff(steep.astype(int)) == 1).sum() >= 3
-    before, after = turning["error"][:-40], turning["error"][40:]
-    assert (after < before)[before > 1e-6].all()  # smaller than two seconds before, through the vertical too
-    assert turning["error"][-1] < 1e-8
-    assert paper.tail_rate(turning["t"], turning["error"], 1e-6) > 1.0
+    for name in ("observer", "tracking"):
+        error = turning[name]
+        assert (error[50:] < 0.2 * error[:-50])[error[:-50] > 1e-8].all()  # over any 5 s, through the vertical too
+        assert error[-1] < 1e-8
+        assert paper.tail_rate(turning["t"], error) > 0.6
+
+
+@pytest.mark.exhaustive
+def test_in_euler_angles_the_same_loop_ends_at_a_pitch_of_ninety_degrees():
+    path = follow(lambda t: jnp.stack([jnp.sin(0.1 * t), jnp.cos(0.2 * t), 5.0, 0.0, 0.3 * t, 0.0]))
+    controller = Backstepping(marine.odin(), path, paper.KP, paper.KD, paper.LAMBDA)
+    first = np.array([0.5, 0.5, 5.5, 0.2, -0.4, 0.2, *[0.0] * 6])
+    t = np.linspace(0.0, 8.0, 81)
+    x, tracking, observer = paper.closed_loop(controller, paper.odin_observer(), first, first + 0.1, t)
+    last = np.flatnonzero(np.isfinite(x).all(axis=1))[-1]
+    assert x[last, 4] > np.deg2rad(85.0)
+    assert t[last] < 5.6  # π/2 is reached at 5.24 s
+    assert max(tracking[last], observer[last]) < 0.1  # until then it had converged
+    assert not np.isfinite(x[-1]).any()
 
 
 @pytest.mark.exhaustive
@@ -119,6 +136,7 @@ def test_theorem_3_on_odin_is_stable_under_refinement_and_depends_on_units_as_pr
     c = fine["constants"]
     np.testing.assert_allclose(c["c3"], 50.0, rtol=1e-6)  # the smallest of K_pΛ and K_d
     np.testing.assert_allclose([2 * c["c1"], 2 * c["c2"], c["c4"]], [8.0, 187.5, 187.5], rtol=1e-6)  # of M and K_p
+    assert fine["closed_form"] == {"c1": 4.0, "c2": 93.75, "c3": 50.0, "c4": 187.5}  # printed beside the sampled ones
     np.testing.assert_allclose(fine["bound"], 4 * c["c3"] * c["lambda_q"] / c["c4"] ** 2, rtol=1e-12)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.calibration import cut_windows, fit, horizon, observer_gains
+from covariant.calibration import fit, observer_gains
 from covariant.observers import Intrinsic
 from covariant.verbs.base.inputs import Job, data_sheet, load
 from covariant.verbs.base.outcome import drive
@@ -40,7 +40,7 @@ def test_an_observer_with_fitted_numbers_is_within_5_percent_of_the_published_on
     family = models.family(spec, names, first)
     seen = load(Job(spec, data_folder / log, first, every, fitted_until, columns, True))
     record = seen.log.record
-    found = fit(family, cut_windows([record], [seen.reference.v], horizon(record, seen.reference.v)))
+    found = fit(family, [record], [seen.reference.v])
 
     def error(overrides):
         loaded = load(Job(spec, data_folder / judged, tuple(overrides), every, judged_until, columns, True))

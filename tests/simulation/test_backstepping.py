@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from covariant.certificates import feedthrough, tracking
 from covariant.models import marine
 from covariant.simulation import Backstepping, follow, lissajous
 
@@ -15,6 +16,13 @@ def test_damping_compensated_at_the_wanted_velocity_still_takes_energy():
     for nu, nu_r in random.normal(size=(100, 2, 6)):
         difference = craft.damping(jnp.asarray(nu)) @ nu - craft.damping(jnp.asarray(nu_r)) @ nu_r
         assert (nu - nu_r) @ difference > 0
+
+
+def test_theorem_3_refuses_a_quaternion():
+    controller = Backstepping(marine.odin(quaternion=True), lissajous(np.zeros(7), 0.1, 0.1), 1.0, 1.0, 1.0)
+    for build in (tracking, feedthrough):
+        with pytest.raises(ValueError, match="as many coordinates as velocities"):
+            build(controller)
 
 
 def test_follow_differentiates_the_path():

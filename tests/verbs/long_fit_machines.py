@@ -34,15 +34,15 @@ def test_machines_share_a_number_and_have_their_own_friction(arms, found):
 def test_a_shared_number_that_a_machine_contradicts_is_named(arms, found):
     """Friction that differs by three, taken as one number; where only what is its own differs, nothing is said."""
     machines = {arm: arms[arm] for arm in ("arm1", "arm2")}
-    wrong = fit("pendulum_chain", machines, "inertia,viscous", each="inertia", overrides=FIRST, horizon=0.6)
+    wrong = fit("pendulum_chain", machines, "inertia,viscous", each="inertia", overrides=FIRST)
     said = [sentence for sentence in wrong.warnings if "viscous[0] is shared" in sentence]
     assert said, wrong.warnings
     assert all("alone change it by -" in s if "arm1" in s else "alone change it by +" in s for s in said), said
-    # A machine with few windows contradicts nothing, whatever they say.
+    # A machine with few rows contradicts nothing, whatever they say.
     short = [record._replace(t=record.t[:80], u=record.u[:80], y=record.y[:80]) for record in arms["arm3"]]
     short = [covariant.Record(record.t, record.u, record.y) for record in short]
     both = machines | {"arm3": short}
-    right = fit("pendulum_chain", both, "inertia,viscous", each="viscous", overrides=FIRST, horizon=0.6)
+    right = fit("pendulum_chain", both, "inertia,viscous", each="viscous", overrides=FIRST)
     assert not right.warnings
 
 
@@ -102,7 +102,7 @@ def test_a_shared_number_of_robots_that_one_contradicts_is_named():
 def test_the_order_of_machines_changes_nothing(arms, found):
     turned = fitted(dict(reversed(arms.items())), "viscous")
     for name, (value, error) in found.items():
-        np.testing.assert_allclose(turned[name], (value, error), rtol=1e-5)
+        np.testing.assert_allclose(turned[name], (value, error), rtol=1e-4)
 
 
 @pytest.mark.exhaustive

@@ -114,7 +114,7 @@ def test_outliers_do_not_hide_that_a_fit_predicts_worse():
 
 @pytest.mark.exhaustive
 def test_short_flights_of_a_body_are_fitted_together(tmp_path):
-    """Six of .6 s, of which one alone has too few windows to be held out; no force is logged."""
+    """Six of .6 s, of which one alone is too short to be held out; no force is logged."""
     body = models.free_body((1.0, 2.0, 3.5))
     stamps = 0.01 * np.arange(61)
     names = [f"r{i}{j}" for i in range(3) for j in range(3)]

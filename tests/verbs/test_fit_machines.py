@@ -35,7 +35,7 @@ def arms() -> dict[str, list[Any]]:
 
 
 def fitted(arms: dict[str, list[Any]] | list[Any], each: str | None) -> dict[str, tuple[float, float]]:
-    result = fit("pendulum_chain", arms, "inertia,viscous", each=each, overrides=FIRST, horizon=0.6)
+    result = fit("pendulum_chain", arms, "inertia,viscous", each=each, overrides=FIRST)
     rows = zip(result.columns["parameter"], result.values, result.standard_errors, strict=True)
     return {name: (value, error) for name, value, error in rows}
 

@@ -41,7 +41,7 @@ def test_a_page_of_a_check_has_each_finding_with_what_to_do(tmp_path):
 
 def test_a_page_of_a_fit_has_numbers_errors_and_what_is_not_determined(tmp_path):
     row = {"name": "stiffness", "before": 1.0, "after": 1.3, "standard_error": 0.01, "determined": True}
-    errors = {"one_step": [1e-3], "position": [2e-3], "velocity": [3e-2]}
+    errors = {"position": [2e-3], "velocity": [3e-2]}
     details = {
         "parameters": [row],
         "undetermined": ["only the ratio of mass and stiffness"],

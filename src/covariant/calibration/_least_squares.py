@@ -1,22 +1,16 @@
 """Robust nonlinear least squares by blocks: weights, solver, covariance, and what the data do not determine.
 
-Errors come in blocks, such as windows of a log: within a block they may be alike, between blocks they are independent.
-All blocks share p unknowns z, and each may have k unknowns s to itself, such as the motion at its start. These are
-eliminated block by block, so that the system to be solved has the size p. `scipy.optimize.least_squares` with a sparse
-Jacobian needs 2.5 to 5 times as long: for 12 shared unknowns and 31 blocks of 4, 53 evaluations in place of 21.
+Errors come in blocks of rows of a log: within a block they may be alike, between blocks they are independent.
 
 Source: Marquardt 1963, and Madsen, Nielsen & Tingleff 2004, section 3.2, for steps; Huber 1981, Robust Statistics,
 sections 6.3 and 7.6, for weights and covariance; White 1982 for the covariance from blocks.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
-
-from covariant.signals import AnyArray
+from jaxtyping import Float
 
 HUBER = 3.0
 """Size of an error, in units of its scale, beyond which its influence is nearly constant: it is an outlier."""
@@ -65,41 +59,20 @@ def block_covariance(
 
 
 class Blocks(NamedTuple):
-    """The loss of each block and its derivatives in z and s, and what else the errors are needed for.
+    """The loss of each block and its derivatives in p unknowns z, and what else the errors are needed for.
 
-    `ss`, `sz`, `zz` majorise the second derivatives, and are used for steps; `curved` are those of the loss itself.
+    `zz` majorises the second derivatives, and is used for steps; `informations` are those of the loss itself.
     """
 
-    loss: Float[AnyArray, "*B"]
-    s: Float[AnyArray, "*B k"]
-    z: Float[AnyArray, "*B p"]
-    ss: Float[AnyArray, "*B k k"]
-    sz: Float[AnyArray, "*B k p"]
-    zz: Float[AnyArray, "*B p p"]
-    curved: tuple[Any, Any, Any]
+    loss: Float[NumpyArray, "B"]
+    z: Float[NumpyArray, "B p"]
+    zz: Float[NumpyArray, "p p"]
+    informations: Float[NumpyArray, "B p p"]
     rest: Any = None
-
-    @classmethod
-    def one(cls, e: Float[Array, "r"], slope: Float[Array, "r p_and_k"], p: int, rest: Any) -> "Blocks":
-        """A block, from its errors and their derivatives in z (p,) and s."""
-        loss, weight = robust(e)
-        gradient = slope.T @ (weight * e)
-
-        def parts(w: Array) -> tuple[Array, Array, Array]:
-            full = slope.T @ (w[:, None] * slope)
-            return full[p:, p:], full[p:, :p], full[:p, :p]
-
-        return cls(jnp.sum(loss), gradient[p:], gradient[:p], *parts(weight), parts(weight**3), rest)
-
-    @property
-    def informations(self) -> Float[NumpyArray, "B p p"]:
-        """Second derivatives (p, p) of the loss of each block in z with the best s: the Schur complement of these."""
-        ss, sz, zz = self.curved
-        return zz - np.swapaxes(sz, 1, 2) @ np.linalg.solve(ss + _ridge(ss), sz)
 
     @property
     def information(self) -> Float[NumpyArray, "p p"]:
-        """Second derivatives (p, p) of the whole loss in z."""
+        """Second derivatives (p, p) of the whole loss."""
         return np.sum(self.informations, axis=0)
 
     def inverse(self, fixed: NumpyArray) -> Float[NumpyArray, "p p"]:
@@ -137,12 +110,11 @@ class Blocks(NamedTuple):
         return basis @ basis.T
 
 
-@runtime_checkable
 class Residuals(Protocol):
     """What a search minimises."""
 
-    def blocks(self, z: NumpyArray, s: NumpyArray) -> Blocks:
-        """The loss and its derivatives at z (p,) and s (B, k)."""
+    def blocks(self, z: NumpyArray, kept: Any = None) -> Blocks:
+        """The loss and its derivatives at z (p,); `kept` is the `rest` of the last accepted point."""
         ...
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
@@ -169,15 +141,14 @@ class Fixed(NamedTuple):
 
 
 class Point(NamedTuple):
-    """A point of a search: z (p,), s (B, k), and the loss with its derivatives there."""
+    """A point of a search: z (p,), and the loss with its derivatives there."""
 
     z: Float[NumpyArray, "p"]
-    s: Float[NumpyArray, "B k"]
     blocks: Blocks
 
     @classmethod
-    def at(cls, residuals: Residuals, z: NumpyArray, s: NumpyArray) -> "Point":
-        return cls(z, s, residuals.blocks(z, s))
+    def at(cls, residuals: Residuals, z: NumpyArray, kept: Any = None) -> "Point":
+        return cls(z, residuals.blocks(z, kept))
 
     def loss(self, fixed: Fixed) -> float:
         """Loss with the prior, and with the penalty that fixes undetermined combinations."""
@@ -192,16 +163,16 @@ def minimise(
     fixed: Fixed,
     progress: Callable[[int], object] = lambda _: None,
     most: int = MOST_STEPS,
-) -> tuple[Point, int]:
-    """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point and their number."""
+) -> Point:
+    """Minimise the loss from a point by Levenberg–Marquardt steps; returns the last point."""
     # Relative to the diagonal: the first step is nearly the full one of Gauss and Newton (Madsen et al., 3.2).
     damping, growth = 1e-3, 2.0
     for k in range(most):
         progress(k)
-        dz, ds, promised = _step(point, fixed, damping)
+        dz, promised = _step(point, fixed, damping)
         if promised < TOLERANCE:
-            return point, k
-        tried = Point.at(residuals, residuals.moved(point.z, dz), point.s + ds)
+            return point
+        tried = Point.at(residuals, residuals.moved(point.z, dz), point.blocks.rest)
         gain = (point.loss(fixed) - tried.loss(fixed)) / promised
         if gain > 0:  # False where the trial is not finite
             point, growth = tried, 2.0
@@ -209,37 +180,21 @@ def minimise(
             damping *= max(1 / 10, 1 - (2 * min(gain, 1.0) - 1) ** 3)
         else:
             damping, growth = damping * growth, 2 * growth
-    return point, most
+    return point
 
 
-def _step(point: Point, fixed: Fixed, damping: float) -> tuple[NumpyArray, NumpyArray, float]:
-    """A damped Gauss–Newton step of z and s, and the predicted fall of the loss."""
-    b = point.blocks
-    k, p = b.s.shape[1], len(point.z)
-    ss = b.ss * np.where(np.eye(k, dtype=bool), 1 + damping, 1.0) + _ridge(b.ss)
-    # Schur complement: s of each block is eliminated before z is solved for.
-    back = np.linalg.solve(ss, np.concatenate([b.sz, b.s[:, :, None]], axis=2))
-    zz = np.sum(b.zz, axis=0)
+def _step(point: Point, fixed: Fixed, damping: float) -> tuple[NumpyArray, float]:
+    """A damped Gauss–Newton step, and the predicted fall of the loss."""
+    zz, p = point.blocks.zz, len(point.z)
     fixing = FIXING**2 * fixed.directions
     prior = np.eye(p) / PRIOR**2 + fixing
-    reduced = zz + damping * np.diag(np.diagonal(zz)) + prior - np.einsum("wkp,wkq->pq", b.sz, back[:, :, :p])
-    slope = np.sum(b.z, axis=0) + prior @ point.z - fixing @ fixed.at
-    size = np.sqrt(np.diagonal(reduced))
-    right = slope - np.einsum("wkp,wk->p", b.sz, back[:, :, p])
+    damped = zz + damping * np.diag(np.diagonal(zz)) + prior
+    slope = np.sum(point.blocks.z, axis=0) + prior @ point.z - fixing @ fixed.at
+    size = np.sqrt(np.diagonal(damped))
     # Scaled to a unit diagonal, since the sensitivities differ by orders of magnitude.
-    dz = -np.linalg.solve(reduced / np.outer(size, size), right / size) / size
-    ds = -back[:, :, p] - back[:, :, :p] @ dz
+    dz = -np.linalg.solve(damped / np.outer(size, size), slope / size) / size
     # Without the damping, which only limits the step: the ratio to the actual fall then measures the model itself.
-    quadratic = dz @ (zz + prior) @ dz + 2 * np.einsum("wkp,wk,p->", b.sz, ds, dz)
-    quadratic += np.einsum("wkl,wk,wl->", b.ss, ds, ds)
-    return dz, ds, float(-(slope @ dz + np.sum(b.s * ds) + quadratic / 2))
-
-
-def _ridge(matrices: Any) -> NumpyArray:
-    """A small multiple of the identity for each matrix (B, k, k), for blocks in which too little is measured."""
-    largest = np.max(np.diagonal(matrices, axis1=1, axis2=2), axis=1, initial=0.0) + 1e-300
-    # Far above the rounding errors of the elimination, far below what one measurement tells.
-    return 1e-12 * largest[:, None, None] * np.eye(matrices.shape[1])
+    return dz, float(-(slope @ dz + dz @ (zz + prior) @ dz / 2))
 
 
 def _span(projection: NumpyArray) -> Float[NumpyArray, "p d"]:

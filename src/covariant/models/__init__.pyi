@@ -10,13 +10,11 @@ from ._mechanical import (
     acceleration as acceleration,
     advance as advance,
     applied_force as applied_force,
-    body_velocity as body_velocity,
     energy as energy,
     friction as friction,
     input_count as input_count,
     resistance as resistance,
     source as source,
-    spatial_momentum as spatial_momentum,
 )
 from ._parameters import Parameter as Parameter, Parametric as Parametric
 from ._state_space import StateSpace as StateSpace, state_space as state_space

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Inexact
 
 from covariant._functional import Functional
 from covariant._integrate import rk4_step
-from covariant._typing import Element, MatrixField, Number, Scalar, Vector
+from covariant._typing import MatrixField, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, as_space, differential
 from covariant.geometry.lie import AbstractGroup, LeftInvariant
 from covariant.models._parameters import Parameter, Parametric
@@ -609,61 +609,6 @@ def energy(model: MechanicalSystem, q: Array, v: Vector) -> Scalar:
         2.5
     """
     return model.space.inner(q, v, v) / 2 + model.potential(q)
-
-
-def spatial_momentum(system: MechanicalSystem, g: Element, v: Vector) -> Vector:
-    """Momentum `Ad*_{g⁻¹} I v` in the space frame of a system on a group; it is constant if no force acts.
-
-    Args:
-        system: Mechanical system on a Lie group.
-        g: Configuration (N, N).
-        v: Body velocity (n,).
-
-    Returns:
-        Momentum (n,).
-
-    Raises:
-        ValueError: The system is not on a group.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant import models
-        >>> models.spatial_momentum(models.free_body((1.0, 2.0, 3.0)), jnp.eye(3), jnp.ones(3)).tolist()
-        [1.0, 2.0, 3.0]
-    """
-    group = _group_of(system)
-    # By Noether's theorem, for a left-invariant energy without potential, Ad*_{g⁻¹} μ is conserved.
-    return group.coadjoint_action(group.inverse(g), system.space.lower(g, v))
-
-
-def body_velocity(system: MechanicalSystem, g: Element, momentum: Vector) -> Vector:
-    """Body velocity with a given momentum in the space frame: the inverse of `spatial_momentum`.
-
-    Args:
-        system: Mechanical system on a Lie group.
-        g: Configuration (N, N).
-        momentum: Momentum (n,) in the space frame.
-
-    Returns:
-        Body velocity v (n,).
-
-    Raises:
-        ValueError: The system is not on a group.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant import models
-        >>> body = models.free_body((1.0, 2.0, 4.0))
-        >>> models.body_velocity(body, jnp.eye(3), jnp.array([1.0, 2.0, 4.0])).tolist()
-        [1.0, 1.0, 1.0]
-    """
-    return system.space.raise_(g, _group_of(system).coadjoint_action(g, momentum))
-
-
-def _group_of(system: MechanicalSystem) -> AbstractGroup:
-    if not isinstance(system.manifold, AbstractGroup):
-        raise InputError(f"the momentum in space is that of a system on a group; this one is on {system.manifold}")
-    return system.manifold
 
 
 InputLaw = Callable[[Scalar, Any], Array]

@@ -373,7 +373,8 @@ def summary(results: dict[str, Any]) -> list[str | list[dict[str, str]]]:
         error_rows(results),
         "Largest affine-invariant distance to the printed P of four ways to compute it",
         route_rows(results),
-        "Fitted rate of the metric distance [1/s], and in brackets the least rate over the grid",
+        "Fitted rate of the metric distance [1/s], and in brackets the least rate over the grid; λ/2 in theory "
+        "from k_E = ¼ on",
         rate_rows(results),
         f"At x1 = x2 = 0: {results['origin']}",
         f"Conditions: {results['verdict']}",

@@ -15,7 +15,8 @@ class Reference(NamedTuple):
     """Desired motion at one time.
 
     Attributes:
-        position: Desired position (n,), in the craft's coordinates.
+        position: Desired position (n,), in the craft's coordinates; on a group an element (N, N), and then the
+            derivatives are those of its entries.
         velocity: Its first time derivative (n,).
         acceleration: Its second time derivative (n,).
 
@@ -43,7 +44,7 @@ def follow(position: Callable[[Array], Array]) -> Path:
     position. The function must be twice differentiable: a corner makes a jump in the velocity.
 
     Args:
-        position: Function `t -> (n,)` of the time [s], in JAX.
+        position: Function `t -> (n,)` of the time [s], in JAX; for `GroupTracking` `t -> (N, N)`.
 
     Returns:
         A function `t -> Reference`.

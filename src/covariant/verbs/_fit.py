@@ -315,7 +315,7 @@ class FitResult(AbstractTable):
                 "coordinate": f"{name} [{unit}]" if unit else name,
                 **{
                     f"{kind.replace('_', ' ')}, {when}": result["held_out_errors"][when][kind][i]
-                    for kind in ("one_step", "position", "velocity")
+                    for kind in ("position", "velocity")
                     for when in ("before", "after")
                 },
             }
@@ -382,8 +382,8 @@ class FitResult(AbstractTable):
         numbers, errors = self._numbers, self._errors
         if result.get("open_loop"):
             how = f"Predictions from the commands, over windows of {result['window']:.3g} s"
-        elif "windows" in result:
-            how = f"{result['windows']} windows of {result['horizon']:.3g} s"
+        elif "window" not in result:
+            how = "All rows"
         else:
             how = f"Residual torques in windows of {result['window']:.3g} s"
         lines = [

@@ -17,19 +17,25 @@ from ._excitation import (
 from ._expected import ExpectedErrors as ExpectedErrors, Sensing as Sensing
 from ._fit import (
     Fit as Fit,
+    Solved as Solved,
+    again as again,
+    block_losses as block_losses,
     fit as fit,
     profile as profile,
     relations as relations,
     search as search,
-    window_losses as window_losses,
 )
 from ._fourier import FourierMotion as FourierMotion
+from ._likelihood import (
+    descend as descend,
+    levels as levels,
+    total_loss as total_loss,
+    window_errors as window_errors,
+)
 from ._predict import (
     PredictionErrors as PredictionErrors,
     error_growth as error_growth,
     errors_ahead as errors_ahead,
-    family_errors as family_errors,
-    machine_errors as machine_errors,
     mean_square as mean_square,
     predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
@@ -39,6 +45,15 @@ from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_misfit import robot_misfit as robot_misfit, standing_still as standing_still
 from ._robot_torques import motor_inputs as motor_inputs
+from ._rows import (
+    FITTED as FITTED,
+    Rows as Rows,
+    gather as gather,
+    held_out_logs as held_out_logs,
+    held_out_rows as held_out_rows,
+    horizon as horizon,
+    stretch as stretch,
+)
 from ._servo_excitation import (
     ExpectedOfCommands as ExpectedOfCommands,
     command_excitation as command_excitation,
@@ -49,11 +64,3 @@ from ._servo_fit import fit_servos as fit_servos
 from ._servo_motion import predict_servos as predict_servos
 from ._servo_units import DraftedServo as DraftedServo
 from ._unknowns import Unknowns as Unknowns
-from ._windows import (
-    FITTED as FITTED,
-    Windows as Windows,
-    cut_windows as cut_windows,
-    held_out_logs as held_out_logs,
-    horizon as horizon,
-    split_windows as split_windows,
-)

@@ -2,13 +2,14 @@
 
 Along a run of an observer, with the estimate x̂ after each sample, the true state is `x = x̂ ⊕ δ` with
 
-    δ⁺ = F δ + c + G f + w,   r = Hδ + e,
+    δ⁺ = F δ + c + C ζ + G f + w,   r = Hδ + e,
 
-where `x̂ ⊕ δ` moves along the retraction, c is the model's prediction minus the next estimate, F its derivative, and r
-the reading minus the estimated position. f is a force that the model does not know, a random walk or a Gauss–Markov
-process; w is white acceleration, e the noise of a reading. F, G, c and r do not depend on the noise: one run of the
-model serves for all noises, and the filter of this system is the extended Kalman filter to first order in the error of
-the run.
+where `x̂ ⊕ δ` moves along the retraction, c is the model's prediction minus the next estimate, F and C its derivatives
+in the state and in unknown numbers of the model, and r the reading minus the estimated position. f is a force that the
+model does not know, a random walk or a Gauss–Markov process; w is white acceleration, e the noise of a reading. F, C,
+G, c and r do not depend on the noise: one run of the model serves for all noises, and the filter of this system is the
+extended Kalman filter to first order in the error of the run. Any motion near the readings will do for the run: no step
+of the model follows another, so that a model that is unstable or wrong is linearised as well as a good one.
 
 Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, IEEE TIT 11(1); Anderson & Moore 1979,
 Optimal Filtering, section 10.1, for the likelihood. Huber 1981, section 7.7, for the weight of an outlier.
@@ -20,11 +21,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from covariant._gauss_markov import gauss_markov
 from covariant._typing import Flag, Scalar, Vector
-from covariant.calibration.identification._windows import LONGEST_GAP
+from covariant.calibration.identification._predict import lagged
+from covariant.calibration.identification._rows import Rows
+from covariant.calibration.identification._unknowns import Unknowns
 from covariant.models import MechanicalSystem, Motion, advance
 
 CREDIBLE = 5.0
@@ -43,6 +47,9 @@ class NoiseLevels(NamedTuple):
         force: Standard deviation of the change of an unknown force in one second [N or N m], one for all components or
             one for each (n,); 0 for no such force. With a `force_time` it is that of the force itself.
         force_time: Time constant [s] after which the force is forgotten; infinite for a random walk, by default.
+        wiggle: Standard deviation (n,) of what readings are off together, as those of a joint on an elastic belt or of
+            an encoder off its centre [rad or m]; 0 for none, by default.
+        wiggle_time: Time constant [s] after which that is forgotten.
 
     Example:
         >>> import jax.numpy as jnp
@@ -55,6 +62,8 @@ class NoiseLevels(NamedTuple):
     measurement: Vector
     force: Scalar | Vector
     force_time: Scalar | float = jnp.inf
+    wiggle: Scalar | Vector | float = 0.0
+    wiggle_time: Scalar | float = jnp.inf
 
 
 class ErrorModel(NamedTuple):
@@ -63,6 +72,7 @@ class ErrorModel(NamedTuple):
     Attributes:
         transition: F (T, 2n, 2n) of the step to each row.
         defect: c (T, 2n) of the step to each row.
+        slopes: C (T, 2n, p) of the step to each row, for p unknown numbers.
         input_matrix: Acceleration (T, n, n) per unit of the unknown force.
         residual: r (T, n), zero where nothing was measured.
         present: Whether each number (T, n) was measured.
@@ -72,6 +82,7 @@ class ErrorModel(NamedTuple):
 
     transition: Float[Array, "T n2 n2"]
     defect: Float[Array, "T n2"]
+    slopes: Float[Array, "T n2 p"]
     input_matrix: Float[Array, "T n n"]
     residual: Float[Array, "T n"]
     present: Bool[Array, "T n"]
@@ -90,6 +101,7 @@ class Filtered(NamedTuple):
         gain: Means (T, 2) of the diagonals of the gains from a reading to position [1] and velocity [1/s], which are
             the same in all frames.
         velocity_std: Standard deviations (T, n) of the velocity after the row.
+        slope: Derivatives (T, n, p) of the innovations in the unknown numbers, with the gains as they are.
     """
 
     loss: Float[Array, "T n"]
@@ -98,47 +110,75 @@ class Filtered(NamedTuple):
     error: Float[Array, "T n2"]
     gain: Float[Array, "T 2"]
     velocity_std: Float[Array, "T n"]
+    slope: Float[Array, "T n p"]
 
 
 @eqx.filter_jit
-def error_model(
-    model: MechanicalSystem, q: Array, v: Float[Array, "T n"], t: Array, u: Array, y: Array, steps: int
-) -> ErrorModel:
-    """Linearise the model along the estimates of a run, by forward differentiation of each step.
+def error_model(unknowns: Unknowns, z: Array, run: Motion, rows: Rows, steps: Any) -> ErrorModel:
+    """Linearise a model along a run, by forward differentiation of each step, in the state and in its unknown numbers.
 
-    After a step longer than `LONGEST_GAP` usual ones, or one that is not finite, the error model restarts.
+    After a row at which a stretch begins, or a step that is not finite, the error model restarts.
     """
-    manifold, n = model.manifold, v.shape[1]
-    dt = jnp.diff(t)
+    n, p = run.v.shape[1], z.shape[0]
+    t, u, change = jnp.asarray(rows.t), *_acting(unknowns, z, rows)
+    dt, machine = jnp.diff(t), jnp.asarray(rows.machine)[jnp.asarray(rows.block)]
+    # Across the border of two stretches nothing is used: a step of no time is finite.
+    dt = jnp.where(jnp.asarray(rows.fresh)[1:], 0.0, dt)
+    several = len(unknowns.parts) > 1
+    manifold = unknowns.manifold
 
-    def step(t, q, v, u, h, next_q, next_v):
-        def ahead(error):
-            start = Motion(manifold.retract(q, error[:n]), v + error[n:])
-            end = advance(model, t, start, u, h, steps)
-            return jnp.concatenate([manifold.local(next_q, end.q), end.v - next_v])
+    def step(t, now, u, change, machine, h, then):
+        own, own_z, part = unknowns.of_machine(machine if several else 0, z)
 
-        nothing = jnp.zeros(2 * n, v.dtype)
-        slope, defect = jax.jacfwd(lambda error: (ahead(error),) * 2, has_aux=True)(nothing)
-        input_matrix = jax.vmap(model.space.raise_, (None, 0))(q, jnp.eye(n, dtype=v.dtype)).T
-        return slope, defect, input_matrix
+        def ahead(x):
+            model = own.make(own.values(own_z + x[2 * n :]))[0]
+            start = Motion(manifold.retract(now.q, x[:n]), now.v + x[n : 2 * n])
+            end = advance(model, t, start, u + change @ x[2 * n :], h, steps)
+            return (jnp.concatenate([manifold.local(then.q, end.q), end.v - then.v]),) * 2
 
-    linear = jax.vmap(step)(t[:-1], q[:-1], v[:-1], u[:-1], dt, q[1:], v[1:])
+        slope, defect = jax.jacfwd(ahead, has_aux=True)(jnp.zeros(2 * n + change.shape[-1], now.v.dtype))
+        pushes = input_matrix(own.make(own.values(own_z))[0], now.q)
+        whose = jnp.zeros((2 * n, p), now.v.dtype).at[:, part].set(slope[:, 2 * n :])
+        return slope[:, : 2 * n], defect, whose, pushes
+
+    now, then = (jax.tree.map(lambda part, cut=cut: part[cut], run) for cut in (slice(-1), slice(1, None)))
+    linear = jax.vmap(step)(t[:-1], now, u[:-1], change[:-1], machine[1:], dt, then)
     # After an invalid step the filter restarts and its numbers are not used: zero is as good as any, and finite.
-    valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & (dt <= LONGEST_GAP * jnp.median(dt))
+    valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & ~jnp.asarray(rows.fresh)[1:]
     linear = [jnp.where(valid.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in linear]
-    transition, defect, input_matrix = (jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in linear)
+    linear = [jnp.concatenate([jnp.zeros_like(each[:1]), each]) for each in linear]
+    y = jnp.asarray(rows.y)
     present = ~jax.vmap(manifold.missing)(y)
-    residual = jnp.where(present, jax.vmap(manifold.towards)(q, y), 0.0)
+    residual = jnp.where(present, jax.vmap(manifold.towards)(run.q, y), 0.0)
     zero, fresh = jnp.zeros_like(dt[:1]), jnp.ones(1, bool)
-    return ErrorModel(
-        transition,
-        defect,
-        input_matrix,
-        residual,
-        present,
-        jnp.concatenate([zero, dt]),
-        jnp.concatenate([fresh, ~valid]),
+    found: Any = *linear, residual, present, jnp.concatenate([zero, dt]), jnp.concatenate([fresh, ~valid])
+    return ErrorModel(*found)
+
+
+def input_matrix(model: MechanicalSystem, q: Array) -> Float[Array, "n n"]:
+    """Acceleration per unit of a force in each component."""
+    identity = jnp.eye(model.manifold.zero(q).shape[0], dtype=q.dtype)
+    return jax.vmap(model.space.raise_, (None, 0))(q, identity).T
+
+
+def _acting(unknowns: Unknowns, z: Array, rows: Rows) -> tuple[Float[Array, "T m"], Float[Array, "T m k"]]:
+    """Inputs that act in the step after each row, behind its machine's lag, and their derivatives in its numbers."""
+    inputs, at = jnp.asarray(rows.inputs), jnp.asarray(rows.rows)
+
+    def acting(own_z, machine):
+        own, _, _ = unknowns.of_machine(machine, z)
+        return lagged(inputs, jnp.asarray(rows.steps), own.make(own.values(own_z))[1])[at]
+
+    each = [unknowns.of_machine(m, z) for m in range(len(unknowns.parts))]
+    first, own_z, _ = each[0]
+    if not isinstance(first.make(first.values(own_z))[1], Tracer):
+        u = acting(own_z, 0)
+        return u, jnp.zeros((*u.shape, len(own_z)))
+    u, change = (
+        jnp.stack([of(own_z, m) for m, (_, own_z, _) in enumerate(each)]) for of in (acting, jax.jacfwd(acting))
     )
+    machine, row = jnp.asarray(rows.machine)[jnp.asarray(rows.block)], jnp.arange(len(at))
+    return u[machine, row], change[machine, row]
 
 
 class _Past(NamedTuple):
@@ -153,9 +193,10 @@ class _Past(NamedTuple):
     variance: Array
 
 
-def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Filtered:
-    """Run the Kalman filter on the linear error model; `speed` is the std of velocities at the start and restarts."""
-    start, step = _recursion(errors, noise, speed)
+def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float = 1.0) -> Filtered:
+    """Run the Kalman filter on the linear error model; `speed` is the std of velocities at the start and restarts, and
+    `doubt` that of positions there, in units of a reading's."""
+    start, step = _recursion(errors, noise, speed, doubt)
 
     def row(state, now):
         after, result, _ = step(state, now)
@@ -164,7 +205,7 @@ def kalman(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Fil
     return jax.lax.scan(row, start, errors)[1]
 
 
-def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> Float[Array, "T n3"]:
+def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float = 1.0) -> Float[Array, "T n3"]:
     """Estimate the errors and the unknown force at each row from all rows, by the smoother that belongs to `kalman`.
 
     Of the smoothed velocity v_s, the mean given all readings, `E(v̂ − v)² = E(v̂ − v_s)² + E(v_s − v)²` for any estimate
@@ -174,7 +215,7 @@ def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> F
     which inverts no covariance.
     """
     n = errors.residual.shape[1]
-    start, step = _recursion(errors, noise, speed)
+    start, step = _recursion(errors, noise, speed, doubt)
 
     def forwards(state, now):
         after, _, past = step(state, now)
@@ -183,15 +224,20 @@ def smoothed(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float) -> F
     def backwards(adjoint, row):
         past, present, fresh = row
         estimate = past.x - past.cov @ adjoint
-        for i in reversed(range(n)):
+
+        def correct(adjoint, number):
+            shows, gain, innovation, variance, present = number
             # λ ← (I − K H)ᵀ λ − Hᵀ e/S of each correction, the last one first.
-            change = adjoint @ past.gain[i] + past.innovation[i] / past.variance[i]
-            adjoint = adjoint.at[i].add(jnp.where(present[i], -change, 0.0))
+            change = adjoint @ gain + innovation / variance
+            return adjoint - jnp.where(present, change, 0.0) * shows, None
+
+        numbers = _shown(n), past.gain, past.innovation, past.variance, present
+        adjoint = jax.lax.scan(correct, adjoint, numbers, reverse=True)[0]
         return jnp.where(fresh, 0.0, past.transition.T @ adjoint), estimate
 
     pasts = jax.lax.scan(forwards, start, errors)[1]
     rows = pasts, errors.present, errors.fresh
-    return jax.lax.scan(backwards, jnp.zeros(3 * n), rows, reverse=True)[1]
+    return jax.lax.scan(backwards, jnp.zeros(4 * n), rows, reverse=True)[1][:, : 3 * n]
 
 
 def from_later(
@@ -220,52 +266,63 @@ def from_later(
 def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: Scalar | float) -> Any:
     n, variance = errors.residual.shape[1], noise.measurement**2
     # Nothing is known: positions and velocities far beyond their size, and a force far beyond its own.
-    first = VAGUE**2 * _first(noise, speed, n)
+    first = VAGUE**2 * _first(noise, speed, n)[: 3 * n, : 3 * n]
     later = jax.tree.map(lambda column: jnp.roll(column, -1, axis=0), (errors, inverse))
 
     def step(state, rows):
         row, (then, back), last = rows
         x: Any
-        whole, defect, added = _transition(then, noise)
+        whole, defect, added = (each[tuple([slice(3 * n)] * each.ndim)] for each in _transition(then, noise))
         push, decay = whole[: 2 * n, 2 * n :], whole[2 * n :, 2 * n :]
         remains = jnp.diag(1 / jnp.diag(decay))
         back = jnp.block([[back, -back @ push @ remains], [jnp.zeros((n, 2 * n)), remains]])
         x = jnp.where(last, 0.0, back @ (state[0] - defect))
         cov = jnp.where(last, first, _symmetric(back @ (state[1] + added) @ back.T))
         estimate = x[: 2 * n], jnp.sqrt(jnp.diag(cov)[n : 2 * n])
-        for i in range(n):
-            x, cov, _ = _reading(x, cov, i, row.residual[i], variance[i], row.present[i])
-        return (x, cov), estimate
+        numbers = jnp.eye(n, 3 * n), row.residual, variance, row.present
+        return jax.lax.scan(lambda both, number: (_reading(*both, *number)[:2], None), (x, cov), numbers)[0], estimate
 
     rows = errors, later, later[0].fresh.at[-1].set(True)
     return jax.lax.scan(step, (jnp.zeros(3 * n), first), rows, reverse=True)[1]
 
 
-def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float):
+def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float):
     """The start of the filter, and its step `(state, row) -> (state, Filtered, _Past)`."""
-    n = errors.residual.shape[1]
+    n, p = errors.residual.shape[1], errors.slopes.shape[2]
     variance = noise.measurement**2
-    first = _first(noise, speed, n)
+    first = _first(noise, speed, n, doubt)
 
     def step(state, row):
-        x, cov = state
+        x, cov, slope = state
         whole, defect, added = _transition(row, noise)
         x = whole @ x + defect
+        slope = whole @ slope + jnp.concatenate([row.slopes, jnp.zeros((2 * n, p))])
         cov = _symmetric(whole @ cov @ whole.T + added)
-        current: Any = jnp.where(row.fresh, 0.0, x), jnp.where(row.fresh, first, cov)
-        corrections: list[Any] = []
-        for i in range(n):  # their noise is independent, so they correct one after the other
-            *current, correction = _reading(current[0], current[1], i, row.residual[i], variance[i], row.present[i])
-            corrections.append(correction)
-        loss, innovation, std, gains, used = (jnp.stack(each) for each in zip(*corrections, strict=True))
-        x, cov = current
+        current = jax.tree.map(lambda *both: jnp.where(row.fresh, *both), (jnp.zeros(4 * n), first), (x, cov))
+
+        def correct(current: Any, number: Any):
+            *now, slope = current
+            *after, results = _reading(*now, *number)
+            gain, felt = results[3], -number[0] @ slope
+            return (*after, slope + jnp.outer(gain, felt)), (*results, jnp.where(number[3], felt, 0.0))
+
+        # Their noise is independent, so they correct one after the other.
+        numbers = _shown(n), row.residual, variance, row.present
+        found: Any = jax.lax.scan(correct, (*current, jnp.where(row.fresh, 0.0, slope)), numbers)
+        current, (loss, innovation, std, gains, used, felt) = found
+        x, cov, _ = current
         # K = P Hᵀ R⁻¹ with the covariance P after the correction.
         gain = jnp.stack([jnp.mean(jnp.diag(cov[at : at + n, :n]) / variance) for at in (0, n)])
         velocity_std = jnp.sqrt(jnp.diag(cov)[n : 2 * n])
-        result = Filtered(loss, innovation, std, x[: 2 * n], gain, velocity_std)
-        return tuple(current), result, _Past(whole, x, cov, gains, innovation, used)
+        result = Filtered(loss, innovation, std, x[: 2 * n], gain, velocity_std, felt)
+        return current, result, _Past(whole, x, cov, gains, innovation, used)
 
-    return (jnp.zeros(3 * n), first), step
+    return (jnp.zeros(4 * n), first, jnp.zeros((4 * n, p))), step
+
+
+def _shown(n: int) -> Float[Array, "n n4"]:
+    """What a reading of each coordinate shows of errors, force and wiggle."""
+    return jnp.concatenate([jnp.eye(n, 3 * n), jnp.eye(n)], axis=1)
 
 
 def _symmetric(cov: Array) -> Array:
@@ -273,25 +330,31 @@ def _symmetric(cov: Array) -> Array:
     return (cov + cov.T) / 2
 
 
-def _first(noise: NoiseLevels, speed: Scalar | float, n: int) -> Float[Array, "n3 n3"]:
-    """Covariance of the errors and the force before any measurement.
+def _first(noise: NoiseLevels, speed: Scalar | float, n: int, doubt: float = 1.0) -> Float[Array, "n4 n4"]:
+    """Covariance of the errors, the force and the wiggle before any measurement.
 
     A random walk then has its variance of one second, and a force with a time its usual one.
     """
-    force = jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
-    return jnp.diag(jnp.concatenate([noise.measurement**2, jnp.full(n, speed**2), force]))
+    force, wiggle = (jnp.broadcast_to(jnp.asarray(each) ** 2, n) for each in (noise.force, noise.wiggle))
+    return jnp.diag(jnp.concatenate([(doubt * noise.measurement) ** 2, jnp.full(n, speed**2), force, wiggle]))
 
 
 def _transition(row: ErrorModel, noise: NoiseLevels) -> tuple[Array, Array, Array]:
-    """Transition (3n, 3n) of errors and force to a row, its defect (3n,), and the covariance that it adds."""
+    """Transition (4n, 4n) of errors, force and wiggle to a row, its defect (4n,), and the covariance that it adds."""
     n = row.residual.shape[0]
     # The force is constant over a step, at its mean.
     mean, decay, added = forgotten(row.dt, noise.force_time)
+    _, remains, moved = forgotten(row.dt, noise.wiggle_time)
     push = mean * jnp.concatenate([row.dt**2 / 2 * row.input_matrix, row.dt * row.input_matrix])
-    whole = jnp.block([[row.transition, push], [jnp.zeros((n, 2 * n)), decay * jnp.eye(n)]])
-    force = added * jnp.broadcast_to(jnp.asarray(noise.force) ** 2, n)
-    walk = jnp.zeros((3 * n, 3 * n)).at[2 * n :, 2 * n :].set(jnp.diag(force))
-    return whole, jnp.concatenate([row.defect, jnp.zeros(n)]), walk + _white(noise.acceleration, row.dt, n)
+    rest = jnp.diag(jnp.concatenate([jnp.full(n, decay), jnp.full(n, remains)]))
+    above = jnp.concatenate([row.transition, push, jnp.zeros((2 * n, n))], axis=1)
+    whole = jnp.concatenate([above, jnp.concatenate([jnp.zeros((2 * n, 2 * n)), rest], axis=1)])
+    grown = [
+        jnp.broadcast_to(share * jnp.asarray(size) ** 2, n)
+        for share, size in ((added, noise.force), (moved, noise.wiggle))
+    ]
+    walk = jnp.diag(jnp.concatenate([jnp.zeros(2 * n), *grown]))
+    return whole, jnp.concatenate([row.defect, jnp.zeros(2 * n)]), walk + _white(noise.acceleration, row.dt, n)
 
 
 def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]:
@@ -307,20 +370,22 @@ def forgotten(dt: Scalar, time: Scalar | float) -> tuple[Scalar, Scalar, Scalar]
 
 
 def _white(acceleration: Scalar, dt: Scalar, n: int) -> Float[Array, "m m"]:
-    """Covariance (3n, 3n) that white acceleration adds to position, velocity and force in a step."""
+    """Covariance (4n, 4n) that white acceleration adds to position, velocity and force in a step."""
     # The integral of [s, 1]ᵀ [s, 1] over the step, times the spectral density.
     block = acceleration**2 * jnp.stack([jnp.stack([dt**3 / 3, dt**2 / 2]), jnp.stack([dt**2 / 2, dt])])
-    return jnp.zeros((3 * n, 3 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(block, jnp.eye(n)))
+    return jnp.zeros((4 * n, 4 * n)).at[: 2 * n, : 2 * n].set(jnp.kron(block, jnp.eye(n)))
 
 
-def _reading(x: Vector, cov: Array, i: int, residual: Scalar, variance: Scalar, present: Flag):
-    """Correct the state by one number; beyond `CREDIBLE` deviations its noise is that of an outlier of its size."""
-    innovation, total_variance = residual - x[i], cov[i, i] + variance
+def _reading(x: Vector, cov: Array, shows: Vector, residual: Scalar, variance: Scalar, present: Flag):
+    """Correct the state by one number, which shows so much of each entry; beyond `CREDIBLE` deviations its noise is
+    that of an outlier of its size."""
+    shown = cov @ shows
+    innovation, total_variance = residual - shows @ x, shows @ shown + variance
     square = innovation**2 / total_variance
     limit = CREDIBLE**2
     # With the noise enlarged so, the corrected innovation has exactly `CREDIBLE` deviations.
     inflation = jnp.maximum(square / limit, 1.0)
-    gain = jnp.where(present, cov[:, i] / (total_variance * inflation), 0.0)
+    gain = jnp.where(present, shown / (total_variance * inflation), 0.0)
     # Joseph's form (I − KH) P (I − KH)ᵀ + K R Kᵀ, in which R is the enlarged variance of an outlier, multiplied out.
     cov = cov - total_variance * inflation * jnp.outer(gain, gain)
     # Beyond the limit the square grows as its logarithm only, continuously with its slope.

@@ -1,15 +1,13 @@
-"""Parameters with which a model predicts a log best: multiple shooting with free initial states, robust to outliers.
+"""Parameters with which a model explains logs best: those of the greatest likelihood, with that of the noise.
 
-Over each window of the log, the model predicts the motion from a free initial state. A filter follows the position
-errors, and the fit makes its innovations small; the filter has the bandwidth at which they are smallest. Their scale is
-estimated along with the parameters. The search is least squares with one block for each window. One compiled program
-gives errors and derivatives together.
-
-Source: Bock 1983 for multiple shooting; Huber 1981, Robust Statistics, sections 6.3 and 7.6, for the scale.
+The search begins with noise that explains the whole motion, where it is a regression of accelerations that cannot lose
+its way, and alternates between the parameters and the likeliest noise. Standard errors follow from the information of
+the innovations, or from the scatter of its blocks where that is clearly larger.
 """
 
 import functools
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -19,26 +17,37 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant.calibration._least_squares import (
-    MOST_STEPS,
     PRIOR,
     UNKNOWN,
-    Blocks,
     Fixed,
     Point,
     combination_rows,
     minimise,
 )
 from covariant.calibration.identification._contradictions import Evidence, contradictions
-from covariant.calibration.identification._innovations import Weighing, frequencies, innovations, weighing
-from covariant.calibration.identification._predict import differences, follow, lagged, needed_substeps
-from covariant.calibration.identification._regression import starts
+from covariant.calibration.identification._error_model import NoiseLevels
+from covariant.calibration.identification._likelihood import FASTER, GAINED, Likelihood, first_noise, stable_steps
+from covariant.calibration.identification._rows import Rows, gather
 from covariant.calibration.identification._unknowns import Unknowns
-from covariant.calibration.identification._windows import Windows
-from covariant.models import Family, Motion
+from covariant.models import Family
+from covariant.signals import Record
 from scalargraph.errors import InputError
 
-ROUNDS = 4
-"""Number of searches: without a filter, with one, and two with undetermined combinations fixed; scales follow each."""
+ROUNDS = 14
+"""Most rounds of a search; each finds the likeliest noise, and then the parameters."""
+NOISE_STEPS, ROUND_STEPS = 10, 4
+"""Most steps of the two searches of a round."""
+SCALED = 10.0
+"""Factor by which each first value is changed, up and down, to begin a search from."""
+FIRST = "the first values"
+FAR_OFF = 50.0
+"""Twice the negative log-likelihood above what is worth going on, from which a search is given up."""
+ACCURACY = 1e-5
+"""Relative accuracy of a number, however little noise there is: that of integration with inputs that are even in a
+step."""
+DIFFERENT = 1.5
+"""Ratio of the standard error from the scatter of blocks to that from the information, above which something is wrong
+with the model, and the larger one holds."""
 PURE = 0.2
 """A parameter is determined by itself if the undetermined combinations, changed by their full size, change it by a
 smaller fraction; its standard error includes that change."""
@@ -46,15 +55,12 @@ ROUGH = 0.2
 """A parameter with a larger relative standard error may be zero: its influence need not be linear down to zero."""
 CONFIDENCE = 2.0
 """Standard errors within which a parameter cannot be distinguished from zero."""
-POLISHED = 2
-"""Number of places to start from, the best ones, from which predictions are fitted."""
-FAR, PROFILE_STEPS = 8.0, 10
+FAR, PROFILE_STEPS = 8.0, 5
 """Factor by which a profile of the likelihood moves a parameter, and the most steps of the others."""
-RESTARTS = 2
+INFORMED = 1e-3
+"""Information below which a combination is not determined, however the loss rises far away."""
+RESTARTS = 1
 """How often a search begins anew from a better place that a profile has found."""
-MARGIN = 1.5
-"""Factor by which friction may come to need more substeps than a search has: the method is stable to 2.8."""
-
 SHOWN = 0.03
 """Weights of a combination below this fraction of the largest are not shown."""
 MOVED = 0.01
@@ -66,36 +72,35 @@ NumpyArray = np.ndarray
 
 
 class Fit(NamedTuple):
-    """Result of a fit of p parameters to windows of logs.
+    """Result of a fit of p parameters to logs.
 
     Read `determined` before you use `values`: a parameter that the logs do not determine has its first value there, and
-    no standard error. The standard errors allow for errors that persist within a window, but not for an effect that the
-    model lacks in all windows.
+    no standard error. The standard errors do not cover a wrong form of the model.
 
     Attributes:
         names: Names of the parameters.
         first: Values (p,) before the fit.
         values: Values (p,) after it.
-        standard_errors: Standard errors (p,), robust to errors that are alike within a window; NaN for a parameter that
-            is not determined.
+        standard_errors: Standard errors (p,); NaN for a parameter that is not determined.
         undetermined: Combinations that the log does not determine: relative changes of the parameters as rows (d, p);
             each row has an entry of 1 in a parameter that is in no other row. Along them the parameters stay at their
             first values; but one that was reduced until the log could not distinguish it from zero keeps the reduced
             value.
-        scale: Robust standard deviation (n,), or (M, n) of M machines, of the innovations of the position errors [units
-            of the frame].
-        frequency: Natural frequency [rad/s] of the filter that follows these errors; far below one in a window where
-            they are white.
-        steps: Number of steps of the search.
+        noise: Likeliest noise of readings and model.
+        scatter: Standard errors (p,) from the scatter of blocks of the logs over those from the information: far above
+            1 where the model is wrong somewhere.
         starts: Places from which it was searched, by name, and by how much larger the negative log-likelihood was where
             the first search from each ended; the first one won.
         unlike: Sentences on machines whose logs contradict a number that all machines share.
 
     Example:
+        >>> import jax.numpy as jnp
         >>> import numpy as np
         >>> from covariant.calibration import Fit
+        >>> from covariant.calibration.identification import NoiseLevels
         >>> values, none = np.array([0.7, 0.1]), np.eye(2)[1:]
-        >>> result = Fit(("mass", "viscous"), values, values, np.array([0.01, np.nan]), none, np.array([1e-3]), 10.0, 9)
+        >>> noise = NoiseLevels(jnp.array(0.05), jnp.array([1e-3]), jnp.array(0.0))
+        >>> result = Fit(("mass", "viscous"), values, values, np.array([0.01, np.nan]), none, noise, np.ones(2))
         >>> dict(zip(result.names, result.determined.tolist()))
         {'mass': True, 'viscous': False}
     """
@@ -105,9 +110,8 @@ class Fit(NamedTuple):
     values: Float[NumpyArray, "p"]
     standard_errors: Float[NumpyArray, "p"]
     undetermined: Float[NumpyArray, "d p"]
-    scale: Float[NumpyArray, "*M n"]
-    frequency: float
-    steps: int
+    noise: NoiseLevels
+    scatter: Float[NumpyArray, "p"]
     starts: tuple[tuple[str, float], ...] = ()
     unlike: tuple[str, ...] = ()
 
@@ -117,140 +121,180 @@ class Fit(NamedTuple):
         return np.isfinite(self.standard_errors)
 
 
+class Solved(NamedTuple):
+    """The end of a search: the fit, the point of the likelihood at it, what is fixed, bounds of the logarithms of
+    noise, and whether readings alone are noisy."""
+
+    family: Family
+    fit: Fit
+    problem: Likelihood
+    point: Point
+    fixed: Fixed
+    bounds: Float[NumpyArray, "k 2"]
+    quiet: bool = False
+
+    @property
+    def least(self) -> Float[NumpyArray, "n"]:
+        """Least noise (n,) of a reading."""
+        return np.exp(self.bounds[1 : 1 + self.point.blocks.rest.run.v.shape[1], 0])
+
+
 def fit(
     family: Family,
-    windows: Windows,
+    records: Sequence[Record],
+    velocities: Sequence[Float[NumpyArray, "_ n"]],
     progress: Callable[[int, int], object] = lambda *_: None,
-    start: Float[NumpyArray, "p"] | None = None,
 ) -> Fit:
-    """Fit the open parameters of a model to windows of logs.
+    """Fit the open parameters of a model to all rows of logs.
 
     Positive parameters are searched by their logarithms. Combinations that the log does not determine keep their first
     values, and are listed in `Fit.undetermined`.
 
-    Use it where you have cut the windows yourself. The verb `covariant.fit` starts from files, holds out rows, and
-    tries both held and linear inputs where the model file does not say which. `fit_robot` is faster for many numbers of
-    a robot. Every step simulates all windows, so start with a few parameters.
+    Use it where you have the records. The verb `covariant.fit` starts from files, judges on held-out rows, and tries
+    both held and linear inputs where the model file does not say which. `fit_robot` is faster for many numbers of a
+    robot.
 
     Args:
         family: The model as a function of its p open parameters, from `models.family`.
-        windows: Windows of one log or several, from `cut_windows`.
+        records: The logs.
+        velocities: Velocities (T, n) of each near the true ones, as from `scoring.zero_phase_velocity`: the search for
+            the motion begins there.
         progress: Called with the index of the round and of its step before each step, from 0.
-        start: Values (p,) from which the search starts, such as those of a fit to other inputs; by default the first
-            values of the family. The prior, and what is not determined, stay at the first values.
 
     Returns:
         Values, standard errors, and undetermined combinations.
 
     Raises:
-        ValueError: The model's first prediction is not finite.
+        ValueError: The model's first prediction is not finite, or the logs are too short.
 
     Example:
         >>> import numpy as np
         >>> from covariant import models
-        >>> from covariant.calibration import fit, cut_windows
+        >>> from covariant.calibration import fit
         >>> from covariant.signals import Record
         >>> t = np.arange(500) * 0.02
         >>> record = Record(t, np.zeros((500, 1)), np.cos(t)[:, None])  # a unit mass on a spring of 1 N/m
         >>> family = models.family("oscillator", ["stiffness"], ["parameters.stiffness=2.0"])
-        >>> result = fit(family, cut_windows([record], [-np.sin(t)[:, None]], length=1.0))
-        >>> result.names, result.values.round(6).tolist()
+        >>> result = fit(family, [record], [-np.sin(t)[:, None]])
+        >>> result.names, result.values.round(4).tolist()
         (('stiffness',), [1.0])
     """
-    return profile(family, windows, search(family, windows, progress, start))
+    family.file.need_mechanical(family.file.name, "numbers are fitted for")
+    return profile(search(family, gather(family.file.model.manifold, records, velocities), progress)).fit
 
 
 def search(
     family: Family,
-    windows: Windows,
+    rows: Rows,
     progress: Callable[[int, int], object] = lambda *_: None,
     start: Float[NumpyArray, "p"] | None = None,
-) -> Fit:
-    """The search of a fit, from the best of several places or from given values, without the profiles after it."""
-    candidates = frequencies(windows)
-    problem, point, tried = _first_round(family, windows, candidates, progress, start)
-    fixed, step_count = Fixed.nothing(len(family.first)), 0
-    for k in range(1, ROUNDS):
-        problem, point = problem.stable(family, point)
-        point, steps = minimise(problem, point, fixed, functools.partial(progress, k))
-        step_count += steps
-        problem, point = problem.weighed(point, np.atleast_1d(problem.weighing.frequency))
-        if k < ROUNDS - 1:
-            fixed = Fixed(point.blocks.undetermined, problem.unknowns.fixed_at(point.z))
-    return _conclude(family, problem, point, fixed, step_count, tried)
+    least: Float[NumpyArray, "n"] | None = None,
+) -> Solved:
+    """The search of a fit, from the best of several places or from given values (p,), without the profiles after it.
 
-
-def _first_round(
-    family: Family,
-    windows: Windows,
-    candidates: Float[NumpyArray, "f"],
-    progress: Callable[[int, int], object],
-    start: Float[NumpyArray, "p"] | None,
-) -> tuple["_Predictions", Point, tuple[tuple[str, float], ...]]:
-    """Searches without a filter from the best places to start from: the best end, and by how much it was the best."""
+    The prior, and what is not determined, stay at the first values. `least` (n,) is the least noise of a reading.
+    """
     unknowns = Unknowns.of(family)
-    if start is None:
-        places = starts(unknowns, jax.tree.map(np.asarray, windows), family.numbers)
-    else:
-        places = {"other inputs": unknowns.relative(start)}
-    begun = [(name, *_begin(family, windows, candidates[:1], z)) for name, z in places.items()]
-    begun = [each for each in begun if np.isfinite(each[2].blocks.loss).all()]
+    noise, bounds = first_noise(unknowns, rows, least)
+    speed = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max())
+    free = Fixed.nothing(len(family.first))
+    steps = stable_steps(unknowns, free.at, rows)
+    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
+    rough = rough._replace(pushes=rough.linear(free.at, rough.rows.start).input_matrix)
+    places = _places(unknowns, family) if start is None else {"other inputs": unknowns.relative(start)}
+    begun = {name: Point.at(rough, z) for name, z in places.items()}
+    begun = {name: point for name, point in begun.items() if np.isfinite(point.blocks.loss).all()}
     if not begun:
         raise InputError("the model predicts no finite motion with its first values; mend these")
-    begun = sorted(begun, key=lambda each: each[1].cost)[:POLISHED]
-    ends = []
-    for i, (name, problem, point) in enumerate(begun):
-
-        def report(step: int, i: int = i) -> None:
-            progress(0, (MOST_STEPS * i + step) // len(begun))
-
-        problem, point = problem.stable(family, point)
-        point, _ = minimise(problem, point, Fixed.nothing(len(point.z)), report)
-        # With a new filter the parameters have not converged yet.
-        ends.append((name, *problem.weighed(point, candidates)))
-    best = min(ends, key=lambda each: each[1].cost)[1]
-    losses = {name: best.loss_at(point) for name, _, point in ends}
-    ends.sort(key=lambda each: losses[each[0]])
-    name, problem, point = ends[0]
-    tried = tuple((each[0], losses[each[0]] - losses[name]) for each in ends)
-    return problem, point, tried
+    # The first place, and the best of the others where that explains more.
+    best = min(begun, key=lambda name: begun[name].loss(free))
+    chosen = dict.fromkeys([next(iter(begun)), best])
+    ends = {name: minimise(rough, begun[name], free, functools.partial(progress, 0)) for name in chosen}
+    won = min(ends, key=lambda name: ends[name].loss(free))
+    point = ends[won]
+    behind = sorted(((name, end.loss(free) - point.loss(free)) for name, end in ends.items()), key=lambda each: each[1])
+    solved = Solved(family, None, rough, point, free, bounds)  # pyright: ignore[reportArgumentType]
+    rounds = itertools.count(1)
+    solved, loss = _alternate(solved, progress, rounds)
+    # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
+    worth = loss + 2 * (len(bounds) - 1)
+    quiet, quiet_loss = _alternate(solved._replace(quiet=True), progress, rounds, worth)
+    return _conclude(quiet if quiet_loss < worth else solved, tuple(behind))
 
 
-def _conclude(
-    family: Family,
-    problem: "_Predictions",
-    point: Point,
-    fixed: Fixed,
-    step_count: int,
-    tried: tuple[tuple[str, float], ...],
-) -> Fit:
+def _alternate(
+    solved: Solved, progress: Callable[[int, int], object], rounds: Iterator[int], worth: float = np.inf
+) -> tuple[Solved, float]:
+    """Rounds of searches for noise and for parameters, until neither gains, or what is reached is not `worth` going on;
+    what is not determined is fixed then. Also twice the negative log-likelihood."""
+    _, _, problem, point, fixed, bounds, quiet = solved
+    loss, before = np.inf, np.inf
+    for k in range(1, ROUNDS):
+        problem = problem._replace(substeps=stable_steps(problem.unknowns, point.z, problem.rows))
+        problem, loss = problem.likelier(point.blocks.rest, bounds, NOISE_STEPS, quiet)
+        point = Point.at(problem, point.z, point.blocks.rest)
+        point = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)
+        if loss > worth + (FAR_OFF if k > 2 else np.isfinite(np.asarray(problem.rows.y)).sum()):
+            break
+        if before - loss < GAINED:
+            if fixed.directions.any() or not (held := point.blocks.undetermined).any():
+                break
+            fixed = Fixed(held, problem.unknowns.fixed_at(point.z))
+        before = loss
+    return solved._replace(problem=problem, point=point, fixed=fixed), loss
+
+
+def _places(unknowns: Unknowns, family: Family) -> dict[str, Float[NumpyArray, "p"]]:
+    """Places to start from, by name: the first values, and these with one number scaled, on all machines."""
+    first = np.zeros(len(unknowns.first))
+    scaled = {
+        f"the first values with {name} {word} {SCALED:g}": functools.reduce(
+            lambda z, j, factor=factor: unknowns.multiplied(z, j, factor), np.unique(own).tolist(), first
+        )
+        for word, factor in (("times", SCALED), ("over", 1 / SCALED))
+        for name, own in zip(family.numbers, np.asarray(family.parts).T, strict=True)
+    }
+    return {FIRST: first} | scaled
+
+
+def _conclude(solved: Solved, tried: tuple[tuple[str, float], ...]) -> Solved:
     """The fit at the end of a search: values, standard errors and undetermined combinations."""
-    covariance = point.blocks.covariance(fixed.directions)
+    family, _, problem, point, fixed, *_ = solved
+    inverse = point.blocks.inverse(fixed.directions)
+    simple, scattered = np.diagonal(inverse), np.diagonal(point.blocks.covariance(fixed.directions))
+    scatter = np.sqrt(np.divide(scattered, simple, out=np.ones_like(simple), where=(simple > 0) & (scattered > 0)))
+    certain = np.where(scatter > DIFFERENT, scattered, simple)
     # The undetermined combinations are fixed by a large but finite weight: remove the small change that it permits.
     z = point.z - fixed.directions @ (point.z - fixed.at)
     values, slopes = map(np.asarray, _values_and_slopes(problem.unknowns, jnp.asarray(z)))
     # Relative to the value, or for a value of zero to the unit.
     rows = combination_rows(fixed.directions, slopes / np.where(values == 0, 1.0, values))
     combined_change = np.sqrt(np.sum(rows**2, axis=0))
-    variance = slopes**2 * np.diagonal(covariance) + (values * combined_change * UNKNOWN) ** 2
+    variance = slopes**2 * certain + (values * combined_change * UNKNOWN) ** 2 + (ACCURACY * values) ** 2
     # The last search may have reduced a parameter so far that it has lost its influence.
     separate = np.asarray(family.positive) & (combined_change < PURE)
-    small = separate & (np.diagonal(covariance) > UNKNOWN**2)
-    small |= separate & ~small & _perhaps_zero(problem, point, fixed, covariance)
+    small = separate & (certain > UNKNOWN**2)
+    small |= separate & ~small & _perhaps_zero(problem, point, fixed, certain)
     rows = np.concatenate([rows, np.eye(len(small))[small]])
     errors = np.where((combined_change < PURE) & ~small, np.sqrt(np.maximum(variance, 0.0)), np.nan)
-    frequency, scale = problem.weighing
-    scale = np.asarray(scale[0] if len(scale) == 1 else scale)
-    machine, blocks = np.asarray(problem.windows.machine), point.blocks
+    machine, blocks = np.asarray(problem.rows.machine), point.blocks
     theirs, each = family.parts[machine], np.arange(len(machine))[:, None]
     information = blocks.informations[each[:, :, None], theirs[:, :, None], theirs[:, None, :]]
     evidence = Evidence(machine, np.asarray(blocks.z)[each, theirs], information)
-    inverse = blocks.inverse(fixed.directions)
     unlike = contradictions(family.names, family.parts, values, np.diag(slopes), evidence, inverse)
-    return Fit(family.names, family.first, values, errors, rows, scale, float(frequency), step_count, tried, unlike)
+    found = Fit(family.names, family.first, values, errors, rows, problem.noise, scatter, tried, unlike)
+    return solved._replace(fit=found)
 
 
-def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -> Fit:
+def again(solved: Solved, rows: Rows, progress: Callable[[int, int], object] = lambda *_: None) -> Solved:
+    """The same numbers fitted once more to other rows, from where the search ended."""
+    problem = solved.problem._replace(rows=jax.tree.map(jnp.asarray, rows))
+    point = Point.at(problem, solved.point.z)
+    begun = solved._replace(problem=problem, point=point, fixed=Fixed.nothing(len(point.z)))
+    return _conclude(_alternate(begun, progress, itertools.count())[0], solved.fit.starts)
+
+
+def profile(solved: Solved, again: int = RESTARTS) -> Solved:
     """Judge by profiles of the likelihood what a fit calls undetermined.
 
     A parameter of each undetermined combination is moved far up and down, and the others are fitted again. Where the
@@ -258,25 +302,31 @@ def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -
     does determine the parameter. Where it does not rise, the other parameters are known no better than it moves them;
     and one that has vanished, though its first value explains the log as well, keeps that.
     """
+    family, fit, problem, point, *_ = solved
     if not len(fit.undetermined):
-        return fit
-    unknowns = Unknowns.of(family)
-    problem, point = _weighed_as(family, windows, fit, fit)
+        return solved
+    unknowns = problem.unknowns
     judge = _Profiles(unknowns, problem, point, CONFIDENCE**2 / 2 * point.blocks.overdispersion)
     rows, z = np.array(fit.undetermined), point.z
     leading = [int(np.argmax((row == 1) & (np.sum(rows != 0, axis=0) == 1))) for row in rows]
     kept, at, moved_by = [], z.copy(), np.zeros(len(z))
+    information, directions = np.linalg.eigh(point.blocks.information)
+    blind = directions[:, information < INFORMED]
     for k, j in enumerate(leading):
         ends = judge.moved(j)
         if again and min(rise for _, rise in ends) < -judge.chance:
             lowest = min(ends, key=lambda each: each[1])[0]
             values = np.asarray(unknowns.values(jnp.asarray(lowest.z)))
-            better = search(family, windows, start=values)._replace(starts=((f"a profile of {fit.names[j]}", 0.0),))
-            return profile(family, windows, better, again - 1)
+            better = search(family, problem.rows, start=values, least=solved.least)
+            starts = ((f"a profile of {fit.names[j]}", 0.0),)
+            return profile(better._replace(fit=better.fit._replace(starts=starts)), again - 1)
         flat = [end.z - z for end, rise in ends if rise < judge.chance]
-        if not flat:
+        along = rows[k] * fit.values / np.asarray(unknowns.slopes(jnp.asarray(z)))
+        if not flat and np.linalg.norm(blind.T @ along) < 0.9 * np.linalg.norm(along):
             continue
         kept.append(k)
+        if not flat:  # so far off that no step leads back, but without any information near the end of the search
+            continue
         alone = np.sum(rows[k] != 0) == 1
         if alone and abs(z[j]) > MOVED and judge.rise(np.where(np.arange(len(z)) == j, 0.0, z), j)[1] < judge.chance:
             at[j] = 0.0
@@ -292,23 +342,24 @@ def profile(family: Family, windows: Windows, fit: Fit, again: int = RESTARTS) -
         ratio = np.asarray(unknowns.slopes(jnp.asarray(z))) / np.where(fit.values == 0, 1.0, fit.values)
         basis = np.linalg.qr((fit.undetermined[held] / ratio).T)[0]
         fixed = Fixed(basis @ basis.T, at)
-        end, steps = minimise(problem, Point.at(problem, at, point.s), fixed)
-        free = _conclude(family, problem, end, fixed, fit.steps + steps, fit.starts)
+        end = minimise(problem, Point.at(problem, at, point.blocks.rest), fixed)
+        free = _conclude(solved._replace(point=end, fixed=fixed), fit.starts)
         # A loss that rises a little, and a standard error above a factor e: it stays at its first value.
-        if free.determined[released].all() or len(held) == len(rows):
-            fit, kept = free, held
+        if free.fit.determined[released].all() or len(held) == len(rows):
+            solved, kept = free, held
+            fit = free.fit
             break
     slopes = np.asarray(unknowns.slopes(jnp.asarray(unknowns.relative(fit.values))))
     errors = np.where(moved_by < PURE, np.sqrt(fit.standard_errors**2 + (slopes * moved_by) ** 2), np.nan)
     rows = rows[kept] if len(fit.undetermined) == len(kept) else fit.undetermined
-    return fit._replace(standard_errors=errors, undetermined=rows)
+    return solved._replace(fit=fit._replace(standard_errors=errors, undetermined=rows))
 
 
 class _Profiles(NamedTuple):
     """Where the loss goes with one parameter moved and the others fitted again, and how far it rises by chance."""
 
     unknowns: Unknowns
-    problem: "_Predictions"
+    problem: Likelihood
     point: Point
     chance: float
 
@@ -317,28 +368,21 @@ class _Profiles(NamedTuple):
         return [self.rise(self.unknowns.multiplied(self.point.z, j, by), j) for by in (FAR, 1 / FAR)]
 
     def rise(self, z: NumpyArray, j: int) -> tuple[Point, float]:
-        begin = Point.at(self.problem, z, self.point.s)
+        begin = Point.at(self.problem, z, self.point.blocks.rest)
         fixed = Fixed.nothing(len(z)).beside(j, float(z[j]))
-        end, _ = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)
+        end = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)
         rise = float(np.sum(end.blocks.loss) - np.sum(self.point.blocks.loss))
         return end, rise if np.isfinite(rise) else np.inf
 
 
-def window_losses(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> Float[NumpyArray, "W"]:
-    """Negative log-likelihood of each window at the values of a fit, up to a constant.
+def block_losses(solved: Solved, weighed_as: Solved) -> Float[NumpyArray, "B"]:
+    """Negative log-likelihood of each block at the values of a fit, with the noise of another fit.
 
-    The constant is the same for all fits whose errors are weighed as those of `weighed_as`, so that two fits to the
-    same rows under other inputs can be compared (Vuong 1989, Likelihood ratio tests for model selection).
+    Two fits to the same rows under other inputs can be compared by it (Vuong 1989, Likelihood ratio tests for model
+    selection).
     """
-    return np.asarray(_weighed_as(family, windows, fit, weighed_as)[1].blocks.loss)
-
-
-def _weighed_as(family: Family, windows: Windows, fit: Fit, weighed_as: Fit) -> tuple["_Predictions", Point]:
-    """The values of a fit with the best initial motions, errors weighed as those of another fit."""
-    z = Unknowns.of(family).relative(fit.values)
-    problem, point = _begin(family, windows, np.atleast_1d(weighed_as.frequency), z)
-    problem = problem._replace(weighing=Weighing(np.asarray(weighed_as.frequency), np.atleast_2d(weighed_as.scale)))
-    return problem, minimise(problem, Point.at(problem, point.z, point.s), Fixed(np.eye(len(z)), z))[0]
+    problem = solved.problem._replace(noise=weighed_as.problem.noise)
+    return problem.blocks(solved.point.z, solved.point.blocks.rest).loss
 
 
 def relations(fit: Fit) -> tuple[str, ...]:
@@ -353,8 +397,10 @@ def relations(fit: Fit) -> tuple[str, ...]:
     Example:
         >>> import numpy as np
         >>> from covariant.calibration import Fit, relations
+        >>> from covariant.calibration.identification import NoiseLevels
+        >>> noise = NoiseLevels(np.array(0.05), np.array([1e-3]), np.array(0.0))
         >>> first, row = np.array([1.0, 2.0]), np.array([[1.0, -1.0]])
-        >>> print(*relations(Fit(("mass", "length"), first, first, np.full(2, np.nan), row, np.array([1e-3]), 10.0, 5)))
+        >>> print(*relations(Fit(("mass", "length"), first, first, np.full(2, np.nan), row, noise, np.ones(2))))
         only the product mass · length is determined: mass and length cannot be told apart
     """
     changed = np.abs(fit.values - fit.first) > MOVED * np.abs(fit.first)
@@ -391,104 +437,16 @@ def _values_and_slopes(unknowns: Unknowns, z: Array) -> tuple[Float[Array, "p"],
     return unknowns.values(z), unknowns.slopes(z)
 
 
-class _Predictions(NamedTuple):
-    """Residuals of a fit: innovations over W windows, from initial motions s (W, 2n), in units of their scale."""
-
-    unknowns: Unknowns
-    substeps: int
-    windows: Windows
-    weighing: Weighing
-
-    def blocks(self, z: NumpyArray, s: NumpyArray) -> Blocks:
-        weights = jax.tree.map(jnp.asarray, self.weighing)
-        blocks = _evaluate(self.unknowns, self.substeps, self.windows, jnp.asarray(z), jnp.asarray(s), weights)
-        return jax.tree.map(np.asarray, blocks)
-
-    def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
-        return self.unknowns.moved(z, dz)
-
-    def stable(self, family: Family, point: Point) -> tuple["_Predictions", Point]:
-        """The same with enough substeps for the friction at a point, which may have grown far."""
-        needed = _needed_substeps(family, self.unknowns, self.windows, point.z)
-        if needed <= MARGIN * self.substeps:
-            return self, point
-        problem = self._replace(substeps=needed)
-        return problem, Point.at(problem, point.z, point.s)
-
-    @property
-    def cost(self) -> float:
-        """Mean of the logarithm of the errors over all coordinates."""
-        return float(np.mean(np.log(self.weighing.scale)))
-
-    def loss_at(self, point: Point) -> float:
-        """Loss at a point, errors weighed as here."""
-        return float(np.sum(Point.at(self, point.z, point.s).blocks.loss))
-
-    def weighed(self, point: Point, trial_frequencies: Float[NumpyArray, "f"]) -> tuple["_Predictions", Point]:
-        """Weigh the errors again, by the filter with the best of some frequencies [rad/s]."""
-        errors, seen = point.blocks.rest
-        problem = self._replace(
-            weighing=weighing(self.windows, errors, seen, trial_frequencies, len(self.unknowns.parts))
-        )
-        return problem, Point.at(problem, point.z, point.s)
-
-
-def _begin(
-    family: Family, windows: Windows, frequency: Float[NumpyArray, "1"], z: Float[NumpyArray, "p"]
-) -> tuple[_Predictions, Point]:
-    """First point of a search: relative changes z of the parameters, measured positions and reference velocities."""
-    windows = jax.tree.map(jnp.asarray, windows)
-    family.file.need_mechanical(family.file.name, "numbers are fitted for")
-    count, n = windows.v.shape[0], windows.v.shape[-1]
-    weights = Weighing(frequency[0], np.ones((len(family.parts), n)))
-    unknowns = Unknowns.of(family)
-    problem = _Predictions(unknowns, _needed_substeps(family, unknowns, windows, z), windows, weights)
-    return problem.weighed(Point.at(problem, z, np.zeros((count, 2 * n))), frequency)
-
-
-def _needed_substeps(family: Family, unknowns: Unknowns, windows: Windows, z: Float[NumpyArray, "p"]) -> int:
-    """Substeps that the stiffest of the machines needs."""
-    values = np.asarray(unknowns.values(jnp.asarray(z)))
-    return max(needed_substeps(family.make(own)[0], windows) for own in values[family.parts])
-
-
-@eqx.filter_jit
-def _evaluate(unknowns: Unknowns, substeps: int, windows: Windows, z: Array, s: Array, weighed: Weighing) -> Blocks:
-    """Blocks of the windows; `rest` are the errors of the positions, and where these are measured."""
-    p = z.shape[0]
-
-    def window(s, rows, t, y, v, machine):
-        own, own_z, part = unknowns.of_machine(machine, z)
-        k, scale = len(own_z), jnp.asarray(weighed.scale)[machine][None]
-
-        def errors(x):
-            n = v.shape[-1]
-            model, lag = own.make(own.values(x[:k]))
-            inputs = lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag)
-            start = Motion(model.manifold.retract(y[0], x[k : k + n]), v[0] + x[k + n :])
-            raw, seen = differences(model, follow(model, t, inputs[rows], start, substeps).q, y)
-            new = innovations(raw, seen, t, jnp.asarray(weighed.frequency)) / scale
-            return new, (new, raw, seen)
-
-        slope, (new, raw, seen) = jax.jacfwd(errors, has_aux=True)(jnp.concatenate([own_z, s]))
-        slope = slope.reshape(-1, k + s.shape[0])
-        slope = jnp.concatenate([unknowns.of_all(part, slope[:, :k]), slope[:, k:]], axis=1)
-        return Blocks.one(new.ravel(), slope, p, (raw, seen))
-
-    return jax.vmap(window)(s, windows.rows, windows.t, windows.y, windows.v, windows.machine)
-
-
 def _perhaps_zero(
-    problem: _Predictions, point: Point, fixed: Fixed, covariance: Float[NumpyArray, "p p"]
+    problem: Likelihood, point: Point, fixed: Fixed, variance: Float[NumpyArray, "p"]
 ) -> Bool[NumpyArray, "p"]:
     """Parameters (p,) that may be zero: with one nearly zero and the rest refitted, the loss hardly rises."""
-    possible = np.asarray(problem.unknowns.positive) & (point.z < 0) & (np.diagonal(covariance) > ROUGH**2)
+    possible = np.asarray(problem.unknowns.positive) & (point.z < 0) & (variance > ROUGH**2)
     uncorrelated_variance = np.diagonal(point.blocks.inverse(fixed.directions))
     for j in np.flatnonzero(possible):
         # Fixed at e^−PRIOR times its value the parameter is all but zero.
-        without, _ = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR))
+        without = minimise(problem, point, fixed.beside(int(j), float(point.z[j]) - PRIOR), most=PROFILE_STEPS)
         rise = float(np.sum(without.blocks.loss) - np.sum(point.blocks.loss))
-        # Errors that are correlated within a window enlarge the variance, and by the same factor the rise due to
-        # chance.
-        possible[j] = rise < CONFIDENCE**2 / 2 * covariance[j, j] / uncorrelated_variance[j]
+        # Errors that are alike within a block enlarge the variance, and by the same factor the rise due to chance.
+        possible[j] = rise < CONFIDENCE**2 / 2 * variance[j] / uncorrelated_variance[j]
     return possible

@@ -5,7 +5,7 @@ its prediction is thus that of the estimate, propagated to that time, plus an in
 prediction errors judge estimates without a reference.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,8 +16,8 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Number
-from covariant.calibration.identification._windows import LONGEST_GAP, Windows
-from covariant.models import Family, MechanicalSystem, Motion, advance, friction
+from covariant.calibration.identification._rows import LONGEST_GAP, Rows
+from covariant.models import MechanicalSystem, Motion, advance, friction
 from covariant.signals import Record
 from scalargraph import evaluate_batch
 from scalargraph.errors import InputError
@@ -38,24 +38,22 @@ FAR = 16.0
 
 
 class PredictionErrors(NamedTuple):
-    """Root mean square errors of predictions from measured positions and reference velocities.
+    """Root mean square errors of predictions over windows, each from the motion at its start that suits it best.
 
     Squares are capped at a multiple of their 90 % quantile, which limits the influence of outliers.
 
     Attributes:
-        one_step: Errors (n,) of the positions after one step [units of the frame].
-        position: Errors (n,) of the positions at all rows of the windows [units of the frame].
-        velocity: Errors (n,) of the velocities at all rows, against the reference [the same units a second].
+        position: Errors (n,) of the positions [units of the frame].
+        velocity: Errors (n,) of the velocities, against the reference [the same units a second].
 
     Example:
         >>> import numpy as np
         >>> from covariant.calibration import PredictionErrors
-        >>> errors = PredictionErrors(one_step=np.array([1e-3]), position=np.array([0.02]), velocity=np.array([0.1]))
+        >>> errors = PredictionErrors(position=np.array([0.02]), velocity=np.array([0.1]))
         >>> errors.position.tolist()
         [0.02]
     """
 
-    one_step: Float[np.ndarray, "n"]
     position: Float[np.ndarray, "n"]
     velocity: Float[np.ndarray, "n"]
 
@@ -94,105 +92,27 @@ def differences(model: MechanicalSystem, q: Array, y: Array) -> tuple[Float[Arra
     return jax.vmap(manifold.towards)(q, y), ~jax.vmap(manifold.missing)(y)
 
 
-def needed_substeps(model: MechanicalSystem, windows: Windows) -> int:
+def needed_substeps(model: MechanicalSystem, rows: Rows) -> int:
     """Number of Runge–Kutta steps in one step of the log, none longer than 10 ms nor than 1/rate of the friction.
 
     The rate is bounded by the trace of the Jacobian of the friction at rest, where Coulomb friction is steepest, and at
     the largest velocities of the log.
     """
-    t, y, v, rows, inputs = (np.asarray(a) for a in (windows.t, windows.y, windows.v, windows.rows, windows.inputs))
-    longest = float(np.diff(t, axis=1).max())
-    fastest = np.abs(v).max(axis=(0, 1))
+    t, q, v = (np.asarray(each) for each in (rows.t, rows.start.q, rows.start.v))
+    longest = float(np.max(np.diff(t)[~np.asarray(rows.fresh)[1:]], initial=0.0))
+    fastest = np.abs(v).max(axis=0)
 
     def rate(t, q, v, u):
         return -jnp.trace(jax.jacfwd(lambda w: friction(model, t, q, w, u))(v))
 
-    sampled = np.arange(0, len(y), max(1, len(y) // 8))
+    sampled = np.arange(0, len(t), max(1, len(t) // 8))
     speeds = np.repeat([np.zeros_like(fastest), fastest], len(sampled), axis=0)
     sampled = np.tile(sampled, 2)
-    rates = evaluate_batch(rate, t[sampled, 0], y[sampled, 0], speeds, inputs[rows[sampled, 0]])
+    inputs = np.asarray(rows.inputs)[np.asarray(rows.rows)[sampled]]
+    rates = evaluate_batch(rate, t[sampled], q[sampled], speeds, inputs)
     # At h · rate ≤ 1 the Runge–Kutta method, stable on the real axis down to −2.78, has a margin.
     needed = longest * max(1 / LONGEST_STEP, np.nanmax(rates))
     return int(np.clip(np.ceil(needed), 1, MOST_SUBSTEPS))
-
-
-def family_errors(family: Family, values: Float[np.ndarray, "p"], windows: Windows) -> PredictionErrors:
-    """Errors of a family's predictions against positions and reference velocities of a log.
-
-    Each window is predicted with the numbers of its machine. The errors are root mean squares after one step and over
-    whole windows, with limited influence of outliers.
-    """
-    return _machine_errors(family.make, np.asarray(values)[family.parts], windows)
-
-
-def machine_errors(models: Sequence[Any], windows: Windows) -> PredictionErrors:
-    """Errors of the predictions of several machines, as `family_errors`, whose models differ in their numbers alone."""
-    numbers = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(eqx.filter(m, eqx.is_inexact_array) for m in models))
-    rest = eqx.filter(models[0], eqx.is_inexact_array, inverse=True)
-    return _machine_errors(eqx.Partial(_with_numbers, rest), numbers, windows)
-
-
-def _with_numbers(rest: Any, numbers: Any) -> tuple[MechanicalSystem, Number]:
-    return eqx.combine(numbers, rest), 0.0
-
-
-def _machine_errors(make: Callable, values: Any, windows: Windows) -> PredictionErrors:
-    """Errors of the models that `make` makes of what is in each row of `values`, a row for each machine."""
-    machine, rows = np.asarray(windows.machine), np.asarray(windows.rows)
-    made = [make(jax.tree.map(lambda part, m=m: part[m], values)) for m in range(len(jax.tree.leaves(values)[0]))]
-    substeps = max(needed_substeps(model, windows) for model, _ in made)
-    u = np.zeros((*rows.shape, np.shape(windows.inputs)[1]))
-    for m, (_, lag) in enumerate(made):
-        lagged_inputs = np.asarray(lagged(jnp.asarray(windows.inputs), jnp.asarray(windows.steps), lag))
-        u[machine == m] = lagged_inputs[rows[machine == m]]
-    data = (jax.tree.map(lambda part: part[machine], values), windows.t, u, windows.y, windows.v)
-    errors = _errors(make, jax.tree.map(jnp.asarray, data), substeps)
-    single, whole, speed, seen, at_new_stamp = jax.tree.map(np.asarray, errors)
-
-    def rms(errors, mask):
-        columns = [errors[..., i][mask[..., i]] for i in range(errors.shape[-1])]
-        return np.sqrt([mean_square(column) if column.size else 0.0 for column in columns])
-
-    # The prediction starts from the first row, whose error is zero by construction.
-    later = seen & (np.arange(seen.shape[1]) > 0)[:, None]
-    after_seen = later[:, 1:] & seen[:, :-1]
-    if after_seen.any():  # a reading far off shows within one step, in which a poor model hardly errs
-        squares, limit = np.where(after_seen, single**2, np.nan), np.full((len(single), 1, single.shape[2]), np.inf)
-        for m in np.unique(machine):  # a machine that is predicted badly is no reading far off
-            if after_seen[machine == m].any():
-                limit[machine == m] = FAR * np.nanquantile(squares[machine == m], 0.9, axis=(0, 1))
-        jumps = after_seen & (single**2 > limit)
-        # Readings are off from one jump to the one back, or to the end of a window that starts from such a reading.
-        off = np.cumsum(np.where(jumps, single, 0.0), axis=1) ** 2 > limit
-        later[:, 1:] &= ~(jumps | off)
-        after_seen &= ~jumps
-    return PredictionErrors(rms(single, after_seen), rms(whole, later), rms(speed, at_new_stamp))
-
-
-@eqx.filter_jit
-def _errors(make: Callable, data: Any, substeps: int):
-    def window(values, t, u, y, v):
-        model: MechanicalSystem = make(values)[0]
-        manifold = model.manifold
-
-        def step(predicted, row):
-            begin, end, input_, q, w = row
-            present = manifold.measured(predicted.q, q)  # the error of a missing entry is masked
-            # Both motions advance in one batch: apart, the model would be compiled twice.
-            both = jax.tree.map(lambda *parts: jnp.stack(parts), predicted, Motion(present, w))
-            both = jax.vmap(lambda motion: advance(model, begin, motion, input_, end - begin, substeps))(both)
-            after, one_step = (jax.tree.map(lambda part, k=k: part[k], both) for k in range(2))
-            return after, (after, one_step.q)
-
-        start = Motion(y[0], v[0])
-        after, one_step = jax.lax.scan(step, start, (t[:-1], t[1:], u, y[:-1], v[:-1]))[1]
-        predicted = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, after)
-        whole, seen = differences(model, predicted.q, y)
-        single, _ = differences(model, one_step, y[1:])
-        at_new_stamp = jnp.concatenate([jnp.ones(1, bool), jnp.diff(t) > 0])[:, None]
-        return single, whole, v - predicted.v, seen, at_new_stamp & jnp.ones_like(seen)
-
-    return jax.vmap(window)(*data)
 
 
 def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:

@@ -3,20 +3,22 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from covariant.calibration._least_squares import PRIOR
-from covariant.models import Family
+from covariant.geometry import AbstractManifold
+from covariant.models import Family, MechanicalSystem
 from covariant.signals import AnyArray
 
 NumpyArray = np.ndarray
 
 
 class Unknowns(NamedTuple):
-    """The fitted function `make (k,) -> (model, lag)`, first values (p,), which are positive, and which k of the p are
-    those of each machine.
+    """The fitted function `make (k,) -> (model, lag)`, first values (p,), which are positive, which k of the p are
+    those of each machine, and the configurations of the model.
 
     The unknowns z (p,) are relative changes of the values.
     """
@@ -25,19 +27,32 @@ class Unknowns(NamedTuple):
     first: Float[Array, "p"]
     positive: Any
     parts: Int[AnyArray, "M k"]
+    manifold: AbstractManifold
 
     @classmethod
     def of(cls, family: Family) -> "Unknowns":
-        return cls(family.make, jnp.asarray(family.first), family.positive, jnp.asarray(family.parts))
+        return cls(
+            family.make,
+            jnp.asarray(family.first),
+            family.positive,
+            jnp.asarray(family.parts),
+            family.file.model.manifold,
+        )
 
-    def of_machine(self, machine: Array, z: Array) -> tuple["Unknowns", Array, Array]:
+    @classmethod
+    def none(cls, model: MechanicalSystem) -> "Unknowns":
+        """A model without any unknown number."""
+        return cls(eqx.Partial(_as_it_is, model), jnp.zeros(0), (), jnp.zeros((1, 0), int), model.manifold)
+
+    def model(self, z: Array, machine: int = 0) -> Any:
+        """The model of a machine at relative changes z (p,)."""
+        own, own_z, _ = self.of_machine(machine, z)
+        return own.make(own.values(own_z))[0]
+
+    def of_machine(self, machine: Any, z: Array) -> tuple["Unknowns", Array, Array]:
         """Unknowns of one machine, their relative changes (k,), and where they are among all."""
         part = jnp.asarray(self.parts)[machine]
         return self._replace(first=self.first[part], positive=jnp.asarray(self.positive)[part]), z[part], part
-
-    def of_all(self, part: Array, slope: Float[Array, "r k"]) -> Float[Array, "r p"]:
-        """Derivatives in the unknowns of all machines, from those of one."""
-        return jnp.zeros((slope.shape[0], self.first.shape[0])).at[:, part].set(slope)
 
     @property
     def size(self) -> Float[Array, "p"]:
@@ -77,3 +92,8 @@ class Unknowns(NamedTuple):
     def slopes(self, z) -> Float[Array, "p"]:
         """Derivative of each parameter in its relative change."""
         return jnp.where(jnp.asarray(self.positive), self.first * jnp.exp(z), self.size * jnp.cosh(z))
+
+
+def _as_it_is(model: MechanicalSystem, values: Any) -> tuple[MechanicalSystem, float]:
+    del values
+    return model, 0.0

@@ -1,14 +1,13 @@
 """Noise of the greatest likelihood of innovations, on the errors of one run as in `_error_model`.
 
 A force that the model does not know has a size in each component, and is forgotten: a Gauss–Markov process, of which a
-random walk is the limit of a long time. Its sizes start from those of the force that a smoother finds, so that the
-model need not be right in anything. The likelihood of its time constant has several maxima: several starts are tried.
+random walk is the limit of a long time. Its sizes start from a force that explains all innovations, so that the model
+need not be right in anything. The likelihood of its time constant has several maxima: several starts are tried.
 
 Source: Schweppe 1965; Ljung 1999, System Identification, section 7.4; Schwarz 1978, Estimating the dimension of a
 model, Annals of Statistics 6(2).
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -21,26 +20,29 @@ from covariant.calibration.identification import (
     ErrorModel,
     Filtered,
     NoiseLevels,
+    Unknowns,
+    descend,
     error_model,
     from_later,
     kalman,
+    levels,
     smoothed,
+    stretch,
+    total_loss,
 )
 from covariant.calibration.tuning._tuning_log import TuningLog, constant_gains
-from covariant.models import MechanicalSystem
+from covariant.models import MechanicalSystem, Motion
 from covariant.observers import with_fixed_substeps
 from covariant.signals import AnyArray
 
 LEAST = 0.01
 """Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
-TIMES, ROUNDS = 3, 3
-"""Number of time constants that the search starts from, and rounds in which a smoother measures the force for each."""
+TIMES = 3
+"""Number of time constants that the search starts from."""
 RANGE = 1e4
 """Ratio of the bounds of a noise to what explains all innovations."""
-STEPS, FIRST_STEPS = 30, 4
+STEPS, FIRST_STEPS = 30, 8
 """Largest number of steps of a search, and of that from each start."""
-GAINED = 0.2
-"""Decrease of twice the negative log-likelihood in a step below which a search ends."""
 
 
 class RunErrors(NamedTuple):
@@ -58,7 +60,9 @@ class RunErrors(NamedTuple):
         sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
         fixed = with_fixed_substeps(constant_gains(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
         substeps = fixed.substeps or 1
-        return cls(log, np.asarray(v), substeps, error_model(model, q, v, t, u, y, substeps))
+        rows = stretch(t, y, u, Motion(q, v))
+        linear = error_model(Unknowns.none(model), jnp.zeros(0), rows.start, rows, jnp.asarray(substeps))
+        return cls(log, np.asarray(v), substeps, linear)
 
     def filtered(self, noise: NoiseLevels, speed: jax.Array) -> Filtered:
         """The Kalman filter on the errors."""
@@ -71,22 +75,6 @@ class RunErrors(NamedTuple):
 
 
 _filtered, smoothed_errors, later_errors = eqx.filter_jit(kalman), eqx.filter_jit(smoothed), from_later
-
-
-@eqx.filter_jit
-def _loss_and_slope(z: jax.Array, system: ErrorModel, mask: jax.Array, speed: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Twice the negative log-likelihood of the noise `_levels(z)`, and its derivative."""
-
-    def loss(z):
-        return jnp.sum(jnp.where(mask, kalman(system, _levels(z, mask.shape[1]), speed).loss, 0.0))
-
-    return jax.value_and_grad(loss)(z)
-
-
-def _levels(z: AnyArray, n: int) -> NoiseLevels:
-    """Noise of the logarithms of the noise of acceleration, readings (n,) and force (n,), and of the force's time."""
-    each = jnp.exp(jnp.asarray(z))
-    return NoiseLevels(each[0], each[1 : 1 + n], each[1 + n : 1 + 2 * n], each[1 + 2 * n])
 
 
 def largest_speed(logs: list[TuningLog]) -> jax.Array:
@@ -118,7 +106,7 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     bounds = np.stack([lower, upper], axis=1)
 
     def search(start, free, steps):
-        return _descend(start, free, bounds, parts, masks, speed, steps)
+        return descend(start, free, bounds, parts, masks, speed, steps)
 
     none = usual.copy()
     none[1 + n : 1 + 2 * n] = -np.inf
@@ -127,59 +115,11 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     for time in np.geomspace(8 / rate, span / 4, TIMES):
         start = np.concatenate([plain[: 1 + n], np.log(force), [np.log(time)]])
         start[0] = max(start[0] - np.log(10), lower[0])
-        for _ in range(ROUNDS):
-            start[1 + n : 1 + 2 * n] = np.log(_measured_force(parts, _levels(start, n), speed, masks))
-            start = np.clip(start, lower, upper)
-        starts.append(search(start, np.arange(2 + 2 * n), FIRST_STEPS))
+        starts.append(search(np.clip(start, lower, upper), np.arange(2 + 2 * n), FIRST_STEPS))
     forced, lower_loss = search(min(starts, key=lambda each: each[1])[0], np.arange(2 + 2 * n), STEPS)
     count = sum(int(mask.sum()) for mask in masks)
     held_out = [np.asarray(system.present) & log.held_out[:, None] for log, system in zip(logs, systems, strict=True)]
-    tried = [_total(z, systems, held_out, speed)[0] for z in (plain, forced)]
+    tried = [total_loss(z, systems, held_out, speed)[0] for z in (plain, forced)]
     # Schwarz's criterion for n + 1 parameters more, and what is held out has to confirm them.
     confirmed = without - lower_loss > (n + 1) * np.log(count) and tried[1] < tried[0]
-    return _levels(forced if confirmed else plain, n)._replace(**({} if confirmed else {"force": jnp.asarray(0.0)}))
-
-
-def _measured_force(parts: list[ErrorModel], noise: NoiseLevels, speed: jax.Array, masks: list[np.ndarray]):
-    """Root mean square (n,) of the force that the smoother finds in the rows that count."""
-    n = masks[0].shape[1]
-    forces = [np.asarray(smoothed_errors(part, noise, speed))[:, 2 * n :] for part in parts]
-    rows = np.concatenate([force[mask.any(axis=1)] for force, mask in zip(forces, masks, strict=True)])
-    return np.maximum(np.sqrt(np.mean(rows**2, axis=0)), np.finfo(float).tiny)
-
-
-def _total(z: np.ndarray, systems: Sequence[ErrorModel], masks: Sequence[np.ndarray], speed: jax.Array):
-    """Loss of a noise over several logs, and its derivative."""
-    each = [
-        _loss_and_slope(jnp.asarray(z), system, jnp.asarray(mask), speed)
-        for system, mask in zip(systems, masks, strict=True)
-    ]
-    return sum(float(loss) for loss, _ in each), np.sum([np.asarray(slope) for _, slope in each], axis=0)
-
-
-def _descend(
-    start: np.ndarray,
-    free: np.ndarray,
-    bounds: np.ndarray,
-    parts: list[ErrorModel],
-    masks: list[np.ndarray],
-    speed: jax.Array,
-    steps: int,
-) -> tuple[np.ndarray, float]:
-    """Minimise the loss over the entries `free`, within their bounds; returns the minimiser and the loss."""
-    from scipy.optimize import minimize
-
-    def at(z):
-        full = start.copy()
-        full[free] = z
-        return full
-
-    def cost(z):
-        loss, slope = _total(at(z), parts, masks, speed)
-        valid = np.isfinite(loss) and np.isfinite(slope[free]).all()
-        return (loss, slope[free]) if valid else (np.inf, np.zeros(len(free)))
-
-    inside = np.clip(start[free], *bounds[free].T)
-    options = {"maxiter": steps, "ftol": GAINED / max(abs(cost(inside)[0]), 1.0), "maxls": 10}
-    minimum = minimize(cost, inside, jac=True, method="L-BFGS-B", bounds=bounds[free], options=options)
-    return at(minimum.x), float(minimum.fun)
+    return levels(forced if confirmed else plain, n)._replace(**({} if confirmed else {"force": jnp.asarray(0.0)}))

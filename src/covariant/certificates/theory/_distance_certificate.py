@@ -193,19 +193,24 @@ def certify_distance(
         decay.rate if decay.rate > 0 else None,
         "" if decay.rate > 0 else remedy,
     )
-    turns = Hypothesis(PERIODIC, "proved")
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
     hypotheses = (
         *found.hypotheses,
         compare_connections(model.space, places[:, :2], symbols),
         gains,
-        *([turns] if model.manifold.circles else []),
+        *([Hypothesis(PERIODIC, "proved")] if model.manifold.circles else []),
         *([room] if border.any() else []),
     )
     names = ", ".join(
         f"{name} {width:.4g} {unit}".rstrip()
         for name, unit, width in zip(known.domain.names, known.domain.units, border, strict=True)
         if width > 0
+    )
+    metric = (  # numbers only if there is a rate
+        f"metric: m|ξ|² + |w|², w = ζ − σξ, m = {decay.before:.6g}"
+        + (f" after a sample and {decay.after:.6g} before the next" if interval else ""),
+        f"radius {decay.radius:.6g} in it; positions within {decay.reach:.6g} of the true ones, speeds up to "
+        f"{decay.fastest:.6g}, λ = {decay.turning:.4g} < {'π' if interval else 'π/2'}",
     )
     about = (
         f"model: {'one that was given as an object' if recipe is None else recipe_text(recipe)}",
@@ -216,18 +221,14 @@ def certify_distance(
         f"inputs from {region.inputs[0].tolist()} to {region.inputs[1].tolist()}",
         f"first errors of the position up to {errors.tolist()}, {bounds.error:.6g} in the metric; of the velocity "
         f"{bounds.velocity_error:.6g} in the metric",
-        f"metric: m|ξ|² + |w|², w = ζ − σξ, m = {decay.before:.6g}"
-        + (f" after a sample and {decay.after:.6g} before the next" if interval else ""),
-        f"radius {decay.radius:.6g} in it; positions within {decay.reach:.6g} of the true ones, speeds up to "
-        f"{decay.fastest:.6g}, λ = {decay.turning:.4g} < {'π' if interval else 'π/2'}",
+        *(metric if decay.rate > 0 else ()),
         f"proved bounds: curvature {_pair(bounds.curvature)}, −∇S {_pair(bounds.stiffness)} 1/s², one shortest "
         f"geodesic, and errors of circles below half a turn, up to {bounds.injectivity:.4g}",
     )
-    rate = math.floor(1e4 * decay.rate) / 1e4 if decay.rate > 0 else 0.0
-    claim = (
-        f"the distance of an estimate from the truth falls{' from sample to sample' if interval else ''}, whatever the "
-        f"motion between these bounds, at the rate {rate} 1/s or faster, from any error within the radius"
-    )
+    claim = f"the distance of an estimate from the truth falls{' from sample to sample' if interval else ''}, whatever "
+    claim += "the motion between these bounds"
+    if decay.rate > 0:
+        claim += f", at the rate {math.floor(1e4 * decay.rate) / 1e4} 1/s or faster, from any error within the radius"
     assumed = (Hypothesis(text, "assumed") for text in ASSUMED_OF_DISTANCES)
     statement = Statement(claim, about, (*hypotheses, *assumed), decay.rate, str(known.domain))
     return DistanceCertificate(statement, decay, bounds, border, found.proofs)

@@ -18,6 +18,7 @@ from covariant.certificates.theory._virtual import OutputMetric
 from covariant.models.marine import Craft
 from covariant.simulation import Backstepping
 from scalargraph import jacobian
+from scalargraph.errors import InputError
 
 
 def tracking(controller: Backstepping) -> ErrorSystem:
@@ -44,7 +45,7 @@ def tracking(controller: Backstepping) -> ErrorSystem:
         ('eta_x', 'r_u', 's_u')
     """
     craft = controller.craft
-    n = len(craft.coordinates)
+    n = _square(craft)
 
     def at(z):
         eta, desired, s = jnp.split(z, 3)
@@ -63,14 +64,13 @@ def tracking(controller: Backstepping) -> ErrorSystem:
         metric = jnp.block([[kp, zero], [zero, mass]])
         return Point(flow, in_coordinates(lambda t, x: metric), jnp.concatenate([jnp.zeros_like(s), s]))
 
-    rates = tuple(f"{unit}/s" for unit in craft.units)
     return ErrorSystem(
         (
             *(f"eta_{name}" for name in craft.coordinates),
             *(f"r_{name}" for name in craft.velocities),
             *(f"s_{name}" for name in craft.velocities),
         ),
-        (*craft.units, *rates, *rates),
+        (*craft.units, *craft.velocity_units, *craft.velocity_units),
         at,
     )
 
@@ -100,7 +100,7 @@ def feedthrough(controller: Backstepping) -> Coupling:
         [[0.0, 0.0], [1.0, 2.0]]
     """
     craft = controller.craft
-    n = len(craft.coordinates)
+    n = _square(craft)
 
     def jacobians(z: Array) -> tuple[Array, Array]:
         eta, desired_rate = jnp.split(z, 2)
@@ -122,6 +122,13 @@ def feedthrough(controller: Backstepping) -> Coupling:
     return jacobians
 
 
+def _square(craft: Craft) -> int:
+    """Number of coordinates, if it is that of the velocities; with a quaternion J would depend on the reference too."""
+    if len(craft.coordinates) != len(craft.velocities):
+        raise InputError("Theorem 3 needs a craft with as many coordinates as velocities, such as in Euler angles")
+    return len(craft.coordinates)
+
+
 @check_numbers
 def crossed_metric(craft: Craft, k2: Annotated[Numbers, FINITE], cross: Annotated[Numbers, FINITE]) -> OutputMetric:
     """Build the metric `[[K2, −JN], [−(JN)ᵀ, M]]` on (η, ν), with a cross term N.
@@ -131,10 +138,10 @@ def crossed_metric(craft: Craft, k2: Annotated[Numbers, FINITE], cross: Annotate
     Args:
         craft: the craft, with its mass M and transformation J.
         k2: K2 (n, n), symmetric positive definite.
-        cross: N (n, n) [kg m/s, with angles too].
+        cross: N (m, m) [kg m/s, with angles too].
 
     Returns:
-        The metric `(z, x) -> (2n, 2n)`, an argument of `virtual`, where z is the measured position.
+        The metric `(z, x) -> (n + m, n + m)`, an argument of `virtual`, where z is the measured position.
 
     Example:
         >>> import jax.numpy as jnp

@@ -27,7 +27,6 @@ SYSTEMS = {
     "lorenz": "systems._lorenz:lorenz",
     "manoeuvring_ship": "marine:manoeuvring_ship",
     "odin": "marine:odin",
-    "odin_on_group": "marine:odin_on_group",
     "oscillator": "systems._oscillator:oscillator",
     "pendulum_chain": "systems._pendulum_chain:pendulum_chain",
     "robot": "robots:load",

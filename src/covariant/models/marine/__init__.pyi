@@ -9,7 +9,7 @@ from ._craft import (
 )
 from ._dynamic_positioning import Station as Station, Waves as Waves
 from ._manoeuvring import manoeuvring_ship as manoeuvring_ship
-from ._odin import odin as odin, odin_on_group as odin_on_group
+from ._odin import odin as odin
 from ._ships import cybership as cybership, supply_vessel as supply_vessel, surface_ship as surface_ship
 
 __all__ = ["Craft", "Station", "Waves", "euler_rotation", "odin", "supply_vessel"]

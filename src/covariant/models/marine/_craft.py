@@ -13,9 +13,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from covariant._linalg import solve
+from covariant._linalg import solve, solve_square
 from covariant._typing import Matrix, Numbers, Scalar, Vector
-from covariant.geometry.lie import SE2, SE3
+from covariant.geometry import wrap
+from covariant.geometry.lie import SE2, SE3, SO3, rotation_from_quaternion
 from covariant.models._mechanical import check_shapes
 from covariant.models._parameters import Parameter, Parametric
 from covariant.models._state_space import StateSpace, state_space
@@ -26,18 +27,20 @@ class Craft(eqx.Module):
     """A marine craft `η' = J(η)ν`, `Mν' + C(ν)ν + D(ν)ν + g(η) = τ`, whose position η is measured; the input is τ.
 
     It is the usual model form of marine engineering, in any number of degrees of freedom, for `craft_observer` and
-    `Backstepping`. ν is in the body frame and η in the earth frame, so ν is not the derivative of η. `state_space`
-    converts it for Kalman filters; `underwater_vehicle` is a vehicle on SE(3), without a singular attitude.
+    `Backstepping`. ν is in the body frame and η in the earth frame, so ν is not the derivative of η. It has n
+    coordinates and m velocities; n > m if the attitude is a quaternion, which has no singular attitude. `state_space`
+    converts it for Kalman filters; `underwater_vehicle` is a vehicle on SE(3).
 
     Attributes:
-        mass: Inertia matrix M (n, n), added mass included, symmetric positive definite.
-        transform: `J(η)` (n, n).
-        damping: `D(ν)` (n, n).
-        restoring: `g(η)` (n,); zero by default.
-        coriolis: `C(ν)` (n, n), skew-symmetric; zero by default.
+        mass: Inertia matrix M (m, m), added mass included, symmetric positive definite.
+        transform: `J(η)` (n, m), of rank m.
+        damping: `D(ν)` (m, m).
+        restoring: `g(η)` (m,); zero by default, if n = m.
+        coriolis: `C(ν)` (m, m), skew-symmetric; zero by default.
         coordinates: Names of the entries of η.
         units: Units of the entries of η.
         velocities: Names of the entries of ν.
+        velocity_units: Units of the entries of ν, by default the units of η per second.
         circles: Indices of coordinates that are angles on a full circle [rad].
         parameters: A `Parameter` for each name, as documentation.
 
@@ -68,6 +71,7 @@ class Craft(eqx.Module):
     coordinates: tuple[str, ...] = eqx.field(static=True)
     units: tuple[str, ...] = eqx.field(static=True)
     velocities: tuple[str, ...] = eqx.field(static=True)
+    velocity_units: tuple[str, ...] = eqx.field(static=True)
     circles: tuple[int, ...] = eqx.field(static=True)
     parameters: dict[str, Parameter]
 
@@ -82,36 +86,58 @@ class Craft(eqx.Module):
         coordinates: tuple[str, ...],
         units: tuple[str, ...],
         velocities: tuple[str, ...],
+        velocity_units: tuple[str, ...] | None = None,
         circles: tuple[int, ...] = (),
         parameters: dict[str, Parameter] | None = None,
     ):
-        self.mass = positive_definite("mass", mass, len(coordinates))
+        self.mass = positive_definite("mass", mass, len(velocities))
         self.transform, self.damping = transform, damping
         self.restoring = jnp.zeros_like if restoring is None else restoring
         self.coriolis = _no_coriolis if coriolis is None else coriolis
         self.coordinates, self.units, self.velocities = coordinates, units, velocities
         self.circles, self.parameters = circles, dict(parameters or {})
-        n = len(coordinates)
-        if not len(units) == len(velocities) == n:
-            raise InputError(f"a craft of {n} coordinates needs {n} units and {n} velocities")
-        vector = jax.ShapeDtypeStruct((n,), jnp.float64)
-        matrices = (("transform", self.transform), ("damping", self.damping), ("coriolis", self.coriolis))
+        n, m = len(coordinates), len(velocities)
+        self.velocity_units = tuple(f"{unit}/s" for unit in units) if velocity_units is None else velocity_units
+        if len(units) != n or len(self.velocity_units) != m or m > n:
+            raise InputError(
+                f"a craft of {n} coordinates and {m} velocities needs {n} units, {m} velocity_units, "
+                "and no more velocities than coordinates"
+            )
+        position, velocity = (jax.ShapeDtypeStruct((k,), jnp.float64) for k in (n, m))
         functions = (
-            *((name, function, (vector,), (n, n)) for name, function in matrices),
-            ("restoring", self.restoring, (vector,), (n,)),
+            ("transform", self.transform, (position,), (n, m)),
+            ("damping", self.damping, (velocity,), (m, m)),
+            ("coriolis", self.coriolis, (velocity,), (m, m)),
+            ("restoring", self.restoring, (position,), (m,)),
         )
-        check_shapes(functions, f"{n} coordinates", "this craft")
+        check_shapes(functions, f"{n} coordinates and {m} velocities", "this craft")
+
+    def displacement(self, origin: Vector, eta: Vector) -> Vector:
+        """Displacement from one position to another: η − η₀ with angles wrapped to ±π, or `J⁺(η₀)(η − η₀)` if n > m.
+
+        For a position and a unit quaternion the latter is the step in the body frame at η₀, and twice the vector part
+        of the quaternion of the rotation.
+
+        Args:
+            origin: Position η₀ (n,).
+            eta: Position η (n,).
+
+        Returns:
+            The displacement (m,).
+        """
+        step = wrap(self.circles, eta - origin)
+        return step if len(self.velocities) == len(origin) else solve_square(self.transform(origin), step)
 
     def acceleration(self, eta: Vector, nu: Vector, tau: Vector) -> Vector:
         """Acceleration ν' of the craft.
 
         Args:
             eta: Position η (n,).
-            nu: Velocity ν (n,) in the body frame.
-            tau: Generalised force τ (n,) in the body frame.
+            nu: Velocity ν (m,) in the body frame.
+            tau: Generalised force τ (m,) in the body frame.
 
         Returns:
-            ν' (n,).
+            ν' (m,).
         """
         force = tau - (self.coriolis(nu) + self.damping(nu)) @ nu - self.restoring(eta)
         return solve(jnp.asarray(self.mass, nu.dtype), force)
@@ -121,23 +147,23 @@ class Craft(eqx.Module):
 def _(model: Craft) -> StateSpace:
     return StateSpace(
         eqx.Partial(_rate, model),
-        _position,
+        eqx.Partial(_position, model),
         coordinates=(*model.coordinates, *model.velocities),
-        units=(*model.units, *(f"{unit}/s" for unit in model.units)),
+        units=(*model.units, *model.velocity_units),
         outputs=model.coordinates,
-        inputs=len(model.coordinates),
+        inputs=len(model.velocities),
         circles=model.circles,
         parameters=model.parameters,
     )
 
 
-def _rate(model: Craft, t: Scalar, x: Float[Array, "two_n"], u: Vector) -> Float[Array, "two_n"]:
-    eta, nu = jnp.split(x, 2)
+def _rate(model: Craft, t: Scalar, x: Vector, u: Vector) -> Vector:
+    eta, nu = jnp.split(x, [len(model.coordinates)])
     return jnp.concatenate([model.transform(eta) @ nu, model.acceleration(eta, nu, u)])
 
 
-def _position(t: Scalar, x: Float[Array, "two_n"], u: Vector) -> Vector:
-    return jnp.split(x, 2)[0]
+def _position(model: Craft, t: Scalar, x: Vector, u: Vector) -> Vector:
+    return x[: len(model.coordinates)]
 
 
 def _no_coriolis(nu: Vector) -> Matrix:
@@ -303,3 +329,20 @@ def euler_transform(eta: Float[Array, "6"]) -> Matrix:
     """
     zero = jnp.zeros((3, 3), eta.dtype)
     return jnp.block([[euler_rotation(eta[3:]), zero], [zero, euler_rates(eta[3:])]])
+
+
+def quaternion_transform(eta: Float[Array, "7"]) -> Float[Array, "7 6"]:
+    """Transform J(η) from the velocity in the body frame to η', for an attitude that is a quaternion.
+
+    Fossen 2011, equation (2.72). It has rank 6 at all attitudes.
+
+    Args:
+        eta: North, east, down [m], and the unit quaternion wxyz (7,).
+
+    Returns:
+        Matrix (7, 6).
+    """
+    w, v = eta[3], eta[4:]
+    rates = jnp.concatenate([-v[None], w * jnp.eye(3, dtype=eta.dtype) + SO3.hat(v)]) / 2
+    rotation = rotation_from_quaternion(eta[3:])
+    return jnp.block([[rotation, jnp.zeros((3, 3), eta.dtype)], [jnp.zeros((4, 3), eta.dtype), rates]])

@@ -4,10 +4,9 @@ Source: Leonard 1997, Stability of a bottom-heavy underwater vehicle, for the le
 water; Fossen 2011, Handbook of Marine Craft Hydrodynamics and Motion Control, chapter 6, for the drag.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from covariant._typing import Number
 from covariant.geometry.lie import SE3
@@ -75,20 +74,9 @@ def underwater_vehicle(
         "drag": Parameter(drag, "N s/m, N m s", _SOURCE),
         "quadratic_drag": Parameter(quadratic_drag, "N s^2/m^2, N m s^2", _SOURCE),
     }
-    return submerged_body(rigid + xp.diag(xp.asarray(added_mass, float)), potential, drag, quadratic_drag, parameters)
-
-
-def submerged_body(
-    inertia,
-    potential: Callable[[Array], Array],
-    drag: Sequence[Number],
-    quadratic_drag: Sequence[Number],
-    parameters: dict[str, Parameter],
-) -> GroupSystem:
-    """Rigid body in water, on SE(3), with drag in each component of its twist (v, ω)."""
     return GroupSystem(
         SE3,
-        inertia,
+        rigid + xp.diag(xp.asarray(added_mass, float)),
         potential,
         dissipation=Parametric(_drag, linear=drag, square=quadratic_drag),
         velocities=("surge", "sway", "heave", "roll_rate", "pitch_rate", "yaw_rate"),

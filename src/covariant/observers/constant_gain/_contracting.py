@@ -200,13 +200,13 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
     metric with a cross term shows it in all cases. The paper's `K2 = I − K_p` is unstable for K_p > 1.
 
     Args:
-        craft: The craft, with n coordinates.
+        craft: The craft, with n coordinates and m velocities.
         k1: Gain K1 (n, n) [1/s].
         k2: Gain K2 (n, n) [N/m, N m].
-        start: First estimate (η, ν) (2n,), by default at rest at the origin.
+        start: First estimate (η, ν) (n + m,), by default at rest at the origin.
 
     Returns:
-        The observer, which estimates (η, ν) (2n,).
+        The observer, which estimates (η, ν) (n + m,).
 
     Raises:
         ValueError: A gain is not (n, n).
@@ -220,7 +220,7 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
         >>> observer.gain(0.0, jnp.zeros(3)).diagonal().tolist()  # K1 above M⁻¹JᵀK2
         [2.0, 2.0, 2.0]
     """
-    n = len(craft.coordinates)
+    n, m = len(craft.coordinates), len(craft.velocities)
     gains = [np.asarray(k, float) for k in (k1, k2)]
     for name, k in zip(("k1", "k2"), gains, strict=True):
         if k.shape != (n, n):
@@ -235,4 +235,4 @@ def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None 
         nu = x[n:]
         return jnp.concatenate([craft.transform(z) @ nu, craft.acceleration(z, nu, u)])
 
-    return Contracting(state_space(craft), gain, jnp.zeros(2 * n) if start is None else start, injected)
+    return Contracting(state_space(craft), gain, jnp.zeros(n + m) if start is None else start, injected)

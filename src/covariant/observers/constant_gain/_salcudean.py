@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3, quaternion_from_rotation
-from covariant.models import MechanicalSystem, Motion, applied_force, body_velocity, resistance, spatial_momentum
+from covariant.models import MechanicalSystem, Motion, applied_force, resistance
 from covariant.observers.base import (
     AbstractFlowObserver,
     Info,
@@ -104,7 +104,7 @@ class Salcudean(AbstractFlowObserver):
         return SalcudeanState(q, rest, t, last_input, jnp.zeros_like(t))
 
     def estimate(self, state: SalcudeanState) -> Motion:
-        return Motion(state.q, body_velocity(self.model, state.q, state.momentum))
+        return Motion(state.q, self._velocity(state.q, state.momentum))
 
     def flow(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> SalcudeanState:
         """Time derivative of the state, for measurements in continuous time.
@@ -129,9 +129,9 @@ class Salcudean(AbstractFlowObserver):
         )
 
     def predict(self, state: SalcudeanState, u: Float[Array, "m"], dt: Scalar) -> SalcudeanState:
-        v = body_velocity(self.model, state.q, state.momentum)
+        v = self._velocity(state.q, state.momentum)
         q, v = predict(self.model, state.t, state.q, v, u, dt, self.substeps)
-        return state._replace(q=q, momentum=spatial_momentum(self.model, q, v), t=state.t + dt, dt=dt)
+        return state._replace(q=q, momentum=q @ self.model.space.lower(q, v), t=state.t + dt, dt=dt)
 
     def correct(
         self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]
@@ -151,9 +151,13 @@ class Salcudean(AbstractFlowObserver):
     def innovation(self, state: SalcudeanState, u: Float[Array, "m"], y: Float[Array, "3 3"]) -> Vector:
         return SO3.local(state.q, _measured_rotation(state.q, y))
 
+    def _velocity(self, rotation: Float[Array, "3 3"], momentum: Vector) -> Vector:
+        """Body velocity with a momentum in the space frame."""
+        return self.model.space.raise_(rotation, rotation.T @ momentum)
+
     def _free_motion(self, t: Scalar, state: SalcudeanState, u: Float[Array, "m"], rotation: Float[Array, "3 3"]):
         """Angular velocity and torque in the space frame of a body with the estimated momentum at a rotation."""
-        v = body_velocity(self.model, rotation, state.momentum)
+        v = self._velocity(rotation, state.momentum)
         total_torque = applied_force(self.model, t, rotation, u) + resistance(self.model, t, rotation, v, u)
         return rotation @ v, rotation @ total_torque
 

@@ -9,6 +9,7 @@ from ._odin import (
     PRINTED_K2 as PRINTED_K2,
     RATE as RATE,
     Loop as Loop,
+    closed_loop as closed_loop,
     odin_box as odin_box,
     odin_certificate as odin_certificate,
     odin_controller as odin_controller,
@@ -33,7 +34,6 @@ from ._sea import (
     sea as sea,
     sea_cost as sea_cost,
     sea_errors as sea_errors,
-    sea_filter as sea_filter,
     sea_table as sea_table,
 )
 from ._ship import ship_decay as ship_decay, ship_eigenvalues as ship_eigenvalues

@@ -88,17 +88,31 @@ class Loop(NamedTuple):
 
 
 @eqx.filter_jit
-def _odin_loop(controller: Backstepping, observer: Contracting, t: Array):
+def _closed_loop(controller: Backstepping, observer: Contracting, x0: Array, estimate: Array, t: Array):
+    n = len(controller.craft.coordinates)
+    start = observer.init(x0[:n])._replace(x=estimate)
     plant = state_space(controller.craft)
-    x0 = jnp.array([1.0, -1.0, 4.0, 0.1, -0.1, 0.3, *[0.0] * 6])
-    start = observer.init(x0[:6])
-    off = jnp.array([0.3, -0.2, 0.2, 0.05, 0.05, -0.1, 0.2, 0.1, -0.1, 0.05, -0.05, 0.1])
-    start = start._replace(x=x0 + off)
     x, state = observe(plant, observer, x0, start, t, controller=controller, rtol=1e-9, atol=1e-12, max_steps=100_000)
-    eta = x[:, :6]
-    e = jax.vmap(controller.error)(t, eta)
-    s = x[:, 6:] - jax.vmap(controller.virtual_velocity)(t, eta)
-    return jnp.concatenate([e, s], axis=1), x - state.x
+    e = jax.vmap(controller.error)(t, x[:, :n])
+    s = x[:, n:] - jax.vmap(controller.virtual_velocity)(t, x[:, :n])
+    return x, jnp.concatenate([e, s], axis=1), x - state.x
+
+
+def closed_loop(controller: Backstepping, observer: Contracting, x0: np.ndarray, estimate: np.ndarray, t: np.ndarray):
+    """Simulate the closed loop (94), (101)–(102) of a craft.
+
+    Args:
+        controller: The controller, with its craft.
+        observer: The observer of this craft.
+        x0: First state (η, ν) (n + m,).
+        estimate: First estimate of it.
+        t: Stamps (T,) [s].
+
+    Returns:
+        States (T, n + m), and the norms (T,) of the tracking error (η̃, s) and of the observer's error.
+    """
+    x, e, error = _closed_loop(controller, observer, *map(jnp.asarray, (x0, estimate, t)))
+    return np.asarray(x), *(np.linalg.norm(np.asarray(a), axis=1) for a in (e, error))
 
 
 def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop:
@@ -113,10 +127,10 @@ def odin_loop(k2: Float[np.ndarray, "6 6"] = K2, duration: float = 60.0) -> Loop
     Returns:
         Errors at 10 Hz.
     """
-    t = jnp.linspace(0.0, duration, round(10 * duration) + 1)
-    e, error = _odin_loop(*_parts(tuple(map(tuple, k2.tolist()))), t)
-    tracking, observer = (np.linalg.norm(np.asarray(a), axis=1) for a in (e, error))
-    return Loop(np.asarray(t), tracking, observer)
+    t = np.linspace(0.0, duration, round(10 * duration) + 1)
+    first = np.array([1.0, -1.0, 4.0, 0.1, -0.1, 0.3, *[0.0] * 6])
+    off = np.array([0.3, -0.2, 0.2, 0.05, 0.05, -0.1, 0.2, 0.1, -0.1, 0.05, -0.05, 0.1])
+    return Loop(t, *closed_loop(*_parts(tuple(map(tuple, k2.tolist()))), first, first + off, t)[1:])
 
 
 @functools.cache  # the same object for equal arguments, so that compiled programs are reused

@@ -3,9 +3,20 @@
 import numpy as np
 
 from covariant.certificates import CascadeCertificate, cascade, crossed_metric, feedthrough, tracking, virtual
-from covariant.models import state_space
-from covariant.papers.jouffroy_fossen._odin import CROSS, K2, odin_box, odin_controller, odin_observer
+from covariant.models import marine, state_space
+from covariant.papers.jouffroy_fossen._odin import CROSS, K2, KD, KP, LAMBDA, odin_box, odin_controller, odin_observer
 from scalargraph.proofs import Box, box
+
+
+def closed_form() -> dict[str, float]:
+    """The constants of ODIN's controller that follow from its diagonal matrices, by (91) and (92)."""
+    weights = np.append(np.diag(marine.odin().mass), KP)  # of V_con = ½(sᵀMs + η̃ᵀK_pη̃)
+    return {
+        "c1": weights.min() / 2,
+        "c2": weights.max() / 2,
+        "c3": min(KP * LAMBDA, KD),  # drag vanishes at rest
+        "c4": weights.max(),
+    }
 
 
 def odin_cascade(

@@ -59,8 +59,8 @@ class DistanceResult(AbstractResult):
 
     @property
     def headline(self) -> str:
-        verdict = self.certificate.statement.short
-        return f"{self.model_name}, {verdict}: rate μ = {max(self.certificate.decay.rate, 0.0):.4g} 1/s"
+        rate = f": rate μ = {self.certificate.decay.rate:.4g} 1/s" if self.holds else ""
+        return f"{self.model_name}, {self.certificate.statement.short}{rate}"
 
     @property
     def summary(self) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant import models
-from covariant.calibration import horizon, outliers
-from covariant.calibration.identification import FITTED, held_out_logs
+from covariant.calibration import outliers
+from covariant.calibration.identification import held_out_logs, horizon
 from covariant.verbs.base.aligned import Aligned, aligned
 from covariant.verbs.base.inputs import Job
 from scalargraph.errors import InputError
@@ -58,12 +58,9 @@ class FitLogs(NamedTuple):
         logs = [_without_outliers(aligned(job)) for job in jobs]
         machines = [0] * len(jobs) if machines is None else machines
         file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
-        # Of a single log the held-out third must hold enough windows too.
-        part = 1 - FITTED if len(set(machines)) == len(jobs) else 1.0
-        count = len(logs) if part == 1.0 else 1
         firsts = [machines.index(machine) for machine in sorted(set(machines))]
         if length is None:
-            length = float(np.median([horizon(logs[k].raw, references[k], part, count) for k in firsts]))
+            length = float(np.median([horizon(np.asarray(logs[k].raw.t), references[k]) for k in firsts]))
         document = models.document(jobs[0].model_name, jobs[0].overrides)
         stated = file.input_between != BETWEEN[0] or "between" in document.get("inputs", {})
         # An input that is constant is the same held and linear.

@@ -5,27 +5,31 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from covariant import models, scoring
 from covariant._linalg import known_rms
 from covariant._names import refuse_unknown
-from covariant.calibration import Fit, PredictionErrors, RobotFit, Windows, fit_robot, relations
+from covariant.calibration import Fit, PredictionErrors, RobotFit, fit_robot, relations
 from covariant.calibration.identification import (
     FITTED,
+    Rows,
+    Solved,
+    Unknowns,
+    again,
     better_reading,
+    block_losses,
     error_growth,
-    family_errors,
     fit_servos,
-    machine_errors,
+    gather,
+    held_out_rows,
     predict_servos,
     predicts_worse,
     profile,
     robot_misfit,
     search,
-    split_windows,
     standing_still,
-    window_losses,
+    window_errors,
 )
 from covariant.signals import Record
 from covariant.verbs.base.aligned import Aligned
@@ -49,11 +53,8 @@ DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
 CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
-ROUNDS, STEPS, ROBOT_ROUNDS = 4, 25, 12
+ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
-
-Parts = dict[str, tuple[Windows, Windows]]
-"""Windows to fit and held-out windows, by the way inputs go between stamps."""
 
 
 def fit_to_logs(
@@ -75,23 +76,22 @@ def fit_to_logs(
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
-        parts = {
-            word: split_windows(
-                [problem.acting(log, word) for log in logs.logs], logs.references, logs.length, logs.machines
-            )
-            for word in logs.tried
-        }
+        parts = {word: _Part.of(problem, word) for word in logs.tried}
         fits = _solve(problem, parts, progress)
     except InputError as error:
         raise InputError(f"{', '.join(logs.names)}: {error}") from error
     progress("errors on what is held out", 1.0)
-    gain = problem.gain(parts, fits) if len(fits) > 1 else None
+    gain = problem.gain(fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
-    best: Any = problem.judged(fits[used], parts[used][0])
+    best, part = fits[used], parts[used]
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
-    before = problem.first_errors(parts[logs.tried[0]][1])
-    after = problem.fitted_errors(best, parts[used][1])
-    values = np.array([float(f"{value:.{DIGITS}g}") for value in best.values])[problem.family.parts]
+    before = problem.errors(None, parts[logs.tried[0]])
+    after = problem.errors(best, part)
+    progress("other readings of the log", 1.0)
+    suspicion = problem.suspicion(best, part)
+    better = not predicts_worse(before, after) and not suspicion
+    found: Any = problem.ended(best, part if better else None)
+    values = np.array([float(f"{value:.{DIGITS}g}") for value in found.values])[problem.family.parts]
     contents = {
         machine: problem.family.with_values(part) for machine, part in zip(problem.machines, values, strict=True)
     }
@@ -101,31 +101,43 @@ def fit_to_logs(
             content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
         if gain is not None and gain.clear:
             content.setdefault("inputs", {})["between"] = used
-    progress("other readings of the log", 1.0)
-    suspicion = problem.suspicion(best, *parts[used])
-    details = _details(jobs[0], logs, guessed, best, before, after, suspicion) | {
+    details = _details(jobs[0], logs, guessed, found, before, after, suspicion) | {
         "inputs": _input_details(used, logs.stated, gain)
     }
-    details |= problem.details(best, parts[used][0])
+    details |= problem.details(found)
     if (origin := logs.logs[0].loaded.origin) is not None:
         details["t_counts_from"] = origin
     # A log that is misread says nothing of what it determines.
     return jobs, contents, details | ({"undetermined": [], "unlike": []} if suspicion else {})
 
 
-def _solve(problem: "_Problem", parts: Parts, progress: Progress) -> dict[str, Any]:
+class _Part(NamedTuple):
+    """All rows of the logs with one way of inputs between stamps, and which (T,) are held out."""
+
+    rows: Rows
+    judged: Bool[np.ndarray, "T"]
+
+    @classmethod
+    def of(cls, problem: "_Problem", word: str) -> "_Part":
+        logs = problem.logs
+        records = [problem.acting(log, word) for log in logs.logs]
+        rows = gather(logs.logs[0].loaded.model.manifold, records, logs.references, logs.machines)
+        stamps = [np.asarray(record.t) for record in records]
+        return cls(rows, held_out_rows(rows, stamps, logs.length, logs.machines))
+
+
+def _solve(problem: "_Problem", parts: dict[str, _Part], progress: Progress) -> dict[str, Any]:
     """The fit for each way of inputs between stamps, each search from where the one before ended."""
     tried = problem.logs.tried
-    order = (*tried, *tried[:-1]) if problem.search_again else tried
     fits: dict[str, Any] = {}
     start: Any = None
-    for k, word in enumerate(order):
+    for k, word in enumerate(tried):
 
         def report(done: int, fraction: float, k: int = k, word: str = word) -> None:
             which = f" with {word} inputs" if len(tried) > 1 else ""
-            progress(f"round {done + 1}{which}", (k + fraction) / len(order))
+            progress(f"round {done + 1}{which}", (k + fraction) / len(tried))
 
-        start = fits[word] = problem.fit(word, parts, start, report)
+        start = fits[word] = problem.fit(word, parts[word], start, report)
     return fits
 
 
@@ -148,10 +160,7 @@ class Gain(NamedTuple):
 
 
 class _PredictionProblem(NamedTuple):
-    """Parameters of a model, fitted by its predictions over windows."""
-
-    # The first way is searched once more from where the last ended: both then have had the same first values.
-    search_again = True
+    """Parameters of a model, fitted by the likelihood of logs."""
 
     family: models.Family
     logs: FitLogs
@@ -175,21 +184,27 @@ class _PredictionProblem(NamedTuple):
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
         return log.acting(between)
 
-    def fit(self, word: str, parts: Parts, start: Fit | None, report: Callable[[int, float], None]) -> Fit:
+    def fit(self, word: str, part: _Part, start: Solved | None, report: Callable[[int, float], None]) -> Solved:
+        del word
+
         def progress(done: int, step: int) -> None:
-            report(done, (done + step / STEPS) / ROUNDS)
+            report(done, min((done + step / STEPS) / ROUNDS, 1.0))
 
-        found = search(self.family, parts[word][0], progress, None if start is None else start.values)
-        # Which place won is known from the first search; the later ones begin where the one before ended.
-        return found if start is None else found._replace(starts=start.starts)
+        begin = None if start is None else start.fit.values
+        quantum = self.logs.logs[0].loaded.file.quantum
+        # The noise of a reading is at least that of rounding.
+        least = None if quantum is None else np.asarray(quantum, float) / np.sqrt(12)
+        found = search(self.family, part.rows.only(~part.judged), progress, begin, least)
+        # Which place won is known from the first search; a later one begins where that ended.
+        return found if start is None else found._replace(fit=found.fit._replace(starts=start.fit.starts))
 
-    def judged(self, best: Fit, fitted: Windows) -> Fit:
-        """The fit after profiles of the likelihood."""
-        return profile(self.family, fitted, best)
+    def ended(self, best: Solved, part: _Part | None) -> Fit:
+        """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
+        return profile(best if part is None else again(best, part.rows)).fit
 
-    def suspicion(self, best: Fit, fitted: Windows, held_out: Windows) -> str:
+    def suspicion(self, best: Solved, part: _Part) -> str:
         """A sentence on a reversed input or late positions, where they explain the logs better than the fit; or ""."""
-        rival = better_reading(self.family, fitted, held_out, best)
+        rival = better_reading(best, part.rows, part.judged, self.logs.length)
         if rival is None:
             return ""
         misread = max(rival.machine, 0)
@@ -198,27 +213,20 @@ class _PredictionProblem(NamedTuple):
         machine = self.machines[misread] if rival.machine >= 0 else ""
         return rival_sentence(rival, log.loaded.file, self.logs.held_out, step, machine)
 
-    def gain(self, parts: Parts, fits: dict[str, Fit]) -> Gain:
+    def gain(self, fits: dict[str, Solved]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
         held, linear = (
-            np.mean([window_losses(self.family, parts[word][0], fits[word], other) for other in fits.values()], axis=0)
-            for word in BETWEEN
+            np.mean([block_losses(fits[word], other) for other in fits.values()], axis=0) for word in BETWEEN
         )
         return Gain.of(held - linear)
 
-    def first_errors(self, held_out: Windows) -> PredictionErrors:
-        return family_errors(self.family, self.family.first, held_out)
+    def errors(self, best: Solved | None, part: _Part) -> PredictionErrors:
+        """Errors on what is held out, of the first values where there is no fit."""
+        unknowns, values = Unknowns.of(self.family), self.family.first if best is None else best.fit.values
+        return window_errors(unknowns, unknowns.relative(values), part.rows, self.logs.length, part.judged)
 
-    def fitted_errors(self, best: Fit, held_out: Windows) -> PredictionErrors:
-        return family_errors(self.family, best.values, held_out)
-
-    def details(self, best: Fit, fitted: Windows) -> dict[str, Any]:
-        return {
-            "windows": len(fitted.t),
-            "start": start_sentence(best),
-            "undetermined": list(relations(best)),
-            "unlike": list(best.unlike),
-        }
+    def details(self, best: Fit) -> dict[str, Any]:
+        return {"start": start_sentence(best), "undetermined": list(relations(best)), "unlike": list(best.unlike)}
 
 
 class _RobotProblem(NamedTuple):
@@ -227,8 +235,6 @@ class _RobotProblem(NamedTuple):
     family: models.RobotFamily
     logs: FitLogs
     machines: list[str]
-
-    search_again = False
 
     @classmethod
     def read(
@@ -254,7 +260,7 @@ class _RobotProblem(NamedTuple):
         """The record with the inputs that act in each step."""
         return log.acting(between, log.loaded.file.input_lag)
 
-    def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+    def fit(self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
         last = self.logs.last
         records = [self.acting(log, word) for log, held_out in zip(self.logs.logs, last, strict=True) if not held_out]
         machines = [machine for machine, held_out in zip(self.logs.machines, last, strict=True) if not held_out]
@@ -267,27 +273,33 @@ class _RobotProblem(NamedTuple):
 
         return fit_robot(self.family, records, half, progress, start, machines)
 
-    def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
-        del fitted
+    def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
+        del part
         return best
 
-    def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
-        del best, fitted, held_out
+    def suspicion(self, best: RobotFit, part: _Part) -> str:
+        del best, part
         return ""
 
-    def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
+    def gain(self, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
-    def first_errors(self, held_out: Windows) -> PredictionErrors:
+    def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
+        """Root mean squares over the machines, of the first values where there is no fit."""
         # At the first values the family has the program of the fitted model; but a load that it adds was not there.
         added = any(number.group == "payload" for number in self.family.numbers)
-        model: Any = self.family.file.model if added else self.family.make(np.zeros(len(self.family.one.names)))
-        return machine_errors([model] * len(self.machines), held_out)
+        x = np.zeros(len(self.family.names)) if best is None else best.coordinates
+        old = best is None and added
+        each: list[Any] = [self.family.file.model if old else self.family.make(own) for own in x[self.family.parts]]
+        machine, found = part.rows.of_machine, []
+        for k, model in enumerate(each):
+            rows = part.rows._replace(machine=np.zeros_like(part.rows.machine))
+            judged = part.judged & (machine == k)
+            if judged.any():
+                found.append(window_errors(Unknowns.none(model), np.zeros(0), rows, self.logs.length, judged))
+        return PredictionErrors(*(np.sqrt(np.mean(np.square(kind), axis=0)) for kind in zip(*found, strict=True)))
 
-    def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
-        return machine_errors([self.family.make(x) for x in best.coordinates[self.family.parts]], held_out)
-
-    def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
+    def details(self, best: RobotFit) -> dict[str, Any]:
         return robot_details(best)
 
 
@@ -299,8 +311,6 @@ class _ServoProblem(NamedTuple):
     families: list[models.RobotFamily]
     window: float | None
     machines: tuple[str, ...] = ("",)
-
-    search_again = False
 
     @classmethod
     def read(
@@ -337,7 +347,7 @@ class _ServoProblem(NamedTuple):
         """The record with the inputs that act in each step."""
         return log.acting(between, log.loaded.file.input_lag)
 
-    def fit(self, word: str, parts: Parts, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+    def fit(self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
         seen = self.logs.seen
         records = [log.raw for log in self.logs.logs[:seen]]
         if len(self.logs.logs) == 1:
@@ -351,28 +361,22 @@ class _ServoProblem(NamedTuple):
             late=_late(self.logs.logs[0]),
         )
 
-    def judged(self, best: RobotFit, fitted: Windows) -> RobotFit:
-        del fitted
+    def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
+        del part
         return best
 
-    def suspicion(self, best: RobotFit, fitted: Windows, held_out: Windows) -> str:
+    def suspicion(self, best: RobotFit, part: _Part) -> str:
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
-        del fitted, held_out
-        return unlike_servos(self.family, best, self.logs.logs[-1], self._errors(best.coordinates).position)
+        del part
+        return unlike_servos(self.family, best, self.logs.logs[-1], self.errors(best).position)
 
-    def gain(self, parts: Parts, fits: dict[str, RobotFit]) -> Gain:
+    def gain(self, fits: dict[str, RobotFit]) -> Gain:
         return Gain.of(fits["held"].losses - fits["linear"].losses)
 
-    def first_errors(self, held_out: Windows) -> PredictionErrors:
-        del held_out
-        return self._errors(np.zeros(len(self.family.names)))
-
-    def fitted_errors(self, best: RobotFit, held_out: Windows) -> PredictionErrors:
-        del held_out
-        return self._errors(best.coordinates)
-
-    def _errors(self, x: Float[np.ndarray, "p"]) -> PredictionErrors:
+    def errors(self, best: RobotFit | None, part: _Part | None = None) -> PredictionErrors:
         """Errors of the motion predicted from the first row and the commands of what is held out."""
+        del part
+        x = np.zeros(len(self.family.names)) if best is None else best.coordinates
         several = len(self.logs.logs) > 1
         chosen = range(self.logs.seen, len(self.logs.logs)) if several else range(1)
         errors = []
@@ -385,11 +389,11 @@ class _ServoProblem(NamedTuple):
             q = predict_servos(self.families[i], x, record, log.loaded.file.input_between, _late(log))
             off = scoring.unwrap(y[rows], log.loaded.model.circles) - q
             speed = np.gradient(q, t[rows], axis=0)
-            errors.append((np.diff(off, axis=0), off, reference[rows] - speed))
-        one_step, position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
-        return PredictionErrors(*(known_rms(part) for part in (one_step, position, velocity)))
+            errors.append((off, reference[rows] - speed))
+        position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
+        return PredictionErrors(known_rms(position), known_rms(velocity))
 
-    def details(self, best: RobotFit, fitted: Windows) -> dict[str, Any]:
+    def details(self, best: RobotFit) -> dict[str, Any]:
         return servo_details(best, self.family)
 
 

@@ -1,0 +1,304 @@
+"""The probability of logs under a model and noise, as a function of both: what is fitted, and what judges a fit.
+
+The innovations of a Kalman filter along the logs are white if model and noise are right, and their probability is that
+of the logs. The filter is that of the linear model of errors along a motion near the readings, as in `_error_model`;
+each evaluation moves this motion to the smoothed one, so that the filter is linearised where the motion is. A large
+process noise makes every row a prediction of its own, so that the search cannot lose the motion; as the noise falls,
+the stretches over which the model predicts grow to the whole log. There are no windows to choose.
+
+Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, IEEE TIT 11(1); Bell 1994, The iterated
+Kalman smoother as a Gauss–Newton method, SIAM Journal on Optimization 4(3); Ljung 1999, System Identification, 7.4.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from covariant._linalg import known_rms
+from covariant.calibration._least_squares import STD_OF_MEDIAN, Blocks, robust
+from covariant.calibration.identification._error_model import (
+    VAGUE,
+    ErrorModel,
+    NoiseLevels,
+    error_model,
+    input_matrix,
+    kalman,
+    smoothed,
+)
+from covariant.calibration.identification._predict import FAR, PredictionErrors, needed_substeps
+from covariant.calibration.identification._rows import Rows
+from covariant.calibration.identification._unknowns import Unknowns
+from covariant.models import Motion
+from covariant.signals import AnyArray
+
+USUAL, FINEST = 1e-3, 1e-6
+"""Usual and least noise of a reading, as fractions of the motion: below the least is rounding."""
+RANGE = 1e4
+"""Ratio of the bounds of a noise to what explains all motion."""
+DIFFERENCE = 1e-4
+"""Change of the logarithm of a noise by which a derivative is taken: far above rounding, far below what counts."""
+QUIET = np.log(1e-12)
+"""Logarithm of a noise that is none."""
+GAINED, PRECISE = 0.2, 1e-3
+"""Decreases of twice the negative log-likelihood in a round, and in a step for noise, below which a search ends."""
+FASTER = 3.0
+"""Standard deviation of the velocity at the start of a stretch, in largest velocities of the reference."""
+BEYOND = 1e100
+"""Error in standard deviations that is as good as any larger one."""
+MOVES = 4
+"""How often the motion of a window is moved to the best one with the model's equations."""
+
+NumpyArray = np.ndarray
+
+_filtered = eqx.filter_jit(kalman)
+
+
+class Likelihood(NamedTuple):
+    """The negative log-likelihood of rows of logs, by blocks, at given noise.
+
+    Attributes:
+        unknowns: The unknown numbers of the model.
+        rows: The rows.
+        substeps: Runge–Kutta steps from a row to the next.
+        noise: Noise levels.
+        speed: Standard deviation of velocities where a stretch begins.
+        pushes: Accelerations (T, n, n) per unit of the unknown force, held while parameters move: numbers that make a
+            machine heavier must not gain by making the force that nobody knows weaker.
+    """
+
+    unknowns: Unknowns
+    rows: Rows
+    substeps: Any
+    noise: NoiseLevels
+    speed: Any
+    pushes: Any = None
+
+    def blocks(self, z: NumpyArray, kept: Any = None) -> Blocks:
+        """The loss and its derivatives at z (p,); `kept` is what the last point has kept, near which that at z is."""
+        run = self.rows.start if kept is None else self.moved_run(z, kept)
+        # A motion that a step has carried beyond all numbers is judged as it was before.
+        run = run if kept is None or np.isfinite(run.v).all() else kept.run
+        system = self.linear(z, run)
+        result = _filtered(system, self.noise, self.speed, VAGUE)
+        e, slope, spread = (np.asarray(each) for each in (result.innovation, result.slope, result.spread))
+        seen = spread != 0  # a variance that rounding made negative is not a number, and no row without a reading
+        size = np.where(seen, spread, 1.0)
+        # Far from the truth a motion may be beyond all numbers; what is not finite is refused by the search.
+        e = np.clip(e / size, -BEYOND, BEYOND)
+        if len(self.unknowns.parts) > 1:  # readings of one machine may be rougher than those of another
+            whose, sizes = self.rows.of_machine[:, None], np.where(seen, np.abs(e), np.nan)
+            each = [STD_OF_MEDIAN * np.nanmedian(np.where(whose == m, sizes, np.nan)) for m in np.unique(whose)]
+            rough = np.nan_to_num(np.array(each), nan=1.0)[np.searchsorted(np.unique(whose), whose)]
+            e, size = e / rough, size * rough
+        slope = slope / size[:, :, None]
+        loss, weight = robust(e)
+        first = np.flatnonzero(np.diff(np.asarray(self.rows.block), prepend=-1))
+
+        def sums(terms: NumpyArray) -> NumpyArray:
+            return np.add.reduceat(terms, first, axis=0)
+
+        def curvatures(weights: NumpyArray) -> NumpyArray:
+            root = (slope * np.sqrt(weights)[:, :, None]).reshape(-1, slope.shape[2])
+            parts = np.split(root, first[1:] * slope.shape[1])
+            return np.stack([part.T @ part for part in parts])
+
+        scores = sums(np.einsum("ti,tip->tp", weight * e, slope))
+        loss = sums(np.sum(loss + np.log(size), axis=1))
+        return Blocks(loss, scores, np.sum(curvatures(weight), axis=0), curvatures(weight**3), Kept(z, run, system))
+
+    def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
+        """Unknowns (p,) after a step."""
+        return self.unknowns.moved(z, dz)
+
+    def linear(self, z: NumpyArray, run: Motion) -> ErrorModel:
+        """The linear model of errors along a motion."""
+        system = error_model(self.unknowns, jnp.asarray(z), run, self.rows, self.substeps)
+        return system if self.pushes is None else system._replace(input_matrix=self.pushes)
+
+    def moved_run(self, z: NumpyArray, kept: "Kept") -> Motion:
+        """The smoothed motion at z, by the linear model along one near it."""
+        errors = _smoothed_at(kept.system, jnp.asarray(z - kept.z), self.noise, self.speed)
+        return _along(self.unknowns.manifold, kept.run, errors)
+
+    def likelier(
+        self, kept: "Kept", bounds: Float[NumpyArray, "k 2"], steps: int, quiet: bool = False
+    ) -> tuple["Likelihood", float]:
+        """The same with the likeliest noise within bounds, and twice its negative log-likelihood; where it is `quiet`,
+        readings alone are noisy."""
+        n = kept.run.v.shape[1]
+        pushes = _pushes(self.unknowns, jnp.asarray(kept.z), kept.run, self.rows)
+        system = kept.system._replace(slopes=kept.system.slopes[:, :, :0], input_matrix=pushes)
+        start = np.clip(logarithms(self.noise, n), *bounds.T)
+        free = np.arange(1, 1 + n) if quiet else np.arange(len(start))
+        if quiet:
+            start[[0, *range(1 + n, 1 + 2 * n), *range(2 + 2 * n, 2 + 3 * n)]] = QUIET
+        best, loss = descend(start, free, bounds, [system], None, self.speed, steps, VAGUE)
+        return self._replace(noise=levels(best, n), pushes=pushes), loss
+
+
+class Kept(NamedTuple):
+    """What a point keeps for the next one: the unknowns, the motion and the linear model of errors along it."""
+
+    z: NumpyArray
+    run: Motion
+    system: ErrorModel
+
+
+@eqx.filter_jit
+def _smoothed_at(system: ErrorModel, dz: Array, noise: NoiseLevels, speed: Any) -> Array:
+    """Errors with which numbers that change by dz explain the rows best."""
+    changed = system._replace(defect=system.defect + system.slopes @ dz, slopes=system.slopes[:, :, :0])
+    return smoothed(changed, noise, speed, VAGUE)
+
+
+@eqx.filter_jit
+def _along(manifold: Any, run: Motion, errors: Array) -> Motion:
+    """The motion with its errors corrected."""
+    n = run.v.shape[1]
+    return Motion(jax.vmap(manifold.retract)(run.q, errors[:, :n]), run.v + errors[:, n : 2 * n])
+
+
+@eqx.filter_jit
+def _pushes(unknowns: Unknowns, z: Array, run: Motion, rows: Rows) -> Float[Array, "T n n"]:
+    """Accelerations per unit of a force, at each row."""
+    machine = jnp.asarray(rows.machine)[jnp.asarray(rows.block)]
+
+    def push(q, m):
+        return input_matrix(unknowns.model(z, m if len(unknowns.parts) > 1 else 0), q)
+
+    # Those that act in the step to each row are those at the row before, as in the error model.
+    return jnp.roll(jax.vmap(push)(run.q, machine), 1, axis=0)
+
+
+def first_noise(
+    unknowns: Unknowns, rows: Rows, least: Float[NumpyArray, "n"] | None
+) -> tuple[NoiseLevels, Float[NumpyArray, "k 2"]]:
+    """Noise with which forces explain all motion, from which a search begins, and bounds of the logarithms of noise.
+
+    `least` (n,) is the least noise of a reading, such as that of its quantum.
+    """
+    step, v = rows.step, np.asarray(rows.start.v)[: rows.used]
+    motion = np.maximum(np.sqrt(np.mean(v**2, axis=0)) * step * np.sqrt(len(v)), 1e-12)
+    floor = np.maximum(FINEST * motion, 0.0 if least is None else least)
+    noise = np.maximum(USUAL * motion, floor)
+    within = ~np.asarray(rows.fresh)[1 : len(v)]
+    acceleration = float(np.sqrt(np.mean((np.diff(v, axis=0)[within] / step) ** 2))) + 1e-9
+    gains = np.asarray(_pushes(unknowns, jnp.zeros(len(unknowns.first)), rows.start, rows))
+    force, white = acceleration / np.sqrt(np.mean(gains**2, axis=(0, 1))), USUAL * acceleration * np.sqrt(step)
+    usual = np.log([white, *noise, *force, 8 * step, *noise, 8 * step])
+    lower, upper = usual - np.log(RANGE), usual + np.log(RANGE)
+    n = v.shape[1]
+    lower[1 : 1 + n] = np.log(floor)
+    times = [1 + 2 * n, -1]
+    lower[times], upper[times] = np.log(4 * step), np.log(step * max(len(v), 8))
+    return levels(usual, n), np.stack([lower, upper], axis=1)
+
+
+def levels(z: AnyArray, n: int) -> NoiseLevels:
+    """Noise of the logarithms of the noise of acceleration, readings (n,) and force (n,), of the force's time, and, if
+    there are so many, of wiggles (n,) and their time."""
+    each = jnp.exp(jnp.asarray(z))
+    noise = NoiseLevels(each[0], each[1 : 1 + n], each[1 + n : 1 + 2 * n], each[1 + 2 * n])
+    if len(each) == 2 + 2 * n:
+        return noise
+    return noise._replace(wiggle=each[2 + 2 * n : -1], wiggle_time=each[-1])
+
+
+def logarithms(noise: NoiseLevels, n: int) -> Float[NumpyArray, "k"]:
+    """The logarithms that `levels` makes a noise of."""
+    force, wiggle = (np.broadcast_to(np.asarray(each), n) for each in (noise.force, noise.wiggle))
+    own = [float(noise.acceleration), *np.asarray(noise.measurement), *force, float(noise.force_time)]
+    return np.log(np.maximum([*own, *wiggle, float(noise.wiggle_time)], 1e-300))
+
+
+@eqx.filter_jit
+def _losses(z: Float[Array, "k p"], system: ErrorModel, mask: Any, speed: Any, doubt: float) -> Float[Array, "k"]:
+    """Twice the negative log-likelihood of the noise `levels(z)` for each row of z."""
+
+    def loss(z):
+        each = kalman(system, levels(z, system.residual.shape[1]), speed, doubt).loss
+        return jnp.sum(each if mask is None else jnp.where(mask, each, 0.0))
+
+    return jax.vmap(loss)(z)
+
+
+def total_loss(
+    z: NumpyArray, systems: Sequence[ErrorModel], masks: Sequence[NumpyArray] | None, speed: Any, doubt: float = 1.0
+) -> tuple[float, NumpyArray]:
+    """Twice the negative log-likelihood of a noise over several logs, and its derivative."""
+    # Differences, all in one pass, cost a fifth of a derivative by either mode of differentiation.
+    points = jnp.asarray(np.concatenate([z[None], z + DIFFERENCE * np.eye(len(z))]))
+    losses: Any = sum(
+        np.asarray(_losses(points, system, None if masks is None else jnp.asarray(masks[k]), speed, doubt))
+        for k, system in enumerate(systems)
+    )
+    return float(losses[0]), (losses[1:] - losses[0]) / DIFFERENCE
+
+
+def descend(
+    start: NumpyArray,
+    free: NumpyArray,
+    bounds: NumpyArray,
+    systems: Sequence[ErrorModel],
+    masks: Sequence[NumpyArray] | None,
+    speed: Any,
+    steps: int,
+    doubt: float = 1.0,
+) -> tuple[NumpyArray, float]:
+    """The likeliest noise over the entries `free` of its logarithms, within their bounds, and its loss."""
+    from scipy.optimize import minimize
+
+    def at(z):
+        full = start.copy()
+        full[free] = z
+        return full
+
+    def cost(z):
+        loss, slope = total_loss(at(z), systems, masks, speed, doubt)
+        valid = np.isfinite(loss) and np.isfinite(slope[free]).all()
+        return (loss, slope[free]) if valid else (np.inf, np.zeros(len(free)))
+
+    inside = np.clip(start[free], *bounds[free].T)
+    options = {"maxiter": steps, "ftol": PRECISE / max(abs(cost(inside)[0]), 1.0), "maxls": 10}
+    minimum = minimize(cost, inside, jac=True, method="L-BFGS-B", bounds=bounds[free], options=options)
+    return at(minimum.x), float(minimum.fun)
+
+
+def stable_steps(unknowns: Unknowns, z: NumpyArray, rows: Rows) -> Array:
+    """Runge–Kutta steps between rows that the stiffest of the machines needs."""
+    each = [unknowns.model(jnp.asarray(z), machine) for machine in range(len(unknowns.parts))]
+    return jnp.asarray(max(needed_substeps(model, rows) for model in each))
+
+
+def window_errors(
+    unknowns: Unknowns, z: NumpyArray, rows: Rows, length: float, judged: Bool[NumpyArray, "T"]
+) -> PredictionErrors:
+    """Root mean square errors of the motion that a model predicts over windows [s], each from its best first motion."""
+    t = np.asarray(rows.t)
+    rows = rows.only(judged)
+    begun = t[np.maximum.accumulate(np.where(rows.fresh, np.arange(len(t)), 0))]
+    window = np.floor((t - begun) / length + 1e-9)
+    rows = rows._replace(fresh=np.asarray(rows.fresh) | (np.diff(window, prepend=-1) != 0))
+    v = np.asarray(rows.start.v)
+    size = np.maximum(np.sqrt(np.mean(v[: rows.used] ** 2, axis=0)) * length, 1e-12)
+    speed, steps = jnp.asarray(FASTER * np.abs(v).max()), stable_steps(unknowns, z, rows)
+    # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
+    noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
+    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
+    run, off, system = problem.rows.start, np.zeros((0, 0)), problem.linear(z, problem.rows.start)
+    for _ in range(MOVES):
+        run = problem.moved_run(z, Kept(np.asarray(z), run, system))
+        if not np.isfinite(run.v).all():
+            return PredictionErrors(*np.full((2, len(size)), np.inf))
+        off = np.where(system.present, (now := problem.linear(z, run)).residual, np.nan)
+        # Those far off the others are left out from the next time on.
+        off[(off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)] = np.nan
+        system = now._replace(residual=jnp.nan_to_num(off), present=jnp.asarray(np.isfinite(off)))
+    slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, np.asarray(rows.start.v) - np.asarray(run.v), np.nan)
+    slow[~np.isfinite(off)] = np.nan
+    return PredictionErrors(known_rms(off), known_rms(slow))

@@ -1,0 +1,265 @@
+"""The likelihood of logs is that of a plainly written Kalman filter, and its derivatives are those of its values."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from covariant import models
+from covariant.calibration.identification import (
+    ErrorModel,
+    NoiseLevels,
+    Rows,
+    Unknowns,
+    _likelihood as likelihoods,
+    gather,
+    held_out_rows,
+    kalman,
+    total_loss,
+)
+from covariant.calibration.identification._likelihood import Likelihood, logarithms
+from covariant.signals import Record
+
+STIFFNESS, VISCOUS, GAIN, LOAD = 4.0, 0.3, 1.5, 0.4
+NUMBERS = np.array([STIFFNESS, VISCOUS, GAIN, LOAD])
+NOISE = NoiseLevels(jnp.array(0.05), jnp.array([2e-3]), jnp.array([0.2]), 0.3)
+
+
+def mass(q, one):
+    return one * jnp.eye(1)
+
+
+def energy(q, stiffness, load):
+    return stiffness * q[0] ** 2 / 2 - load * q[0]
+
+
+def drive(t, q, u, gain):
+    return gain * u
+
+
+def friction(q, v, viscous):
+    return -viscous * v
+
+
+def oscillator(values) -> tuple[models.Lagrangian, float]:
+    """A unit mass on a spring with friction, a drive and a constant load; and no lag of its inputs."""
+    stiffness, viscous, gain, load = values
+    model = models.Lagrangian(
+        models.Parametric(mass, one=1.0),
+        models.Parametric(energy, stiffness=stiffness, load=load),
+        models.Parametric(drive, gain=gain),
+        models.Parametric(friction, viscous=viscous),
+        coordinates=("q",),
+    )
+    return model, 0.0
+
+
+def unknowns(free: tuple[bool, ...] = (True, True, True, False)) -> Unknowns:
+    manifold = oscillator(NUMBERS)[0].manifold
+    return Unknowns(oscillator, jnp.asarray(NUMBERS), free, jnp.arange(4)[None], manifold)
+
+
+class Swing(NamedTuple):
+    """A log of the oscillator, with its true velocities (T,)."""
+
+    record: Record
+    velocity: np.ndarray
+
+
+def swing(seed: int = 0, rows: int = 500, jitter: float = 0.3) -> Swing:
+    """A driven oscillator with uneven stamps, a Gauss–Markov force, single missing rows, a hole and a gap."""
+    rng = np.random.default_rng(seed)
+    dt = 0.02 * (1 + jitter * rng.uniform(-1, 1, rows))
+    dt[rows // 2] = 0.5  # a gap in the stamps, after which a stretch begins
+    t = np.concatenate([[0.0], np.cumsum(dt)])[:-1]
+    u = np.sin(2.1 * t) + np.sin(5.3 * t)
+    x, force, path = np.array([0.5, 0.0]), 0.0, []
+    for k in range(rows):
+        path.append(x)
+        system = np.zeros((3, 3))
+        system[:2] = [[0, 1, 0], [-STIFFNESS, -VISCOUS, GAIN * u[k] + LOAD + force]]
+        x = (expm(system * dt[k]) @ [*x, 1.0])[:2]
+        decay = np.exp(-dt[k] / 0.3)
+        force = decay * force + 0.2 * np.sqrt(1 - decay**2) * rng.normal()
+    q, v = np.array(path).T
+    y = q + 2e-3 * rng.normal(size=rows)
+    y[rng.choice(np.arange(1, rows // 2), 20, replace=False)] = np.nan
+    y[120:140] = np.nan
+    return Swing(Record(t, u[:, None], y[:, None]), v)
+
+
+def rows_of(log: Swing) -> Rows:
+    rows = gather(oscillator(NUMBERS)[0].manifold, [log.record], [log.velocity[:, None]])
+    return jax.tree.map(jnp.asarray, rows)
+
+
+def problem(log: Swing, noise: NoiseLevels = NOISE, numbers: Unknowns | None = None) -> Likelihood:
+    return Likelihood(numbers or unknowns(), rows_of(log), jnp.asarray(4), noise, jnp.asarray(5.0))
+
+
+class Innovations(NamedTuple):
+    """Innovations (T,) of a filter and their standard deviations; NaN where nothing was read."""
+
+    innovation: np.ndarray
+    std: np.ndarray
+
+
+def plain_filter(log: Swing, values: np.ndarray, noise: NoiseLevels, speed: float) -> Innovations:
+    """The textbook filter of position, velocity and force, with a force that is constant over a step, at its mean."""
+    stiffness, viscous, gain, load = values
+    t, u, y = (np.asarray(each) for each in log.record[:3])
+    white, std, size, time = (float(np.squeeze(np.asarray(each))) for each in noise[:4])
+    usual, fresh = np.median(np.diff(t)), True
+    innovations, stds = np.full((2, len(t)), np.nan)
+    x = cov = None
+    for k in range(len(t)):
+        h = t[k] - t[k - 1] if k else 0.0
+        fresh = k == 0 or h > 5 * usual
+        if fresh:
+            # The prior of a stretch: the reading within a hundred of its deviations, and the velocity of the reference.
+            x = np.array([y[k, 0], log.velocity[k], 0.0])
+            cov = np.diag([(100 * std) ** 2, speed**2, size**2])
+        else:
+            generator = np.zeros((3, 3))
+            generator[:2] = [[0, 1, 0], [-stiffness, -viscous, gain * u[k - 1, 0] + load]]
+            exact = expm(generator * h)
+            decay = np.exp(-h / time)
+            mean = time / h * (1 - decay)
+            transition = np.zeros((3, 3))
+            transition[:2, :2], transition[2, 2] = exact[:2, :2], decay
+            transition[:2, 2] = mean * h**2 / 2, mean * h
+            x = transition @ x + [*exact[:2, 2], 0.0]
+            added = np.diag([0.0, 0.0, size**2 * (1 - decay**2)])
+            added[:2, :2] = white**2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+            cov = transition @ cov @ transition.T + added
+        if np.isnan(y[k, 0]):
+            continue
+        variance = cov[0, 0] + std**2
+        innovations[k], stds[k] = y[k, 0] - x[0], np.sqrt(variance)
+        gains = cov[:, 0] / variance
+        x, cov = x + gains * innovations[k], cov - np.outer(gains, cov[0])
+    return Innovations(innovations, stds)
+
+
+def pseudo_huber(e: np.ndarray) -> np.ndarray:
+    """Half the square of a small e, and three times the size of a large one."""
+    return 9 * (np.sqrt(1 + (e / 3) ** 2) - 1)
+
+
+@pytest.mark.parametrize("z", [np.zeros(4), np.array([0.05, -0.3, 0.02, 0.1])])
+def test_the_loss_is_that_of_a_plain_filter_through_holes_and_uneven_stamps(z):
+    log = swing()
+    numbers = unknowns()
+    expected = plain_filter(log, np.asarray(numbers.values(jnp.asarray(z))), NOISE, 5.0)
+    seen = np.isfinite(expected.innovation)
+    e = expected.innovation[seen] / expected.std[seen]
+    assert 0.5 < np.std(e) < 5
+    assert np.abs(e).max() < 5, "none is an outlier to the filter"
+    blocks = problem(log).blocks(z)
+    np.testing.assert_allclose(np.sum(blocks.loss), np.sum(pseudo_huber(e) + np.log(expected.std[seen])), rtol=1e-6)
+    # Noise is judged by the Gaussian likelihood of the same innovations, twice its negative logarithm.
+    loss, _ = total_loss(logarithms(NOISE, 1), [blocks.rest.system], None, jnp.asarray(5.0), 100.0)
+    np.testing.assert_allclose(loss, np.sum(e**2 + 2 * np.log(expected.std[seen])), rtol=1e-6)
+
+
+def loss_and_score(likelihood: Likelihood, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    blocks = likelihood.blocks(z)
+    return float(np.sum(blocks.loss)), np.sum(blocks.z, axis=0), blocks.information
+
+
+def check_derivatives(likelihood: Likelihood, z: np.ndarray, held: np.ndarray) -> None:
+    """The score and the information of the numbers that are not held against central differences."""
+    free = np.flatnonzero(~held)
+    _, score, information = loss_and_score(likelihood, z)
+    step = 1e-4
+    ends = [[loss_and_score(likelihood, z + way * step * np.eye(4)[j]) for way in (1, -1)] for j in free]
+    slope = np.array([(up[0] - down[0]) / (2 * step) for up, down in ends])
+    curvature = np.array([(up[1] - down[1])[free] / (2 * step) for up, down in ends])
+    # The information is that of Gauss and Newton: it leaves out that the values are exp and sinh of the unknowns.
+    bends = np.where(np.asarray(likelihood.unknowns.positive), 1.0, np.tanh(z)) * score
+    size = np.sqrt(np.diagonal(information))[free]
+    np.testing.assert_allclose(score[free] / size, slope / size, atol=1e-4)
+    both = (each / np.outer(size, size) for each in (curvature - np.diag(bends[free]), information[np.ix_(free, free)]))
+    np.testing.assert_allclose(*both, atol=1e-4)
+
+
+THROUGH_GAINS = np.array([True, True, False, False])
+"""Stiffness and friction change the transition, and so the gains of the filter; drive and load are forces alone."""
+
+
+def beside_the_truth() -> tuple[Likelihood, np.ndarray]:
+    return problem(swing()), np.array([0.02, 0.1, 0.01, 0.03])
+
+
+def test_score_and_information_are_derivatives_of_the_loss():
+    likelihood, z = beside_the_truth()
+    check_derivatives(likelihood, z, THROUGH_GAINS)
+
+
+def test_score_of_numbers_that_change_the_gains_is_right_within_a_fraction_of_the_standard_errors():
+    """Stiffness and friction change the gains too, which the score takes as given: this is nothing on average."""
+    likelihood, z = beside_the_truth()
+    blocks = likelihood.blocks(z)
+    score, size = np.sum(blocks.z, axis=0), np.sqrt(np.diagonal(blocks.information))
+    for j in np.flatnonzero(THROUGH_GAINS):
+        up, down = (loss_and_score(likelihood, z + way * 1e-4 * np.eye(4)[j])[0] for way in (1, -1))
+        assert abs(score[j] - (up - down) / 2e-4) < 0.3 * size[j]
+
+
+def test_slopes_of_the_wrong_sign_would_be_seen(monkeypatch):
+    right = likelihoods.error_model
+
+    def wrong(*arguments):
+        system = right(*arguments)
+        return system._replace(slopes=-system.slopes)
+
+    monkeypatch.setattr(likelihoods, "error_model", wrong)
+    likelihood, z = beside_the_truth()
+    with pytest.raises(AssertionError):
+        check_derivatives(likelihood, z, THROUGH_GAINS)
+
+
+def test_what_readings_are_off_together_is_a_process_of_its_own():
+    """Against the density of all readings at once: a mass that drifts freely, read with an error that is forgotten."""
+    rng, count, h, time = np.random.default_rng(2), 25, 0.1, 0.3
+    step, noise, size, white = np.array([[1.0, h], [0.0, 1.0]]), 0.02, 0.5, 0.7
+    residual = 0.4 * rng.normal(size=count)
+    system = ErrorModel(
+        jnp.asarray(np.tile(step, (count, 1, 1))),
+        jnp.zeros((count, 2)),
+        jnp.zeros((count, 2, 0)),
+        jnp.ones((count, 1, 1)),
+        jnp.asarray(residual[:, None]),
+        jnp.ones((count, 1), bool),
+        jnp.full(count, h),
+        jnp.arange(count) == 0,
+    )
+    levels = NoiseLevels(*map(jnp.asarray, (white, [noise], 0.0, np.inf, [size], time)))
+    added = white**2 * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+    cov = np.zeros((count, 2, count, 2))
+    now = np.diag([noise**2, 4.0])
+    for k in range(count):
+        now = step @ now @ step.T + added if k else now
+        for i, part in enumerate(np.linalg.matrix_power(step, j) @ now for j in range(count - k)):
+            cov[k + i, :, k] = part
+            cov[k, :, k + i] = part.T
+    lag = h * np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    whole = cov[:, 0, :, 0] + size**2 * np.exp(-lag / time) + noise**2 * np.eye(count)
+    expected = np.linalg.slogdet(whole)[1] + residual @ np.linalg.solve(whole, residual)
+    np.testing.assert_allclose(jnp.sum(kalman(system, levels, 2.0).loss), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("readings", [11, 12])
+def test_few_rows_are_no_judge(readings):
+    t = np.arange(0.0, 10.0, 0.02)
+    y = np.cos(t)[:, None]
+    y[np.flatnonzero(t >= t[-1] * 2 / 3)[readings:]] = np.nan
+    rows = gather(models.oscillator().manifold, [Record(t, np.zeros((500, 1)), y)], [-np.sin(t)[:, None]])
+    if readings >= 12:
+        assert held_out_rows(rows, [t], 1.0, [0]).any()
+        return
+    with pytest.raises(ValueError, match="11 rows with all positions"):
+        held_out_rows(rows, [t], 1.0, [0])
