@@ -31,6 +31,10 @@ from ._document import (
     Document as Document,
     Resolved as Resolved,
     parse as parse,
+    read_fields as read_fields,
+    read_interval as read_interval,
+    read_metric as read_metric,
+    read_recipe as read_recipe,
     write as write,
 )
 from ._effort import Effort as Effort
@@ -100,6 +104,8 @@ from ._statement import (
     Verdict as Verdict,
     lines as lines,
     need_doubles as need_doubles,
+    rounded_down as rounded_down,
+    rounded_up as rounded_up,
 )
 from ._steady import disturbance_sizes as disturbance_sizes, loss_of as loss_of, steady_of as steady_of
 from ._tangent_metric import (
@@ -109,6 +115,7 @@ from ._tangent_metric import (
     error_matrix as error_matrix,
     lowered_christoffel as lowered_christoffel,
     lyapunov as lyapunov,
+    metric_form as metric_form,
     optimal_lyapunov as optimal_lyapunov,
     rate_of as rate_of,
     tangent_metric as tangent_metric,

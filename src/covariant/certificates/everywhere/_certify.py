@@ -11,10 +11,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
-from scipy.optimize import minimize
+from scipy.optimize import bisect, minimize
 
 from covariant._domains import NOT_NEGATIVE, SPAN, Count, Positive, Whole, check_numbers
 from covariant.certificates.base import (
@@ -26,21 +25,20 @@ from covariant.certificates.base import (
     amount,
     check_recipe,
     dimension,
-    friction_of,
     need_doubles,
     need_joint_friction,
     need_known,
     need_steady_friction,
 )
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
-from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, Weights, bound_coupling
+from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling
 from covariant.certificates.everywhere._document import GlobalDocument, statement_of
+from covariant.certificates.proving import friction_bounds
 from covariant.certificates.theory import compare_connections
 from covariant.models import MechanicalSystem
 from covariant.observers import MeasuredCoefficients
-from scalargraph import enclose, expand, lower
 from scalargraph.errors import InputError
-from scalargraph.proofs import MOST_BOXES, Box, Proof, check_box, prove, show_conditions, to_letters
+from scalargraph.proofs import MOST_BOXES, Box, Proof, check_box, prove, to_letters
 
 ROOM = 0.99
 """Square of the gain that is asked for, as a fraction of the square that is proved."""
@@ -48,9 +46,8 @@ RATE = 0.1
 """Rate μ of gains that are chosen here, as a fraction of the least ω."""
 DENSE = 1.0
 """Largest ω times the longest time between samples."""
-CELLS = 4096
-PLACES = 50
-"""Random configurations at which the connection is compared."""
+CELLS, PLACES = 4096, 50
+"""Parts of the velocities on which friction is bounded, and random configurations where the connection is compared."""
 
 
 class GlobalCertificate(NamedTuple):
@@ -166,43 +163,36 @@ def certify_globally(
     viscous, dry = _friction(model, speed)
     given_bounds = ("noise", noise), ("disturbance", disturbance), ("jerk", jerk)
     errors = [amount(key, value, n) for key, value in given_bounds]
-    coupling = Coupling.of(model, _domain(model, position, errors[0]))
-    # What is weighed here, at ω = W = 1, is the coupling itself.
-    weights = Weights(speed, viscous, np.ones(n), np.ones(n), dry + errors[1])
-    sampled = weights.coupling(*coupling.sampled()).max(0)
-    if given is None and not sampled.any():
+    domain, ones = _domain(model, position, errors[0]), np.ones(n)
+    gains = (ones, ones) if given is None else (given.alpha, given.beta)
+    alpha, beta = (np.broadcast_to(np.asarray(gain, float), (n,)) for gain in gains)
+    about = recipe, domain.low, domain.high, speed, alpha, beta, ones, viscous, dry, *errors, 0 * ones
+    found_later = rate or 0.0, math.inf, np.tile(np.eye(2), (n, 1, 1)), ()
+    document = GlobalDocument(*about, np.asarray(interval, float), lost, *found_later)
+    coupling = Coupling.of(model, domain, document)
+    # What is sampled here, at ω = W = 1, is the coupling itself.
+    largest = coupling.sampled()[0].max(0)
+    if given is None and not largest.any():
         raise InputError("certify_globally: no coordinate couples by its speed, so that any gains do; give an observer")
     # Coordinates that do not couple get a small gain too.
-    sampled = sampled + 0.02 * max(float(sampled.max()), 1e-3)
+    largest = largest + 0.02 * max(float(largest.max()), 1e-3)
     if given is None:
-        omega = _shape(sampled, np.where(errors[0] > 0, errors[0], 1.0))
-        gains = DAMPING * omega, omega**2
-    else:
-        gains = [np.broadcast_to(np.asarray(gain, float), (n,)) for gain in (given.alpha, given.beta)]
-        omega = np.sqrt(gains[1])
-    weights = weights._replace(omega=omega, weights=_perron(sampled / omega[:, None]))
-    rest = np.zeros(n), np.asarray(interval, float), lost, rate or 0.0, math.inf, np.tile(np.eye(2), (n, 1, 1)), ()
-    numbers = recipe, *coupling.domain[2:], speed, *gains, weights.weights, viscous, dry, *errors, *rest
-    document = GlobalDocument._make(numbers)
+        omega = _shape(largest, np.where(errors[0] > 0, errors[0], 1.0))
+        document = document._replace(alpha=DAMPING * omega, beta=omega**2)
+    omega = document.omega
+    document = document._replace(weights=_perron(largest / omega[:, None]))
     # Of given gains it is known which coupling they allow.
     enough = 0.0 if given is None else _allowed(document._replace(rate=rate or 0.02 * float(omega.min())))
     told = None if progress is None else lambda share, count: progress("the coupling", share, count)
-    bound = bound_coupling(coupling, weights, enough, boxes, seconds, told)
+    bound = bound_coupling(coupling._replace(document=document), enough, boxes, seconds, told)
     levels = tuple(to_letters(bound.proof.levels))
     document = document._replace(acceleration=bound.acceleration, coupling=bound.norm, levels=levels)
     if bound.norm < math.inf:
         document = (_design if given is None else _verify)(document, rate)
-    hypotheses = (*_hypotheses(document, bound, omega, model), _connection(model, coupling))
+    hypotheses = (*_hypotheses(document, bound, omega, model), compare_connections(model.space, domain, PLACES))
     statement = statement_of(document, model, hypotheses, all(each.verdict == "holds" for each in hypotheses))
     made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given
     return GlobalCertificate(statement, made, document, bound.proof, bound.norm)
-
-
-def _connection(model: MechanicalSystem, coupling: Coupling) -> Hypothesis:
-    """Whether the connection that the observer computes is that of the metric, whose graph the bounds use."""
-    low, high = coupling.domain[2:]
-    points = np.random.default_rng(0).uniform(low, high, (PLACES, len(low)))
-    return compare_connections(model.space, points, np.moveaxis(coupling.symbols(points)[1], 1, 3))
 
 
 def _domain(model: MechanicalSystem, position: Bounds | None, noise: np.ndarray) -> Box:
@@ -220,25 +210,16 @@ def _domain(model: MechanicalSystem, position: Bounds | None, noise: np.ndarray)
 
 
 def _friction(model: MechanicalSystem, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Viscous friction F (n,), and bounds (n,) of how much the rest of the friction differs between two velocities."""
-    n = len(speed)
-    friction = lower(lambda v: friction_of(model, jnp.zeros(n), v), jnp.zeros(n), real=True)
-    names = tuple(f"v_{name}" for name in model.coordinates)
-    assert friction.conditions is not None
-    if reason := show_conditions(friction.conditions, Box(names, ("",) * n, -speed, speed)):
-        raise InputError(f"the friction of the model jumps, or is not defined, everywhere in the region: {reason}")
-    slopes = expand(friction._replace(conditions=None), range(n), 1)
-    diagonal = n + np.arange(n) * (n + 1)
+    """F (n,), and bounds (n,) of how much more than F times their distance friction differs between two velocities."""
+    # Any F is sound; the least slope leaves dry friction, which is steep near rest, to the rest. The margins leave room
+    # for a checker that bounds slopes in another way.
+    viscous = np.maximum(friction_bounds(model, speed)[1][0, 0], 0.0) * (1 + 1e-11)
     ends = np.linspace(-1, 1, CELLS + 1)[:, None] ** 3 * speed  # small where dry friction is steep, near rest
-    at, on = enclose(slopes, speed[None], speed[None]), enclose(slopes, ends[:-1], ends[1:])
-    # Any F is sound; that at the largest speed leaves dry friction, which is steep near rest, to the rest.
-    viscous = np.maximum(-at.low[0, diagonal], 0.0)
-    steep = np.maximum(np.abs(on.low[:, diagonal] + viscous), np.abs(on.high[:, diagonal] + viscous))
-    dry = (steep * np.diff(ends, axis=0)).sum(0)
+    slopes = np.abs(friction_bounds(model, speed, ends[:-1], ends[1:])[1]).max(0)
+    dry = 1.02 * (np.maximum(slopes - viscous, 0.0) * np.diff(ends, axis=0)).sum(0)
     if not np.isfinite(dry).all():
         raise InputError("the slope of the model's friction has no bound over the velocities; make them smaller")
-    # The margin leaves room for a checker that bounds slopes in another way.
-    return viscous, 1.02 * dry + 1e-9 * viscous * speed
+    return viscous, dry
 
 
 def _perron(matrix: np.ndarray) -> np.ndarray:
@@ -286,13 +267,9 @@ def _design(document: GlobalDocument, rate: float | None) -> GlobalDocument:
     factor = 1.38 * norm
     while factor * shape.max() * document.ages[-1, 1] <= DENSE:
         omega = factor * shape
-        tried = document._replace(
-            alpha=DAMPING * omega,
-            beta=omega**2,
-            coupling=norm / factor * (1 + 1e-12),
-            rate=rate or RATE * float(omega.min()),
-        )
-        if (found := _metrics(tried)) is not None:
+        gains = {"alpha": DAMPING * omega, "beta": omega**2, "rate": rate or RATE * float(omega.min())}
+        found = _metrics(document._replace(coupling=norm / factor * (1 + 1e-12), **gains))
+        if found is not None:
             return found
         factor *= 1.03
     return document
@@ -300,17 +277,10 @@ def _design(document: GlobalDocument, rate: float | None) -> GlobalDocument:
 
 def _verify(document: GlobalDocument, rate: float | None) -> GlobalDocument:
     """The document at the largest rate for which metrics are found, or at a given one."""
-    if rate is not None:
-        return _metrics(document) or document
-    best, low, high = document, 0.0, float(document.alpha.min()) / 2
-    for _ in range(12):
-        middle = (low + high) / 2 if low else high / 16
-        found = _metrics(document._replace(rate=middle))
-        if found is None:
-            high = middle
-        else:
-            best, low = found, middle
-    return best
+    slowest, fastest = float(document.alpha.min()) * np.array([1e-4, 0.5])
+    if rate is None and _allowed(document._replace(rate=slowest)) >= document.coupling:
+        rate = bisect(lambda mu: _allowed(document._replace(rate=mu)) - document.coupling, slowest, fastest, rtol=1e-3)
+    return document if rate is None else _metrics(document._replace(rate=rate)) or document
 
 
 def _hypotheses(

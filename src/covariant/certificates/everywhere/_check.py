@@ -13,6 +13,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import block_diag
 from jaxtyping import Array
 
 from covariant.certificates.base import (
@@ -28,11 +29,12 @@ from covariant.certificates.everywhere._document import GlobalDocument, read_doc
 from covariant.models import Lagrangian, MechanicalSystem, from_recipe
 from covariant.observers import MeasuredCoefficients
 from scalargraph.errors import InputError
-from scalargraph.proofs.checker import ROUND, TaylorEnclosure, halves, jacobian, leaves, show_definite
+from scalargraph.proofs.checker import ROUND, SavedTree, TaylorEnclosure, jacobian, show_definite, show_tree
 
-CHUNK, DEEPEST = 256, 12
-"""Boxes evaluated at once, and how often a leaf may be halved."""
+DEEPEST, SHARE, PARTS = 12, 1024, 8
+"""How often a leaf may be halved, and in how many parts the tree is checked, of so many leaves or more."""
 CELLS = 2048
+"""Parts of the velocities on which friction is bounded."""
 
 
 def check_globally(
@@ -127,20 +129,19 @@ def _gain_matrix(observer: MeasuredCoefficients, p: np.ndarray, document: Global
 
 
 def _show_friction(document: GlobalDocument, system: MechanicalSystem) -> None:
-    """Show that slopes of the friction stay so near to −F that the rest of it differs by no more than is stated."""
-    n = len(document.low)
+    """Show that friction differs between velocities by no more than F times their distance, and what is stated."""
+    low, high, none = -document.velocity, document.velocity, np.zeros(len(document.velocity))
 
-    def excess(v):
-        slopes = jnp.diagonal(jacobian(lambda w: friction_of(system, jnp.zeros(n), w), v))
-        return slopes + document.viscous
+    def friction(v):
+        return friction_of(system, jnp.zeros(len(v)), v)
 
-    low, high = -document.velocity, document.velocity
+    smooth = TaylorEnclosure(friction, low, high, none, "smooth")
+    show_definite(smooth, low[None], high[None], 40, "friction")
     # Cells are small near rest, where dry friction is steep.
     ends = np.linspace(-1, 1, CELLS + 1)[:, None] ** 3 * high
-    found = TaylorEnclosure(excess, low, high, np.zeros(n))(ends[:-1], ends[1:])
-    total = np.array([((abs(x.middle) + x.away) * np.diff(ends[:, i])).sum() for i, x in enumerate(found)])
-    smooth = TaylorEnclosure(lambda v: friction_of(system, jnp.zeros(n), v), low, high, np.zeros(n), "smooth")
-    show_definite(smooth, low[None], high[None], 40, "friction")
+    slopes = TaylorEnclosure(lambda v: jnp.diagonal(jacobian(friction, v)), low, high, none)(ends[:-1], ends[1:])
+    excess = [np.maximum(abs(x.middle) + x.away - f, 0.0) for x, f in zip(slopes, document.viscous, strict=True)]
+    total = np.array([(e * width).sum() for e, width in zip(excess, np.diff(ends, axis=0).T, strict=True)])
     total = np.where(total < 1e-290, 0.0, total)  # the radius of an exact 0 covers underflows, of which it has none
     if not (total * (1 + ROUND) <= document.dry).all():
         raise InputError(f"dry: friction beside F differs by {total.tolist()}; stated are {document.dry.tolist()}")
@@ -149,91 +150,30 @@ def _show_friction(document: GlobalDocument, system: MechanicalSystem) -> None:
 def _show_coupling(
     document: GlobalDocument, system: MechanicalSystem, progress: Callable[[int, int], None] | None
 ) -> int:
-    n = len(document.low)
+    """Show that coupling and accelerations are below their bounds, down to the leaves of the tree."""
+    n, corners = len(document.low), (document.low[None], document.high[None])
+    whole = document.low, document.high, np.zeros(n)
+    pushed = document.dry + document.disturbance
 
-    def parts(q):
-        """M, and `Γ_l,jk` of the first kind, one after the other."""
+    def matrix(q):
+        """Half of `(R B; Bᵀ R)`, which says |B| < R, with the shares of D beside it; B from the symbols and M⁻¹."""
         slope = jacobian(system.space, q)  # ∂_c M_ab as (a, b, c)
         first = (slope + jnp.swapaxes(slope, 1, 2) - jnp.moveaxis(slope, 2, 0)) / 2
-        return jnp.concatenate([system.space(q).ravel(), first.ravel()])
+        inverse = jnp.stack([system.space.raise_(q, each) for each in jnp.eye(n)])
+        symbols = jnp.abs((inverse @ first.reshape(n, n * n)).reshape(n, n, n))
+        coupling = 2 * symbols @ document.velocity + jnp.abs(inverse) * document.viscous
+        b = coupling * document.weights / (document.weights * document.omega)[:, None]
+        rows = [[document.coupling * jnp.eye(n), b], [b.T, document.coupling * jnp.eye(n)]]
+        room = jnp.diag(1 - jnp.abs(inverse) @ pushed / document.acceleration) if pushed.any() else jnp.eye(n)
+        return block_diag(jnp.block(rows), room) / 2
 
-    enclosure = TaylorEnclosure(parts, document.low, document.high, np.zeros(n))
-    defined = TaylorEnclosure(system.space, document.low, document.high, np.zeros(n), "smooth")
-    show_definite(defined, document.low[None], document.high[None], 40, "the metric")
-    low, high = leaves(document.low, document.high, document.levels, "levels")
-    total, done = len(low), 0
-    left = np.zeros(total, int)
-    while len(low):
-        (low, a), (high, b), (left, depth) = ((x[:-CHUNK], x[-CHUNK:]) for x in (low, high, left))
-        good, axes = _bounded(document, enclosure(a, b), b - a)
-        if (depth[~good] >= DEEPEST).any():
-            k = np.flatnonzero(~good)[depth[~good].argmax()]
-            raise InputError(
-                f"coupling: it is not shown to be below {document.coupling:.6g} at {((a + b) / 2)[k].tolist()}"
-            )
-        lower, upper = halves(a[~good], b[~good], axes[~good])
-        low, high = np.concatenate([low, lower]), np.concatenate([high, upper])
-        left = np.concatenate([left, np.repeat(depth[~good] + 1, 2)])
-        done += int((good & (depth == 0)).sum())
+    show_definite(TaylorEnclosure(system.space, *whole, "smooth"), *corners, 40, "the metric")
+    enclosure, tree = TaylorEnclosure(matrix, *whole), SavedTree.read(n, document.levels, "levels")
+    parts, done = tree.boxes(np.zeros(1, int), *corners, SHARE), 0
+    for chosen in np.array_split(np.arange(len(parts[0])), PARTS):
+        numbers, low, high = (part[chosen] for part in parts)
+        show_tree(enclosure, tree, numbers, low, high, DEEPEST, "the coupling")
+        done += int(tree.leaves[numbers].sum())
         if progress is not None:
-            progress(done, total)
-    return total
-
-
-def _bounded(document: GlobalDocument, found: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes on which the coupling is as stated, and the coordinate to halve on others."""
-    n, boxes = len(document.low), len(width)
-    keys = sorted({m for entry in found for part in entry.terms for m in part})
-    terms, radius = np.zeros((len(keys), len(found), boxes)), np.zeros((len(found), boxes))
-    for j, entry in enumerate(found):
-        radius[j] = entry.radius
-        for part in entry.terms:
-            for m, t in part.items():
-                terms[keys.index(m), j] = t
-    terms, radius = np.moveaxis(terms, 2, 1), radius.T + ROUND * np.abs(terms).sum(0).T
-    shape = (boxes, n, n)
-    metric, spread = terms[..., : n * n].reshape(len(keys), *shape), radius[:, : n * n].reshape(shape)
-    # Columns of the right side: the symbols, then the identity, so that T = M⁻¹ times it is Γ and M⁻¹.
-    right = np.concatenate([terms[..., n * n :].reshape(len(keys), boxes, n, n * n), 0 * metric], axis=3)
-    right[keys.index(()), :, :, n * n :] = np.eye(n)
-    loose = np.concatenate([radius[:, n * n :].reshape(boxes, n, n * n), 0 * spread], axis=2)
-    centre = keys.index(())
-    others = [k for k in range(len(keys)) if k != centre]
-    with np.errstate(all="ignore"):
-        guess = np.linalg.inv(np.where(np.isfinite(metric[centre]), metric[centre], np.eye(n)))
-        size = np.abs(guess)
-        e, g = -(guess @ metric), guess @ right
-        e[centre] += np.eye(n)
-        slack = size @ spread + ROUND * (size @ np.abs(metric).sum(0) + np.eye(n))
-        wander = np.abs(g[others]).sum(0) + size @ loose + ROUND * (size @ np.abs(right).sum(0))
-        whole = np.abs(e).sum(0) + slack
-        # T = G + E G + E²T: the terms of G and E·G₀ are added before absolute values are taken.
-        turned = g + e @ g[centre]
-        total = np.abs(turned).sum(0) + size @ loose + slack @ np.abs(g[centre]) + whole @ wander
-        total = total * (1 + ROUND) + ROUND * (size @ np.abs(right).sum(0)) + 1e-200
-        again = whole @ whole * (1 + ROUND)
-        # Iterated from above: x ≥ total + again·x with x > 0 bounds |T|.
-        x = total
-        for _ in range(60):
-            x = total + again @ x
-        x = x * (1 + 1e-6)
-        sound = (total + again @ x <= x * (1 - ROUND)).all((1, 2)) & np.isfinite(x).all((1, 2))
-        gamma, inverse = x[:, :, : n * n].reshape(boxes, n, n, n), x[:, :, n * n :]
-        omega, w = document.omega, document.weights
-        coupling = (2 * gamma * document.velocity).sum(3) + inverse * document.viscous
-        scaled = coupling * (w / (w * omega)[:, None]) * (1 + ROUND)
-        # A norm is below R if Bx ≤ R y and Bᵀy ≤ R x for positive x and y.
-        x, limit = np.ones((boxes, n)), document.coupling
-        for _ in range(20):
-            x = np.einsum("bij,bik,bk->bj", scaled, scaled, x)
-            x = x / (x.max(1, keepdims=True) + 1e-200) + 1e-3
-        y = np.einsum("bij,bj->bi", scaled, x) * (1 + ROUND) / limit
-        good = sound & (np.einsum("bij,bi->bj", scaled, y) * (1 + ROUND) <= limit * x).all(1)
-        pushed = inverse @ (document.dry + document.disturbance) * (1 + ROUND)
-        good &= (pushed <= document.acceleration).all(1)
-        share = np.abs(turned).sum((2, 3)) + np.abs(e).sum((2, 3)) * np.abs(g[centre]).sum((1, 2))
-    weight = np.zeros(width.shape)
-    for k in others:
-        for i in keys[k]:
-            weight[:, i] += np.nan_to_num(share[k])
-    return good, np.where(weight.max(1) > 0, weight.argmax(1), width.argmax(1))
+            progress(done, int(tree.leaves[0]))
+    return done

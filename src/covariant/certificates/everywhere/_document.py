@@ -16,7 +16,6 @@ Source: an addition. Desoer & Vidyasagar 1975, Feedback systems, for small gains
 theorem for ISS systems, Math. Control Signals Systems 7, for bounded disturbances.
 """
 
-import json
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,20 +24,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates.base import Hypothesis, Statement
+from covariant.certificates.base import (
+    MOST_LOST,
+    Hypothesis,
+    Statement,
+    read_fields,
+    read_interval,
+    read_metric,
+    read_recipe,
+    rounded_down,
+    rounded_up,
+    write,
+)
 from covariant.certificates.everywhere._channel import Channel
 from covariant.models import MechanicalSystem, recipe_text
 from scalargraph import enclose, lower
 from scalargraph.errors import InputError
-from scalargraph.files import write_atomically
 from scalargraph.proofs import LETTERS, digest, parse_file, read_file, saved_levels
 
 FORMAT = "covariant certificate of all first errors 1"
 MOST_JOINTS = len(LETTERS)
 CELLS = 64
 """Parts of an interval of ages on which the disturbances are bounded."""
-VECTORS = ("low", "high", "velocity", "alpha", "beta", "weights", "viscous", "dry", "noise", "disturbance", "jerk")
-NOT_NEGATIVE = ("viscous", "dry", "noise", "disturbance", "jerk")
+POSITIVE = ("velocity", "alpha", "beta", "weights")
+NOT_NEGATIVE = ("viscous", "dry", "noise", "disturbance", "jerk", "acceleration")
 ASSUMED = (
     "the true motion solves the model, with the input that the observer is given and up to the stated unknown force, "
     "and keeps to the configurations and to the bounds of velocities",
@@ -62,8 +71,8 @@ class GlobalDocument(NamedTuple):
         velocity: bounds V (n,) of the true speeds, to which the observer clips.
         alpha, beta: gains (n,).
         weights: W (n,).
-        viscous: F (n,), the friction that is linear in the velocity.
-        dry: bounds (n,) of what the friction adds to it, between any two velocities.
+        viscous: F (n,).
+        dry: bounds (n,) of how much more than F times their distance friction differs between two velocities.
         noise: bounds (n,) of the errors of measurements.
         disturbance: bounds (n,) of unknown forces.
         jerk: bounds (n,) of the change of the acceleration within a sample, per second.
@@ -102,6 +111,15 @@ class GlobalDocument(NamedTuple):
         return np.sqrt(self.beta)
 
     @property
+    def force(self) -> Float[np.ndarray, "n"]:
+        """Bounds (n,) of all forces that are unknown."""
+        return self.dry + self.disturbance
+
+    def scaled(self, coupling: Any) -> Any:
+        """B = diag(1/ω) W⁻¹ N W (..., n, n) of a coupling N."""
+        return coupling * self.weights / (self.weights * self.omega)[:, None]
+
+    @property
     def square(self) -> float:
         """γ², rounded down: a little less than 1/R²."""
         return (1 - 1e-12) / self.coupling**2
@@ -112,13 +130,10 @@ class GlobalDocument(NamedTuple):
         counts = np.arange(1.0, self.lost + 2)[:, None]
         return counts * self.interval * [1 - 1e-9, 1 + 1e-9]  # stamps are rounded
 
-    def radius(self, noise: Any = None, acceleration: Any = None, jerk: Any = None) -> float:
-        """r, an upper bound of |x| in the end, for the stated disturbances or for others."""
-        given = (self.noise, self.acceleration, self.jerk)
-        others = (noise, acceleration, jerk)
-        chosen = given if all(each is None for each in others) else [0.0 if x is None else x for x in others]
-        n, d, j = (np.broadcast_to(np.asarray(x, float), self.omega.shape) for x in chosen)
-        if not (n.any() or d.any() or j.any()):
+    def radius(self) -> float:
+        """r, an upper bound of |x| in the end."""
+        n, d, j = self.noise, self.acceleration, self.jerk
+        if not np.any([n, d, j]):
             return 0.0
 
         def ratio(tau):
@@ -145,19 +160,15 @@ class GlobalDocument(NamedTuple):
 
     def document(self) -> dict[str, Any]:
         """Data for the file."""
-        data = {
-            key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in self._asdict().items()
-        }
-        content = {"format": FORMAT, **data, "levels": list(self.levels)}
+        content = {"format": FORMAT, **self._asdict(), "levels": list(self.levels)}
+        content = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in content.items()}
         return content | {"digest": digest(content)}
 
     def save(self, path: str | Path) -> Path:
         """Write the file."""
         if self.recipe is None:
             raise InputError("a certificate is saved with its model; give certify_globally(..., recipe=...)")
-        content = json.dumps(self.document(), indent=1, ensure_ascii=False).encode("utf-8")
-        read_document(path, content)  # so that a saved file can always be read again
-        return write_atomically(Path(path), lambda file: file.write(content))
+        return write(Path(path), self.document(), read=read_document)
 
 
 def read_document(path: str | Path, content: bytes | None = None) -> GlobalDocument | None:
@@ -165,25 +176,18 @@ def read_document(path: str | Path, content: bytes | None = None) -> GlobalDocum
     top = parse_file(path, read_file(path) if content is None else content)
     if not isinstance(top.value, dict) or top.value.get("format") != FORMAT:
         return None
-    fields = top.record(["format", *GlobalDocument._fields, "digest"])
-    fields["digest"].need(fields["digest"].value == digest(top.value), "that of what the file says")
+    fields = read_fields(top, ["format", *GlobalDocument._fields, "digest"])
     n = len(fields["low"].vector(1, MOST_JOINTS))
-    numbers: dict[str, Any] = {
-        key: fields[key].vector(n, n, **({"least": 0.0} if key in NOT_NEGATIVE else {}))
-        for key in (*VECTORS, "acceleration")
-    }
-    for key in ("velocity", "alpha", "beta", "weights"):
+    numbers: dict[str, Any] = {key: fields[key].vector(n, n) for key in ("low", "high", *POSITIVE)}
+    numbers |= {key: fields[key].vector(n, n, least=0.0) for key in NOT_NEGATIVE}
+    for key in POSITIVE:
         fields[key].need((numbers[key] > 0).all(), "positive numbers")
     fields["high"].need((numbers["low"] <= numbers["high"]).all(), "no less than low")
-    interval = fields["interval"].vector(2, 2)
-    fields["interval"].need(0 < interval[0] <= interval[1], "two positive times, the shorter one first")
-    metrics = np.stack([np.stack([row.vector(2, 2) for row in p.rows(2, 2)]) for p in fields["metrics"].rows(n, n)])
-    definite = (metrics[:, 0, 0] > 0) & (metrics[:, 0, 0] * metrics[:, 1, 1] * (1 - 1e-9) > metrics[:, 0, 1] ** 2)
-    fields["metrics"].need(definite.all() and (metrics == metrics.swapaxes(1, 2)).all(), "positive definite matrices")
-    fields["recipe"].need(isinstance(fields["recipe"].value, dict), "the recipe of a model")
     numbers |= {key: fields[key].positive() for key in ("rate", "coupling")}
-    numbers |= {"lost": fields["lost"].whole(0, 1000), "levels": saved_levels(fields["levels"], n)}
-    return GlobalDocument(recipe=fields["recipe"].value, interval=interval, metrics=metrics, **numbers)
+    numbers |= {"interval": read_interval(fields["interval"]), "lost": fields["lost"].whole(0, MOST_LOST)}
+    numbers["metrics"] = np.stack([read_metric(row) for row in fields["metrics"].rows(n, n)])
+    numbers["levels"] = saved_levels(fields["levels"], n)
+    return GlobalDocument(recipe=read_recipe(fields["recipe"]), **numbers)
 
 
 def statement_of(
@@ -196,11 +200,12 @@ def statement_of(
     radius = document.radius() if proved else math.inf
     shortest, longest = document.interval.tolist()
     every = f"{shortest!r} s" if shortest == longest else f"{shortest!r} to {longest!r} s"
-    per = {
-        "unit of noise": {"noise": 1.0},
-        "unit/s² of unknown acceleration": {"acceleration": 1.0},
-        "unit/s³ of jerk": {"jerk": 1.0},
+    disturbing = {
+        "noise": "unit of noise",
+        "acceleration": "unit/s² of unknown acceleration",
+        "jerk": "unit/s³ of jerk",
     }
+    exact = document._replace(**dict.fromkeys(disturbing, np.zeros(len(names))))
     lines = [
         f"model: {'one that was given as an object' if document.recipe is None else recipe_text(document.recipe)}",
         f"observer: measured-coefficients, speed = {document.velocity.tolist()}, alpha = {document.alpha.tolist()} "
@@ -209,7 +214,7 @@ def statement_of(
         "measured configurations: "
         + ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, low, high, unit in bounds),
         f"true velocities up to {document.velocity.tolist()}",
-        f"friction: {document.viscous.tolist()} times the velocity, and forces that differ by up to "
+        f"friction: between velocities it differs by up to {document.viscous.tolist()} times their distance, and "
         f"{document.dry.tolist()}",
         f"noise of measurements up to {document.noise.tolist()}, unknown forces up to {document.disturbance.tolist()}, "
         f"together accelerations up to {_rounded(document.acceleration)}; jerk up to {document.jerk.tolist()}",
@@ -220,13 +225,13 @@ def statement_of(
             f"velocities; weights {document.weights.tolist()}, P {document.metrics.tolist()}",
             *(
                 f"each {what} in every coordinate leaves velocities off by at most "
-                f"{_rounded(velocity * document.radius(**values))}"
-                for what, values in per.items()
+                f"{_rounded(velocity * exact._replace(**{key: np.ones(len(names))}).radius())}"
+                for key, what in disturbing.items()
             ),
         ]
     claim = (
         "from every first error of positions and velocities, the error of the estimate falls"
-        + (f" at {math.floor(1e4 * document.rate) / 1e4} 1/s or faster" if document.rate else "")
+        + (f" at {rounded_down(document.rate)} 1/s or faster" if document.rate else "")
         + (f", to within {_rounded(velocity * radius)} of the velocities" if proved and radius else "")
     )
     assumed = tuple(Hypothesis(text, "assumed") for text in ASSUMED)
@@ -235,9 +240,4 @@ def statement_of(
 
 def _rounded(values: np.ndarray) -> str:
     """Numbers rounded up to four digits."""
-
-    def up(x):
-        digits = 10.0 ** (3 - math.floor(math.log10(x))) if 0 < x < math.inf else 1.0
-        return math.ceil(x * digits) / digits if x < math.inf else x
-
-    return f"[{', '.join(f'{up(x):.5g}' for x in values.tolist())}]"
+    return f"[{', '.join(rounded_up(x) for x in values.tolist())}]"

@@ -36,6 +36,7 @@ from covariant.certificates.base import (
     check_recipe,
     dimension,
     lowered_christoffel,
+    metric_form,
     need_doubles,
     need_known,
     region_of,
@@ -168,8 +169,6 @@ def certify_distance(
         )
     known = _Model.of(model, region.true._replace(units=model.units or ("", "")), region.inputs)
     found = _prove_bounds(known, speeds, errors, boxes)
-    places = np.random.default_rng(0).uniform(known.whole.low, known.whole.high, (PLACES, len(known.whole.low)))
-    symbols = known.form(lambda g, dg, ddg, f, df: lowered_christoffel(dg)).at(places)
     bounds = found.bounds if velocity_error is None else found.bounds._replace(velocity_error=float(velocity_error))
     alpha, beta = float(observer.alpha), float(observer.beta)
     sigma = beta / alpha
@@ -196,7 +195,7 @@ def certify_distance(
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
     hypotheses = (
         *found.hypotheses,
-        compare_connections(model.space, places[:, :2], symbols),
+        compare_connections(model.space, known.domain),
         gains,
         *([Hypothesis(PERIODIC, "proved")] if model.manifold.circles else []),
         *([room] if border.any() else []),
@@ -280,18 +279,10 @@ class _Model(NamedTuple):
         return derivative_form(values, lambda z: z[:2], parts, formula)
 
 
-def compare_connections(
-    space: AbstractSpace, points: Float[np.ndarray, "k n"], symbols: Float[np.ndarray, "k n n n"]
-) -> Hypothesis:
-    """Compare the connection of the space, used by the observer, with that of the metric, used in the bounds.
-
-    Args:
-        space: the space.
-        points: random positions.
-        symbols: Christoffel symbols of the first kind there, from the graph of the metric; the lowered index is last.
-    """
+def compare_connections(space: AbstractSpace, domain: Box, places: int = PLACES) -> Hypothesis:
+    """Compare the connection of the space, used by the observer, with that of the metric, used in the bounds."""
     # The space declares its connection or derives it from the metric by JAX; the bounds use the graph of the metric.
-    n = points.shape[1]
+    n = len(domain.low)
     identity = jnp.eye(n)
 
     def declared(q):
@@ -300,13 +291,17 @@ def compare_connections(
         raised = jnp.stack([space.raise_(q, a) for a in identity])
         return jnp.concatenate([(pairs @ space(q)).ravel(), (raised @ space(q)).ravel()])
 
+    def derived(_, slopes):
+        return jnp.concatenate([lowered_christoffel(slopes).ravel(), identity.ravel()])
+
+    points = np.random.default_rng(0).uniform(domain.low, domain.high, (places, n))
+    expected = metric_form(space, derived).at(points)
     try:
         lowered = lower(declared, jnp.zeros(n))
         computed = np.asarray(numbers(lowered, points))
         analytic = {node.op for node in lowered.graph.nodes} <= ANALYTIC
     except LoweringError:
         computed, analytic = np.asarray(jax.lax.map(declared, jnp.asarray(points))), False
-    expected = np.concatenate([symbols.reshape(len(points), -1), np.tile(np.eye(n).ravel(), (len(points), 1))], axis=1)
     off = np.abs(computed - expected).max(axis=1) / np.maximum(np.abs(expected).max(axis=1), 1.0)
     text = f"the connection of the model's space is that of its metric, as at {len(points)} random positions"
     if not (off <= AGREES).all():
