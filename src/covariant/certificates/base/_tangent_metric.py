@@ -266,7 +266,7 @@ def lowered_christoffel(change: Float[Array, "n n n"]) -> Float[Array, "n n n"]:
 
 
 def metric_form(space: AbstractSpace, formula: Callable[[Array, Array], Array]) -> Form:
-    """The form of an expression in the metric g (n, n) and in its derivatives ∂_k g_ij (n, n, n), from the graph of g."""
+    """The form of an expression in the metric g (n, n) and its derivatives ∂_k g_ij (n, n, n), from the graph of g."""
 
     def parts(derivatives, nodes, n):
         return nodes[0], derivatives.each(nodes[0], range(1, 1 + n))

@@ -33,7 +33,7 @@ from covariant.certificates.base import (
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
 from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling
 from covariant.certificates.everywhere._document import GlobalDocument, statement_of
-from covariant.certificates.proving import friction_bounds
+from covariant.certificates.proving import friction_bounds, friction_on
 from covariant.certificates.theory import compare_connections
 from covariant.models import MechanicalSystem
 from covariant.observers import MeasuredCoefficients
@@ -213,9 +213,9 @@ def _friction(model: MechanicalSystem, speed: np.ndarray) -> tuple[np.ndarray, n
     """F (n,), and bounds (n,) of how much more than F times their distance friction differs between two velocities."""
     # Any F is sound; the least slope leaves dry friction, which is steep near rest, to the rest. The margins leave room
     # for a checker that bounds slopes in another way.
-    viscous = np.maximum(friction_bounds(model, speed)[1][0, 0], 0.0) * (1 + 1e-11)
+    viscous = np.maximum(friction_bounds(model, speed)[1][0], 0.0) * (1 + 1e-11)
     ends = np.linspace(-1, 1, CELLS + 1)[:, None] ** 3 * speed  # small where dry friction is steep, near rest
-    slopes = np.abs(friction_bounds(model, speed, ends[:-1], ends[1:])[1]).max(0)
+    slopes = np.abs(friction_on(model, speed, ends[:-1], ends[1:])[1]).max(0)
     dry = 1.02 * (np.maximum(slopes - viscous, 0.0) * np.diff(ends, axis=0)).sum(0)
     if not np.isfinite(dry).all():
         raise InputError("the slope of the model's friction has no bound over the velocities; make them smaller")

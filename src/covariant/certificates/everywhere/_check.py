@@ -161,8 +161,8 @@ def _show_coupling(
         first = (slope + jnp.swapaxes(slope, 1, 2) - jnp.moveaxis(slope, 2, 0)) / 2
         inverse = jnp.stack([system.space.raise_(q, each) for each in jnp.eye(n)])
         symbols = jnp.abs((inverse @ first.reshape(n, n * n)).reshape(n, n, n))
-        coupling = 2 * symbols @ document.velocity + jnp.abs(inverse) * document.viscous
-        b = coupling * document.weights / (document.weights * document.omega)[:, None]
+        coupling = 2 * symbols @ document.velocity + jnp.abs(inverse) * document.viscous[None]
+        b = coupling * np.outer(1 / (document.weights * document.omega), document.weights)
         rows = [[document.coupling * jnp.eye(n), b], [b.T, document.coupling * jnp.eye(n)]]
         room = jnp.diag(1 - jnp.abs(inverse) @ pushed / document.acceleration) if pushed.any() else jnp.eye(n)
         return block_diag(jnp.block(rows), room) / 2

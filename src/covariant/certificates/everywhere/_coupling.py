@@ -7,8 +7,9 @@ With the Christoffel symbols Γ and bounds V of the speeds, the coupling is the 
 F diagonal, the viscous friction. Bounded is the norm `‖diag(1/ω) W⁻¹ N W‖₂`, for given weights W and ω, and beside it
 the acceleration `|M⁻¹| f` that unknown forces f can cause.
 
-On a box, M⁻¹ and the symbols are quadratic polynomials with bounded remainders, computed operation by operation, so that
-most of what an inverse widens cancels. N, ≥ 0, is largest where all its entries are.
+On a box, M⁻¹ and the symbols are quadratic polynomials with bounded remainders, computed operation by operation, so
+that most of what an inverse widens cancels. N is not negative, so that its norm is bounded by that of bounds of its
+entries.
 """
 
 import time

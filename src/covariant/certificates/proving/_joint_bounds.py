@@ -47,7 +47,7 @@ def joint_bounds(
     )
     enclosure = enclose(force._replace(conditions=None), input_box.low[None], input_box.high[None])
     force_bounds = np.concatenate([enclosure.low, enclosure.high])
-    friction, slopes = (bounds[:, 0] for bounds in friction_bounds(model, speed))
+    friction, slopes = friction_bounds(model, speed)
     outward = [[-np.inf], [np.inf]]
     total = np.nextafter(force_bounds + friction, outward)
     total = np.where(unknown > 0, np.nextafter(total + [[-1.0], [1.0]] * unknown, outward), total)
@@ -58,15 +58,20 @@ def joint_bounds(
 
 
 def friction_bounds(
+    model: MechanicalSystem, speed: Float[np.ndarray, "n"]
+) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]:
+    """Bound the friction and its slopes, for friction in each joint that depends on the velocity of this joint only."""
+    friction, slopes = friction_on(model, speed, -speed[None], speed[None])
+    return friction[:, 0], slopes[:, 0]
+
+
+def friction_on(
     model: MechanicalSystem,
     speed: Float[np.ndarray, "n"],
-    low: Float[np.ndarray, "k n"] | None = None,
-    high: Float[np.ndarray, "k n"] | None = None,
+    low: Float[np.ndarray, "k n"],
+    high: Float[np.ndarray, "k n"],
 ) -> tuple[Float[np.ndarray, "2 k n"], Float[np.ndarray, "2 k n"]]:
-    """Bound the friction and its slopes, for friction in each joint that depends on the velocity of this joint only.
-
-    The bounds are for each of some boxes of velocities, by default for that of all velocities.
-    """
+    """The same on boxes of velocities among all."""
     n = len(speed)
     friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
     velocity_box = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
@@ -74,7 +79,7 @@ def friction_bounds(
     # All conditions are needed, since slopes have bounds only if the friction is continuous.
     _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, velocity_box))
     derivatives = expand(friction._replace(conditions=None), range(n), 1)
-    enclosure = enclose(derivatives, -speed[None] if low is None else low, speed[None] if high is None else high)
+    enclosure = enclose(derivatives, low, high)
     # The derivatives are listed velocity by velocity; on the diagonal are those of friction i by velocity i.
     diagonal = n + np.arange(n) * (n + 1)
     slopes = np.stack([0.0 - enclosure.high[:, diagonal], 0.0 - enclosure.low[:, diagonal]])
