@@ -105,7 +105,6 @@ RELEVANT = {
     "models/systems/_satellite*.py": "models/test_group_systems",
     "models/files/*": "models/test_model_file models/test_family cli/test_model_command",
     "models/_state_space.py": "models/test_state_space",
-    "models/_in_chart.py": "models/test_in_chart",
     "models/*": "models/test_lagrangian models/test_pendulum_chain models/test_group_systems models/test_state_space",
     "logs/_bag*.py": "logs/test_messages",
     "logs/_table*.py": "logs/test_tables",

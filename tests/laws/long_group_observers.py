@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from charts import chart_velocity, in_chart
 from error_law import ALPHA, BETA, directions, worst
 from plain import rk4
 from test_group_observers import CASES, OBSERVERS, system
 
 from covariant.geometry import Budget
 from covariant.geometry.lie import SO3
-from covariant.models import Lagrangian, Motion, acceleration, free_body, heavy_top, in_chart
-from covariant.models._in_chart import chart_velocity
+from covariant.models import Lagrangian, Motion, acceleration, free_body, heavy_top
 from covariant.models.marine import euler_rotation
 from covariant.observers import Geodesic, Intrinsic
 from covariant.observers.constant_gain import GeodesicState

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from charts import in_chart
 from error_law import ALPHA, BETA, worst
 from jaxtyping import Array
 from test_observers import SYSTEMS
@@ -12,7 +13,7 @@ from test_observers import SYSTEMS
 from covariant import models
 from covariant._integrate import rk8
 from covariant.geometry import Budget, christoffel, curvature, hyperbolic
-from covariant.models import Lagrangian, acceleration, in_chart, source
+from covariant.models import Lagrangian, acceleration, source
 from covariant.observers import REGISTRY, Geodesic, Intrinsic, MechanicalState
 
 SPEEDS = (0.0, 0.5, 3.0, 10.0)

@@ -4,12 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from charts import chart_jacobian, chart_velocity, in_chart
 from test_in_chart import CHAIN, braked, wavy
 
 from covariant import models
 from covariant.geometry.lie import SE2, SO3
-from covariant.models import in_chart
-from covariant.models._in_chart import chart_jacobian, chart_velocity
 from covariant.models.marine import euler_rotation
 
 

@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from charts import chart_jacobian, in_chart
 
 from covariant import models
 from covariant.geometry.lie import SO3
-from covariant.models import GroupSystem, Lagrangian, in_chart
-from covariant.models._in_chart import chart_jacobian
+from covariant.models import GroupSystem, Lagrangian
 from covariant.models.marine import euler_rates, euler_rotation
 
 INERTIA = jnp.diag(jnp.array([1.0, 2.0, 3.5]))

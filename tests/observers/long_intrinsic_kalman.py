@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from charts import chart_jacobian, chart_velocity, in_chart
 from jaxtyping import Array
 from plants import body, sphere_pendulum
 from test_intrinsic_kalman import double_pendulum, isotropic
@@ -15,8 +16,7 @@ from test_intrinsic_kalman import double_pendulum, isotropic
 from covariant import models
 from covariant.geometry import Budget
 from covariant.geometry.lie import SO3
-from covariant.models import Lagrangian, Motion, Parametric, in_chart
-from covariant.models._in_chart import chart_jacobian, chart_velocity
+from covariant.models import Lagrangian, Motion, Parametric
 from covariant.models.marine import euler_rotation
 from covariant.observers import IntrinsicKalman
 from covariant.signals import StepCode

@@ -17,11 +17,7 @@ from .base import (
     tangent_metric as tangent_metric,
 )
 from .checking import Checked as Checked, check as check, check_sample as check_sample
-from .everywhere import (
-    GlobalCertificate as GlobalCertificate,
-    certify_globally as certify_globally,
-    check_globally as check_globally,
-)
+from .everywhere import certify_globally as certify_globally, check_globally as check_globally
 from .proving import (
     Attempt as Attempt,
     CheckerName as CheckerName,
@@ -59,7 +55,6 @@ from .theory import (
     dwell_time as dwell_time,
     falsify as falsify,
     feedthrough as feedthrough,
-    implicit_gains as implicit_gains,
     jump_growth as jump_growth,
     least_gain as least_gain,
     lifted_gain as lifted_gain,
@@ -67,7 +62,6 @@ from .theory import (
     observability as observability,
     observer_gain as observer_gain,
     part_limits as part_limits,
-    proved_decay as proved_decay,
     reduced_order as reduced_order,
     tracking as tracking,
     virtual as virtual,
@@ -81,7 +75,6 @@ __all__ = [
     "certify",
     "check",
     "contraction",
-    "implicit_gains",
     "lyapunov",
     "observability",
     "virtual",

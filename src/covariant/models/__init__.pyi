@@ -1,6 +1,5 @@
 from . import fluid as fluid, marine as marine, robots as robots, systems as systems
 from ._contacts import ON_THE_GROUND as ON_THE_GROUND, contacts as contacts, standing as standing
-from ._in_chart import in_chart as in_chart
 from ._mechanical import (
     GroupSystem as GroupSystem,
     Lagrangian as Lagrangian,

@@ -24,10 +24,8 @@ from ._implicit_distances import (
     distance_decay as distance_decay,
 )
 from ._implicit_limits import (
-    implicit_gains as implicit_gains,
     longest_interval as longest_interval,
     part_limits as part_limits,
-    proved_decay as proved_decay,
 )
 from ._lifted_metric import LiftedGain as LiftedGain, least_gain as least_gain, lifted_gain as lifted_gain
 from ._lmi import (

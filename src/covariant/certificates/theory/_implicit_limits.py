@@ -26,8 +26,6 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
-import numpy as np
-
 from covariant._domains import INTERVAL, Finite, NotNegative, Positive, check_numbers
 from scalargraph.errors import InputError
 
@@ -59,51 +57,6 @@ class PartLimits(NamedTuple):
     most: float
     before: float
     after: float
-
-
-class ProvedDecay(NamedTuple):
-    """Proved rate at which an error decreases, with the metric of the proof.
-
-    Attributes:
-        rate: Rate [1/s] of the length `√(m₀|ξ|² + |w|²)`; if it is negative, the length may grow, at most at −rate;
-            −infinity if nothing is proved.
-        before: Weight m₀ of |ξ|² after a correction [1/s²].
-        after: Weight m_h of |ξ|² before the next correction [1/s²].
-
-    Example:
-        >>> from covariant.certificates import proved_decay
-        >>> decay = proved_decay(0.05, part=0.5, sigma=4.0, k_minus=-1.0, k_plus=1.0)
-        >>> decay.rate > 0, decay.before > decay.after
-        (True, True)
-    """
-
-    rate: float
-    before: float
-    after: float
-
-
-class ImplicitGains(NamedTuple):
-    """Gains of `LagrangianMetric` for a rate of the error.
-
-    Attributes:
-        alpha: Gain α [1/s].
-        beta: Gain β [1/s²].
-        part: Part θ of the error that a sample removes.
-        rate: Rate ρ [1/s] at which the error decreases at least.
-        longest: Interval [s] from which on ρ = 0 is not proved for any α.
-
-    Example:
-        >>> from covariant.certificates import implicit_gains
-        >>> gains = implicit_gains(0.05, sigma=5.0, k_minus=-9.81, k_plus=9.81)
-        >>> abs(gains.alpha * 0.05 / (1 + gains.alpha * 0.05) - gains.part) < 1e-12, gains.beta == 5.0 * gains.alpha
-        (True, True)
-    """
-
-    alpha: float
-    beta: float
-    part: float
-    rate: float
-    longest: float
 
 
 class _Corner(NamedTuple):
@@ -270,121 +223,6 @@ def part_limits(
     return PartLimits(least, 2 - least, before, after)
 
 
-@check_numbers
-def proved_decay(
-    h: Positive,
-    part: NotNegative,
-    sigma: Positive,
-    k_minus: Finite,
-    k_plus: Finite,
-    friction: Damping = (0.0, 0.0),
-) -> ProvedDecay:
-    """Compute the rate at which the error provably decreases from sample to sample.
-
-    Args:
-        h: Time between two measurements [s].
-        part: Part θ of the error that a sample removes, αh/(1 + αh) for `LagrangianMetric`.
-        sigma: Ratio σ = β/α of the gains [1/s].
-        k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
-        k_plus: Largest eigenvalue of K [1/s²].
-        friction: As for `longest_interval`.
-
-    Returns:
-        The rate, and the metric for which it holds, under the assumptions of `part_limits`. It is a lower bound. If it
-        is 0, it cannot be improved for a single k; at half of the longest interval, however, the length decreases up to
-        twice as fast.
-
-    Raises:
-        ValueError: As for `longest_interval`.
-
-    Example:
-        Twice the interval proves less:
-
-        >>> from covariant.certificates import proved_decay
-        >>> often, seldom = (proved_decay(h, 0.5, sigma=4.0, k_minus=0.0, k_plus=0.3) for h in (0.05, 0.1))
-        >>> 0 < seldom.rate < often.rate
-        True
-    """
-    _check_order("proved_decay", sigma, k_minus, k_plus, 0.0)
-
-    def decay(rho: float) -> ProvedDecay:
-        weight = weight_of(sigma, rho, (k_minus, k_plus), friction)
-        if h >= weight.longest():
-            return ProvedDecay(-math.inf, math.nan, math.nan)
-        before, after = _best(weight, h, sigma, lambda m0, m: 1 / _growth(m0, m, part))
-        return ProvedDecay(rho - math.log(_growth(before, after, part)) / (2 * h), before, after)
-
-    tried = [decay(sigma * i / 40) for i in range(40)]
-    best = max(range(40), key=lambda i: tried[i].rate)
-    around = (1 - 1e-9) * sigma * np.array([max(best - 1, 0), best + 1]) / 40
-
-    from scipy.optimize import minimize_scalar
-
-    def loss(rho: float) -> float:
-        return -max(decay(rho).rate, -1e9)  # finite, for the parabolas of the search
-
-    refined = minimize_scalar(loss, bounds=around, method="bounded", options={"xatol": 1e-9})
-    return max(tried[best], decay(float(refined.x)))
-
-
-@check_numbers
-def implicit_gains(
-    h: Positive,
-    sigma: Positive,
-    k_minus: Finite,
-    k_plus: Finite,
-    rate: NotNegative | None = None,
-    friction: Damping = (0.0, 0.0),
-) -> ImplicitGains:
-    """Compute the least gains of `LagrangianMetric` that prove a rate of the error, for n = 1 or a flat metric.
-
-    The least gains are best, since a smaller part θ admits less noise of each sample. Choose the ratio σ by how fast
-    the
-    velocity should follow; the gain is then a compromise of rate and noise. The result holds only if the eigenvalues of
-    K stay in the given range, which limits speed and curvature.
-
-    Args:
-        h: Time between two measurements [s].
-        sigma: Ratio σ = β/α of the gains [1/s].
-        k_minus: Least eigenvalue of `K = R(·, v)v − ∇S` [1/s²].
-        k_plus: Largest eigenvalue of K [1/s²].
-        rate: Rate ρ [1/s]; by default half of the fastest rate that any α proves.
-        friction: As for `longest_interval`.
-
-    Returns:
-        The gains, and the results that are proved for them under the assumptions of `part_limits`.
-
-    Raises:
-        ValueError: As for `part_limits`.
-
-    Example:
-        A pendulum of 1 m, measured 20 times a second:
-
-        >>> from covariant.certificates import implicit_gains, proved_decay
-        >>> gains = implicit_gains(0.05, sigma=6.0, k_minus=-9.81, k_plus=9.81, rate=0.5)
-        >>> round(proved_decay(0.05, gains.part, 6.0, -9.81, 9.81).rate, 4)
-        0.5
-    """
-    _check_order("implicit_gains", sigma, k_minus, k_plus, rate or 0.0)
-    longest = longest_interval(sigma, k_minus, k_plus, 0.0, friction)
-    if rate is None and h < longest:
-        rate = _fastest(h, sigma, k_minus, k_plus, friction) / 2
-    part = part_limits(h, sigma, k_minus, k_plus, rate or 0.0, friction).least
-    alpha = part / (h * (1 - part))
-    return ImplicitGains(alpha, sigma * alpha, part, rate or 0.0, longest)
-
-
-def _fastest(h: float, sigma: float, k_minus: float, k_plus: float, friction: tuple[float, float]) -> float:
-    """The largest ρ that θ = 1 proves, for which the longest interval is h."""
-
-    low, high = 0.0, sigma
-    for _ in range(60):  # it falls with ρ
-        middle = (low + high) / 2
-        enough = middle < sigma and longest_interval(sigma, k_minus, k_plus, middle, friction) > h
-        low, high = (middle, high) if enough else (low, middle)
-    return low
-
-
 def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]:
     """Weights m₀ and m_h with the largest merit, which has a single maximum in log m₀."""
     from scipy.optimize import minimize_scalar
@@ -399,11 +237,6 @@ def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]
 
     x = minimize_scalar(loss, bounds=(scale - 25, scale + 25), method="bounded", options={"xatol": 1e-10}).x
     return math.exp(x), weight.after(math.exp(x), h)
-
-
-def _growth(before: float, after: float, part: float) -> float:
-    """Compute the largest growth from `m_h|ξ|² + |w|²` to `m₀|(1 − θ)ξ|² + |w|²`, at least 1."""
-    return max(1.0, before * (1 - part) ** 2 / after) if after > 0 else math.inf
 
 
 def _check_order(whose: str, sigma: float, k_minus: float, k_plus: float, rate: float) -> None:

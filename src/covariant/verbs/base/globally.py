@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from covariant import certificates
+from covariant.certificates.everywhere import GlobalCertificate
 from covariant.models import ModelFile
 from covariant.observers import MeasuredCoefficients
 from covariant.verbs.base.arguments import Amounts, Region, amounts, bounds, numbers
@@ -75,7 +76,7 @@ class GlobalResult(AbstractResult):
     """
 
     model_name: str
-    certificate: certificates.GlobalCertificate
+    certificate: GlobalCertificate
     note: str
 
     wrong: ClassVar[bool] = False
