@@ -18,7 +18,7 @@ Source: an addition. Esfandiari & Khalil 1992, Output feedback stabilization of 
 Control 56(5), for high gain and saturation.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,12 +26,13 @@ from jaxtyping import Array, Float
 
 from covariant._domains import ABOVE_ZERO
 from covariant._typing import Number, Scalar, Vector
-from covariant.models import MechanicalSystem, friction, source
+from covariant.models import MechanicalSystem, acceleration
 from covariant.observers.base import (
     AbstractMechanicalObserver,
     Info,
     LastInput,
     aged,
+    as_gain,
     at_rest,
     check_free,
     check_positive,
@@ -65,10 +66,6 @@ class MeasuredState(NamedTuple):
     held: Vector
     last_input: LastInput = None
     age: Scalar | None = None
-
-
-def _as_numbers(value: object) -> Any:
-    return jnp.asarray(value, float) if not isinstance(value, Array) else value
 
 
 class MeasuredCoefficients(AbstractMechanicalObserver):
@@ -111,9 +108,9 @@ class MeasuredCoefficients(AbstractMechanicalObserver):
     """
 
     model: MechanicalSystem
-    alpha: Scalar | Vector = eqx.field(converter=_as_numbers)
-    beta: Scalar | Vector = eqx.field(converter=_as_numbers)
-    speed: Scalar | Vector = eqx.field(default=float("inf"), converter=_as_numbers)
+    alpha: Scalar | Vector = eqx.field(converter=as_gain)
+    beta: Scalar | Vector = eqx.field(converter=as_gain)
+    speed: Scalar | Vector = eqx.field(default=float("inf"), converter=as_gain)
 
     def __check_init__(self):
         check_positive(type(self).__name__, alpha=self.alpha, beta=self.beta)
@@ -130,20 +127,15 @@ class MeasuredCoefficients(AbstractMechanicalObserver):
         """Velocities clipped to the bounds, σ(v)."""
         return jnp.clip(v, -self.speed, self.speed).astype(v.dtype)
 
-    def acceleration(self, t: Scalar, q: Vector, v: Vector, u: Float[Array, "m"]) -> Vector:
-        """Acceleration of the model at a configuration and a velocity."""
-        forced = source(self.model, t, q, u) + friction(self.model, t, q, v, u)
-        return forced - self.model.space.connection(q, v, v)
-
     def flow(self, t: Scalar, state: MeasuredState, u: Float[Array, "m"], y: Array) -> MeasuredState:
         q, v, _, seen, held, last_input, age = state
         e = -self.model.manifold.towards(q, y)
-        v_dot = self.acceleration(t, self.model.manifold.measured(q, y), self.clip(v), u) - self.beta * e
+        v_dot = acceleration(self.model, t, self.model.manifold.measured(q, y), self.clip(v), u) - self.beta * e
         kept = still(seen), still(held), still(last_input), still(age)
         return MeasuredState(v - self.alpha * e, v_dot, jnp.ones_like(state.t), *kept)
 
     def predict(self, state: MeasuredState, u: Float[Array, "m"], dt: Scalar) -> MeasuredState:
-        held = self.acceleration(state.t, state.seen, state.held, u)
+        held = acceleration(self.model, state.t, state.seen, state.held, u)
         q = self.model.manifold.retract(state.q, dt * state.v + dt * dt / 2 * held)
         age = dt if state.age is None else state.age + dt
         return state._replace(q=q, v=state.v + dt * held, t=state.t + dt, age=age)
