@@ -16,7 +16,7 @@ def links(n):
 
 @pytest.mark.parametrize(
     ("recipe", "least", "most", "boxes"),
-    [(links(2), 10.9, 11.6, 39), (links(3), 33.2, 39.3, 2315), (models.recipe("scara"), 11.9, 27.4, 1200)],
+    [(links(2), 10.9, 11.6, 27), (links(3), 33.2, 39.3, 867), (models.recipe("scara"), 11.9, 27.4, 403)],
 )
 def test_arms_in_all_configurations(recipe, least, most, boxes, tmp_path):
     made = certify_globally(models.from_recipe(recipe), velocity=1.0, interval=STEP, recipe=recipe)
@@ -34,7 +34,7 @@ def test_four_links_in_all_configurations():
     made = certify_globally(models.from_recipe(links(4)), velocity=1.0, interval=STEP)
     assert made.statement.proved
     assert made.document.omega.max() < 88
-    assert made.proof.boxes < 410_000
+    assert made.proof.boxes < 106_000
 
 
 @pytest.mark.core(60)
@@ -48,7 +48,7 @@ def test_a_panda_near_its_ready_pose(tmp_path):
     observer = MeasuredCoefficients(arm, 80.0 * 1.92**0.5, 6400.0, 1.0)
     made = certify_globally(observer, position=(low, high), interval=STEP, recipe=recipe)
     assert made.statement.proved
-    assert made.proof.boxes < 20_000
+    assert made.proof.boxes < 32
     checked = check_globally(made.document.save(tmp_path / "panda.json"))
     assert checked is not None
     assert checked.statement.proved

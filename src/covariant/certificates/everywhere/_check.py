@@ -1,8 +1,9 @@
 """Checks a saved certificate of convergence from all first errors independently, from the file and the model alone.
 
-It shares with the prover the model as JAX functions, and the formulas of `_document` for what follows from the numbers.
-The coupling is bounded anew by Taylor models of JAX's own derivatives, on the boxes of the saved tree; the channels are
-those of the observer's code, `correct` after `predict` on a unit mass, differentiated by JAX.
+It shares with the prover the model as JAX functions, the elimination of `_linalg`, and the formulas of `_document` for
+what follows from the numbers. The coupling is bounded anew by Taylor models of JAX's own derivatives, on the leaves of
+the saved tree; the channels are those of the observer's code, `correct` after `predict` on a unit mass, differentiated
+by JAX.
 """
 
 import math
@@ -13,9 +14,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import block_diag
 from jaxtyping import Array
 
+from covariant._linalg import solve
 from covariant.certificates.base import (
     Hypothesis,
     friction_of,
@@ -29,10 +30,10 @@ from covariant.certificates.everywhere._document import GlobalDocument, read_doc
 from covariant.models import Lagrangian, MechanicalSystem, from_recipe
 from covariant.observers import MeasuredCoefficients
 from scalargraph.errors import InputError
-from scalargraph.proofs.checker import ROUND, SavedTree, TaylorEnclosure, jacobian, show_definite, show_tree
+from scalargraph.proofs.checker import ROUND, TaylorEnclosure, halves, jacobian, leaves, show_definite
 
-DEEPEST, SHARE, PARTS = 12, 1024, 8
-"""How often a leaf may be halved, and in how many parts the tree is checked, of so many leaves or more."""
+CHUNK, DEEPEST = 1024, 12
+"""Boxes evaluated at once, and how often a leaf may be halved."""
 CELLS = 2048
 """Parts of the velocities on which friction is bounded."""
 
@@ -150,30 +151,50 @@ def _show_friction(document: GlobalDocument, system: MechanicalSystem) -> None:
 def _show_coupling(
     document: GlobalDocument, system: MechanicalSystem, progress: Callable[[int, int], None] | None
 ) -> int:
-    """Show that coupling and accelerations are below their bounds, down to the leaves of the tree."""
-    n, corners = len(document.low), (document.low[None], document.high[None])
-    whole = document.low, document.high, np.zeros(n)
-    pushed = document.dry + document.disturbance
+    """Show that coupling and accelerations are below their bounds, on the leaves of the tree or on halves of them."""
+    n, whole = len(document.low), (document.low, document.high, np.zeros(len(document.low)))
 
-    def matrix(q):
-        """Half of `(R B; Bᵀ R)`, which says |B| < R, with the shares of D beside it; B from the symbols and M⁻¹."""
+    def entries(q):
+        """The symbols and M⁻¹, row by row."""
         slope = jacobian(system.space, q)  # ∂_c M_ab as (a, b, c)
         first = (slope + jnp.swapaxes(slope, 1, 2) - jnp.moveaxis(slope, 2, 0)) / 2
-        inverse = jnp.stack([system.space.raise_(q, each) for each in jnp.eye(n)])
-        symbols = jnp.abs((inverse @ first.reshape(n, n * n)).reshape(n, n, n))
-        coupling = 2 * symbols @ document.velocity + jnp.abs(inverse) * document.viscous[None]
-        b = coupling * np.outer(1 / (document.weights * document.omega), document.weights)
-        rows = [[document.coupling * jnp.eye(n), b], [b.T, document.coupling * jnp.eye(n)]]
-        room = jnp.diag(1 - jnp.abs(inverse) @ pushed / document.acceleration) if pushed.any() else jnp.eye(n)
-        return block_diag(jnp.block(rows), room) / 2
+        right = jnp.concatenate([first.reshape(n, n * n), jnp.eye(n)], axis=1)
+        return solve(system.space(q)[::-1, ::-1], right[::-1])[::-1]  # eliminates what moves least first
 
-    show_definite(TaylorEnclosure(system.space, *whole, "smooth"), *corners, 40, "the metric")
-    enclosure, tree = TaylorEnclosure(matrix, *whole), SavedTree.read(n, document.levels, "levels")
-    parts, done = tree.boxes(np.zeros(1, int), *corners, SHARE), 0
-    for chosen in np.array_split(np.arange(len(parts[0])), PARTS):
-        numbers, low, high = (part[chosen] for part in parts)
-        show_tree(enclosure, tree, numbers, low, high, DEEPEST, "the coupling")
-        done += int(tree.leaves[numbers].sum())
+    smooth = TaylorEnclosure(system.space, *whole, "smooth")
+    show_definite(smooth, document.low[None], document.high[None], 40, "the metric")
+    enclosure, (low, high) = TaylorEnclosure(entries, *whole), leaves(*whole[:2], document.levels, "levels")
+    total, left = len(low), np.full(len(low), DEEPEST)
+    while len(low):
+        (low, a), (high, b), (left, deep) = ((x[:-CHUNK], x[-CHUNK:]) for x in (low, high, left))
+        found = enclosure(a, b)
+        sizes = np.stack([np.broadcast_to(abs(each.middle) + each.away, len(a)) for each in found.flat], axis=1)
+        bad = ~_bounded(document, sizes.reshape(len(a), n, -1))
+        if (deep[bad] == 0).any():
+            place = ((a + b) / 2)[bad][deep[bad].argmin()].tolist()
+            raise InputError(f"the coupling is not shown to be below {document.coupling:.6g} at {place}")
+        slopes = [sum(abs(each.terms[1].get((k,), 0.0)) for each in found.flat) + 0.0 * a[:, k] for k in range(n)]
+        axes = np.where(np.isfinite(slopes).all(0), np.argmax(slopes, axis=0), (b - a).argmax(1))
+        lower, upper = halves(a[bad], b[bad], axes[bad])
+        low, high = np.concatenate([low, lower]), np.concatenate([high, upper])
+        left = np.concatenate([left, np.repeat(deep[bad] - 1, 2)])
         if progress is not None:
-            progress(done, int(tree.leaves[0]))
-    return done
+            progress(total - min(len(low), total), total)
+    return total
+
+
+def _bounded(document: GlobalDocument, sizes: np.ndarray) -> np.ndarray:
+    """Boxes (B,) on which bounds (B, n, n² + n) of the symbols and of M⁻¹ show what is stated."""
+    n = len(document.low)
+    symbols, inverse = sizes[:, :, : n * n].reshape(-1, n, n, n), sizes[:, :, n * n :]
+    with np.errstate(all="ignore"):
+        coupling = 2 * symbols @ document.velocity + inverse * document.viscous
+        scaled = coupling * np.outer(1 / (document.weights * document.omega), document.weights) * (1 + ROUND)
+        # A norm is below R if Bx ≤ R y and Bᵀy ≤ R x for positive x and y.
+        x, limit = np.ones((len(sizes), n, 1)), document.coupling
+        for _ in range(20):
+            x = scaled.swapaxes(1, 2) @ scaled @ x
+            x = x / (x.max(1, keepdims=True) + 1e-200) + 1e-3
+        y = scaled @ x * (1 + ROUND) / limit
+        good = (scaled.swapaxes(1, 2) @ y * (1 + ROUND) <= limit * x).all((1, 2))
+        return good & (inverse @ (document.dry + document.disturbance) * (1 + ROUND) <= document.acceleration).all(1)
