@@ -30,7 +30,9 @@ def test_a_step_in_numbers():
 def test_the_model_is_evaluated_at_the_measurement_and_at_clipped_speeds():
     observer = MeasuredCoefficients(ARM, 40.0, 800.0, jnp.array([1.0, 2.0]))
     state = observer.init(jnp.array([0.3, -0.4]))._replace(held=jnp.array([0.5, -0.2]), q=jnp.array([9.0, 9.0]))
-    expected = models.acceleration(observer.model, jnp.zeros(()), jnp.array([0.3, -0.4]), jnp.array([0.5, -0.2]), jnp.zeros(2))
+    expected = models.acceleration(
+        observer.model, jnp.zeros(()), jnp.array([0.3, -0.4]), jnp.array([0.5, -0.2]), jnp.zeros(2)
+    )
     after = observer.predict(state, jnp.zeros(2), jnp.asarray(0.01))
     np.testing.assert_allclose(after.v, 0.01 * expected, rtol=1e-12)
     fast = after._replace(q=after.seen, v=jnp.array([-7.0, 1.5]))

@@ -168,7 +168,7 @@ def certify_globally(
     alpha, beta = (np.broadcast_to(np.asarray(gain, float), (n,)) for gain in gains)
     about = recipe, domain.low, domain.high, speed, alpha, beta, ones, viscous, dry, *errors, 0 * ones
     found_later = rate or 0.0, math.inf, np.tile(np.eye(2), (n, 1, 1)), ()
-    document = GlobalDocument(*about, np.asarray(interval, float), lost, *found_later)
+    document = GlobalDocument._make((*about, np.asarray(interval, float), lost, *found_later))
     coupling = Coupling.of(model, domain, document)
     # What is sampled here, at ω = W = 1, is the coupling itself.
     largest = coupling.sampled()[0].max(0)
@@ -277,10 +277,15 @@ def _design(document: GlobalDocument, rate: float | None) -> GlobalDocument:
 
 def _verify(document: GlobalDocument, rate: float | None) -> GlobalDocument:
     """The document at the largest rate for which metrics are found, or at a given one."""
-    slowest, fastest = float(document.alpha.min()) * np.array([1e-4, 0.5])
-    if rate is None and _allowed(document._replace(rate=slowest)) >= document.coupling:
-        rate = bisect(lambda mu: _allowed(document._replace(rate=mu)) - document.coupling, slowest, fastest, rtol=1e-3)
-    return document if rate is None else _metrics(document._replace(rate=rate)) or document
+
+    def room(mu):
+        return _allowed(document._replace(rate=mu)) - document.coupling
+
+    slowest, fastest = (part * float(document.alpha.min()) for part in (1e-4, 0.5))
+    found: Any = rate
+    if rate is None and room(slowest) >= 0:
+        found = bisect(room, slowest, fastest, xtol=slowest)
+    return document if found is None else _metrics(document._replace(rate=found)) or document
 
 
 def _hypotheses(

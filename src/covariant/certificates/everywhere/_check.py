@@ -197,4 +197,5 @@ def _bounded(document: GlobalDocument, sizes: np.ndarray) -> np.ndarray:
             x = x / (x.max(1, keepdims=True) + 1e-200) + 1e-3
         y = scaled @ x * (1 + ROUND) / limit
         good = (scaled.swapaxes(1, 2) @ y * (1 + ROUND) <= limit * x).all((1, 2))
-        return good & (inverse @ (document.dry + document.disturbance) * (1 + ROUND) <= document.acceleration).all(1)
+        pushed = inverse @ (document.dry + document.disturbance) * (1 + ROUND)
+        return np.asarray(good & (pushed <= document.acceleration).all(1))
