@@ -91,7 +91,7 @@ class Machine(NamedTuple):
         most: Their largest values.
         limit: Largest torque by the data sheet [N m].
         model_file: Text of the model file with first numbers.
-        opened: Numbers that `covariant fit` finds, and the length of its windows [s].
+        opened: Numbers that `covariant fit` finds.
     """
 
     name: str
@@ -103,7 +103,7 @@ class Machine(NamedTuple):
     most: tuple[float, ...]
     limit: float
     model_file: Callable[[], str]
-    opened: tuple[list[str], float | None]
+    opened: list[str]
 
 
 class Outcome(NamedTuple):
@@ -148,7 +148,7 @@ def xl330() -> Machine:
 
     opened = [f"servo.servo.{key}" for key in ROUGH] + ["offsets.servo"]
     # Whole logs: this joint sticks for seconds.
-    return Machine("XL330", *logs, spec, ("servo",), first, most, 0.77, model_file, (opened, 5.9))
+    return Machine("XL330", *logs, spec, ("servo",), first, most, 0.77, model_file, opened)
 
 
 def so101() -> Machine:
@@ -178,7 +178,7 @@ def so101() -> Machine:
         tables = (f"[servo.{joint}]\n" + "".join(f"{key} = {x}\n" for key, x in ARM.items()) for joint in joints)
         return 'system = "robot"\n[parameters]\npath = "so101"\nlock = { gripper = 0.5 }\n' + "".join(tables)
 
-    return Machine("SO-101", *logs, spec, joints, first, most, 2.94, model_file, (["servo"], None))
+    return Machine("SO-101", *logs, spec, joints, first, most, 2.94, model_file, ["servo"])
 
 
 def with_servos(machine: Machine, period: float, gain: float = 1.0, on: bool = True) -> mujoco.MjSpec:
@@ -263,14 +263,14 @@ class Simulator:
 
 def by_covariant(machine: Machine) -> Outcome:
     """Fit by `covariant.fit`, and predictions by the fitted file along their own path."""
-    names, horizon = machine.opened
+    names = machine.opened
     logs = {**machine.fitted, **dict(list(machine.held_out.items())[-1:])}
     with tempfile.TemporaryDirectory() as folder:
         first = Path(folder) / "first.toml"
         first.write_text(machine.model_file(), encoding="utf-8")
         gains = [{f"servo.{joint}.gain": log.gain for joint in machine.joints} for log in logs.values()]
         start, cpu = time.perf_counter(), time.process_time()
-        result = covariant.fit(first, [record(log) for log in logs.values()], names, horizon=horizon, overrides=gains)
+        result = covariant.fit(first, [record(log) for log in logs.values()], names, overrides=gains)
         wall, cpu = time.perf_counter() - start, time.process_time() - cpu
         print(result, flush=True)
         found = dict(zip((row["name"] for row in result.summary["parameters"]), result.values, strict=True))

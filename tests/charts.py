@@ -1,4 +1,4 @@
-"""Rewrites a mechanical system in other coordinates, in which an intrinsic observer must be the same."""
+"""Rewrites a mechanical system, or a space, in other coordinates, in which an intrinsic observer must be the same."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from covariant._typing import Matrix, Scalar, Vector
-from covariant.geometry import AbstractManifold
+from covariant._typing import Matrix, Scalar, Vector, Vectors
+from covariant.geometry import AbstractManifold, AbstractMetric, Budget
+from covariant.geometry._geodesics import Shot, Transported
 from covariant.models import Lagrangian, MechanicalSystem, input_count, resistance
 
 Chart = Callable[[Array], Any]
@@ -110,3 +111,57 @@ def _dissipation(
 ) -> Vector:
     jacobian = chart_jacobian(model.manifold, chart, z)
     return jacobian.T @ resistance(model, t, chart(z), jacobian @ rate, u)
+
+
+class Pullback(AbstractMetric):
+    """A space in other coordinates, with the operations of the original one.
+
+    `forward` maps the new coordinates to those of `space`, and `inverse` back.
+    """
+
+    space: AbstractMetric
+    forward: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+
+    def __call__(self, x: Vector) -> Matrix:
+        jacobian = jax.jacfwd(self.forward)(x)
+        return jacobian.T @ self.space(self.forward(x)) @ jacobian
+
+    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
+        """Covariant derivative `Γ̄(a, b) = Dφ⁻¹ [Γ(Dφ a, Dφ b) + D²φ(a, b)]`, φ being `forward`.
+
+        Args:
+            x: new coordinates (n,).
+            a: direction (n,).
+            b: components (n,) of the differentiated field.
+
+        Returns:
+            Vector (n,).
+        """
+        old, along_a, along_b = self.forward(x), self._pushforward(x, a), self._pushforward(x, b)
+        second = jax.jvp(lambda p: self._pushforward(p, b), (x,), (a,))[1]
+        return self._pulled_back(old, self.space.connection(old, along_a, along_b) + second)
+
+    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+        old = self.forward(x)
+        turned = self.space.curvature(old, self._pushforward(x, a), self._pushforward(x, b), self._pushforward(x, c))
+        return self._pulled_back(old, turned)
+
+    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
+        pushed = jax.vmap(lambda a: self._pushforward(p, a))(w.reshape(-1, p.shape[0]))
+        end = self.space.transport_along(self.forward(p), self._pushforward(p, velocity), pushed, budget)
+        pulled = jax.vmap(lambda a: self._pulled_back(end.q, a))(end.w)
+        return Transported(self.inverse(end.q), self._pulled_back(end.q, end.velocity), pulled.reshape(w.shape))
+
+    def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
+        old_p, old_q = self.forward(p), self.forward(q)
+        shot = self.space.shoot(old_p, old_q, None if guess is None else self._pushforward(p, guess), budget)
+        return shot._replace(
+            velocity=self._pulled_back(old_p, shot.velocity), arrival=self._pulled_back(old_q, shot.arrival)
+        )
+
+    def _pushforward(self, q: Vector, x: Vector) -> Vector:
+        return jax.jvp(self.forward, (q,), (x,))[1]
+
+    def _pulled_back(self, old: Vector, x: Vector) -> Vector:
+        return jax.jvp(self.inverse, (old,), (x,))[1]

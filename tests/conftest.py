@@ -56,6 +56,8 @@ PROOFS = {f"scalargraph.proofs.{path.stem}" for path in (SOURCE.parent / "scalar
 if os.environ.get("COVARIANT_CHECK_SHAPES"):
     install_import_hook(sorted((ROOMS | PROOFS) - {*UNCHECKED}), "beartype.beartype")
 
+from charts import Pullback
+
 from covariant import geometry, models
 from covariant.geometry import Budget, Metric
 from covariant.geometry._geodesics import Shot, Transported
@@ -301,9 +303,9 @@ def closed_forms() -> dict:
     mixed = geometry.Product((geometry.sphere(), geometry.hyperbolic()), (2, 2))
     return {
         "euclidean": (geometry.Euclidean(), np.zeros(3), 3.0),
-        "plane, curved chart": (geometry.Pullback(geometry.Euclidean(), shears, unshears), np.zeros(2), 0.8),
+        "plane, curved chart": (Pullback(geometry.Euclidean(), shears, unshears), np.zeros(2), 0.8),
         "sphere": (geometry.sphere(), np.zeros(2), 0.9),
-        "sphere, curved chart": (geometry.Pullback(geometry.sphere(), shears, unshears), np.zeros(2), 0.6),
+        "sphere, curved chart": (Pullback(geometry.sphere(), shears, unshears), np.zeros(2), 0.6),
         "small 3-sphere": (geometry.sphere(0.5), np.zeros(3), 0.3),
         "hyperbolic": (geometry.hyperbolic(), np.zeros(2), 0.6),
         "torus": (geometry.FlatTorus(jnp.array([2 * np.pi, 1.0])), np.zeros(2), 4.0),

@@ -13,7 +13,14 @@ ROOT = Path(__file__).parents[1]
 PAGES = [(ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("extending.md", "extending-verbs.md")]
 COPIED = (
     *("src", "tools", "docs", "benchmarks", "pyproject.toml", "mkdocs.yml", "README.md"),
-    *("tests/conftest.py", "tests/test_house.py", "tests/house.toml", "tests/laws", "tests/geometry"),
+    *(
+        "tests/charts.py",
+        "tests/conftest.py",
+        "tests/test_house.py",
+        "tests/house.toml",
+        "tests/laws",
+        "tests/geometry",
+    ),
 )
 
 

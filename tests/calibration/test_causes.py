@@ -8,7 +8,7 @@ import pytest
 from covariant.calibration import diagnose
 from covariant.calibration.diagnosis import later_line
 from covariant.calibration.diagnosis._jumps import periods, second_sender
-from covariant.calibration.diagnosis._readings import tick
+from covariant.logs import Register
 from covariant.models import ModelFile, free_body, load
 from covariant.signals import Record
 
@@ -84,14 +84,14 @@ def test_ticks_are_found_though_few_digits_were_printed(quantum, unit, digits):
     for size in (100.0, 20.0):
         motion = size * quantum * (10 * np.sin(1.7 * T) + 4 * np.sin(4.3 * T))
         printed = np.round(np.round(motion / quantum) * quantum, digits) * unit
-        assert tick(printed) == pytest.approx(quantum * unit, rel=2e-4)
+        assert Register.of(printed).tick == pytest.approx(quantum * unit, rel=2e-4)
 
 
 def test_printed_noise_has_no_ticks_but_those_of_its_digits():
     for seed, digits in ((seed, digits) for seed in range(8) for digits in (2, 3, 4)):
         random = np.random.default_rng(seed)
         motion = 1.5 * np.sin(1.7 * T) + random.normal(size=len(T)) * 10 ** random.uniform(-5, -1)
-        assert tick(np.round(motion, digits)) in (0.0, pytest.approx(10.0**-digits))
+        assert Register.of(np.round(motion, digits)).tick in (0.0, pytest.approx(10.0**-digits))
 
 
 @pytest.mark.long("True-1", "False-1", "False-4", "True-20")

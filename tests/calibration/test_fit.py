@@ -8,6 +8,7 @@ import pytest
 
 from covariant import models
 from covariant.calibration import PredictionErrors
+from covariant.calibration._least_squares import minimise_above_bounds
 from covariant.calibration.identification import Unknowns, error_growth, gather, predicts_worse, window_errors
 from covariant.signals import Record
 
@@ -48,6 +49,16 @@ def test_a_fit_that_predicts_one_coordinate_clearly_worse_is_worse():
     assert not predicts_worse(before, before)
 
 
+def test_what_may_be_chance_is_not_worse():
+    """The second coordinate is worse by a tenth: in one of four windows by far, or in all of them alike."""
+    rng = np.random.default_rng(0)
+    old = np.stack([np.full(4, 0.01), np.full(4, 1e-4)], axis=1) * rng.uniform(0.99, 1.01, (4, 2))
+    for more, worse in ((np.array([0.84, 0.0, 0.0, 0.0]), False), (np.full(4, 0.21), True)):
+        new = old * np.stack([np.full(4, 0.1), 1 + more], axis=1)
+        before, after = (PredictionErrors(*2 * [np.sqrt(np.mean(each, axis=0))], windows=each) for each in (old, new))
+        assert predicts_worse(before, after) == worse
+
+
 def test_a_log_that_stands_still_is_refused():
     t = np.arange(0.0, 20.0, 0.02)
     record = Record(t, y=np.sin(t)[:, None])
@@ -60,3 +71,17 @@ def test_a_log_with_few_positions_is_refused():
     y = np.where(np.arange(len(t)) % 100 < 1, np.sin(t), np.nan)
     with pytest.raises(ValueError, match="fewer than 12 rows with positions"):
         gather(models.oscillator().manifold, [Record(t, y=y[:, None])], [np.cos(t)[:, None]])
+
+
+def test_a_bounded_step_is_the_least_of_all_and_one_that_is_not_finite_ends_nothing():
+    """Beside all choices of numbers at their bounds; a point beyond all numbers is refused by the search, not here."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        root, gradient, least = rng.normal(size=(4, 4)), rng.normal(size=4), -rng.uniform(0, 0.5, 4)
+        matrix = root @ root.T + 0.1 * np.eye(4)
+        step = minimise_above_bounds(matrix, gradient, least)
+        slope = matrix @ step + gradient
+        assert (step >= least - 1e-12).all()
+        np.testing.assert_allclose(slope[step > least + 1e-9], 0.0, atol=1e-9)
+        assert (slope > -1e-9).all()
+    assert np.isnan(minimise_above_bounds(np.full((2, 2), np.nan), np.ones(2), np.zeros(2))).all()

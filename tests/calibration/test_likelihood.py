@@ -209,15 +209,15 @@ def test_score_of_numbers_that_change_the_gains_is_right_within_a_fraction_of_th
         assert abs(score[j] - (up - down) / 2e-4) < 0.3 * size[j]
 
 
-def test_slopes_of_the_wrong_sign_would_be_seen(monkeypatch):
+def test_slopes_of_the_wrong_sign_would_be_seen():
     right = likelihoods.error_model
 
     def wrong(*arguments):
         system = right(*arguments)
         return system._replace(slopes=-system.slopes)
 
-    monkeypatch.setattr(likelihoods, "error_model", wrong)
     likelihood, z = beside_the_truth()
+    likelihood = likelihood._replace(linearised=wrong)
     with pytest.raises(AssertionError):
         check_derivatives(likelihood, z, THROUGH_GAINS)
 
@@ -263,3 +263,15 @@ def test_few_rows_are_no_judge(readings):
         return
     with pytest.raises(ValueError, match="11 rows with all positions"):
         held_out_rows(rows, [t], 1.0, [0])
+
+
+def test_noise_of_readings_is_seen_however_slow_the_motion_is():
+    """Where it is taken for less, a search takes the rest for friction."""
+    rng, t = np.random.default_rng(0), np.arange(3000) * 0.01
+    for std, every in ((1e-4, 1), (0.05, 1), (0.05, 2), (0.05, 3)):
+        y = np.sin(2 * t) + std * rng.normal(size=len(t))
+        y[np.arange(len(t)) % every > 0] = np.nan  # positions come at fewer rows than inputs
+        manifold = oscillator(NUMBERS)[0].manifold
+        rows = gather(manifold, [Record(t, np.zeros((3000, 1)), y[:, None])], [2 * np.cos(2 * t)[:, None]])
+        noise, _ = likelihoods.first_noise(unknowns(), rows, None)
+        np.testing.assert_allclose(noise.measurement, std, rtol=0.15)

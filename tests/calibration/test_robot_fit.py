@@ -9,23 +9,32 @@ from two_links import Truth, swing
 
 from covariant import models
 from covariant.calibration import fit_robot
-from covariant.calibration.identification._robot_fit import _rounded
+from covariant.calibration.identification._robot_fit import rounded_values
 from covariant.calibration.identification._robot_torques import _told_from_zero
 from covariant.signals import Record
 
 HALF = 0.03
 
 
-def test_only_what_has_become_zero_is_rounded_to_it():
+def test_only_what_has_become_zero_isrounded_values_to_it():
     """At its bound a friction is zero but for rounding; one that the log does not show stays, whatever its prior."""
     values, first = np.array([1e-17, 1e-18, 0.05]), np.array([0.05, 0.0, 0.05])
-    assert _rounded(values, first, np.array([1.0, 1.0, 1e12])).tolist() == [0.0, 0.0, 0.05]
+    assert rounded_values(values, first, np.array([1.0, 1.0, 1e12])).tolist() == [0.0, 0.0, 0.05]
 
 
 def test_a_log_that_is_too_short_is_refused():
-    t, u, y = swing(1, Truth(), 0.5)
-    with pytest.raises(ValueError, match=r"a fit needs 2.16 s; give longer logs"):
+    t, u, y = swing(1, Truth(), 0.4)
+    with pytest.raises(ValueError, match=r"a fit needs 0.36 s; give longer logs"):
         fit_robot(models.robot_family("double_pendulum", ["friction"]), [Record(t, u[0], y[0])], HALF)
+
+
+def test_positions_may_come_at_fewer_rows_than_torques():
+    """Those of every second row: the numbers are those of all rows, within their standard errors."""
+    t, u, y = swing(1, Truth(), 4.0)
+    family = models.robot_family("double_pendulum", ["friction.viscous"])
+    half = np.where(np.arange(len(t))[:, None] % 2, np.nan, y[0])
+    whole, fewer = (fit_robot(family, [Record(t, u[0], each)], HALF) for each in (y[0], half))
+    assert (np.abs(whole.values - fewer.values) < 3 * fewer.standard_errors).all()
 
 
 def test_a_number_is_determined_where_zero_and_a_tenth_of_its_usual_size_are_told_apart():

@@ -234,7 +234,7 @@ REFUSED = {
     "commands that are called positions": ({"q": Q1, "q_c": C1}, "q follows q_c, late, as a servo its command"),
     "rows as a clock": (
         {"t": None, "index": np.arange(800.0), "state[0]": Q1, "action[0]": C1},
-        "'index', which is no unit of t|'index' in its name",
+        "'index' counts rows from 0, and is no clock",
     ),
     "a pose": ({f"state[{k}]": Q1 for k in range(3)} | {"action[0]": C1}, "is a pose, and no joints"),
 }
@@ -267,7 +267,7 @@ REMARKS = {
         {"q1": Q1, "cmd1": C1, "velocity1": V1 / TURN * 60},
         "velocity1 is 9.55 times the slope",
     ),
-    "a rate in words": ({"q1": Q1, "cmd1": C1, "velocity1": word(600 * V1)}, "are left out"),
+    "a rate in words": ({"q1": Q1, "cmd1": C1, "velocity1": word(600 * V1)}, "highest bit is a sign"),
     "velocities among the states": (
         STATES | ACTIONS | {"observation.state[2]": V1},
         "observation.state[2] are velocities",

@@ -113,3 +113,11 @@ def test_what_is_fitted_is_the_same_in_all_logs(arm):
         covariant.fit(arm(), logs, "servo.stiffness", overrides=[{}, {"servo.elbow.stiffness": 3.0}])
     with pytest.raises(ValueError, match="2 logs and values for 1"):
         covariant.fit(arm(), logs, "servo.stiffness", overrides=[{}])
+
+
+def test_a_log_of_three_seconds_gives_intervals(arm):
+    known = {key: TRUTH[key] for key in ("damping", "feedforward", "delay", "viscous", "armature")}
+    result = covariant.fit(arm(**known), simulated(3.3), "servo.stiffness,servo.coulomb")
+    truth = np.array([TRUTH["stiffness"], TRUTH["coulomb"]])
+    assert result.better
+    assert (np.abs(result.values - truth) < np.maximum(4 * result.standard_errors, 0.02 * truth)).all()

@@ -49,7 +49,6 @@ def inside(folder, monkeypatch):
     [
         (("--parameters", "lenght"), "unknown number 'lenght'. Did you mean"),
         (("--parameters", "length", "-o", "model.toml"), "this is the model file itself; write to another file"),
-        (("--parameters", "length", "--horizon", "-1"), "horizon must be a positive number of seconds; got -1"),
     ],
 )
 def test_wrong_arguments_of_fit_are_told_in_one_line(arguments, message):

@@ -217,7 +217,7 @@ REFUSED: dict[str, tuple[str | bytes, Columns, str]] = {
         Q,
         "column 't', row 2: found '2024-12-01T12:00:01'",
     ),
-    "an hour without a day": ("t,q\n12:00:00,1\n12:00:01,2\n", Q, "column 't', row 1: found '12:00:00'"),
+    "an hour among times": ("t,q\n12:00:00,1\n12,2\n", Q, "column 't', row 2: found '12', needs a time of day"),
     "dates with a unit": (
         "t,q\n2024-12-01,1\n2024-12-02,2\n",
         with_units(t="ms"),

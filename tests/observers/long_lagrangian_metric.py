@@ -5,8 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from charts import Pullback
 
-from covariant.geometry import Euclidean, Pullback, distance, exp, log, sphere, transport
+from covariant.geometry import Euclidean, distance, exp, log, sphere, transport
 from covariant.models import Lagrangian
 from covariant.observers import Intrinsic, LagrangianMetric
 from covariant.signals import StepCode

@@ -46,9 +46,8 @@ def fitted(folder: Path, names: tuple[str, ...]) -> Any:
     first = {f"servo.servo.{key}": value for key, value in FIRST.items()} | {"parameters.offsets": {"servo": 0.0}}
     names = (*names, "kp800_up_and_down")
     settings = [first | {"servo.servo.gain": gain(name)} for name in names]
-    # Windows as long as the logs: this joint sticks for seconds.
     paths = [folder / "xl330" / f"{name}.csv" for name in names]
-    return covariant.fit(XL330, paths, NAMES, horizon=5.9, overrides=settings)
+    return covariant.fit(XL330, paths, NAMES, overrides=settings)
 
 
 @pytest.mark.exhaustive
@@ -71,4 +70,7 @@ def test_one_set_of_numbers_predicts_logs_at_other_gains(data_folder):
 @pytest.mark.exhaustive
 def test_two_halves_of_the_logs_agree(data_folder):
     one, other = (fitted(data_folder, (FITTED[i], FITTED[j])) for i, j in ((0, 3), (1, 2)))
-    assert (np.abs(one.values - other.values) <= 4 * np.hypot(one.standard_errors, other.standard_errors)).all()
+    errors = np.hypot(one.standard_errors, other.standard_errors)
+    both = np.isfinite(errors)  # half of the logs need not determine every number by itself
+    assert both.sum() >= 6
+    assert (np.abs(one.values - other.values)[both] <= 4 * errors[both]).all()

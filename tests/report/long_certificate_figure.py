@@ -8,7 +8,7 @@ from PIL import Image
 from test_certificate_figure import RADIUS, RATE, SQUARES, canned
 
 from covariant.certificates import trajectories
-from covariant.report import _certificate, draw_certificate
+from covariant.report import _certificate, certificate_figure, save_figure
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_distances_begin_at_the_radius_and_stay_under_the_line(followed):
 def test_four_panels(verdict, followed, tmp_path, monkeypatch):
     if verdict == "holds":
         monkeypatch.setattr(_certificate, "trajectories", lambda certificate: followed)
-    path = draw_certificate(canned(verdict), tmp_path / "proof.png")
+    path = save_figure(certificate_figure(canned(verdict)), tmp_path / "proof.png")
     with Image.open(path) as image:
         drawn = np.asarray(image.convert("L")) < 250
         assert image.width == round(150 * 2 * 4.5)

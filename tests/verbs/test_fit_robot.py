@@ -61,7 +61,7 @@ def made_up(**numbers: tuple[float, float, bool]) -> RobotFit:
     names = tuple(name.replace("_", ".") for name in numbers)
     values, errors, determined = (np.array(column) for column in zip(*numbers.values(), strict=True))
     one, none = np.ones(1), Combinations((), (), 1)
-    return RobotFit(names, values, values, errors, determined, none, one, 0.03, 4, values, one)
+    return RobotFit(names, values, values, errors, determined, none, one, 0.03, values, one)
 
 
 def test_what_cannot_be_told_from_zero_is_named_with_its_standard_error():
@@ -75,3 +75,22 @@ def test_a_load_with_offsets_is_said_to_have_two_solutions():
     assert "on which side of its link the load is" in sentence
     assert robot_details(made_up(payload_lower_mass=(0.1, 0.01, True), **offset))["undetermined"] == []
     assert robot_details(made_up(**place))["undetermined"] == []
+
+
+def test_the_numbers_of_a_joint_that_is_predicted_worse_stay():
+    family = models.robot_family("double_pendulum", ["friction", "armature"])
+    names, count = family.names, len(family.names)
+    x, one, none = np.full(count, 0.1), np.ones(count), Combinations((), (), 1)
+    values = np.asarray(family.values(x))
+    whole = RobotFit(names, family.first, values, 0.1 * one, one > 0, none, one[:2], 0.03, x, one)
+    parted = whole.without(family, np.array([False, True]))
+    assert parted is not None
+    assert parted.kept == ("elbow",)
+    elbow = np.array(["elbow" in name for name in names])
+    np.testing.assert_array_equal(parted.values[elbow], family.first[elbow])
+    np.testing.assert_array_equal(parted.values[~elbow], values[~elbow])
+    assert not parted.determined[elbow].any()
+    assert parted.determined[~elbow].all()
+    assert "the numbers of elbow stay as they are" in robot_details(parted)["undetermined"][0]
+    assert whole.without(family, np.array([False, False])) is None
+    assert whole.without(family, np.array([True, True])) is None

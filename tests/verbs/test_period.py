@@ -25,7 +25,7 @@ def test_a_draft_names_the_period_and_ticks_that_were_rounded(whole):
     angle = np.round(np.rad2deg(whole.y[:, 0]) / tick) * tick
     table = pd.DataFrame({"t": whole.t, "angle [deg]": np.round(angle % (410 * tick), 2)})
     (text,) = verbs.init(table).texts().values()
-    assert "quantum = 0.001534" in text
+    assert "quantum = 0.00153397" in text
     assert "period = 0.6289" in text
     (text,) = verbs.init(pd.DataFrame({"t": whole.t, "angle [deg]": angle})).texts().values()
     assert "period" not in text

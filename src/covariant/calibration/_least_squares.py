@@ -121,6 +121,10 @@ class Residuals(Protocol):
         """Unknowns (p,) after a step dz from z."""
         ...
 
+    def lowest(self, z: NumpyArray) -> NumpyArray:
+        """Least steps (p,) from z that bounds permit; minus infinity for unknowns without one."""
+        ...
+
 
 class Fixed(NamedTuple):
     """Undetermined combinations as a projection `directions` (p, p) of z, fixed where z is `at` (p,)."""
@@ -169,7 +173,7 @@ def minimise(
     damping, growth = 1e-3, 2.0
     for k in range(most):
         progress(k)
-        dz, promised = _step(point, fixed, damping)
+        dz, promised = _step(point, fixed, damping, residuals.lowest(point.z))
         if promised < TOLERANCE:
             return point
         tried = Point.at(residuals, residuals.moved(point.z, dz), point.blocks.rest)
@@ -183,8 +187,8 @@ def minimise(
     return point
 
 
-def _step(point: Point, fixed: Fixed, damping: float) -> tuple[NumpyArray, float]:
-    """A damped Gauss–Newton step, and the predicted fall of the loss."""
+def _step(point: Point, fixed: Fixed, damping: float, lowest: NumpyArray) -> tuple[NumpyArray, float]:
+    """A damped Gauss–Newton step above its bounds, and the predicted fall of the loss."""
     zz, p = point.blocks.zz, len(point.z)
     fixing = FIXING**2 * fixed.directions
     prior = np.eye(p) / PRIOR**2 + fixing
@@ -192,9 +196,20 @@ def _step(point: Point, fixed: Fixed, damping: float) -> tuple[NumpyArray, float
     slope = np.sum(point.blocks.z, axis=0) + prior @ point.z - fixing @ fixed.at
     size = np.sqrt(np.diagonal(damped))
     # Scaled to a unit diagonal, since the sensitivities differ by orders of magnitude.
-    dz = -np.linalg.solve(damped / np.outer(size, size), slope / size) / size
+    dz = minimise_above_bounds(damped / np.outer(size, size), slope / size, lowest * size) / size
     # Without the damping, which only limits the step: the ratio to the actual fall then measures the model itself.
     return dz, float(-(slope @ dz + dz @ (zz + prior) @ dz / 2))
+
+
+def minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The step that minimises a quadratic function above bounds."""
+    from scipy.optimize import lsq_linear
+
+    step = -np.linalg.solve(matrix, gradient)
+    if not (step < least - 1e-12).any():  # nor where it is not finite, which whoever searches refuses
+        return step
+    root = np.linalg.cholesky(matrix)
+    return lsq_linear(root.T, -np.linalg.solve(root, gradient), (least, np.inf), method="bvls").x
 
 
 def _span(projection: NumpyArray) -> Float[NumpyArray, "p d"]:

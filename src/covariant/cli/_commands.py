@@ -40,10 +40,8 @@ def _check(call: Invocation, out: Path | None, report: Path | None) -> Any:
     return call.show(call(), report=report)
 
 
-def _init(call: Invocation, out: Path) -> Any:
-    if out.exists():
-        raise InputError(f"{out}: there is such a file already, and it is not overwritten; give another name")
-    return call.show(call(), out)
+def _init(call: Invocation, out: Path, overwrite: bool) -> Any:
+    return call.show(call(), out, overwrite=overwrite)
 
 
 def _export(call: Invocation) -> Any:
@@ -131,7 +129,7 @@ COMMANDS = (
         LOG,
         "init log.csv -o arm.toml",
         "docs/your-log.md",
-        own=(_output("Model file to write, which must not exist", ".toml", needed=True),),
+        own=(_output("Model file to write", ".toml", needed=True), OVERWRITE),
         run=_init,
         note="What is guessed is said in its comments.",
     ),

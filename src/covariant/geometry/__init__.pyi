@@ -32,7 +32,6 @@ from ._spaces import (
     Euclidean as Euclidean,
     FlatTorus as FlatTorus,
     Product as Product,
-    Pullback as Pullback,
     hyperbolic as hyperbolic,
     sphere as sphere,
 )
@@ -46,7 +45,6 @@ __all__ = [
     "Metric",
     "Product",
     "ProductManifold",
-    "Pullback",
     "christoffel",
     "curvature",
     "distance",

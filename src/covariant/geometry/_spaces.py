@@ -4,8 +4,6 @@ One class covers all constant curvatures K ≠ 0: the stereographic chart with t
 geodesics are Möbius translations (Ungar 2008, Analytic Hyperbolic Geometry, chapters 3 and 6, with c = −K).
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -236,81 +234,6 @@ def hyperbolic(radius: float = 1.0) -> ConstantCurvature:
         1.0
     """
     return ConstantCurvature(-1.0 / radius**2)
-
-
-class Pullback(AbstractMetric):
-    """A space in other coordinates, with the operations of the original one.
-
-    Use it if a space has closed forms in one chart and a model is written in another. Geodesics and distances are the
-    same in both. `forward` must be smooth and invertible in the region used; errors of `inverse` enter the results
-    without a warning.
-
-    Attributes:
-        space: the space in its original coordinates.
-        forward: smooth function (n,) -> (n,) from the new coordinates to those of `space`, differentiated
-            automatically.
-        inverse: its inverse function, from the coordinates of `space` to the new ones.
-
-    Example:
-        The plane in polar coordinates (r, φ), with the metric diag(1, r²):
-
-        >>> import jax.numpy as jnp
-        >>> from covariant.geometry import Euclidean, Pullback
-        >>> polar = Pullback(
-        ...     Euclidean(),
-        ...     forward=lambda q: q[0] * jnp.stack([jnp.cos(q[1]), jnp.sin(q[1])]),
-        ...     inverse=lambda x: jnp.stack([jnp.hypot(x[0], x[1]), jnp.arctan2(x[1], x[0])]),
-        ... )
-        >>> polar(jnp.array([2.0, 0.0])).tolist()
-        [[1.0, 0.0], [0.0, 4.0]]
-    """
-
-    space: AbstractMetric
-    forward: Callable[[Array], Array]
-    inverse: Callable[[Array], Array]
-
-    def __call__(self, x: Vector) -> Matrix:
-        jacobian = jax.jacfwd(self.forward)(x)
-        return jacobian.T @ self.space(self.forward(x)) @ jacobian
-
-    def connection(self, x: Vector, a: Vector, b: Vector) -> Vector:
-        """Covariant derivative `Γ̄(a, b) = Dφ⁻¹ [Γ(Dφ a, Dφ b) + D²φ(a, b)]`, φ being `forward`.
-
-        Args:
-            x: new coordinates (n,).
-            a: direction (n,).
-            b: components (n,) of the differentiated field.
-
-        Returns:
-            Vector (n,).
-        """
-        old, along_a, along_b = self.forward(x), self._pushforward(x, a), self._pushforward(x, b)
-        second = jax.jvp(lambda p: self._pushforward(p, b), (x,), (a,))[1]
-        return self._pulled_back(old, self.space.connection(old, along_a, along_b) + second)
-
-    def curvature(self, x: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
-        old = self.forward(x)
-        turned = self.space.curvature(old, self._pushforward(x, a), self._pushforward(x, b), self._pushforward(x, c))
-        return self._pulled_back(old, turned)
-
-    def transport_along(self, p: Vector, velocity: Vector, w: Vectors, budget: Budget = Budget()) -> Transported:
-        pushed = jax.vmap(lambda a: self._pushforward(p, a))(w.reshape(-1, p.shape[0]))
-        end = self.space.transport_along(self.forward(p), self._pushforward(p, velocity), pushed, budget)
-        pulled = jax.vmap(lambda a: self._pulled_back(end.q, a))(end.w)
-        return Transported(self.inverse(end.q), self._pulled_back(end.q, end.velocity), pulled.reshape(w.shape))
-
-    def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
-        old_p, old_q = self.forward(p), self.forward(q)
-        shot = self.space.shoot(old_p, old_q, None if guess is None else self._pushforward(p, guess), budget)
-        return shot._replace(
-            velocity=self._pulled_back(old_p, shot.velocity), arrival=self._pulled_back(old_q, shot.arrival)
-        )
-
-    def _pushforward(self, q: Vector, x: Vector) -> Vector:
-        return jax.jvp(self.forward, (q,), (x,))[1]
-
-    def _pulled_back(self, old: Vector, x: Vector) -> Vector:
-        return jax.jvp(self.inverse, (old,), (x,))[1]
 
 
 class Product(AbstractMetric):

@@ -1,3 +1,4 @@
+from ._clock import displaced_rows as displaced_rows, odd_clock as odd_clock
 from ._columns import (
     ATTITUDES as ATTITUDES,
     ClockError as ClockError,
@@ -10,8 +11,7 @@ from ._configuration import bodies as bodies, coordinates as coordinates, matric
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
 from ._episodes import episodes_fault as episodes_fault
 from ._read import OPTIONAL as OPTIONAL, read as read, record as record, survey as survey
-from ._sign_bit import has_sign_bit as has_sign_bit, sign_bit_fault as sign_bit_fault
-from ._stamps import odd_clock as odd_clock
+from ._register import Register as Register
 from ._tables import source_name as source_name
 from ._unit_in_name import (
     KNOWN as KNOWN,

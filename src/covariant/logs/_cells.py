@@ -24,8 +24,6 @@ def numbers(where: str, column: Any, needed: bool) -> Float[np.ndarray, "T"]:
         LogError: A cell is not a finite number; the message names the first such row.
     """
     pa = pyarrow()
-    if pa.types.is_boolean(column.type):
-        raise LogError(f"{where} holds true and false, which are no numbers; name another column")
     try:
         # `safe=False` rounds an integer beyond 2⁵³; otherwise Arrow would refuse it.
         values = floats(column.cast(pa.float64(), safe=False))
@@ -45,12 +43,14 @@ def _texts(where: str, column: Any, needed: bool) -> np.ndarray:
     pa = pyarrow()
     compute = pa.compute
     cells = compute.utf8_trim_whitespace(compute.fill_null(column.cast(pa.string()), ""))
-    written = compute.match_substring_regex(cells, rf"^({NUMBER})?\z").to_numpy()
+    written = compute.match_substring_regex(cells, rf"^({NUMBER}|(?i:true|false))?\z").to_numpy()
     if not written.all():
         row = int((~written).argmax())
         raise fault(where, row, column[row].as_py(), needed)
     # Arrow's number parser does not accept a plus sign.
     plain = compute.replace_substring_regex(cells, r"^\+", "")
+    for word, digit in (("true", "1"), ("false", "0")):
+        plain = compute.replace_substring_regex(plain, f"^(?i:{word})$", digit)
     filled = compute.if_else(compute.equal(plain, ""), "nan", plain)
     return floats(filled.cast(pa.float64()))
 

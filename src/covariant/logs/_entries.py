@@ -17,16 +17,21 @@ _INFO = ("../meta/info.json", "../../meta/info.json")
 """Paths, from the folder of a file, at which a LeRobot data set describes its columns."""
 
 
+def is_list(cell: Any) -> bool:
+    """Whether a type of Arrow is one of lists."""
+    types = pyarrow().types
+    return types.is_list(cell) or types.is_fixed_size_list(cell) or types.is_large_list(cell)
+
+
 def _list_length(column: Any) -> int:
     """Length of the lists in a column of lists of numbers; 0 for other columns, and if lengths differ."""
     types, cell = pyarrow().types, column.type
-    fixed = types.is_fixed_size_list(cell)
-    if not (fixed or types.is_list(cell) or types.is_large_list(cell)):
+    if not is_list(cell):
         return 0
     number = cell.value_type
     if not (types.is_floating(number) or types.is_integer(number) or types.is_decimal(number)):
         return 0
-    if fixed:
+    if types.is_fixed_size_list(cell):
         return cell.list_size if cell.list_size <= MOST_ENTRIES else 0
     lengths = pyarrow().compute.unique(pyarrow().compute.list_value_length(column).drop_null()).to_pylist()
     return lengths[0] if len(lengths) == 1 and lengths[0] <= MOST_ENTRIES else 0

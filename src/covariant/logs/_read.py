@@ -14,11 +14,12 @@ from jaxtyping import Float
 from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
+from covariant.logs._clock import displaced_rows
 from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, check_log, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
-from covariant.logs._entries import by_entries
+from covariant.logs._entries import by_entries, is_list
 from covariant.logs._episodes import episodes_fault
-from covariant.logs._sign_bit import has_sign_bit, sign_bit_fault
+from covariant.logs._register import Register
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import LogSource, plain_text, source_name, stated_units, table_source
 from covariant.logs._text import read_text, sheet, with_points
@@ -123,10 +124,11 @@ def read(
             raise LogError(f"{name}: units of t: {error}") from error
     if every < 1:
         raise LogError(f"{name}: every must be 1 or more rows; got {every}")
+    asked = _Asked(name, log, columns, optional, sensors, missing_inputs, absent)
     if isinstance(log, Record):
-        whole = _of_record(log, columns, missing_inputs, absent)._replace(readings=(None,) * len(sensors))
+        whole = _of_record(asked)._replace(readings=(None,) * len(sensors))
     else:
-        whole = _of_columns(name, log, columns, optional, sensors, missing_inputs, absent)
+        whole = _of_columns(asked)
     if any(periods):
         y = unwrap(np.asarray(whole.record.y), (), periods)
         whole = whole._replace(record=whole.record._replace(y=y))
@@ -172,19 +174,32 @@ def _names(names: str | Sequence[str]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def _of_columns(
-    name: str,
-    log: Any,
-    columns: Columns,
-    optional: Collection[str],
-    sensors: Sequence[tuple[Columns, str]],
-    missing_inputs: bool,
-    absent: Collection[str],
-) -> Log:
+class _Asked(NamedTuple):
+    """What is asked of a log, with its name: the arguments of `read`."""
+
+    name: str
+    log: Any
+    columns: Columns
+    optional: Collection[str]
+    sensors: Sequence[tuple[Columns, str]]
+    missing_inputs: bool
+    absent: Collection[str]
+
+    def check(self, record: Record, columns: Columns) -> Record:
+        """The record after `Record.check`, before rows are dropped, so that messages count rows of the log."""
+        try:
+            start = np.flatnonzero(~_unmeasured(record, columns, self.absent)) if self.absent else None
+            return record.check(start, missing_inputs=self.missing_inputs)
+        except StampError as error:
+            raise ClockError(f"{self.name}: {error}", record) from error
+        except InputError as error:
+            raise LogError(f"{self.name}: {error}") from error
+
+
+def _of_columns(asked: _Asked) -> Log:
     """All rows of a log that consists of columns."""
-    columns, present, table, source = _columns_and_table(
-        name, log, columns, optional, [each for each, _ in sensors], absent
-    )
+    name, absent, sensors = asked.name, asked.absent, asked.sensors
+    columns, present, table, source = _columns_and_table(asked)
     units = source.units
     for field in ("t", *MEASURED, "u", *OPTIONAL):
         # The type of dates and durations already determines their unit.
@@ -203,8 +218,11 @@ def _of_columns(
                 # A column without any number is a wrong column, and not a sensor with gaps.
                 if not empty and column not in absent and len(values) and np.isnan(values).all():
                     raise LogError(f"{_where(name, column, unit)} holds no number in any row; name another column")
-                if has_sign_bit(values):
-                    raise LogError(f"{name}: {sign_bit_fault(column)}")
+                register = Register(0.0) if (values < 0).any() else Register.of(values)
+                coded = register.fault(column)
+                # Positions in two's complement begin anew there, as those of an encoder on a circle do.
+                if coded is not None and not (register.span and field in MEASURED):
+                    raise LogError(f"{name}: {coded}")
                 cells.append(values if unit is None else values * unit_factor(unit))
         return np.column_stack(cells) if cells else np.empty((len(table), 0))
 
@@ -217,15 +235,18 @@ def _of_columns(
     unit = columns.unit_of("t", 0)
     t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
     u, y = (
-        stack(columns, "u", needed=not missing_inputs),
+        stack(columns, "u", needed=not asked.missing_inputs),
         from_cells(name, columns, stack(columns, *MEASURED, empty=False)),
     )
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
     try:
-        record = _check_record(name, Record(t, u, y), columns, missing_inputs, absent)
+        record = asked.check(Record(t, u, y), columns)
     except ClockError as error:
         fault = episodes_fault(t, source.shown, lambda each: _whole_column(name, source, each))
+        if (displaced := displaced_rows(t)) is not None and fault is None:
+            first, count = displaced.rows[0] + 1, len(displaced.rows)
+            fault = f"is {displaced.how} in single rows, {count} in all, the first is row {first}; {displaced.remedy}"
         if fault is None:
             raise
         raise ClockError(f"{name}: column {columns.t!r} {fault}", error.record) from error
@@ -266,9 +287,9 @@ def _need_units(log: str, columns: Columns, field: str, units: Mapping[str, str]
             )
 
 
-def _of_record(log: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Log:
+def _of_record(asked: _Asked) -> Log:
     """A log from a record; its numbers of positions and inputs must be those of the columns."""
-    log = _check_record("record", log, columns, missing_inputs, absent)
+    columns, log = asked.columns, asked.check(asked.log, asked.columns)
     log = log._replace(t=np.asarray(log.t), u=np.asarray(log.u), y=np.asarray(log.y))
     if not bodies(columns) and log.y.shape[1:] != (len(columns.q),):
         raise LogError(f"record: it has positions of shape {log.y.shape[1:]}, needs {len(columns.q)} of them")
@@ -383,34 +404,22 @@ def _unmeasured(record: Record, columns: Columns, absent: Collection[str]) -> np
     return empty & may & ~empty.all()
 
 
-def _check_record(name: str, record: Record, columns: Columns, missing_inputs: bool, absent: Collection[str]) -> Record:
-    """The record after `Record.check`; this is done before rows are dropped, so that messages count rows of the log."""
-    try:
-        start = np.flatnonzero(~_unmeasured(record, columns, absent)) if absent else None
-        return record.check(start, missing_inputs=missing_inputs)
-    except StampError as error:
-        raise ClockError(f"{name}: {error}", record) from error
-    except InputError as error:
-        raise LogError(f"{name}: {error}") from error
-
-
-def _columns_and_table(
-    name: str, log: Any, columns: Columns, optional: Collection[str], sensors: Sequence[Columns], may_lack: Any
-) -> tuple[Columns, list[Columns], Any, LogSource]:
+def _columns_and_table(asked: _Asked) -> tuple[Columns, list[Columns], Any, LogSource]:
     """The columns without optional ones that the log lacks, the columns of its sensors, a table of all of them, and
     their source.
     """
-    with _legible(name, log):
-        source = _open_source(name, log)
+    name, columns = asked.name, asked.columns
+    with _legible(name, asked.log):
+        source = _open_source(name, asked.log)
         names = source.names
         # A field counts as absent only if all its columns are missing; otherwise a missing one is an error below.
-        absent = [field for field in optional if not set(getattr(columns, field)) & set(names)]
+        absent = [field for field in asked.optional if not set(getattr(columns, field)) & set(names)]
         columns = columns._replace(**dict.fromkeys(absent, ()))
         wanted = list(dict.fromkeys((columns.t, *columns.measured, *columns.u, *columns.v, *columns.truth)))
         if set(columns.measured) & set(names):
-            wanted = [column for column in wanted if column in names or column not in may_lack]
+            wanted = [column for column in wanted if column in names or column not in asked.absent]
         # A sensor also counts as absent only if all its columns are missing.
-        present = [each for each in sensors if set(each.measured) & set(names)]
+        present = [each for each, _ in asked.sensors if set(each.measured) & set(names)]
         beside = [name for each in present for name in each.measured if name not in wanted]
         _find(name, wanted + beside, source)
         table, _ = _unite(name, source.load(wanted, columns.u, beside))
@@ -452,12 +461,7 @@ def _open_source(name: str, log: Any) -> LogSource:
         with pyarrow().parquet.ParquetFile(path) as file:
             schema = file.schema_arrow
             check_log(path, file.metadata.num_rows)
-        names, types = list(schema.names), pyarrow().types
-        lists = [
-            field.name
-            for field in schema
-            if types.is_list(field.type) or types.is_fixed_size_list(field.type) or types.is_large_list(field.type)
-        ]
+        names, lists = list(schema.names), [field.name for field in schema if is_list(field.type)]
         source = LogSource(
             *(names, names, lambda wanted, held, beside: _parquet(path, [*wanted, *beside]), stated_units(schema)),
             lists=lists,

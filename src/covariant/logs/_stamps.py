@@ -8,26 +8,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.logs._cells import fault, numbers
+from covariant.logs._cells import fault, floats, numbers
+from covariant.logs._clock import odd_clock
 from covariant.logs._columns import LogError, pyarrow
-from covariant.logs._text import DATE
+from covariant.logs._register import Register
+from covariant.logs._text import DATE, TIME_OF_DAY
 from covariant.logs._units import unit_factor
 from covariant.signals import LATEST_STAMP, check_rounding
 from scalargraph.errors import InputError
 
 LATEST = 1e8
 """Stamps beyond this [s], three years, count from 1970; smaller ones count from the start of the machine."""
-
-DAYS = ((25_569.0, 73_050.0), (719_529.0, 767_010.0), (2_440_587.5, 2_488_069.5))
-"""Ranges of days that mean the years 1970 to 2100: days since 1900, days since the year 0, and Julian days."""
-DAY = 86_400.0
-"""Number of seconds in a day."""
-_LARGEST_STEP_OF_DAYS = 2e-5
-"""Median step below which such numbers count as days: 1.7 s in days; in seconds, 50 000 rows a second."""
-_SMALLEST_STEP = 1e-6
-"""Median step [s] below which numbers cannot be seconds: no machine is logged a million times a second."""
-_FEWEST_ROWS = 50
-"""Number of rows needed to judge their rate: a few rows may be an excerpt."""
+DAY, HOUR = 86_400.0, 3600.0
+"""Seconds after which times of day begin anew."""
 
 
 class Stamps(NamedTuple):
@@ -43,9 +36,10 @@ class Stamps(NamedTuple):
 
 
 def stamps(where: str, column: Any, given: str | None) -> Stamps:
-    """Read the stamps in a column of numbers, of dates as 2024-05-01T12:00:00.25Z, or of Arrow's timestamps.
+    """Read the stamps in a column of numbers, of dates as 2024-05-01T12:00:00.25Z, of times of day, or of Arrow's.
 
-    Dates, and times since 1970, are counted from the first one, without loss of digits.
+    Dates, and times since 1970, are counted from the first one, without loss of digits. Times of day are seconds since
+    midnight; they, and counters, go on where they begin anew.
 
     Args:
         where: Log and column, the beginning of error messages.
@@ -64,6 +58,9 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
         ticks = _dates(pa, where, column)
         # Integers are subtracted before conversion to floats, so that no digit of a date is lost.
         return Stamps((ticks - ticks[0]) * 1e-9, int(ticks[0]))
+    if _of_day(column):
+        _need_no_unit(where, given, "times of day")
+        return Stamps(Register.continued(_times_of_day(pa, where, column), (DAY, HOUR)), None)
     if pa.types.is_duration(column.type):
         _need_no_unit(where, given, str(column.type))
         column, given = column.cast(pa.int64()), column.type.unit
@@ -86,46 +83,10 @@ def stamps(where: str, column: Any, given: str | None) -> Stamps:
             f'write t = "{unit}" under [units] of the model file, or the unit that the stamps are in'
         )
     if not len(values) or abs(values[0] * factor) < LATEST:
-        return Stamps(values if factor == 1.0 else values * factor, None)
+        return Stamps(Register.continued(values) * factor, None)
     first, since_first = _since_first(pa, column, values)
     # The product of a fraction and a whole number of nanoseconds is exact.
     return Stamps(since_first * factor, round(first * round(factor * 1e9)))
-
-
-def odd_clock(values: Float[np.ndarray, "T"], unit: str | None = None) -> str | None:
-    """Fault of stamps that cannot be seconds: dates in days, or fractions of a day or a year.
-
-    Spreadsheets count days from 1900, `datenum` from the year 0, and astronomers from 4713 BC. As seconds, such stamps
-    would mean more than 50 000 rows a second. The reader and the draft of a model file refuse them, since a wrong unit
-    of time gives wrong velocities.
-
-    Args:
-        values: Stamps (T,) as logged.
-        unit: Their unit; None if none is stated.
-
-    Returns:
-        The fault and its remedy, as text that follows the name of the column; None if the clock may count seconds.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.logs import odd_clock
-        >>> odd_clock(45_000 + np.arange(99) / 86_400).partition(",")[0], odd_clock(45_000 + np.arange(99.0))
-        ('holds dates in days', None)
-    """
-    if len(values) < _FEWEST_ROWS or (unit is not None and unit_factor(unit) != DAY):
-        return None
-    step = float(np.median(np.diff(values)))
-    if 0 < step < _LARGEST_STEP_OF_DAYS and any(low <= values[0] <= high for low, high in DAYS):
-        return (
-            "holds dates in days, as spreadsheets, datenum and Julian dates do; subtract the first of them, and write "
-            't = "24 h" under [units] of the model file, or write t = "s" if they are seconds'
-        )
-    if unit is None and 0 < step < _SMALLEST_STEP:
-        return (
-            f"has {1 / step:.2g} rows a second if it holds seconds; write what one of it is under [units] of the model "
-            'file, as t = "24 h" for parts of a day, or t = "s" if they are seconds'
-        )
-    return None
 
 
 def _since_first(pa: ModuleType, column: Any, values: np.ndarray) -> tuple[Fraction, np.ndarray]:
@@ -144,15 +105,46 @@ def _since_first(pa: ModuleType, column: Any, values: np.ndarray) -> tuple[Fract
 
 def dated(column: Any) -> bool:
     """Whether a column of Arrow holds dates, as timestamps or as text."""
-    types = pyarrow().types
-    if types.is_timestamp(column.type):
-        return True
-    return types.is_string(column.type) and len(column) > 0 and re.match(DATE, column[0].as_py() or "") is not None
+    return pyarrow().types.is_timestamp(column.type) or _begins(column, DATE)
+
+
+def _begins(column: Any, pattern: str) -> bool:
+    """Whether a column of Arrow holds text whose first cell matches a pattern."""
+    is_text = pyarrow().types.is_string(column.type) and len(column) > 0
+    return is_text and re.match(pattern, column[0].as_py() or "") is not None
 
 
 def timed(column: Any) -> bool:
     """Whether the type of a column, or its text, shows that it holds time."""
-    return dated(column) or pyarrow().types.is_duration(column.type)
+    return dated(column) or _of_day(column) or pyarrow().types.is_duration(column.type)
+
+
+def _of_day(column: Any) -> bool:
+    """Whether a column of Arrow holds times of day, by its type or as text."""
+    return pyarrow().types.is_time(column.type) or _begins(column, TIME_OF_DAY)
+
+
+def _times_of_day(pa: ModuleType, where: str, column: Any) -> Float[np.ndarray, "T"]:
+    """Seconds (T,) of times of day."""
+    if pa.types.is_time(column.type):
+        column = column.cast(pa.time64("ns"), safe=False).cast(pa.int64())
+        return numbers(where, column, needed=True) * 1e-9
+    parts = pa.compute.extract_regex(pa.compute.replace_substring(column, ",", "."), TIME_OF_DAY)
+    if parts.null_count:
+        row = pa.compute.index(parts.is_null(), True).as_py()
+        raise LogError(
+            f"{where}, row {row + 1}: found {column[row].as_py()!r}, needs a time of day as in row 1, "
+            f"{column[0].as_py()!r}"
+        )
+    t = np.zeros(len(column))
+    for name, seconds in (("days", DAY), ("hours", HOUR), ("minutes", 60.0), ("seconds", 1.0)):
+        digits = pa.compute.struct_field(parts, name)
+        count = floats(pa.compute.if_else(pa.compute.equal(digits, ""), "0", digits).cast(pa.float64()))
+        half = pa.compute.utf8_lower(pa.compute.struct_field(parts, "half"))
+        if name == "hours" and half[0].as_py():  # 12 AM is midnight
+            count = count % 12 + 12 * (half.to_numpy(zero_copy_only=False) == "p")
+        t += seconds * count
+    return t
 
 
 def _need_no_unit(where: str, unit: str | None, what: str) -> None:

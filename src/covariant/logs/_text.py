@@ -22,6 +22,13 @@ _NOTHING = re.compile(rb"^[ \t]*(?:[#%][^\n]*)?(?:\n|\Z)", re.MULTILINE)
 """A line that is empty or a comment."""
 DATE = r"^\s*[0-9]{4}-[0-9]{2}-[0-9]{2}"
 """Beginning of a date."""
+TIME_OF_DAY = (
+    r"^\s*(?:[0-9]{1,4}[-/.][0-9]{1,2}[-/.][0-9]{1,4}[T ,]+)?(?:(?P<days>[0-9]+) days? \+?)?"
+    r"(?:(?P<hours>[0-9]{1,2}):)?(?P<minutes>[0-9]{1,2}):"
+    r"(?P<seconds>[0-9]{2}(?:[.,][0-9]*)?)(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?\s*$"
+)
+"""A time of day, as 14:43:24.754 or 2:43:24 PM, perhaps after a date that is not in the order of ISO 8601; or the time
+since the start, as pandas writes it."""
 _COMMA = r"^(\s*[+-]?[0-9]*),([0-9]+(?:[eE][+-]?[0-9]+)?\s*)$"
 _CERTAIN_COMMA = r"^\s*[+-]?(?:0*,[0-9]+|[0-9]+,(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)(?:[eE][+-]?[0-9]+)?\s*$"
 """A number whose comma cannot separate thousands."""
@@ -99,8 +106,9 @@ def _is_row(header: list[str], sample: list[list[str]]) -> bool:
 
 
 def _is_value(cell: str) -> bool:
-    """Whether a cell contains a value, as in a row: a number, NaN, or a date."""
-    return is_number(cell) or re.fullmatch(NUMBER, cell) is not None or re.match(DATE, cell) is not None
+    """Whether a cell contains a value, as in a row: a number, NaN, a date, or a time of day."""
+    times = re.match(DATE, cell) or re.match(TIME_OF_DAY, cell)
+    return is_number(cell) or re.fullmatch(NUMBER, cell) is not None or times is not None
 
 
 def read_text(pa: ModuleType, path: Path, found: Sheet, wanted: Sequence[str]) -> Any:

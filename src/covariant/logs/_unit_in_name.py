@@ -304,7 +304,7 @@ def unknown_unit_fault(
     unit = _unit_of(text, ("",))
     own = f', or {field} = "{unit}" where the model takes it in that unit' if field != "t" and unit is not None else ""
     remedy = (
-        f"Rename the column, and write what one of it is under [units] of the draft, as {example}{own}"
+        f"Say what one of it is by `overrides=['units.{example.replace(' = ', '=', 1).partition(' for')[0]}']`{own}"
         if drafted
         else f"Write what one of it is under [units] of the model file, as {example}{own}, or rename the column"
     )

@@ -1,8 +1,6 @@
 """Draws a certificate: its region, the proved tube, the convergence of estimates, and the choice of metrics."""
 
-import os
 import textwrap
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +15,7 @@ from covariant.certificates import (
     trajectories,
 )
 from covariant.report._optional import optional
-from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, figure_format, new_figure, save_figure
+from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, new_figure
 from scalargraph.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,28 +31,6 @@ _WORDS = {
     "force": "force {}",
 }
 _MOST_RECTANGLES = 20_000
-
-
-def draw_certificate(certificate: ContractionCertificate, path: str | os.PathLike[str]) -> Path:
-    """Draw the figure of a certificate into a file.
-
-    It shows the region, a simulated motion with the proved tube, distances of estimates below the certified line, and
-    the rates that the gains allow. Use it to explain a certificate; it proves nothing. Without a proof, the two panels
-    with motions show the reason instead. It simulates motions and therefore takes some seconds.
-
-    Args:
-        certificate: The certificate, such as that of a `covariant.verbs.CertifyResult`.
-        path: The file; its suffix is the format, such as .png, .pdf or .svg.
-
-    Returns:
-        The path.
-
-    Raises:
-        ValueError: The suffix is not a known format.
-        ImportError: matplotlib is not installed.
-    """
-    figure_format(path)
-    return save_figure(certificate_figure(certificate), path)
 
 
 def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figure.Figure":

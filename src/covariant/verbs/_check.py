@@ -90,7 +90,8 @@ def _diagnose(job: Job) -> tuple[Loaded, Diagnosis]:
     record = loaded.log.record._replace(y=loaded.kind.complete(np.asarray(loaded.log.record.y)))
     if loaded.file.input_between == "held":  # what acted between two rows that are used counts in their interval
         record = acting_inputs(loaded.log.all_rows, rows=record)
-    diagnosis = diagnose(loaded.file, record, quantum, loaded.log.first_row, loaded.log.every, sensors)
+    rows = (loaded.log.first_row, loaded.log.every)
+    diagnosis = diagnose(loaded.file, record, quantum, *rows, sensors, loaded.log.v)
     return loaded, diagnosis._replace(findings=(*clock, *diagnosis.findings))
 
 

@@ -296,7 +296,8 @@ class _Code(NamedTuple):
 def _write_unit(code: _Code, out: Path, fmi: str | None, overwrite: bool) -> tuple[list[Path], list[str]]:
     """Write a unit for simulators; returns its path, and a sentence if it holds no binary."""
     version: Any = fmi or VERSIONS[0]
-    unit = codegen.fmu(code.program, code.prefix, code.about, code.facts.rate, code.measured[0], version)
+    none = np.full(np.shape(code.measured[0]), np.nan)  # until the simulator sets a reading there is none
+    unit = codegen.fmu(code.program, code.prefix, code.about, code.facts.rate, none, version)
     codegen.write_fmu(unit, out, overwrite)
     missing = unit.without_binary
     return [out], [f"the unit holds sources and no binary: {missing}"] if missing else []

@@ -1,6 +1,5 @@
 """`fit`: the numbers of a model file that predict logs best, with standard errors, judged on what is held out."""
 
-import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +25,6 @@ def fit(
     parameters: str | Sequence[str],
     *,
     each: str | Sequence[str] | None = None,
-    horizon: float | None = None,
     overrides: OverridesOfLogs = (),
     every: int = 1,
     start: float | None = None,
@@ -52,7 +50,6 @@ def fit(
         each: Those of the parameters of which each machine has its own value, such as friction; the others are shared.
             Logs of one machine lie in a folder of their own. The last log of each machine with several is held out, and
             if none has several, the last third of each. Not for robots with servos.
-        horizon: Length of the predictions [s]; by default as the motion suggests.
         overrides: Values that replace those of the model file, such as other first values; or a list of such values,
             one for each log, of what is known to differ between them, such as the unit of a column, a delay, or a gain
             or a payload of a robot with servos.
@@ -79,8 +76,6 @@ def fit(
             f"model: a fit makes the model anew with other numbers, so it takes a model file, a name or "
             f"module:attribute, and no finished {type(model).__name__}"
         )
-    if horizon is not None and not 0 < horizon < math.inf:
-        raise InputError(f"horizon must be a positive number of seconds; got {horizon}")
     names = _names(parameters)  # whoever makes the family says which names there are
     by_machine = log if type(log) is dict else {}  # a Dataset is a mapping of another type
     logs = as_logs([one for own in by_machine.values() for one in as_logs(own)] if by_machine else log)
@@ -99,7 +94,7 @@ def fit(
         Job(model, one, values, every, until, columns or {}, anyway, start)
         for one, values in zip(logs, of_log, strict=True)
     ]
-    jobs, contents, details = fit_to_logs(jobs, names, horizon, progress, sources, own)
+    jobs, contents, details = fit_to_logs(jobs, names, progress, sources, own)
     if own is None:
         return FitResult(jobs, contents[""], details, sources)
     return FitResult(jobs, {}, details, sources, contents)
@@ -334,7 +329,6 @@ class FitResult(AbstractTable):
             f"{result['scored_against']} [unit/s].",
             self._errors,
             *([inputs] if inputs else []),
-            *([result["start"]] if result.get("start") else []),
         ]
 
     def _figure(self) -> Any:
@@ -389,7 +383,6 @@ class FitResult(AbstractTable):
         lines = [
             f"{how} of {', '.join(result['logs'])}",
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
-            *([result["start"]] if result.get("start") else []),
             "",
             table(numbers),
             *self._on_numbers,

@@ -10,22 +10,12 @@ from typing import Any
 from covariant import logs, models
 from covariant.calibration import Draft, draft
 from covariant.models import Overrides
+from covariant.verbs.base import servo_draft
 from covariant.verbs.base.inputs import ColumnNames, column_names
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.placeholders import marked
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
-from covariant.verbs.base.servo_draft import (
-    Joints,
-    loose_joints,
-    match_joints,
-    path_from,
-    quoted,
-    register_lines,
-    robot_lines,
-    servo_lines,
-    with_joints,
-)
 from scalargraph.errors import InputError
 from scalargraph.files import utf8, write_together
 from scalargraph.template import fill
@@ -84,9 +74,9 @@ def init(
         raise InputError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
     if robot and not drafted.servos:
         raise InputError(f"{logs.source_name(log)}: no commands of servos were found, and parameters.path is for these")
-    joints = match_joints(drafted, robot) if drafted.servos else None
+    joints = servo_draft.match_joints(drafted, robot) if drafted.servos else None
     if joints is not None:
-        drafted = with_joints(drafted, joints)
+        drafted = servo_draft.with_joints(drafted, joints)
     return InitResult(logs.source_name(log), drafted, (*survey.remarks, *drafted.remarks), joints)
 
 
@@ -111,7 +101,7 @@ class InitResult(AbstractResult):
     log: str
     draft: Draft
     remarks: tuple[str, ...] = ()
-    joints: Joints | None = None
+    joints: servo_draft.Joints | None = None
 
     def texts(self, stem: str = "draft", folder: str | Path = ".") -> dict[str, str]:
         """Compose the model file, and for some machines a module with its equations of motion or a robot, as texts.
@@ -125,9 +115,10 @@ class InitResult(AbstractResult):
         """
         log, module = Path(self.log).name, _module_name(stem)
         if self.joints is not None:
-            path = path_from(Path(folder), self.joints.path) if self.joints.path else f"{stem}.urdf"
-            machine = robot_lines(self.draft, self.joints, path) + servo_lines(self.draft, self.joints)
-            robot = {} if self.joints.path else {path: loose_joints(self.draft, self.joints)}
+            path = servo_draft.path_from(Path(folder), self.joints.path) if self.joints.path else f"{stem}.urdf"
+            machine = servo_draft.robot_lines(self.draft, self.joints, path)
+            machine += servo_draft.servo_lines(self.draft, self.joints)
+            robot = {} if self.joints.path else {path: servo_draft.loose_joints(self.draft, self.joints)}
             return robot | {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
         if not any(self.draft.lengths):
             machine = _turning_body() if self.draft.quaternion else _chain(self.draft)
@@ -210,7 +201,9 @@ class InitResult(AbstractResult):
         texts = {path.with_name(name): text for name, text in self.texts(path.stem, path.parent).items()}
         # All names are free before the first file is written.
         for existing in [file for file in texts if file.exists() and not overwrite]:
-            raise InputError(f"{existing}: there is such a file already, and it is not overwritten; give another name")
+            raise InputError(
+                f"{existing}: there is such a file already; `overwrite=True` replaces it, or give another name"
+            )
         write_together({file: utf8(text) for file, text in texts.items()})
         # A draft that cannot be loaded fails here, and not in the command after it.
         models.load(str(path))
@@ -236,11 +229,11 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         *machine,
         "",
         "[columns]",
-        f"t = {quoted(guess.t)}",
+        f"t = {servo_draft.quoted(guess.t)}",
         *_measured(guess),
         f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
         *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
-        *register_lines(guess),
+        *servo_draft.register_lines(guess),
         *([f"# left out: {', '.join(others)}"] if others else []),
         *_units(guess),
         "",
@@ -372,7 +365,7 @@ def _equations(guess: Draft) -> str:
     n, m = len(guess.q), len(guess.u)
     trailing = "," if n == 1 else ""
     words = {
-        "POSITIONS": ", ".join(map(quoted, guess.plain_names)) + trailing,
+        "POSITIONS": ", ".join(map(servo_draft.quoted, guess.plain_names)) + trailing,
         "UNITS": ", ".join('"m"' if is_length else '"rad"' for is_length in guess.lengths) + trailing,
         "CIRCLES": tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
         "INPUTS": m,
@@ -415,7 +408,7 @@ def _units(guess: Draft) -> list[str]:
         return []
     lines = ["", "[units]"]
     for field, texts in guess.units.items():
-        written = quoted(texts[0]) if len(set(texts)) == 1 else _names(texts)
+        written = servo_draft.quoted(texts[0]) if len(set(texts)) == 1 else _names(texts)
         why = "guessed from the numbers: `covariant check` looks closer" if field in guess.guessed else "as stated"
         lines.append(f"{field} = {written}  # {why}")
     return lines
@@ -426,4 +419,4 @@ def _list(value: float, n: int) -> str:
 
 
 def _names(names: Sequence[str]) -> str:
-    return "[" + ", ".join(map(quoted, names)) + "]"
+    return "[" + ", ".join(map(servo_draft.quoted, names)) + "]"

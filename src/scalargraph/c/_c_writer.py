@@ -11,15 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from scalargraph.c._c_operations import (
-    HELPERS,
-    LIBRARY,
-    Words,
-    expression,
-    literal,
-    looked_up,
-    of_truth,
-)
+from scalargraph.c._c_operations import HELPERS, LIBRARY, Words, expression, literal, looked_up, of_truth
 from scalargraph.graph import NO_OPERATIONS, TRUTHS, Graph, Lowered, Repetition
 
 LONGEST_EXPRESSION = 60

@@ -11,7 +11,7 @@ from ._clock import mended_clock as mended_clock
 from ._columns import units as units
 from ._diagnose import diagnose as diagnose
 from ._finding import Diagnosis as Diagnosis, Finding as Finding, later_line as later_line
-from ._jumps import periods as periods, without_full_turns as without_full_turns
+from ._jumps import periods as periods
 from ._misfit import misfit as misfit
 from ._readings import (
     ROUNDING as ROUNDING,
@@ -27,8 +27,8 @@ from ._sensor_motion import Beside as Beside
 from ._smooth import (
     Smooth as Smooth,
     acceleration_kernel as acceleration_kernel,
+    derivative_weights as derivative_weights,
     held_inputs as held_inputs,
-    second_derivative_weights as second_derivative_weights,
 )
 from ._suspicion import BLOCKS as BLOCKS, Unexplained as Unexplained, judge as judge
 from ._thresholds import BARELY as BARELY, FEW_ROWS as FEW_ROWS, MOST_ROWS as MOST_ROWS

@@ -1,7 +1,7 @@
 """Comparison of a log with its model: smoothed accelerations, those of the model along the log, and their residuals."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -79,6 +79,12 @@ class Residual(NamedTuple):
         return np.array([part.mean(axis=0) for part in parts]) / self.scale
 
     @property
+    def squares(self) -> Float[np.ndarray, "n"]:
+        """Mean squares (n,) of what the model leaves beyond the noise; by chance they may be negative."""
+        # Noise is independent of the model's error, so the variances subtract.
+        return np.mean(self.left**2, axis=0) - self.noise**2
+
+    @property
     def misfit(self) -> float:
         """Mean of `misfits` over the coordinates whose accelerations exceed the noise; NaN if there are none."""
         told = self.told
@@ -90,6 +96,13 @@ def residual(model: MechanicalSystem, log: Smooth) -> Residual:
     modelled = averaged(log, accelerations(model, log))
     used = log.used & np.isfinite(modelled).all(axis=1) & np.isfinite(log.a).all(axis=1)
     return Residual(log.a, modelled, used, log.a_noise)
+
+
+def input_effects(model: MechanicalSystem, log: Smooth, now: Residual) -> Iterator[Float[np.ndarray, "K n"]]:
+    """Accelerations (K, n) on the grid that each input causes in the model."""
+    for j in range(log.u.shape[1]):
+        without = residual(model, log._replace(u=np.where(np.arange(log.u.shape[1]) == j, 0.0, log.u)))
+        yield now.modelled - without.modelled
 
 
 def averaged(log: Smooth, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K n"]:
@@ -130,6 +143,14 @@ class Case(NamedTuple):
     @property
     def spacing(self) -> float:
         return float(np.median(np.diff(np.asarray(self.record.t))))
+
+    def with_readings(self, y: Float[np.ndarray, "T n"]) -> "Case":
+        """The case with other readings of its positions."""
+        return self._replace(record=self.record._replace(y=y))
+
+    def with_inputs(self, u: Float[np.ndarray, "T m"]) -> "Case":
+        """The case with other inputs."""
+        return self._replace(record=self.record._replace(u=u))
 
 
 def in_coordinates(file: ModelFile) -> bool:
@@ -179,7 +200,7 @@ def without_rows(columns: Sequence[int], begin: float, end: float) -> Callable[[
         t, y = np.asarray(case.record.t), np.array(case.record.y, float)
         for i in columns:
             y[(t >= begin) & (t <= end), i] = np.nan
-        return case._replace(record=case.record._replace(y=y))
+        return case.with_readings(y)
 
     return apply
 

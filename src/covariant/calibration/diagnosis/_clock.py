@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration.diagnosis._finding import Finding, Rows
+from covariant.calibration.diagnosis._finding import Finding, Rows, counted
 from covariant.calibration.diagnosis._thresholds import CONTINUES, FAR, GAP, JITTER, JUMP, SEEN
+from covariant.logs import displaced_rows
 from covariant.signals import Record
 
 MONOTONIC = "stamp rows by a clock that nobody sets, such as CLOCK_MONOTONIC or `time.monotonic`"
@@ -43,35 +44,30 @@ def mended_clock(record: Record) -> Mended:
     Returns:
         The mended log and the findings.
     """
-    t = np.asarray(record.t, float)
+    t = np.array(record.t, float)
+    rows, findings = Rows(t.copy()), []
+    if (displaced := displaced_rows(t)) is not None:
+        t[displaced.rows] -= displaced.late
+        evidence = f"{len(displaced.rows)} of {len(t)} rows are stamped {displaced.how}, the rows around them are not: "
+        evidence += rows.listed(displaced.rows)
+        line = f"{displaced.remedy}; read all parts of a stamp at once, since a second that begins between them is lost"
+        numbers = {"rows": len(displaced.rows), "late": displaced.late}
+        findings.append(Finding("clock of single rows", "", evidence, line, True, numbers))
     steps = np.diff(t)
     rising = steps[steps > 0]
     usual = float(np.median(rising)) if len(rising) else 1.0
-    rows, findings = Rows(t), []
     same, back = np.flatnonzero(steps == 0) + 1, np.flatnonzero(steps < 0) + 1
     if len(same):
-        findings.append(
-            Finding(
-                "repeated stamps",
-                "",
-                f"{len(same)} of {len(t)} rows have the stamp of the row before: {rows.listed(same)}",
-                "keep one row of each stamp, or log stamps with more digits; here the first of each is compared",
-                True,
-                {"rows": len(same)},
-            )
-        )
+        evidence = f"{len(same)} of {len(t)} rows have the stamp of the row before: {rows.listed(same)}"
+        line = "keep one row of each stamp, or log stamps with more digits; here the first of each is compared"
+        findings.append(Finding("repeated stamps", "", evidence, line, True, {"rows": len(same)}))
     if len(back):
-        findings.append(
-            Finding(
-                "clock set back",
-                "",
-                f"time goes back in {len(back)} place{'s' if len(back) > 1 else ''}, by up to {-steps.min():.4g} s: "
-                f"{rows.listed(back)}",
-                f"{MONOTONIC}; split this log there: each part is a log by itself",
-                True,
-                {"places": len(back), "longest": float(-steps.min())},
-            )
+        evidence = (
+            f"time goes back in {counted(len(back), 'place')}, by up to {-steps.min():.4g} s: {rows.listed(back)}"
         )
+        line = f"{MONOTONIC}; split this log there: each part is a log by itself"
+        numbers = {"places": len(back), "longest": float(-steps.min())}
+        findings.append(Finding("clock set back", "", evidence, line, True, numbers))
     mended = t[0] + np.concatenate([[0.0], np.cumsum(np.where(steps < 0, usual, steps))])
     kept = np.concatenate([[True], steps != 0])
     return Mended(Record(mended[kept], *(np.asarray(a)[kept] for a in record[1:3])), tuple(findings))
@@ -88,29 +84,16 @@ def stamps(t: Float[np.ndarray, "T"]) -> list[Finding]:
     if gaps.any():
         # A gap of k usual steps lacks k − 1 rows.
         missing = int(np.sum(np.rint(steps[gaps] / usual) - 1))
-        findings.append(
-            Finding(
-                "missing rows",
-                "",
-                f"{missing} rows are missing in {int(gaps.sum())} places, the longest of {steps.max():.4g} s, where "
-                f"rows are {usual:.4g} s apart",
-                "nothing to change: estimates use the stamps, and run on with the model alone meanwhile",
-                False,
-                {"rows": missing, "places": int(gaps.sum()), "longest": float(steps.max())},
-            )
-        )
+        evidence = f"{missing} rows are missing in {int(gaps.sum())} places, the longest of {steps.max():.4g} s, where "
+        evidence += f"rows are {usual:.4g} s apart"
+        line = "nothing to change: estimates use the stamps, and run on with the model alone meanwhile"
+        numbers = {"rows": missing, "places": int(gaps.sum()), "longest": float(steps.max())}
+        findings.append(Finding("missing rows", "", evidence, line, False, numbers))
     std = float(np.std(steps[~gaps]))
     if std > JITTER * usual:
-        findings.append(
-            Finding(
-                "irregular stamps",
-                "",
-                f"rows are {usual:.4g} s ± {std:.2g} s apart, from {steps.min():.4g} s to {steps[~gaps].max():.4g}",
-                "nothing to change: estimates use the stamps and assume no constant step",
-                False,
-                {"step": usual, "std": std},
-            )
-        )
+        evidence = f"rows are {usual:.4g} s ± {std:.2g} s apart, from {steps.min():.4g} s to {steps[~gaps].max():.4g}"
+        line = "nothing to change: estimates use the stamps and assume no constant step"
+        findings.append(Finding("irregular stamps", "", evidence, line, False, {"step": usual, "std": std}))
     return findings
 
 
@@ -136,10 +119,9 @@ def set_forward(
     if not jumps:
         return []
     longest = float(max(steps[k - 1] for k in jumps))
-    where = f"in {len(jumps)} place{'s' if len(jumps) > 1 else ''}"
     evidence = (
-        f"{where} the stamps go on by up to {longest:.4g} s, and the motion only by the usual step of {usual:.4g} s: "
-        f"{rows.listed(jumps)}"
+        f"in {counted(len(jumps), 'place')} the stamps go on by up to {longest:.4g} s, and the motion only by the "
     )
-    finding = Finding("clock set forward", "", evidence, MONOTONIC, True, {"places": len(jumps), "longest": longest})
-    return [finding]
+    evidence += f"usual step of {usual:.4g} s: {rows.listed(jumps)}"
+    numbers = {"places": len(jumps), "longest": longest}
+    return [Finding("clock set forward", "", evidence, MONOTONIC, True, numbers)]

@@ -1,7 +1,7 @@
 """Suspicions about the columns of a log: their units, order, signs and zeros."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +57,10 @@ class Change(NamedTuple):
     def apply(self, case: Case) -> Case:
         """The case with corrected columns, and with their names and units."""
         t, u, y = (np.asarray(array) for array in case.record[:3])
-        y, u = y[:, self.order] * self.position + self.offset, u[:, self.input_order] * self.inputs
+        u = u[:, self.input_order] * self.inputs
+        same = (self.position == 1).all() and (self.order == np.arange(len(self.order))).all() and not self.offset.any()
+        # Positions that stay stay the same array, by which what is smoothed of them is found again.
+        y = case.record.y if same else y[:, self.order] * self.position + self.offset
         names = case.names.after(
             {"t": [0], "q": self.order.tolist(), "u": self.input_order.tolist()},
             {"t": np.array([self.time]), "q": self.position, "u": self.inputs},
@@ -130,11 +133,22 @@ def _prefixed(names: Names, factor: float) -> str | None:
     return unit if factor == 1 else None if prefix is None else f"{prefix}{unit}"
 
 
-def input_signs(case: Case) -> Iterator[Suspicion]:
-    """Inputs with the other sign."""
-    for name, factors in _one_by_one(case.names.u, -1.0):
+def input_signs(
+    case: Case, which: Iterable[int] | None = None, what: str = "an input", threshold: str = "columns"
+) -> Iterator[Suspicion]:
+    """Inputs, all or those of some columns, with the other sign."""
+    signs = list(_one_by_one(case.names.u, -1.0))
+    for name, factors in signs if which is None else [signs[j] for j in which]:
         change, line = _none(case)._replace(inputs=factors), case.names.line("u", factors)
-        yield Suspicion("sign of an input", name, f"with {name} with the other sign", line, change.apply)
+        yield Suspicion(f"sign of {what}", name, f"with {name} with the other sign", line, change.apply, threshold)
+
+
+def swapped_inputs(case: Case, i: int, j: int, what: str = "inputs", threshold: str = "columns") -> Suspicion:
+    """Two inputs in each other's place."""
+    u, order = case.names.u, _transposition(case.names.u, i, j)
+    words, line = f"with {u[i]} and {u[j]} in each other's place", f"[columns] u = {quoted_list(u[k] for k in order)}"
+    change = _none(case)._replace(input_order=order)
+    return Suspicion(f"swapped {what}", f"{u[i]}, {u[j]}", words, line, change.apply, threshold)
 
 
 def swaps(case: Case) -> Iterator[Suspicion]:
@@ -148,11 +162,11 @@ def swaps(case: Case) -> Iterator[Suspicion]:
         yield Suspicion("swapped positions", f"{q[i]}, {q[j]}", words, f"[columns] {in_q}", change.apply)
         if len(q) != len(u):
             continue  # input i belongs to joint i only if there are as many inputs as joints
-        in_u = f"u = {quoted_list(u[k] for k in inputs)}"
-        words = f"with {u[i]} and {u[j]} in each other's place"
-        change = none._replace(input_order=inputs)
-        yield Suspicion("swapped inputs", f"{u[i]}, {u[j]}", words, f"[columns] {in_u}", change.apply)
-        words = f"with joints {i + 1} and {j + 1} in each other's place"
+        yield swapped_inputs(case, i, j)
+        in_u, words = (
+            f"u = {quoted_list(u[k] for k in inputs)}",
+            f"with joints {i + 1} and {j + 1} in each other's place",
+        )
         change = none._replace(order=positions, input_order=inputs)
         yield Suspicion("swapped joints", f"{q[i]}, {q[j]}", words, f"[columns] {in_q}, {in_u}", change.apply)
 

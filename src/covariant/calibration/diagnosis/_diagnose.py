@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from covariant.calibration.diagnosis._case import in_coordinates, names_of
 from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._misfit import OF_COMMANDS
 from covariant.calibration.diagnosis._sensor_motion import Beside
@@ -29,27 +30,11 @@ HIDING = ("nothing moves", "several senders", "too little motion")
 WEIGHTS = (
     *OF_COMMANDS,
     *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
-    *(
-        "clock",
-        "nothing moves",
-        "several senders",
-        "unit of",
-        "period",
-        "swapped",
-        "sign of",
-        "axes of",
-        "sensor",
-        "zero of",
-        "gravity",
-        "model",
-        "friction",
-        "rotor inertia",
-        "too little motion",
-        "delay",
-        "row shift",
-    ),
-    *("scale of", "inputs between"),
-    *("uncertainty", "noise", "ticks", "repeated", "outliers", "a position", "bias of"),
+    *("clock", "nothing moves", "several senders"),
+    *("unit of", "period", "swapped", "sign of", "axes of", "sensor", "zero of"),
+    *("gravity", "model", "friction", "rotor inertia", "too little motion"),
+    *("delay", "row shift", "scale of", "inputs between"),
+    *("uncertainty", "noise", "interpolated", "ticks", "repeated", "outliers", "a position", "bias of"),
 )
 """How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
 
@@ -61,6 +46,7 @@ def diagnose(
     first_row: int = 1,
     every: int = 1,
     sensors: Sequence[Beside] = (),
+    v: np.ndarray | None = None,
 ) -> Diagnosis:
     """Compare a log with a model, and report what is wrong with the log, or with the model file for it.
 
@@ -79,6 +65,7 @@ def diagnose(
         every: The record has each `every`-th row of the file.
         sensors: Sensors beside the positions with their readings in the rows of the record, which are judged by what
             the positions predict of them; of a machine that is not in coordinates they are not.
+        v: Velocities (T, n) of the log, which are compared with the slopes of the positions.
 
     Returns:
         The findings, sorted by what they invalidate: those first that make others meaningless. A log that fits has none
@@ -95,6 +82,8 @@ def diagnose(
         ()
     """
     quantum = file.quantum if quantum is None else quantum
+    if v is not None and in_coordinates(file):
+        sensors = (*sensors, Beside.of_velocities(names_of(file), file.columns.v, v))
     log = Examination(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors)
     for stage in STAGES:
         if stage(log):

@@ -166,6 +166,11 @@ def _unit_text(stated: str, factor: float, kind: str) -> str:
     return f"{factor:.3g}" if stated == "1" else f"{factor:.3g} {stated}"
 
 
+def counted(count: int, what: str) -> str:
+    """A number of things, as "1 row" or "2 rows"."""
+    return f"{count} {what}{'s' if count > 1 else ''}"
+
+
 def stated_time(t: float) -> str:
     """A time [s] for `start` or `until`, with microseconds where it has them, and also for seconds since 1970."""
     return f"{t:.6f}".rstrip("0").rstrip(".")

@@ -40,13 +40,15 @@ MOST_DIVISIONS = 1000
 
 
 def periods(
-    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]
+    t: Float[np.ndarray, "T"],
+    y: Float[np.ndarray, "T n"],
+    ticks: Float[np.ndarray, "n"],
+    circles: tuple[int, ...] = (),
 ) -> Float[np.ndarray, "n"]:
-    """Periods (n,) at which readings wrap; 0 for those that do not."""
+    """Periods (n,) at which readings wrap; 0 for those that do not, and for angles on a circle that wrap at 2π."""
     seen = [np.isfinite(column) for column in y.T]
-    return np.array(
-        [_period(t[rows], y[rows, i], tick) for i, (rows, tick) in enumerate(zip(seen, ticks, strict=True))]
-    )
+    found = [_period(t[rows], y[rows, i], tick) for i, (rows, tick) in enumerate(zip(seen, ticks, strict=True))]
+    return without_full_turns(np.array(found), circles)
 
 
 def without_full_turns(found: Float[np.ndarray, "n"], circles: tuple[int, ...]) -> Float[np.ndarray, "n"]:
@@ -115,16 +117,8 @@ def period_findings(found: Float[np.ndarray, "n"], ticks: Float[np.ndarray, "n"]
         parts.append(f"{text}, and its readings stay within as much")
     texts = [f"{value:.9g}" if value else "0" for value in found]
     written = texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
-    return [
-        Finding(
-            "period",
-            ", ".join(names.q[i] for i in places),
-            f"{'; '.join(parts)}: the sensor wraps there",
-            f"[measurement] period = {written}",
-            True,
-            {"period": [float(value) for value in found]},
-        )
-    ]
+    where, evidence = ", ".join(names.q[i] for i in places), f"{'; '.join(parts)}: the sensor wraps there"
+    return [Finding("period", where, evidence, f"[measurement] period = {written}", True, {"period": found.tolist()})]
 
 
 def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Suspicion]:
@@ -139,8 +133,11 @@ def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Itera
             continue
         steps, passed = np.diff(y[seen, i]), np.diff(t[seen])
         # The motion in a step is that of the steps before and after it, which an outlier among them does not change.
-        medians = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(steps / passed, 3, mode="edge"), 3), axis=1)
-        jumps = steps - passed * (medians[: len(steps)] + medians[4:]) / 2
+        rates = np.pad(steps / passed, 3, mode="edge")
+        medians = np.median(np.lib.stride_tricks.sliding_window_view(rates, 3), axis=1)
+        beside = rates[2:-4] + rates[4:-2], medians[: len(steps)] + medians[4:]
+        near, far = (steps - passed * each / 2 for each in beside)
+        jumps = np.where(np.abs(near) < np.abs(far), near, far)  # of a fast motion the steps next to it say more
         usual = max(1.4826 * float(np.median(np.abs(jumps))), float(tick), np.finfo(float).tiny)
         large = np.flatnonzero(np.abs(jumps) > OFF_ZERO * usual)
         large = large[np.abs(jumps[large]) > OFF_ZERO * local_std(jumps, large)]
@@ -160,7 +157,7 @@ def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Itera
         def apply(case: Case, i: int = i, time: float = time, jump: float = jump) -> Case:
             moved = np.array(case.record.y, float)
             moved[np.asarray(case.record.t) >= time, i] -= jump
-            return case._replace(record=case.record._replace(y=moved))
+            return case.with_readings(moved)
 
         numbers = {"jump": jump, "begin": time, "end": time}
         words = "without this jump"
@@ -250,12 +247,8 @@ def _extend(motion: tuple[float, float, float], t: float, y: float) -> tuple[tup
 def sender_finding(second: Bool[np.ndarray, "T"], name: str, rows: Rows) -> Finding:
     """The finding on rows that come from a second sender."""
     places = np.flatnonzero(second)
-    return Finding(
-        "several senders",
-        name,
-        f"the readings come from two motions in turn: {len(places)} of {len(second)} rows are "
-        f"of the rarer one, {rows.listed(places)}",
-        f"keep the rows of one sender, or leave the cells of {name} empty in those of the other",
-        True,
-        {"rows": len(places), "share": float(second.mean())},
-    )
+    evidence = f"the readings come from two motions in turn: {len(places)} of {len(second)} rows are "
+    evidence += f"of the rarer one, {rows.listed(places)}"
+    line = f"keep the rows of one sender, or leave the cells of {name} empty in those of the other"
+    numbers = {"rows": len(places), "share": float(second.mean())}
+    return Finding("several senders", name, evidence, line, True, numbers)

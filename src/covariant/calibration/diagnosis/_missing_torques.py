@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._typing import MatrixField, Vector
-from covariant.calibration.diagnosis._case import Case, Residual, averaged, residual
+from covariant.calibration.diagnosis._case import Case, Residual, averaged, input_effects, residual
 from covariant.calibration.diagnosis._smooth import Smooth
-from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Suspicion
+from covariant.calibration.diagnosis._suspicion import HELD_OUT, Suspicion, blocks_of
 from covariant.calibration.diagnosis._thresholds import NEEDED, THRESHOLDS, WEIGHTLESS
 from covariant.models import Lagrangian, MechanicalSystem, Parametric, resistance
 
@@ -32,11 +32,7 @@ OF_CHAIN = {
     "rotor inertia": ("rotor_inertia", 1.0),
 }
 """What a chain of pendulums calls them, and its numbers in these."""
-UNITS = {
-    "viscous friction": ("N s/m", "N m s/rad"),
-    "Coulomb friction": ("N", "N m"),
-    "rotor inertia": ("kg", "kg m²"),
-}
+UNITS = {"viscous friction": ("N s/m", "N m s/rad"), "Coulomb friction": ("N", "N m"), "rotor inertia": ("kg", "kg m²")}
 """Units of their numbers, for a coordinate that is a length and one that is an angle."""
 
 
@@ -48,27 +44,23 @@ def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
     regression = _Regression.of(case.model, log, before)
     weightless = without_gravity(case.model)
     after = None if weightless is None else residual(weightless, log)
-    beyond = None if after is None else regression.weightless(before, after)
+    beyond = None if after is None else regression.weightless(after)
     left = float("nan") if after is None else after.misfit
     friction = range(2 * log.q.shape[1])
     speeds = _speeds(log)
+    light = case._replace(model=weightless)
     if beyond is not None:
-        yield _suspicion(case._replace(model=weightless), [], speeds, "torques", True)._replace(
-            expected=beyond.left([])
-        )
+        yield _suspicion(light, beyond, [], speeds, "torques", True)
     if needed := regression.needed(friction):
-        each = _suspicion(case, regression.missing(needed), speeds, "torques")
-        yield each._replace(expected=regression.left(needed))
-    more = beyond.needed(friction) if beyond is not None and left >= THRESHOLDS["torques"].least else []
-    if beyond is not None and more:
-        each = _suspicion(case._replace(model=weightless), beyond.missing(more), speeds, "torques", True)
-        yield each._replace(expected=beyond.left(more))
+        yield _suspicion(case, regression, needed, speeds, "torques")
+    if beyond is not None and left >= THRESHOLDS["torques"].least and (needed := beyond.needed(friction)):
+        yield _suspicion(light, beyond, needed, speeds, "torques", True)
     every = regression.needed()
     if every and every[-1] >= len(friction):
         missing, inertia = regression.missing(every), _inertias(case.model, log)
         rotors = [each.value / inertia[each.joint] for each in missing if each.kind == "rotor inertia"]
         if max(rotors) < LARGEST_ROTOR:
-            yield _suspicion(case, missing, speeds, "rotors")._replace(expected=regression.left(every))
+            yield _suspicion(case, regression, every, speeds, "rotors")
 
 
 def friction_beside_scales(case: Case, log: Smooth) -> Iterator[Suspicion]:
@@ -76,16 +68,21 @@ def friction_beside_scales(case: Case, log: Smooth) -> Iterator[Suspicion]:
     before = residual(case.model, log)
     if not log.u.shape[1] or not before.told.any() or before.misfit < THRESHOLDS["torques"].least:
         return
-    regression = _Regression.of(case.model, log, before).beside_inputs(case.model, log, before)
+    regression = _Regression.of(case.model, log, before).beside_inputs(case.model, log)
     if needed := regression.needed(range(2 * log.q.shape[1])):
-        each = _suspicion(case, regression.missing(needed), _speeds(log), "torques")
-        yield each._replace(expected=regression.left(needed))
+        yield _suspicion(case, regression, needed, _speeds(log), "torques")
 
 
 def _suspicion(
-    case: Case, missing: list["_Missing"], speeds: np.ndarray, threshold: str, weightless: bool = False
+    case: Case,
+    regression: "_Regression",
+    needed: list[int],
+    speeds: np.ndarray,
+    threshold: str,
+    weightless: bool = False,
 ) -> Suspicion:
     """The suspicion that a model lacks these torques; `case` has the model without gravity where it is about that."""
+    missing = regression.missing(needed) if needed else []
     table, names = np.zeros((len(KINDS), len(case.names.q))), case.names
     for kind, joint, value in missing:
         table[KINDS.index(kind), joint] = value
@@ -113,6 +110,7 @@ def _suspicion(
         lambda case: case._replace(model=model),
         threshold,
         numbers={f"{kind} of {names.q[joint]}": value for kind, joint, value in missing},
+        expected=regression.left(needed),
     )
 
 
@@ -163,53 +161,49 @@ def _robot_parameters(missing: list[_Missing], coordinates: Sequence[str]) -> st
 
 
 class _Regression(NamedTuple):
-    """Accelerations of unit numbers (3n, J, n), residual ones (J, n), both in usual sizes, and rows held out (J,)."""
+    """Accelerations of unit numbers (3n, J, n), residual ones (J, n), both in usual sizes, and rows held out (J,).
+
+    `before` is what the model leaves as it is, whose measured accelerations have these sizes.
+    """
 
     columns: Float[np.ndarray, "k J n"]
     residual: Float[np.ndarray, "J n"]
     held_out: np.ndarray
+    before: Residual
+
+    def sized(self, values: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "J n"]:
+        """Accelerations on the grid, at the points and of the coordinates that are compared, in usual sizes."""
+        used, told = self.before.used, self.before.told
+        return (values[used] / np.sqrt(np.mean(self.before.measured[used] ** 2, axis=0)))[:, told]
 
     @classmethod
     def of(cls, model: MechanicalSystem, log: Smooth, before: Residual) -> "_Regression":
-        told = before.told
-        scale = np.sqrt(np.mean(before.measured[before.used] ** 2, axis=0))[told]
+        held_out = HELD_OUT[blocks_of(int(before.used.sum()))]
+        made = cls(np.empty((0, 0, 0)), np.empty((0, 0)), held_out, before)
         torques = (-log.v, -np.tanh(log.v / _speeds(log)), -log.a)
         columns = []
         for kind, torque in zip(KINDS, torques, strict=True):
             raised = np.asarray(_accelerations_by_torque(model, log.q, torque))  # (K, n, n): of each joint alone
             # Measured accelerations are averages already.
             smooth = (lambda values: values) if kind == "rotor inertia" else (lambda values: averaged(log, values))
-            columns += [smooth(raised[:, i])[before.used][:, told] / scale for i in range(log.q.shape[1])]
-        blocks = np.concatenate(
-            [
-                np.full(len(part), block)
-                for block, part in enumerate(np.array_split(np.arange(before.used.sum()), BLOCKS))
-            ]
-        )
-        return cls(np.array(columns), before.left[:, told] / scale, HELD_OUT[blocks])
+            columns += [made.sized(smooth(raised[:, i])) for i in range(log.q.shape[1])]
+        return made._replace(columns=np.array(columns), residual=made.sized(before.measured - before.modelled))
 
-    def weightless(self, before: Residual, after: Residual) -> "_Regression | None":
+    def weightless(self, after: Residual) -> "_Regression | None":
         """The same for residuals of the model without gravity; None where the log has some of its gravity."""
-        told = before.told
-        scale = np.sqrt(np.mean(before.measured[before.used] ** 2, axis=0))[told]
-        weight = ((before.modelled - after.modelled)[before.used][:, told] / scale)[~self.held_out]
+        weight = self.sized(self.before.modelled - after.modelled)[~self.held_out]
         if not np.any(weight):
             return None
-        left = (after.measured - after.modelled)[before.used][:, told] / scale
+        left = self.sized(after.measured - after.modelled)
         # What is left beside friction is compared with the weight itself, so that a wrong mass is not taken for it.
         columns = [weight.ravel(), *(column[~self.held_out].ravel() for column in self.columns[: self.friction])]
         table = np.stack(columns, axis=1)
         multiple = np.linalg.lstsq(table, left[~self.held_out].ravel(), rcond=1e-9)[0][0]
         return self._replace(residual=left) if abs(multiple) < WEIGHTLESS else None
 
-    def beside_inputs(self, model: MechanicalSystem, log: Smooth, before: Residual) -> "_Regression":
+    def beside_inputs(self, model: MechanicalSystem, log: Smooth) -> "_Regression":
         """The same without what a multiple of each input explains, on the blocks that choose."""
-        told = before.told
-        scale = np.sqrt(np.mean(before.measured[before.used] ** 2, axis=0))[told]
-        effects = []
-        for j in range(log.u.shape[1]):
-            without = residual(model, log._replace(u=np.where(np.arange(log.u.shape[1]) == j, 0.0, log.u)))
-            effects.append((before.modelled - without.modelled)[before.used][:, told] / scale)
+        effects = [self.sized(effect) for effect in input_effects(model, log, self.before)]
         chosen = np.stack([effect[~self.held_out].ravel() for effect in effects], axis=1)
 
         def beside(values):

@@ -47,16 +47,9 @@ def _clock(t: np.ndarray, steps: np.ndarray, line: str) -> list[Finding]:
     units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9} if step > 1 else {"1e+03 s": 1e3, "1e+06 s": 1e6, "1e+09 s": 1e9}
     unit = min(units, key=lambda each: unusual(units[each]))
     seconds = units[unit] * step
-    return [
-        Finding(
-            "unit of time",
-            line,
-            f"rows are {step:.4g} s apart, which no machine is logged at; in {unit} they are {seconds:.4g} s apart",
-            f'[units] t = "{unit}"',
-            True,
-            {"step": step, "factor": units[unit]},
-        )
-    ]
+    evidence = f"rows are {step:.4g} s apart, which no machine is logged at; in {unit} they are {seconds:.4g} s apart"
+    numbers = {"step": step, "factor": units[unit]}
+    return [Finding("unit of time", line, evidence, f'[units] t = "{unit}"', True, numbers)]
 
 
 def _frozen(same: np.ndarray, steps: np.ndarray, complete: np.ndarray, rows: Rows) -> list[Finding]:
@@ -83,15 +76,8 @@ def _frozen(same: np.ndarray, steps: np.ndarray, complete: np.ndarray, rows: Row
     if total <= FROZEN * count:
         return []
     longest = max(frozen, key=lambda k: ends[k] - begins[k])
-    return [
-        Finding(
-            "repeated rows",
-            "",
-            f"{total} of {count} rows repeat the configuration of the row before, "
-            f"{int(ends[longest] - begins[longest])} in a row from {rows.named(int(complete[begins[longest] + 1]))} "
-            "on: the sensor froze, or is slower than the log",
-            "leave the cells that repeat empty",
-            True,
-            {"rows": total, "share": total / count, "in_a_row": int(ends[longest] - begins[longest]) + 1},
-        )
-    ]
+    run, first = int(ends[longest] - begins[longest]), rows.named(int(complete[begins[longest] + 1]))
+    evidence = f"{total} of {count} rows repeat the configuration of the row before, {run} in a row from {first} on: "
+    evidence += "the sensor froze, or is slower than the log"
+    numbers = {"rows": total, "share": total / count, "in_a_row": run + 1}
+    return [Finding("repeated rows", "", evidence, "leave the cells that repeat empty", True, numbers)]

@@ -15,10 +15,10 @@ from covariant.calibration.diagnosis._thresholds import (
     COARSE,
     FAR,
     FEW_OUTLIERS,
-    LATTICE,
     LEAST_TICK,
     STATED_LATTICE,
 )
+from covariant.logs import Register
 from covariant.models import MechanicalSystem
 from covariant.scoring import unwrap
 from covariant.signals import Record
@@ -29,8 +29,6 @@ SAMPLED = 20_000
 """Rows of a long log from which the usual error is estimated."""
 FEWEST = 50
 """Least number of readings of a position that show its noise and outliers."""
-FEWEST_GAPS = 10
-"""Least number of distances between neighbouring values that show ticks which were rounded."""
 ALIKE = 0.05
 """Relative difference up to which the numbers of coordinates of one unit are reported as one."""
 ROUNDING = 1e-9
@@ -52,16 +50,10 @@ def missing_cells(y: np.ndarray) -> list[Finding]:
     # The mask changes in pairs: where a gap begins, and where it ends.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
     longest = int(np.max(edges[1::2] - edges[::2]))
-    return [
-        Finding(
-            "missing measurements",
-            "",
-            f"{int(lost.sum())} of {len(y)} rows ({100 * share:.2g} %) lack one, at most {longest} in a row",
-            "nothing to change: estimates run on with the model alone meanwhile",
-            False,
-            {"rows": int(lost.sum()), "share": share, "longest": longest},
-        )
-    ]
+    evidence = f"{int(lost.sum())} of {len(y)} rows ({100 * share:.2g} %) lack one, at most {longest} in a row"
+    line = "nothing to change: estimates run on with the model alone meanwhile"
+    numbers = {"rows": int(lost.sum()), "share": share, "longest": longest}
+    return [Finding("missing measurements", "", evidence, line, False, numbers)]
 
 
 def outliers(
@@ -100,7 +92,7 @@ def outliers(
             if len(remaining) < FEWEST:
                 break
             error = prediction_errors(t[remaining], column[remaining])
-            floor = np.maximum(1.4826 * np.median(np.abs(error)), known or tick(column[remaining]))
+            floor = np.maximum(1.4826 * np.median(np.abs(error)), known or Register.of(column[remaining]).tick)
             # A cubic misses some of a sharp motion, in proportion to what happens among its points.
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
@@ -174,64 +166,9 @@ def _local_range(y: np.ndarray) -> np.ndarray:
     return windows.max(axis=1) - windows.min(axis=1)
 
 
-def tick(y: Float[np.ndarray, "T"]) -> float:
-    """Step of which all changes of readings are multiples, up to the digits with which they were printed."""
-    changes = np.abs(np.diff(y[np.isfinite(y)]))
-    changes = changes[changes > ROUNDING * np.max(np.abs(y[np.isfinite(y)]), initial=0.0)]
-    if len(changes) < 20:
-        return 0.0
-    if printed := rounded_tick(y):
-        return printed
-    # A low quantile and not the minimum, which one wrong cell can spoil.
-    smallest = float(np.quantile(changes, 0.01))
-    # The least change in a log may be two or three ticks.
-    for fraction in (1, 2, 3):
-        step = smallest / fraction
-        # Over k ticks an error of the step grows k times, so that large changes are no test of it.
-        small = changes[changes < 20.5 * step]
-        whole = np.rint(small / step)
-        if len(small) >= 20 and np.quantile(np.abs(small / step - whole), 0.95) < LATTICE and _gcd(whole) == 1:
-            return float(np.sum(small) / np.sum(whole))  # the mean over many ticks, since logs hold few digits
-    return 0.0
-
-
-def rounded_tick(y: Float[np.ndarray, "T"]) -> float:
-    """Tick of readings that were rounded to a decimal after it, as 0.088° to 0.08 or 0.09; 0 if there is none.
-
-    Neighbouring values are then two distances apart that differ by one of the decimal, and all of them lie within half
-    of it from whole ticks.
-    """
-    levels = np.unique(y[np.isfinite(y)])
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > ROUNDING * np.max(np.abs(levels), initial=0.0)]
-    if len(gaps) < FEWEST_GAPS:
-        return 0.0
-    smallest = float(np.quantile(gaps, 0.02))
-    near = gaps[(gaps > 0.5 * smallest) & (gaps < 1.6 * smallest)]
-    sizes, counts = np.unique(np.rint(near / smallest * 1e4), return_counts=True)
-    if len(near) < FEWEST_GAPS or len(sizes) > len(near) / 4:
-        return 0.0  # many sizes: noise
-    common = np.sort([near[np.rint(near / smallest * 1e4) == each].mean() for each in sizes[np.argsort(counts)[-2:]]])
-    if len(common) < 2 or counts.sum() * 0.95 > np.sort(counts)[-2:].sum():
-        return 0.0
-    digit = float(common[1] - common[0])
-    if abs(common[0] / digit - np.rint(common[0] / digit)) > LATTICE:
-        return 0.0
-    step, start, ticks = float(near.mean()), levels[0], np.zeros(len(levels))
-    for _ in range(3):  # each fit over all levels makes the step more exact, so that the next one counts better
-        ticks[1:] = np.cumsum(np.rint(np.diff(levels) / step))
-        step, start = (float(x) for x in np.polyfit(ticks, levels, 1))
-    off = np.abs(levels - start - step * ticks)
-    return step if np.quantile(off, 0.95) < 0.6 * digit and step > 2 * digit else 0.0
-
-
-def _gcd(whole: np.ndarray) -> int:
-    return int(np.gcd.reduce(whole.astype(int)))
-
-
 def quanta(y: Float[np.ndarray, "T n"], noise: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     """Ticks of encoders, from their readings."""
-    ticks = np.array([tick(column) for column in y.T])
+    ticks = np.array([Register.of(column).tick for column in y.T])
     return np.where(ticks > LEAST_TICK * noise, ticks, 0.0)
 
 
@@ -250,21 +187,16 @@ def outlier_findings(
             continue
         share = float(column.mean())
         many = share > FEW_OUTLIERS
-        cells = f"{len(places)} of {len(column)} cells ({100 * share:.2g} %) are" if len(places) > 1 else "one cell is"
-        findings.append(
-            Finding(
-                "outliers",
-                name,
-                f"{cells} far from {'its' if len(places) == 1 else 'their'} neighbours, "
-                f"{'usually ' if len(places) > 1 else ''}by {size:.3g} {unit}".rstrip()
-                + f": {rows.listed(places)}",
-                "look for what disturbs the sensor; estimates refuse such cells, and scores leave them out"
-                if many
-                else "nothing to change: estimates refuse such cells; empty them where they are known to be wrong",
-                many,
-                {"cells": len(places), "share": share, "size": float(size)},
-            )
-        )
+        cells, by = "one cell is far from its neighbours", f"by {size:.3g} {unit}".rstrip()
+        if len(places) > 1:
+            cells = f"{len(places)} of {len(column)} cells ({100 * share:.2g} %) are far from their neighbours"
+            by = f"usually {by}"
+        line = "nothing to change: estimates refuse such cells; empty them where they are known to be wrong"
+        if many:
+            line = "look for what disturbs the sensor; estimates refuse such cells, and scores leave them out"
+        evidence = f"{cells}, {by}: {rows.listed(places)}"
+        numbers = {"cells": len(places), "share": share, "size": float(size)}
+        findings.append(Finding("outliers", name, evidence, line, many, numbers))
     return findings
 
 
@@ -277,16 +209,15 @@ def still_findings(
         return [], False
     whole = len(still) == len(names)
     values = ", ".join(f"{names[i]} is {np.nanmin(y[:, i]):.6g} {units[i]}".rstrip() for i in still)
-    line = "log a motion" if whole else "look at its sensor and its column, or hold that joint in the model as well"
-    finding = Finding(
-        "nothing moves" if whole else "a position does not move",
-        ", ".join(names[i] for i in still),
-        f"{values} in all {len(y)} rows",
-        f"{line}: nothing can be told from {'this log' if whole else 'it'}",
-        whole,
-        {"rows": len(y)},
-    )
-    return [finding], whole
+    what, line = "nothing moves", "log a motion: nothing can be told from this log"
+    if not whole:
+        what, line = (
+            "a position does not move",
+            "look at its sensor and its column, or hold that joint in the model as ",
+        )
+        line += "well: nothing can be told from it"
+    where, evidence = ", ".join(names[i] for i in still), f"{values} in all {len(y)} rows"
+    return [Finding(what, where, evidence, line, whole, {"rows": len(y)})], whole
 
 
 class Readings(NamedTuple):

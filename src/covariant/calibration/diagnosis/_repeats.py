@@ -1,4 +1,4 @@
-"""Readings that repeat those of the row before, although the position moves."""
+"""Readings that were not read: those that repeat the row before, although the position moves, or lie between others."""
 
 from collections.abc import Iterator
 
@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case, without_rows
-from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Rows, stated_time
+from covariant.calibration.diagnosis._finding import MOST_NAMED, Finding, Names, Rows, stated_time
 from covariant.calibration.diagnosis._readings import ROUNDING, readings
 from covariant.calibration.diagnosis._suspicion import Suspicion
 from covariant.calibration.diagnosis._thresholds import (
@@ -20,6 +20,7 @@ from covariant.calibration.diagnosis._thresholds import (
     HELD_TICKS,
     HELD_TIMES,
 )
+from covariant.logs import Register
 
 EDGE_ROWS = (3, 6, 12, 25, 50)
 """Rows beside a run of equal readings in which its motion is looked at: the fewest in which it exceeds the ticks."""
@@ -27,85 +28,74 @@ MOST_RUNS = 3
 """Longest runs of equal readings that are suspected."""
 
 
-def repeated_findings(
+def made_rows(
+    t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"], names: Names, rows: Rows
+) -> tuple[Bool[np.ndarray, "T n"], list[Finding]]:
+    """Readings (T, n) that lie on the line between others, in all but every k-th row, and findings on them."""
+    made, findings = np.zeros(y.shape, bool), []
+    for i, column in enumerate(y.T):
+        every, first = Register.read_rows(t, column)
+        if every == 1:
+            continue
+        made[:, i] = np.arange(len(t)) % every != first
+        begin = f" --from {t[first] - t[0]:.6g}" if first else ""
+        evidence = f"only one in {every} rows was read, {rows.named(first)} and every {every} rows from there: the "
+        evidence += "others lie on the line between readings, and show neither noise nor ticks"
+        line = f"leave them out by --every {every * rows.every}{begin}, or leave these cells empty"
+        numbers = {"every": every, "first": first}
+        findings.append(Finding("interpolated rows", names.q[i], evidence, line, True, numbers))
+    return made, findings
+
+
+def find_repeats(
     y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"], names: tuple[str, ...], rows: Rows
-) -> list[Finding]:
-    """Findings on readings that repeat those of the row before, although the position moves.
+) -> tuple[Bool[np.ndarray, "T n"], list[Finding]]:
+    """Readings (T, n) that repeat those of the row before, although the position moves, and findings on them.
 
     An encoder reads the same number until its next tick; a reading with noise is never the same twice.
     """
-    moving = _moving(y, ticks)
-    if not moving:
-        return _held_ticks(y, ticks, names, rows)
-    same = _find_repeats(y, moving)[1:]
-    places = np.flatnonzero(same) + 1
-    share = float(same.mean())
-    if (share <= FEW_REPEATED and len(places) <= MOST_NAMED) or _only_at_rest(y[:, moving], np.append(False, same)):
-        return []
-    # Distances between changes of the reading are the lengths of its runs.
-    runs = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]])))
-    usual = int(np.median(runs[runs > 1]))
-    return [
-        Finding(
-            "repeated rows",
-            ", ".join(names[i] for i in moving),
-            f"{len(places)} of {len(y)} rows ({100 * share:.2g} %) repeat the readings of the row before, usually "
-            f"{usual} in a row have the same: {rows.listed(places)}",
-            "the sensor is slower than the log, or rows were copied: leave the cells that repeat empty",
-            share > FEW_REPEATED,
-            {"rows": len(places), "share": share, "in_a_row": usual},
-        )
-    ]
-
-
-def _held_ticks(
-    y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"], names: tuple[str, ...], rows: Rows
-) -> list[Finding]:
-    """Findings on encoders that read the same number again although they move by more than a tick a row."""
-    findings = []
-    for i in np.flatnonzero(ticks > 0):
-        same, fast = _held_and_fast(y[:, i], float(ticks[i]))
-        if fast.sum() < FEWEST_FAST or same[fast].mean() <= HELD_TICKS:
-            continue
-        places = np.flatnonzero(same & fast)
-        share = float(same[fast].mean())
+    same = np.concatenate([np.zeros((1, y.shape[1]), bool), np.diff(y, axis=0) == 0])
+    moving = (ticks == 0) & (np.nanmin(y, axis=0) < np.nanmax(y, axis=0))
+    repeated, findings = same & moving, []
+    whole = same[:, moving].all(axis=1) & moving.any()
+    places, share = np.flatnonzero(whole), float(whole[1:].mean())
+    line = "the sensor is slower than the log, or rows were copied: leave the cells that repeat empty"
+    if (share > FEW_REPEATED or len(places) > MOST_NAMED) and not _only_at_rest(y[:, moving], whole):
+        # Distances between changes of the reading are the lengths of its runs.
+        runs = np.diff(np.flatnonzero(np.append(~whole, True)))
+        usual = int(np.median(runs[runs > 1]))
         evidence = (
-            f"of {fast.sum()} rows between which {names[i]} moves by more than a tick, {100 * share:.2g} % repeat the "
-            f"reading of the row before: {rows.listed(places)}"
+            f"{len(places)} of {len(y)} rows ({100 * share:.2g} %) repeat the readings of the row before, usually "
         )
-        line = "the sensor is slower than the log, or rows were copied: leave the cells that repeat empty"
-        numbers = {"rows": len(places), "share": share}
-        findings.append(Finding("repeated rows", names[i], evidence, line, True, numbers))
-    return findings
+        evidence += f"{usual} in a row have the same: {rows.listed(places)}"
+        where, numbers = ", ".join(np.array(names)[moving]), {"rows": len(places), "share": share, "in_a_row": usual}
+        findings.append(Finding("repeated rows", where, evidence, line, share > FEW_REPEATED, numbers))
+    for i in np.flatnonzero(ticks > 0):
+        fast = _fast(y[:, i], float(ticks[i]))
+        share = float(same[fast, i].mean()) if fast.sum() >= FEWEST_FAST else 0.0
+        if share <= HELD_TICKS:
+            continue
+        repeated[:, i] = same[:, i] & fast
+        places = np.flatnonzero(repeated[:, i])
+        evidence = (
+            f"of {fast.sum()} rows between which {names[i]} moves by more than a tick, {100 * share:.2g} % repeat "
+        )
+        evidence += f"the reading of the row before: {rows.listed(places)}"
+        if not moving.any():
+            numbers = {"rows": len(places), "share": share}
+            findings.append(Finding("repeated rows", names[i], evidence, line, True, numbers))
+    return repeated, findings
 
 
-def _held_and_fast(y: np.ndarray, tick: float) -> tuple[Bool[np.ndarray, "T"], Bool[np.ndarray, "T"]]:
-    """Rows (T,) that repeat the reading before, and those around which the position moves by more than a tick a row."""
-    same, fast = np.zeros(len(y), bool), np.zeros(len(y), bool)
+def _fast(y: Float[np.ndarray, "T"], tick: float) -> Bool[np.ndarray, "T"]:
+    """Rows (T,) around which an encoder moves by more than a tick a row."""
+    fast = np.zeros(len(y), bool)
     if len(y) > 2 * AROUND:
-        same[1:] = np.diff(y) == 0
         wide = y[2 * AROUND :] - y[: -2 * AROUND]
         # The same direction on both sides, so that a turn or a spike is no motion.
         there = (y[AROUND:-AROUND] - y[: -2 * AROUND]) * wide > 0
         fast[AROUND:-AROUND] = there & (np.abs(wide) > FAST_TICKS * 2 * AROUND * tick)
-    return same, fast
-
-
-def without_repeated(y: Float[np.ndarray, "T n"], ticks: Float[np.ndarray, "n"]) -> Float[np.ndarray, "T n"]:
-    """Positions whose readings are missing where they repeat those of the row before."""
-    kept = y.copy()
-    for i in _moving(y, ticks):
-        kept[_find_repeats(y, [i]), i] = np.nan
-    for i in np.flatnonzero(ticks > 0):
-        same, fast = _held_and_fast(y[:, i], float(ticks[i]))
-        if fast.sum() >= FEWEST_FAST and same[fast].mean() > HELD_TICKS:
-            kept[same & fast, i] = np.nan
-    return kept
-
-
-def _moving(y: np.ndarray, ticks: np.ndarray) -> list[int]:
-    """Positions without ticks that do not stand still."""
-    return [i for i in range(y.shape[1]) if ticks[i] == 0 and np.nanmin(y[:, i]) < np.nanmax(y[:, i])]
+    return fast
 
 
 def _only_at_rest(y: Float[np.ndarray, "T k"], same: Bool[np.ndarray, "T"]) -> bool:
@@ -115,11 +105,6 @@ def _only_at_rest(y: Float[np.ndarray, "T k"], same: Bool[np.ndarray, "T"]) -> b
     moved = np.nan_to_num(np.abs(y[2 * AROUND :] - y[: -2 * AROUND]))
     fastest = (moved > np.quantile(moved, 0.75, axis=0)).any(axis=1)
     return bool(same[AROUND:-AROUND][fastest].mean() < AT_REST * same.mean()) if fastest.any() else False
-
-
-def _find_repeats(y: np.ndarray, moving: list[int]) -> Bool[np.ndarray, "T"]:
-    """Rows (T,) whose readings of these positions are those of the row before."""
-    return np.concatenate([[False], (np.diff(y[:, moving], axis=0) == 0).all(axis=1)])
 
 
 def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Suspicion]:

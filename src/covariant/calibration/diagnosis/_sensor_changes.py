@@ -53,7 +53,6 @@ class Verdict(NamedTuple):
         delay_std: Its standard error [s].
         bias: Constant offsets (k,).
         bias_std: Their standard errors (k,).
-        rivals: Other changes of the same kind that explain as much.
     """
 
     change: Change
@@ -65,7 +64,6 @@ class Verdict(NamedTuple):
     delay_std: float
     bias: Float[np.ndarray, "k"]
     bias_std: Float[np.ndarray, "k"]
-    rivals: tuple[Change, ...]
 
 
 class _Data(NamedTuple):
@@ -97,16 +95,14 @@ def judged(pair: Pair, vector: bool, offset: bool) -> Verdict:
         at = shares.argmin(axis=1)
         at[shares[:, zero] <= RIVAL * shares.min(axis=1) + FLOOR] = zero
     values = shares[np.arange(len(changes)), at]
-    alike = np.flatnonzero(values <= RIVAL * values.min() + FLOOR)
-    first = int(alike[0])
-    if first and values[0] < MARGIN * values[first]:
-        first, alike = 0, np.array([0])
+    first = int(np.flatnonzero(values <= RIVAL * values.min() + FLOOR)[0])
+    if values[0] < MARGIN * values[first]:
+        first = 0
     chosen = changes[first]
-    rivals = tuple(changes[i] for i in alike[1:] if changes[i].kind == chosen.kind)
     fit = _fit_change(data, chosen, float(delays[at[first]]))
     before = _residual_share(data, changes[0], np.ones(data.size), 0.0)
     after = _residual_share(data, chosen, fit[0], fit[2])
-    return Verdict(chosen, before, after, *fit, rivals)
+    return Verdict(chosen, before, after, *fit)
 
 
 def _changes(data: _Data) -> Iterator[Change]:
@@ -169,12 +165,7 @@ def _shift_pair(data: _Data, delay: float) -> _Shifted:
     p = [pair.predicted[i + j] for j in (-1, 0, 1, 2)]
     # The cubic through four points of the grid, whose windows overlap by nine tenths.
     weights = (-f * (f - 1) * (f - 2) / 6, (f**2 - 1) * (f - 2) / 2, -f * (f + 1) * (f - 2) / 2, f * (f**2 - 1) / 6)
-    slopes = (
-        -(3 * f**2 - 6 * f + 2) / 6,
-        (3 * f**2 - 4 * f - 1) / 2,
-        -(3 * f**2 - 2 * f - 2) / 2,
-        (3 * f**2 - 1) / 6,
-    )
+    slopes = (-(3 * f**2 - 6 * f + 2) / 6, (3 * f**2 - 4 * f - 1) / 2, -(3 * f**2 - 2 * f - 2) / 2, (3 * f**2 - 1) / 6)
     moved, slope = (sum(w * each for w, each in zip(ws, p, strict=True)) for ws in (weights, slopes))
     known = pair.used & pair.used[i] & pair.used[i + 1] & (x >= 0) & (x <= size - 1)
     rows = np.flatnonzero(known)

@@ -1,5 +1,6 @@
 """Findings on each sensor beside the positions: its sign, axes, unit, delay, bias and noise."""
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -41,7 +42,20 @@ OTHER_ORDER = {"quaternion_wxyz": "quaternion_xyzw", "quaternion_xyzw": "quatern
 
 def sensor_checks(case: Case, t: Float[np.ndarray, "T"], sensors: Sequence[Beside], late: Any = 0.0) -> list[Finding]:
     """Judge each sensor beside the positions by what the positions predict of it."""
-    return [finding for each in sensors for finding in _findings(case, np.asarray(t, float), each, late)]
+    findings = []
+    for each in sensors:
+        found = _findings(case, np.asarray(t, float), each, late)
+        units = [one for one in found if one.what in ("unit of a sensor", "sign of a sensor")]
+        findings += [_of_velocities(each, one) for one in units] if each.compared else found
+    return findings
+
+
+def _of_velocities(beside: Beside, finding: Finding) -> Finding:
+    """The note on logged velocities in another unit: nothing else of them matters."""
+    line = f"[units] v{finding.line.rpartition('units')[2]}"
+    line = re.sub(r'"(-?[\d.]+)"', rf'"\1 {beside.unit}"', line) if beside.unit else line
+    where = ", ".join(beside.names)
+    return finding._replace(what="unit of velocities", where=where, line=f"{line}, or another column", wrong=False)
 
 
 def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Finding]:
@@ -279,18 +293,19 @@ def _single_axis_note(seen: Pair, beside: Beside) -> str:
 def _units_line(beside: Beside, scale: np.ndarray) -> str:
     """The units that readings are in, which the table takes for others by a scale (k,)."""
     if beside.pose:
-        name = _unit(float(1 / scale[0]), "m")
+        name = named_unit(float(1 / scale[0]), "m")
         return f"has its position in m: {', '.join(beside.names[:3])} are in units of {name}"
     texts = list(beside.columns.units.get("q", ()))
     now = (texts * len(scale) if len(texts) == 1 else texts) or ["1"] * len(scale)
     factors = np.array([unit_factor(text) for text in now[: len(scale)]]) / scale
     written = [
-        text if s == 1 and texts else _unit(f, beside.unit) for f, s, text in zip(factors, scale, now, strict=False)
+        text if s == 1 and texts else named_unit(f, beside.unit)
+        for f, s, text in zip(factors, scale, now, strict=False)
     ]
     return f'units = "{written[0]}"' if len(set(written)) == 1 else f"units = {written}".replace("'", '"')
 
 
-def _unit(factor: float, unit: str) -> str:
+def named_unit(factor: float, unit: str) -> str:
     """Text of a unit of a factor to SI units, by name where one is near."""
     for name in UNITS.get(unit, ()):
         if abs(abs(factor) / unit_factor(name) - 1) < NAMED:

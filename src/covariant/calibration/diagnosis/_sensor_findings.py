@@ -28,36 +28,22 @@ def sensor_findings(
     if unexpected.any():
         counting = [i for i in range(len(ticks)) if ticks[i] > 0]
         apart = shown([ticks[i] for i in counting], [units[i] for i in counting], 5)
-        statement = (
-            f"the model file says {shown(stated_ticks, units, 4)}" if stated else "the model file does not say so"
-        )
+        said = f"says {shown(stated_ticks, units, 4)}" if stated else "does not say so"
+        evidence = f"positions are whole ticks of {apart} apart, and the model file {said}"
         key, number = ("quantum", ticks) if len(counting) == len(ticks) else ("std", sensor.std)
-        findings.append(
-            Finding(
-                "ticks",
-                ", ".join(names[i] for i in counting),
-                f"positions are whole ticks of {apart} apart, and {statement}",
-                f"[measurement] {key} = {written(one_or_each(number, units, 5))}",
-                stated is not None,
-                {"quantum": one_or_each(ticks, units, 17), "stated": stated},
-            )
-        )
+        line = f"[measurement] {key} = {written(one_or_each(number, units, 5))}"
+        where, numbers = ", ".join(names[i] for i in counting), {"quantum": one_or_each(ticks, units, 17)}
+        findings.append(Finding("ticks", where, evidence, line, stated is not None, {**numbers, "stated": stated}))
     usual = np.full(len(ticks), np.inf) if std is None else np.broadcast_to(std, len(ticks))
     noisy = (ticks == 0) & sensor.white & (sensor.noise > NOISIER * usual)
     if noisy.any():
         worst = int(np.argmax(np.where(noisy, sensor.noise / usual, 0.0)))
-        std = one_or_each(np.where(noisy, sensor.noise, usual), units, 2)
-        findings.append(
-            Finding(
-                "noise",
-                ", ".join(name for name, bad in zip(names, noisy, strict=True) if bad),
-                f"positions have noise of {shown(sensor.noise[[worst]], [units[worst]], 3)}, "
-                f"{sensor.noise[worst] / usual[worst]:.2g} times that of the model file",
-                f"[measurement] std = {written(std)}",
-                True,
-                {"std": float(sensor.noise[worst]), "stated": float(usual[worst])},
-            )
-        )
+        where = ", ".join(name for name, bad in zip(names, noisy, strict=True) if bad)
+        evidence = f"positions have noise of {shown(sensor.noise[[worst]], [units[worst]], 3)}, "
+        evidence += f"{sensor.noise[worst] / usual[worst]:.2g} times that of the model file"
+        line = f"[measurement] std = {written(one_or_each(np.where(noisy, sensor.noise, usual), units, 2))}"
+        numbers = {"std": float(sensor.noise[worst]), "stated": float(usual[worst])}
+        findings.append(Finding("noise", where, evidence, line, True, numbers))
     return findings
 
 
@@ -68,14 +54,11 @@ def standstill(record: Record, circles: tuple[int, ...], columns: Names, ticks: 
         f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip()
         for name, c, unit in zip(columns.q, y.T, columns.units, strict=True)
     ]
-    return Finding(
-        "too little motion",
-        "",
+    evidence = (
         f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell an "
-        "acceleration from noise",
-        "log a motion that is large against the noise: accelerations, on which units, signs, order and delays are "
-        "judged, cannot be compared in this log",
-        # Of known encoders that are too coarse for this motion nothing is wrong with the log.
-        not (ticks > 0).all(),
-        {"rows": len(t)},
     )
+    evidence += "acceleration from noise"
+    line = "log a motion that is large against the noise: accelerations, on which units, signs, order and delays are "
+    line += "judged, cannot be compared in this log"
+    # Of known encoders that are too coarse for this motion nothing is wrong with the log.
+    return Finding("too little motion", "", evidence, line, not (ticks > 0).all(), {"rows": len(t)})

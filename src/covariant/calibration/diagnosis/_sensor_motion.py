@@ -5,7 +5,6 @@ readings pass the same filter: those of a velocity are integrated, and the slope
 taken. A velocity then is smoothed in the same way on both sides, so that wide windows leave no difference.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -16,10 +15,11 @@ from jaxtyping import Bool, Float
 
 from covariant import scoring
 from covariant.calibration.diagnosis._case import Case, acting, long_enough
+from covariant.calibration.diagnosis._finding import Names
 from covariant.calibration.diagnosis._readings import outliers, prediction_errors
-from covariant.calibration.diagnosis._smooth import FEWEST, FULL, ORDER, Smooth, smooth
+from covariant.calibration.diagnosis._smooth import FEWEST, FULL, ORDER, Smooth, gain, smooth
 from covariant.logs import Columns
-from covariant.observers import Instant, Sensor
+from covariant.observers import Instant, Sensor, tachometer
 from covariant.observers.sensors import AbstractSensorKind, Checks
 
 WIDER = (1.0, 2.0, 4.0, 8.0)
@@ -45,6 +45,7 @@ class Beside(NamedTuple):
         delay: Delay [s] of its readings that the model file states.
         unit: SI unit of its readings, of a pose of its position; "" where it is not known.
         readings: Readings (T, k) in SI units in the rows of the log; NaN where there is none.
+        compared: Whether estimates are only compared with it, as with logged velocities.
 
     Example:
         >>> import numpy as np
@@ -60,6 +61,15 @@ class Beside(NamedTuple):
     delay: float
     unit: str
     readings: Float[np.ndarray, "T k"]
+    compared: bool = False
+
+    @classmethod
+    def of_velocities(cls, names: Names, columns: tuple[str, ...], v: Float[np.ndarray, "T n"]) -> "Beside":
+        """The logged velocities, as of a sensor of them."""
+        units = {"q": names.stated["v"]} if "v" in names.stated else {}
+        unit = "rad/s" if names.angles.all() else "m/s" if not names.angles.any() else ""
+        sensor = tachometer(range(len(columns)), 1e-9, name="v")  # hardly any noise, since none is stated
+        return cls(sensor, Columns(q=columns, units=units), 0.0, unit, v, compared=True)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -189,14 +199,14 @@ def _at(
     """The pair at one width of the windows, and which numbers no motion changes there."""
     predicted = output.along(log, PIECE)
     read, used, noise = _smooth_readings(log, readings, at, beside.checks.derivative)
-    spacing, mean = float(np.median(np.diff(at))), _gain(log.half, float(np.median(np.diff(at))), 0)
+    spacing, mean = float(np.median(np.diff(at))), gain(log.half, float(np.median(np.diff(at))), 0)
     points = np.flatnonzero(log.used)
     if not len(points):
         points = np.arange(len(log.t))
     slopes = output.at(log, points[np.linspace(0, len(points) - 1, SAMPLES).astype(int)])
     variance = np.zeros(predicted.shape[1])
     for derivative, slope in enumerate(slopes):
-        std = _gain(log.half, spacing, derivative) * log.noise
+        std = gain(log.half, spacing, derivative) * log.noise
         variance += np.mean(np.sum((slope * std) ** 2, axis=2), axis=0)
     stated = np.sqrt(np.diag(np.asarray(beside.sensor.cov)))
     if len(stated) < len(variance):  # of a pose: three numbers of its rotation for nine
@@ -228,13 +238,3 @@ def _smooth_readings(
         used &= held >= FULL * 2 * log.half / float(np.median(np.diff(when)))
         used &= (log.t > when[0] + log.half) & (log.t < when[-1] - log.half)
     return read, used, noise
-
-
-@functools.lru_cache
-def _gain(half: float, spacing: float, derivative: int) -> float:
-    """Ratio of the standard deviation of a derivative of the polynomials to that of a measurement."""
-    count = max(int(half / spacing), ORDER)
-    weights = scoring.local_polynomials(
-        spacing * np.arange(-count, count + 1), np.eye(2 * count + 1), np.zeros(1), half, ORDER
-    )[0, derivative]
-    return float(np.linalg.norm(weights)) * (2.0 if derivative == 2 else 1.0)

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case, averaged
 from covariant.calibration.diagnosis._smooth import Smooth, held_inputs, smooth
-from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Unexplained
+from covariant.calibration.diagnosis._suspicion import BLOCKS, HELD_OUT, Unexplained, blocks_of
 from covariant.geometry import differential
 from covariant.models import MechanicalSystem
 from scalargraph import on_batches
@@ -233,12 +233,11 @@ def _prepare(case: Case) -> Prepared:
         bound = np.where(shown[0] & (np.arange(len(bound)) == 0), MAX_WEIGHT_ERROR / MAX_SLOPE_ERROR, 1.0) * bound
         most.append([np.inf, np.inf, np.inf, np.inf, *bound])
         columns.append(part)
+    # Explanations of a weight that does not change are zero, and their multiples are free between −1 and 1.
     width = max(part.shape[1] for part in columns)
-
-    def pad(part: list[float], value: float) -> np.ndarray:
-        return np.pad(np.array(part), (0, width - len(part)), constant_values=value)
-
-    columns = [np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in columns]
+    columns = np.array([np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in columns])
+    least = np.array([np.pad(part, (0, width - len(part)), constant_values=-1.0) for part in least])
+    most = np.array([np.pad(part, (0, width - len(part)), constant_values=1.0) for part in most])
     rate = log.v[:, servos.joint] * servos.gear
     position = log.q[:, servos.joint] * servos.gear + servos.zero
     usual = np.sqrt(np.mean(rate[log.used] ** 2, axis=0)) if log.used.any() else np.ones(len(servos.joint))
@@ -247,27 +246,13 @@ def _prepare(case: Case) -> Prepared:
     moves = np.abs(rate) > least_rate
     used = np.flatnonzero(log.used)
     rows = used[:: max(1, -(-len(used) // MAX_POINTS))]
-    blocks = np.zeros(len(rows), int)
-    for b, part in enumerate(np.array_split(np.arange(len(rows)), BLOCKS)):
-        blocks[part] = b
     resolved = np.maximum(log.noise, case.ticks)[servos.joint] * np.abs(servos.gear)
     known = np.array(
         [len(rows) > 0 and np.ptp(position[used, i]) > MIN_RANGE * resolved[i] for i in range(len(resolved))]
     )
     std = np.maximum(np.where(case.ticks > 0, case.ticks / np.sqrt(12), log.noise)[servos.joint] * servos.gear, 1e-12)
     return Prepared(
-        log,
-        position,
-        rate,
-        np.array(columns),
-        np.array([pad(each, -1.0) for each in least]),
-        np.array([pad(each, 1.0) for each in most]),
-        moves,
-        np.array(weighs),
-        known,
-        rows,
-        blocks,
-        std**2,
+        log, position, rate, columns, least, most, moves, np.array(weighs), known, rows, blocks_of(len(rows)), std**2
     )
 
 

@@ -13,14 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.calibration.diagnosis._case import Case, long_enough
-from covariant.calibration.diagnosis._finding import Finding
-from covariant.calibration.diagnosis._servo_commands import COMMANDS, with_inputs
-from covariant.calibration.diagnosis._servo_errors import (
-    CommandErrors,
-    JointServos,
-    Prepared,
-    joint_name,
-)
+from covariant.calibration.diagnosis._finding import Finding, Rows
+from covariant.calibration.diagnosis._jumps import moved_zeros
+from covariant.calibration.diagnosis._servo_commands import COMMANDS
+from covariant.calibration.diagnosis._servo_errors import CommandErrors, JointServos, Prepared, joint_name
 from covariant.calibration.diagnosis._servo_numbers import servo_numbers
 from covariant.calibration.diagnosis._servo_off import lets_go, with_servos, with_strength
 from covariant.calibration.diagnosis._suspicion import BLOCKS, Suspicion, choose, compare_all
@@ -36,8 +32,6 @@ MIN_GAIN_RATIO = 1.15
 """Least ratio of the larger gain to the smaller one that is reported."""
 EDGE_BLOCKS = 2
 """Least number of blocks of the log on either side of a change."""
-MIN_JUMP_FRACTION = 0.5
-"""Least fraction of a change of zero that happens from one row to the next."""
 
 
 def servo_findings(case: Case) -> tuple[list[Finding], Case]:
@@ -87,60 +81,13 @@ def _edges(prepared: Prepared) -> np.ndarray:
 
 
 def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
-    """A change of the zero of servo i at one time, after which the error has another constant."""
-    prepared, now = judge.prepared(case), judge.fit(case, i)
-    fractions = np.arange(2 * BLOCKS) / (2 * BLOCKS)
-    rows = np.unique((fractions[2 * EDGE_BLOCKS : -2 * EDGE_BLOCKS] * len(prepared.rows)).astype(int))
-    table = prepared.columns[i][prepared.rows]
-    best: tuple[float, int, float] | None = None
-    target = now.left + now.explained[prepared.rows]
-    size = np.maximum(np.sqrt(np.mean(table**2, axis=0)), 1e-12)
-    friction = (now.explained - prepared.columns[i] @ now.multiples)[prepared.rows]
-    basis = np.linalg.qr(np.column_stack([table / size, friction / max(np.std(friction), 1e-12)]))[0]
-    rest = target - basis @ (basis.T @ target)
-    for row in rows:
-        step = (np.arange(len(target)) >= row).astype(float)
-        step = step - basis @ (basis.T @ step)
-        length = float(step @ step)
-        if length < 1e-6 * len(target):
-            continue
-        gain = float(step @ rest) ** 2 / length
-        if best is None or gain > best[0]:
-            best = gain, int(row), float(step @ rest) / length
-    # Dry friction can hold a joint anywhere within a band, so a smaller jump shows nothing.
-    if best is None or abs(best[2]) < now.friction:
-        return
-    _, row, jump = best
-    log, t, servos = prepared.log, np.asarray(case.record.t), JointServos.of(case)
-    near = log.half + float(log.t[prepared.rows[-1]] - log.t[prepared.rows[0]]) / BLOCKS
-    place = _jump(
-        t, servos.gear[i] * np.asarray(case.record.y)[:, servos.joint[i]], float(log.t[prepared.rows[row]]), near, -jump
-    )
-    if place is None:
-        return
-    time = float(t[place])
-    u = np.asarray(case.record.u).copy()
-    u[:, servos.column[i]] -= jump * (t >= time)
-    joint, unit = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]]
-    claim = f"the zero of {joint} moves by {-jump:.3g} {unit} at about {time:.4g} s"
-    line = (
-        f"until = {time:.4g} keeps the rows before that, and start = {time:.4g} those after it: fit an offset to each"
-    )
-    yield Suspicion(
-        "zero of a servo", joint, "then", line, with_inputs(u), "servo change", claim, {"jump": -jump, "time": time}
-    )
-
-
-def _jump(t: np.ndarray, position: np.ndarray, about: float, near: float, jump: float) -> int | None:
-    """The row at which positions jump relative to the motion before and after it; None without such a row."""
-    seen = np.flatnonzero(np.isfinite(position) & (np.abs(t - about) < near))
-    if len(seen) < 4:
-        return None
-    steps = np.diff(position[seen])
-    # The mean of the steps before and after is the step of the motion.
-    usual = np.concatenate([steps[:1], (steps[2:] + steps[:-2]) / 2, steps[-1:]])
-    best = int(np.argmax((steps - usual) * np.sign(jump)))
-    return int(seen[best + 1]) if (steps - usual)[best] * np.sign(jump) > MIN_JUMP_FRACTION * abs(jump) else None
+    """A change of the zero of servo i at one time, at which its readings jump."""
+    place = JointServos.of(case).joint[i]
+    for each in moved_zeros(case, np.asarray(case.record.y), Rows(np.asarray(case.record.t))):
+        if each.where == case.names.q[place]:
+            size = f"{each.numbers['jump']:.3g} {case.names.units[place]}".rstrip()
+            claim = f"the zero of {each.where} moves by {size} at about {each.numbers['begin']:.4g} s"
+            yield each._replace(what="zero of a servo", words="then", threshold="servo change", claim=claim)
 
 
 def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
@@ -188,16 +135,8 @@ def _changed_gain(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicio
     claim = f"the gain of {joint} from about {time:.4g} s on is {gain:.2g} times that before"
     line = f"until = {time:.4g} keeps the rows before that; those after it, start = {time:.4g}, have "
     line += f"[servo.{joint_name(case, i)}] gain = {gain:.2g}"
-    yield Suspicion(
-        "gain of a servo",
-        joint,
-        "then",
-        line,
-        lambda case: with_strength(case, i, strength),
-        "servo change",
-        claim,
-        {"gain": gain, "time": time},
-    )
+    change, numbers = (lambda case: with_strength(case, i, strength)), {"gain": gain, "time": time}
+    yield Suspicion("gain of a servo", joint, "then", line, change, "servo change", claim, numbers)
 
 
 def _saturation(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
@@ -219,9 +158,8 @@ def _saturation(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]
     limit = float(servos.stiffness[i] * fit.level)
     claim = f"errors of {joint} beyond about {fit.level:.2g} {unit} give no more torque"
     line = f"[servo.{joint_name(case, i)}] limit = {limit:.2g}"
-    yield Suspicion(
-        "limit of a servo", joint, "then", line, apply, "servo", claim, {"limit": limit, "error": fit.level}
-    )
+    numbers = {"limit": limit, "error": fit.level}
+    yield Suspicion("limit of a servo", joint, "then", line, apply, "servo", claim, numbers)
 
 
 CHANGES = (_moved_zero, lets_go, _changed_gain, _saturation)

@@ -7,22 +7,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.calibration.diagnosis._block_regression import weighted_least_squares
 from covariant.calibration.diagnosis._case import Case, averaged
 from covariant.calibration.diagnosis._finding import Finding
-from covariant.calibration.diagnosis._servo_errors import (
-    CommandErrors,
-    JointServos,
-    errors,
-    joint_name,
-)
+from covariant.calibration.diagnosis._servo_errors import CommandErrors, JointServos, errors, joint_name
 from covariant.calibration.diagnosis._smooth import held_inputs
 from covariant.calibration.diagnosis._suspicion import BLOCKS
-from covariant.calibration.diagnosis._thresholds import (
-    BARELY,
-    COMMAND_ERRORS,
-    COMMON_GAIN,
-    DELAY_ROWS,
-)
+from covariant.calibration.diagnosis._thresholds import BARELY, COMMAND_ERRORS, COMMON_GAIN, DELAY_ROWS
 from covariant.models import MechanicalSystem, applied_force, resistance
 from scalargraph import on_batches
 
@@ -45,7 +36,7 @@ def delay_of(case: Case, judge: CommandErrors, i: int) -> tuple[float, float, fl
     prepared, servos, fit = judge.prepared(case), JointServos.of(case), judge.fit(case, i)
     stated = float(servos.delay[servos.column[i]])
     moving = prepared.moves[prepared.rows, i]
-    rows, blocks = prepared.rows[moving], prepared.blocks[moving]
+    rows = prepared.rows[moving]
     if len(rows) < 4 * BLOCKS:
         return stated, np.inf, 0.0
     friction = averaged(prepared.log, (np.sign(prepared.rate) * prepared.moves)[:, [i]])[rows]
@@ -61,16 +52,11 @@ def delay_of(case: Case, judge: CommandErrors, i: int) -> tuple[float, float, fl
 
     delay, std = fit.delay, np.inf
     for _ in range(ROUNDS):
-        table = np.column_stack(
-            [known, (acting(delay - DELAY_DIFFERENCE) - acting(delay + DELAY_DIFFERENCE)) / (2 * DELAY_DIFFERENCE)]
-        )
-        size, now = np.maximum(np.sqrt(np.mean(table**2, axis=0)), 1e-12), acting(delay)
-        table = table / size
-        inverse = np.linalg.pinv(table.T @ table, rcond=1e-10)
-        x = inverse @ (table.T @ now)
-        scores = np.array([table[blocks == b].T @ (now - table @ x)[blocks == b] for b in range(BLOCKS)])
-        std = float(np.sqrt((inverse @ scores.T @ scores @ inverse)[-1, -1])) / size[-1]
-        delay += float(np.clip(x[-1] / size[-1], -MAX_STEP, MAX_STEP))
+        slope = (acting(delay - DELAY_DIFFERENCE) - acting(delay + DELAY_DIFFERENCE)) / (2 * DELAY_DIFFERENCE)
+        table = np.column_stack([known, slope])[:, None]
+        x, cov = weighted_least_squares(acting(delay)[:, None], table, np.eye(1), prepared.blocks[moving])
+        std = float(np.sqrt(cov[-1, -1]))
+        delay += float(np.clip(x[-1], -MAX_STEP, MAX_STEP))
     before = squares(stated)
     return delay, std, 1 - squares(delay) / before if before > 0 else 0.0
 

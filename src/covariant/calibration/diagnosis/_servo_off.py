@@ -189,7 +189,7 @@ def with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
     if place >= 0:
         changed = u.copy()
         changed[:, place] *= strength
-        return case._replace(record=case.record._replace(u=changed))
+        return case.with_inputs(changed)
     column = u.shape[1]
     switches = tuple(column if k == i else each for k, each in enumerate(servos.switches))
     commands = jnp.pad(jnp.asarray(servos.commands), ((0, 0), (0, 1)))
@@ -207,9 +207,7 @@ def with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
     if len(stated.get("u", ())) > 1:
         stated["u"] = (*stated["u"], "1")
     names = names._replace(u=(*names.u, f"on_{joint_name(case, i)}"), stated=stated)
-    return case._replace(
-        file=file, model=model, names=names, record=case.record._replace(u=np.column_stack([u, strength]))
-    )
+    return case._replace(file=file, model=model, names=names).with_inputs(np.column_stack([u, strength]))
 
 
 def with_servos(case: Case, servos: Any) -> Any:

@@ -81,10 +81,12 @@ def smooth(
         seen = t[np.isfinite(y[:, i])] - delay[i]
         held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
         used &= held >= FULL * 2 * half / spacing
-    (noise, removed), gain = _noise(t, y, grid, c, delay), _acceleration_weights(half, spacing)
+    noise, removed = _noise(t, y, grid, c, delay)
     # Coefficient c is the c-th derivative divided by c!.
     q, v, a, held = c[:, 0], c[:, 1], 2 * c[:, 2], held_inputs(t, u, grid, step)
-    a_noise = np.maximum(gain * noise, _tick_noise(t, y, grid, c, delay, half, np.broadcast_to(ticks, n), used))
+    a_noise = np.maximum(
+        gain(half, spacing, 2) * noise, _tick_noise(t, y, grid, c, delay, half, np.broadcast_to(ticks, n), used)
+    )
     return Smooth(grid, q, v, a, held, used, _kernel(half), noise, removed, a_noise, half, step)
 
 
@@ -137,17 +139,20 @@ def held_inputs(t, u, grid, step):
     return (integral(grid + step / 2) - integral(grid - step / 2)) / step
 
 
-def second_derivative_weights(offsets, half):
-    """Weights of samples at some offsets in the second derivative at zero of the polynomial through a window."""
-    return 2 * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[0, 2]
+def derivative_weights(offsets, half, order=2):
+    """Weights of samples at some offsets in a derivative at zero of the polynomial through a window."""
+    # Coefficient c is the c-th derivative divided by c!.
+    return (1, 1, 2)[order] * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[
+        0, order
+    ]
 
 
 @functools.lru_cache  # the search for delays smooths a log a dozen times over windows of the same width
-def _acceleration_weights(half: float, spacing: float) -> float:
-    """Ratio of the standard deviation of an acceleration to that of a measurement [1/s²]."""
-    count = int(half / spacing)
+def gain(half: float, spacing: float, order: int) -> float:
+    """Ratio of the standard deviation of a derivative to that of a measurement."""
+    count = max(int(half / spacing), ORDER)
     # A weighted sum of independent readings has the root of the sum of squared weights as its gain.
-    return float(np.linalg.norm(second_derivative_weights(spacing * np.arange(-count, count + 1), half)))
+    return float(np.linalg.norm(derivative_weights(spacing * np.arange(-count, count + 1), half, order)))
 
 
 def acceleration_kernel(half: float, count: int) -> np.ndarray:
@@ -156,7 +161,7 @@ def acceleration_kernel(half: float, count: int) -> np.ndarray:
     A sum of positions that is zero for motions at constant velocity is a sum of their second differences; its weights
     are the double sums of those of the positions.
     """
-    weights = second_derivative_weights(half / count * np.arange(-count, count + 1), half)
+    weights = derivative_weights(half / count * np.arange(-count, count + 1), half)
     # Two sums by parts turn Σ w y into Σ (ΣΣw) Δ²y, and Δ²y ≈ step² a.
     return (half / count) ** 2 * np.concatenate([[0.0], np.cumsum(np.cumsum(weights))[:-1]])
 

@@ -35,13 +35,8 @@ from covariant.calibration.diagnosis._jumps import (
 from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
 from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
-from covariant.calibration.diagnosis._readings import (
-    known_ticks,
-    missing_cells,
-    readings,
-    still_findings,
-)
-from covariant.calibration.diagnosis._repeats import repeated_findings, stuck, without_repeated
+from covariant.calibration.diagnosis._readings import known_ticks, missing_cells, readings, still_findings
+from covariant.calibration.diagnosis._repeats import find_repeats, made_rows, stuck
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
@@ -162,6 +157,14 @@ def look_for_rest(log: Examination) -> bool:
     return whole
 
 
+def look_for_made_rows(log: Examination) -> bool:
+    """Empty the readings that were made from their neighbours, which look like finer ticks and like no noise."""
+    made, findings = made_rows(log.rows.t, log.y, names_of(log.file), log.rows)
+    log.findings += findings
+    log.record = log.record._replace(y=np.where(made, np.nan, log.y))
+    return False
+
+
 def look_for_senders(log: Examination) -> bool:
     """Remove wraps, and then look for a second sender: either hides all other faults."""
     log.wraps = periods(log.rows.t, log.y, known_ticks(log.record, (), log.quantum))
@@ -193,9 +196,9 @@ def look_at_readings(log: Examination) -> bool:
     log.edges = edge_findings(log.rows.t, log.y, case.ticks, names, log.quantum)
     if log.edges:
         log.drop("missing rows", "irregular stamps")
-    log.repeated = repeated_findings(log.y, case.ticks, names.q, log.rows)
+    again, log.repeated = find_repeats(log.y, case.ticks, names.q, log.rows)
     if any(each.wrong for each in log.repeated):
-        case = case._replace(record=case.record._replace(y=without_repeated(np.asarray(case.record.y), case.ticks)))
+        case = case.with_readings(np.where(again, np.nan, np.asarray(case.record.y)))
     log.case = case._replace(record=busiest(case.record, MOST_ROWS))
     return False
 
@@ -226,7 +229,7 @@ def look_at_columns(log: Examination) -> bool:
         largest = np.nanargmax(np.abs(y), axis=0), np.arange(y.shape[1])
         log.wraps = log.wraps * np.abs(changed[largest] / y[largest])
         ticks = again.ticks
-        log.repeated = repeated_findings(changed, ticks, case.names.q, log.rows)
+        _, log.repeated = find_repeats(changed, ticks, case.names.q, log.rows)
     noise = np.maximum(np.nan_to_num(readings(log.record._replace(y=changed), case.model.circles).std), ticks)
     forward = set_forward(log.rows.t, unwrap(changed, case.model.circles), noise, log.rows)
     log.findings += [*forward, *log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *changes]
@@ -253,9 +256,7 @@ def compare_accelerations(log: Examination) -> bool:
     small = _rows_and_inputs(in_time, best[0], not any(each.what == "delay" for each in delays))
     # Readings of a column that is rows late are those of a sensor only in their own rows.
     shift = [sum(int(each.numbers["rows"]) for each in small if each.where == name) for name in case.names.q]
-    moved = case._replace(
-        record=case.record._replace(y=moved_rows(np.asarray(case.record.y), timing.rows + np.array(shift)))
-    )
+    moved = case.with_readings(moved_rows(np.asarray(case.record.y), timing.rows + np.array(shift)))
     left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0], constant)
     beside = sensor_checks(case, log.rows.t, log.sensors, timing.delay - timing.delay.min())
     log.findings += [*_sensors(moved, log.quantum, log.edges), *beside, *lacking, *delays, *small, *left]
@@ -263,7 +264,8 @@ def compare_accelerations(log: Examination) -> bool:
 
 
 STAGES: tuple[Stage, ...] = (
-    *(look_at_clock, look_without_coordinates, look_for_rest, look_for_senders, mend_broken_parts, look_at_readings),
+    *(look_at_clock, look_without_coordinates, look_for_rest, look_for_made_rows, look_for_senders, mend_broken_parts),
+    look_at_readings,
     *(look_at_servos, look_at_columns, compare_accelerations),
 )
 """The stages in their order."""
@@ -289,7 +291,7 @@ def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspic
         accepted = min(judged, key=lambda one: one[1].numbers["unexplained_after"])
         found.append(accepted)
         case = accepted[0].apply(case)
-        read = np.asarray(accepted[0].apply(case._replace(record=case.record._replace(y=read))).record.y)
+        read = np.asarray(accepted[0].apply(case.with_readings(read)).record.y)
     # Rows before the first fault are right as logged, so only its finding may advise to keep them.
     found.sort(key=lambda each: each[1].numbers["begin"])
     return [

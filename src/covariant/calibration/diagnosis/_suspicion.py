@@ -132,6 +132,11 @@ class Suspicion(NamedTuple):
         return Finding(self.what, self.where, evidence, self.remedy, True, {**self.numbers, **shares})
 
 
+def blocks_of(count: int) -> np.ndarray:
+    """The block of each of some rows in order."""
+    return np.repeat(np.arange(BLOCKS), [len(part) for part in np.array_split(np.arange(count), BLOCKS)])
+
+
 def judge(
     case: Case,
     suspicions: Iterable[Suspicion],

@@ -114,10 +114,8 @@ HELD_ROWS, HELD_TIMES, ABRUPT = 20, 10.0, 0.75
 """Fewest rows in which a position keeps one value, and their number relative to that for the values beside it, from
 which it may be stuck; its motion in the rows beside it relative to that in as many rows farther away, at most 1/2 if
 it came from rest."""
-LATTICE = 0.05
-"""Largest distance of changes from whole ticks, as a fraction of one."""
 STATED_LATTICE = 0.1
-"""The same for ticks that the model file states."""
+"""Largest distance of changes from whole ticks that the model file states, as a fraction of one."""
 LEAST_TICK = 1.5
 """Least size of a tick, in standard deviations of the noise: below that the noise hides it."""
 ALTERNATES = -0.5

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._block_regression import weighted_least_squares
-from covariant.calibration.diagnosis._case import Case, Residual, residual, smoothed, smoothed_residual
+from covariant.calibration.diagnosis._case import Case, Residual, input_effects, residual, smoothed, smoothed_residual
 from covariant.calibration.diagnosis._columns import input_line, plain_scale
-from covariant.calibration.diagnosis._finding import Finding, later_line
+from covariant.calibration.diagnosis._finding import Finding, counted, later_line
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import Comparison, Suspicion, Unexplained, judge, unexplained_at
 from covariant.calibration.diagnosis._thresholds import (
@@ -74,7 +74,7 @@ class Timing(NamedTuple):
         """The case with columns as they are once they are in time and to scale."""
         delay = np.broadcast_to(np.asarray(case.file.delay, float), self.delay.shape) + self.delay
         y, u = moved_rows(np.asarray(case.record.y), self.rows), np.asarray(case.record.u) * self.scale
-        return case._replace(file=case.file._replace(delay=tuple(delay)), record=case.record._replace(y=y, u=u))
+        return case._replace(file=case.file._replace(delay=tuple(delay))).with_readings(y).with_inputs(u)
 
     def findings(self, case: Case, half: float) -> list[Finding]:
         """The findings, with what all of them together explain."""
@@ -241,8 +241,8 @@ def _suspicions(
         delay, std, whole = float(estimates.delay[i]), float(estimates.delay_std[i]), int(timing.rows[i])
         claim, move = f"{names.q[i]} is measured {_ms(delay, std)} later than {names.q[estimates.delay.argmin()]}", ""
         if whole:
-            claim += f"; cells that are {_count(whole)} late predict rows that are held out better"
-            move = f"move the column {names.q[i]} up by {_count(whole)} in the log, or "
+            claim += f"; cells that are {counted(whole, 'row')} late predict rows that are held out better"
+            move = f"move the column {names.q[i]} up by {counted(whole, 'row')} in the log, or "
         else:
             claim += _in_rows(delay, std, spacing)
         numbers = {"delay": float(delays[i]), "std": std, "rows": float(delays[i] / spacing)}
@@ -280,16 +280,9 @@ def row_shifts(case: Case) -> Iterator[Suspicion]:
         for k in (k for k in range(-MOST_ROWS, MOST_ROWS + 1) if k):
             shift = Timing(np.zeros(n), np.ones(len(case.names.u)), np.where(np.arange(n) == i, k, 0))
             name, (early, back) = case.names.q[i], ("late", "up") if k > 0 else ("early", "down")
-            yield Suspicion(
-                "row shift",
-                name,
-                f"with that column moved {back}",
-                f"move the column {name} {back} by {_count(abs(k))} in the log",
-                shift.apply,
-                "rows",
-                f"cells of {name} are {_count(abs(k))} {early}",
-                {"rows": k},
-            )
+            count, words = counted(abs(k), "row"), f"with that column moved {back}"
+            line, claim = f"move the column {name} {back} by {count} in the log", f"cells of {name} are {count} {early}"
+            yield Suspicion("row shift", name, words, line, shift.apply, "rows", claim, {"rows": k})
 
 
 def inputs_between_rows(case: Case) -> Iterator[Suspicion]:
@@ -307,7 +300,7 @@ def inputs_between_rows(case: Case) -> Iterator[Suspicion]:
             yield Suspicion("inputs between rows", names, words, lines[between], change, "rows")
     for k in range(1, LATEST + 1) if names else ():
         time = k * case.spacing
-        claim = f"positions follow the inputs {_count(k)} later than the model says, {1e3 * time:.3g} ms"
+        claim = f"positions follow the inputs {counted(k, 'row')} later than the model says, {1e3 * time:.3g} ms"
         numbers = {"delay": time, "rows": k}
         change = _rows_later(stated, k)
         yield Suspicion("delay against the inputs", "", "then", later_line(file, time), change, "rows", claim, numbers)
@@ -319,7 +312,7 @@ def _rows_later(between: str, rows: int) -> Callable[[Case], Case]:
     def apply(case: Case) -> Case:
         u = np.asarray(case.record.u)
         u = u[np.clip(np.arange(len(u)) - rows, 0, len(u) - 1)]
-        return case._replace(file=case.file._replace(input_between=between), record=case.record._replace(u=u))
+        return case._replace(file=case.file._replace(input_between=between)).with_inputs(u)
 
     return apply
 
@@ -337,15 +330,11 @@ def _ms(value: float, std: float) -> str:
     return f"{1e3 * value:.3g} ms ± {1e3 * std:.2g} ms"
 
 
-def _count(rows: int) -> str:
-    return f"{rows} row{'s' if rows > 1 else ''}"
-
-
 def _in_rows(delay: float, std: float, spacing: float) -> str:
     rows = delay / spacing
     whole = round(rows)
     if whole and abs(rows - whole) < WHOLE_ROW + 2 * std / spacing:
-        return f", as if its cells were {_count(whole)} late"
+        return f", as if its cells were {counted(whole, 'row')} late"
     return f", {rows:.2g} rows"
 
 
@@ -376,11 +365,9 @@ def fit(model: MechanicalSystem, log: Smooth, now: Residual) -> Fitted:
         later, earlier = (residual(model, shifted(log, i, s)) for s in (NUDGE, -NUDGE))
         columns.append(((later.measured - later.modelled) - (earlier.measured - earlier.modelled)) / (2 * NUDGE))
         used &= later.used & earlier.used
-    for j in range(m):
-        without = residual(model, log._replace(u=np.where(np.arange(m) == j, 0.0, log.u)))
-        # The residual falls by the acceleration that the input causes, so its slope in the scale has a minus.
-        columns.append(without.modelled - now.modelled)
-        used &= without.used
+    # The residual falls by the acceleration that the input causes, so its slope in the scale has a minus.
+    columns += [-effect for effect in input_effects(model, log, now)]
+    used &= np.isfinite(columns).all(axis=(0, 2))
     left, columns = (now.measured - now.modelled)[used], np.stack(columns, axis=2)[used]
     # Without inputs the time at which a motion happens changes nothing: only differences of delays are unknowns.
     free = np.eye(n + m) if m else np.linalg.qr(np.eye(n) - 1 / n)[0][:, : n - 1]

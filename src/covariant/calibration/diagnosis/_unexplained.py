@@ -41,9 +41,7 @@ def unexplained(case: Case, left: Residual, half: float | None = None, constant:
     file, names, clear = case.file, case.names, left.told
     if not clear.any():
         return []
-    # Noise is independent of what the model leaves, so the variances subtract; by chance the rest may be negative.
-    squares = np.mean(left.left**2, axis=0) - left.noise**2
-    size = np.sqrt(np.maximum(squares, 0.0))
+    size = np.sqrt(np.maximum(left.squares, 0.0))
     stated = file.acceleration_std
     beyond = clear & (size > FARTHEST * (stated or 0.0))
     if not beyond.any() or (stated is None and left.misfit < BARELY):

@@ -9,7 +9,6 @@ from ._error_model import (
     smoothed as smoothed,
 )
 from ._excitation import (
-    Excitation as Excitation,
     ExcitationPlan as ExcitationPlan,
     JointLimits as JointLimits,
     design_excitation as design_excitation,
@@ -39,14 +38,21 @@ from ._predict import (
     mean_square as mean_square,
     predicts_worse as predicts_worse,
     rows_ahead as rows_ahead,
+    worse_coordinates as worse_coordinates,
 )
 from ._rivals import Rival as Rival, better_reading as better_reading
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
+from ._robot_likelihood import (
+    RobotUnknowns as RobotUnknowns,
+    likeliest_robot as likeliest_robot,
+    linearised_robot as linearised_robot,
+)
 from ._robot_misfit import robot_misfit as robot_misfit, standing_still as standing_still
 from ._robot_torques import motor_inputs as motor_inputs
 from ._rows import (
     FITTED as FITTED,
+    MOST_ROWS as MOST_ROWS,
     Rows as Rows,
     gather as gather,
     held_out_logs as held_out_logs,

@@ -52,20 +52,20 @@ class Following(NamedTuple):
 
     Attributes:
         error: Error of that, as a fraction of the motion; the worst fifth of the rows does not count.
-        lag: Lag [s].
         slope: Change of the position for one of the command.
         position, command: Means of both, where they count.
         whole: Error with the worst rows, too.
+        lag: Lag [s].
         late: Error without a lag, or with a command after the position, in this error.
     """
 
     error: float
-    lag: float
     slope: float
     position: float
     command: float
     whole: float
-    late: float
+    lag: float = 0.0
+    late: float = 1.0
 
     @property
     def is_close(self) -> bool:
@@ -93,41 +93,31 @@ def follow(
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_ROWS).astype(int))]
     given = np.isfinite(c)
 
-    def fitted(lag: float) -> _Line:
+    def fitted(lag: float) -> Following:
         inside = rows[(t[rows] - lag >= t[0]) & (t[rows] - lag <= t[-1])]
-        return _regression(np.interp(t[inside] - lag, t[given], c[given]), q[inside])
+        line = _regression(np.interp(t[inside] - lag, t[given], c[given]), q[inside])
+        return line._replace(lag=float(lag))
 
-    fits = {lag: fitted(lag) for lag in np.arange(0.0, LATEST + LAG_STEP / 2, LAG_STEP)}
-    lag = min(fits, key=lambda each: fits[each][0])
-    best = fits[lag]
-    early = min(fits[0.0][0], *(fitted(-each)[0] for each in (0.02, 0.05, 0.1)))
-    return Following(best.error, float(lag), *best[1:], early / max(best.error, 1e-12))
-
-
-class _Line(NamedTuple):
-    """A line through points: error as a fraction of the motion, slope, means of both, and the error of all points."""
-
-    error: float
-    slope: float
-    position: float
-    command: float
-    whole: float
+    fits = [fitted(lag) for lag in np.arange(0.0, LATEST + LAG_STEP / 2, LAG_STEP)]
+    best = min(fits, key=lambda each: each.error)
+    early = min(fits[0].error, *(fitted(-each).error for each in (0.02, 0.05, 0.1)))
+    return best._replace(late=early / max(best.error, 1e-12))
 
 
-def _regression(x: np.ndarray, y: np.ndarray) -> _Line:
+def _regression(x: np.ndarray, y: np.ndarray) -> Following:
     """The line through y over x, without the worst rows."""
     kept, slope, centre, middle = np.ones(len(x), bool), 0.0, 0.0, 0.0
     errors = np.zeros(len(x))
     for _ in range(3):
         if np.count_nonzero(kept) < FEWEST_CHANGES or np.ptp(x[kept]) == 0:
-            return _Line(np.inf, slope, centre, middle, np.inf)
+            return Following(np.inf, slope, centre, middle, np.inf)
         centre, middle = float(y[kept].mean()), float(x[kept].mean())
         about = x[kept] - middle
         slope = float(about @ y[kept] / (about @ about))
         errors = y - centre - slope * (x - middle)
         kept = np.abs(errors) <= np.quantile(np.abs(errors), TRIMMED)
     motion = max(float(np.std(y)), 1e-300)
-    return _Line(float(np.std(errors[kept])) / motion, slope, centre, middle, float(np.std(errors)) / motion)
+    return Following(float(np.std(errors[kept])) / motion, slope, centre, middle, float(np.std(errors)) / motion)
 
 
 def stem(name: str) -> frozenset[str]:
@@ -162,23 +152,3 @@ def copied(q: Float[np.ndarray, "T"], c: Float[np.ndarray, "T"]) -> int | None:
         if len(moving) >= FEWEST_CHANGES and np.mean(later[moving] == command[moving]) >= COPIED:
             return rows
     return None
-
-
-def command_unit(slope: float, factor: float) -> float | None:
-    """Size of one of a command in that of one of its position, from how far the position moves for it; None if unclear.
-
-    A servo falls short of its command where it is soft, and does not go beyond it.
-
-    Args:
-        slope: Change of the position for one of the command, in the numbers of the log.
-        factor: Unit of the position [rad].
-
-    Returns:
-        The unit of the command [rad], with its sign.
-    """
-    size = abs(slope) * factor
-    sign = -1.0 if slope < 0 else 1.0
-    if 0.15 * factor < size < 1.3 * factor:
-        return sign * factor
-    units = (1.0, np.pi / 180, 2 * np.pi / 4096)
-    return next((sign * unit for unit in units if 0.85 * unit < size < 1.05 * unit), None)

@@ -9,8 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration.diagnosis import periods, without_full_turns
-from covariant.calibration.identification._roles import REGISTERS, LogColumns, role
+from covariant import logs
+from covariant.calibration.diagnosis import periods
+from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
+from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, product_of
+from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
     find_inputs,
@@ -22,46 +25,22 @@ from covariant.calibration.identification._servo_columns import (
 )
 from covariant.calibration.identification._servo_units import (
     DraftedServo,
-    plausible_rates,
     position_units,
     remarks_on,
     servos_of,
     units_of_commands,
 )
-from covariant.logs import (
-    MEANT,
-    episodes_fault,
-    has_sign_bit,
-    odd_clock,
-    sign_bit_fault,
-    unit_factor,
-    unit_in_name,
-    unknown_unit,
-    unknown_unit_fault,
-    without_unit,
-    words_of,
-)
+from covariant.calibration.identification._stamp_columns import find_stamps, refuse_stamps, seconds, unit_of_time
 from covariant.scoring import unwrap
 from scalargraph.errors import InputError
 
-CLOCKS = ((0.5, "s"), (500.0, "ms"), (5e5, "us"), (np.inf, "ns"))
-"""Upper bounds of the median step of the stamps, and the unit in which they then are."""
 DEGREES = 50.0
 """Span [rad] of an angle from which it is more likely in degrees."""
-FEWEST_GAPS = 10
-"""Least number of gaps between values for which ticks are looked for."""
-OFF_TICK = 0.1
-"""Largest distance of differences of positions from whole ticks, as a fraction of one."""
-MOST_ROUNDING = 0.25
-"""Largest rounding of printed numbers, as a fraction of a tick, at which ticks are still told from any numbers."""
-OFF_UNIT = 0.05
-"""Largest distance of the length of a quaternion from 1."""
-SCALED_MOTION = 0.1
-"""Least motion, in lengths, of four numbers whose length stays within its square, for them to be a quaternion."""
-
-
-_QUATERNION = re.compile(r"(.*?)[_./\[]?([wxyzWXYZ]|[0-9]+)\]?$")
-"""Name of one of the four numbers of a quaternion, as qw, q_x, orientation.y or q[3], and the letter or index."""
+HIDDEN = 50.0
+"""Usual change of the steps from row to row, in ticks, from which noise hides these: they are how numbers were printed.
+"""
+SAME_TICK = 1e-4
+"""Relative difference up to which ticks are equal, or such a part of a turn."""
 
 
 class Draft(NamedTuple):
@@ -137,7 +116,7 @@ class Draft(NamedTuple):
     @property
     def plain_names(self) -> tuple[str, ...]:
         """Names of the positions without their units, `cart` for `cart [mm]`; full names where two would coincide."""
-        plain = tuple(without_unit(self.entries.get(name, name)).removesuffix(".pos") for name in self.q)
+        plain = tuple(logs.without_unit(self.entries.get(name, name)).removesuffix(".pos") for name in self.q)
         return plain if "" not in plain and len(set(plain)) == len(plain) else self.q
 
 
@@ -164,8 +143,8 @@ def draft(
         The role of each column, with rate, units, ticks and noise.
 
     Raises:
-        ValueError: It is not clear which columns are the stamps, the positions or the inputs, or in which unit servos
-            are logged, or the first row lacks a position. One line, which lists the columns.
+        ValueError: It is not clear which columns are the stamps, the positions or the inputs, or in which unit they
+            are, or the first row lacks a position. One line with all such questions, which lists the columns.
 
     Example:
         >>> import numpy as np
@@ -177,25 +156,41 @@ def draft(
     """
     known = {key: tuple(names) for key, names in (given or {}).items() if names is not None}
     log = _read(columns, known, stated or {}, units or {}, dict(entries or {}))
-    attitude = () if "q" in known else _quaternion(log)
+    guess = log.ask(_drafted, log, otherwise=None)
+    texts = [each.replace(log.listed, "") for each in log.questions]
+    if guess is None or texts:
+        asked = "; ".join(f"({k}) {text}" for k, text in enumerate(texts, 1))
+        asked = f"{len(texts)} things cannot be told: {asked}" if len(texts) > 1 else texts[0]
+        raise InputError(asked + (log.listed if any(log.listed in each for each in log.questions) else ""))
+    return guess
+
+
+def _drafted(log: LogColumns) -> Draft | None:
+    """The draft of columns; None without stamps, since the log was asked for them."""
+    attitude = () if "q" in log.given else quaternion(log)
     if attitude:
-        return _draft_of_attitude(log, attitude)
+        return _draft_of_attitude(log, attitude) if log.t else None
     log, q, inputs = _positions_and_inputs(log)
-    log, v, by_value = _labels(log, q, inputs)
+    log, v, guessed = _labels(log, q, inputs)
+    if not log.t:
+        return None
     # Lengths come before angles, and forces before torques.
     order = sorted(range(len(q)), key=lambda i: not _is_length(log, q[i]))
     q, v = tuple(q[i] for i in order), tuple(v[i] for i in order if v)
-    u = inputs.u if "u" in known else tuple(sorted(inputs.u, key=lambda name: _is_torque(log, name)))
+    inputs = inputs._replace(drives=tuple(inputs.drives[i] for i in order if inputs.drives))
+    torques = {name: logs.unit_in_name(log.labels[name], ("N m",)) is not None for name in inputs.u}
+    u = inputs.u if "u" in log.given else tuple(sorted(inputs.u, key=torques.__getitem__))
     guess = _roles_and_units(log, q, u, v)
-    if by_value and "q" not in log.units:
-        guess = guess._replace(guessed=(*guess.guessed, "q"))
-    remarks = [*inputs.remarks]
-    episodes = episodes_fault(columns[log.t], columns, columns.__getitem__, rising=True)
+    if "q" not in log.units:
+        guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
+    own = "drives in a unit of its own: one of it in SI units is taken for 1 N m"
+    remarks = [*inputs.remarks, *odd_rates(log, q, v), *(f"{name} {own}" for name in driving(log, u))]
+    remarks += [f"its names are those that {log.product} prints"] * bool(log.product)
+    episodes = logs.episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)
     remarks += [] if episodes is None else [f"the log {episodes}"]
     registers = {kind: log.of(kind) for kind in REGISTERS if log.of(kind)}
     guess = guess._replace(registers=registers, remarks=tuple(remarks), entries=log.entries)
-    guess = _with_servos(guess, log, inputs.of(order)) if inputs.named else guess
-    return _with_resolution(guess, log)
+    return _with_resolution(_with_servos(guess, log, inputs) if inputs.named else guess, log)
 
 
 def _read(
@@ -215,19 +210,24 @@ def _read(
             raise InputError(f"there is no column {name!r} of numbers{log.listed}")
     # q_d is a desired position, unless there is a q_c.
     desired = {
-        name for name in columns if words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
+        name
+        for name in columns
+        if logs.words_of(name) & {"q", "dq"} and re.sub("_d(?![a-z])", "_c", name) not in columns
     }
-    marks = {name: "desired" for name in desired if "d" in words_of(name)}
+    marks = {name: "desired" for name in desired if "d" in logs.words_of(name)}
     roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
+    if product := product_of(columns):
+        fields = roles | {name: field for field, names in given.items() for name in names}
+        turns = {name: TURNS[each] for name, each in fields.items() if each in TURNS and labels[name] == name}
+        log = dataclasses.replace(log.labelled(turns), product=product)
     log = dataclasses.replace(log, roles=roles)
-    log = dataclasses.replace(log, t=given["t"][0] if "t" in given else _stamps(log))
-    _refuse_episodes(log, log.t)
-    t = log[log.t]
-    if len(t) < 2 or not (np.isfinite(t).all() and (np.diff(t) > 0).all()):
-        raise InputError(
-            f'the stamps {log.t} do not rise from row to row; sort the log, or name others by `columns["t"]`'
-        )
-    refuse_rows_of_several(log)
+    t = given["t"][0] if "t" in given else log.ask(find_stamps, log, otherwise="")
+    rows = len(next(iter(columns.values()), ()))
+    values = dict(columns) | ({t: logs.Register.continued(columns[t])} if t else {})
+    log = dataclasses.replace(log, t=t, values=values, clock=np.arange(rows) * 0.01)
+    if t:
+        log.ask(refuse_stamps, log, otherwise=None)
+    log.ask(refuse_rows_of_several, log, otherwise=None)
     return log
 
 
@@ -235,47 +235,49 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
     """The columns with the units of stamps and positions that the user states, the positions, and the inputs."""
     q = log.given.get("q") or log.of("q")
     if not q:
-        raise InputError(f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{log.listed}')
-    _one_family("q", q, log)
-    refuse_poses(log, q)
+        also = "" if "u" in log.given or log.of("u") or log.of("command") else ', and inputs by `columns["u"]`'
+        raise InputError(
+            f'no column is named like a position, as q1 or theta; name them by `columns["q"]`{also}{log.listed}'
+        )
     log = log.with_units("t", (log.t,)).with_units("q", q)
-    clock = log[log.t] * unit_factor(log.unit(log.t, "t") or _unit_of_step(log[log.t]))
-    log = dataclasses.replace(log, clock=clock)
+    log = dataclasses.replace(log, clock=seconds(log, q))
+    if "q" not in log.given:
+        log, q = explained(log, q)
+    log.ask(_one_family, "q", q, log, otherwise=None)
+    refuse_poses(log, q)
     inputs = find_inputs(log, q)
     if "q" not in log.given:
         q, inputs = without_rates(log, q, inputs)
-        refuse_commands_among(log, q)
-    _one_family("u", inputs.u, log)
+        log.ask(refuse_commands_among, log, q, otherwise=None)
+    log.ask(_one_family, "u", inputs.u, log, otherwise=None)
     if len(inputs.u) > len(q):
         raise InputError(
             f'{len(inputs.u)} inputs ({", ".join(inputs.u)}) for {len(q)} positions; name them by `columns["u"]`'
             f"{log.listed}"
         )
-    for name in (*q, *inputs.named):
-        if has_sign_bit(log[name]):
-            raise InputError(sign_bit_fault(name))
+    coded = {name: logs.Register.of(log[name]) for name in (*q, *inputs.named, *inputs.u)}
+    # Positions in two's complement begin anew there, as those of an encoder on a circle do.
+    faults = [each.fault(name) for name, each in coded.items() if not (each.span and name in q)]
+    log.questions.extend(filter(None, faults))
     return log, q, inputs
 
 
-def _labels(log: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[LogColumns, tuple[str, ...], bool]:
-    """The columns with all units that are known, the velocities, and whether values show the unit of positions."""
+def _labels(log: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[LogColumns, tuple[str, ...], tuple[str, ...]]:
+    """The columns with all units that are known, the velocities, and the fields whose units values show."""
     log = log.with_units("u", inputs.named or inputs.u)
-    by_value = position_units(log, q, bool(inputs.named))
+    by_value = log.ask(position_units, log, q, bool(inputs.named), otherwise={})
     log = log.labelled(by_value)
-    v = log.given.get("v") or log.of("v")
-    v = v or tuple(name for position in q for name in log.of("") if log.is_slope(position, name))
-    v = v if len(v) == len(q) else ()
+    v = log.given.get("v") or velocities(log, q)
     log = log.with_units("v", v)
-    _refuse_unknown_units(log, {"t": (log.t,), "q": q, "u": inputs.u, "v": v})
-    return log, v, bool(by_value)
+    torques = [name for name in inputs.u if name not in driving(log, inputs.u)]
+    asked = not log.t or any(repr(log.t) in each for each in log.questions)
+    _ask_unknown_units(log, {"t": () if asked else (log.t,), "q": q, "u": torques, "v": v})
+    return log, v, ("q", "v") if log.product else ("q",) if by_value else ()
 
 
 def _is_length(log: LogColumns, name: str) -> bool:
-    return unit_in_name(log.labels[name], ("m",)) is not None
-
-
-def _is_torque(log: LogColumns, name: str) -> bool:
-    return unit_in_name(log.labels[name], ("N m",)) is not None
+    unit = log.unit(name, "q")
+    return logs.is_unit_of(unit, ("m",)) if unit else bool(logs.words_of(name) & LENGTHS)
 
 
 def _roles_and_units(
@@ -288,63 +290,53 @@ def _roles_and_units(
     span = np.stack([np.nanmin(logged, axis=0), np.nanmax(logged, axis=0)], axis=1)[: len(q)]
     units, guessed = _units(log, {"t": (t,), "q": q, "u": u, "v": v}, span)
     left_out = tuple(name for name in log.values if name not in (t, *q, *u, *v, *quaternion))
-    rate = 1 / (float(np.median(np.diff(log[t]))) * unit_factor(units.get("t", ("s",))[0]))
+    rate = 1 / (float(np.median(np.diff(log[t]))) * logs.unit_factor(units.get("t", ("s",))[0]))
     lengths = tuple(_is_length(log, name) for name in q)
     return Draft(t, q, u, v, left_out, rate, len(logged), lengths, None, 0.0, span, units, guessed, quaternion)
 
 
 def _with_servos(guess: Draft, log: LogColumns, inputs: Inputs) -> Draft:
     """A draft with the commands of servos, and their switches, as its inputs."""
-    units, factors = guess.units_of_positions, [unit_factor(text) for text in guess.units_of_positions]
+    units, factors = guess.units_of_positions, [logs.unit_factor(text) for text in guess.units_of_positions]
     servos = servos_of(log, inputs, guess.q, units)
     driven = [name for name, servo in zip(guess.q, servos, strict=True) if servo is not None]
     switches = switches_of(log, inputs.switches, driven)
     u = (*inputs.named, *switches)
-    v, odd_rates = plausible_rates(log, guess.q, factors, guess.v)
     return guess._replace(
         u=u,
-        v=v,
-        left_out=tuple(name for name in log.values if name not in (guess.t, *guess.q, *u, *v)),
+        left_out=tuple(name for name in log.values if name not in (guess.t, *guess.q, *u, *guess.v)),
         units=guess.units | units_of_commands(log, servos, len(switches), units),
         servos=servos,
         switches=switches,
-        remarks=(*guess.remarks, *odd_rates, *remarks_on(log, inputs, servos, guess.q, factors)),
+        remarks=(*guess.remarks, *remarks_on(log, inputs, servos, guess.q, factors)),
     )
 
 
 def _with_resolution(guess: Draft, log: LogColumns) -> Draft:
     """A draft with the ticks, the periods and the noise of its positions."""
     logged, lengths, n = log.stack(guess.q), guess.lengths, len(guess.q)
-    factors = [unit_factor(text) for text in guess.units_of_positions]
-    y = logged * factors
-    rounding = [_rounding(column) * factor for column, factor in zip(logged.T, np.abs(factors), strict=True)]
-    # Readings are whole ticks as they are: a period is known less exactly.
-    each_tick = [_tick(y[:, [i]], [rounding[i]]) for i in range(n)]
-    found = periods(log[guess.t], y, np.array([tick or 0.0 for tick in each_tick]))
+    y = logged * [logs.unit_factor(text) for text in guess.units_of_positions]
+    seen = [column[np.isfinite(column)] for column in y.T]
+    ticks = np.array([logs.Register.of(column).tick for column in seen])
+    ticks[[np.median(np.abs(np.diff(x, 2, prepend=x[[0, 0]]))) for x in seen] > HIDDEN * ticks] = 0.0
     # Angles that jump at a full turn have no other period.
-    wraps = without_full_turns(found, tuple(i for i in range(n) if not lengths[i]))
+    wraps = periods(log[guess.t], y, ticks, tuple(i for i in range(n) if not lengths[i]))
     continuous = unwrap(y, (), wraps)
-    tick, noise = _tick(y, rounding), _noise(continuous, lengths)
-    if len(set(lengths)) == 2 or (guess.servos and n > 1):  # a tick of a metre is none of a radian
-        known = tuple(each for each in each_tick if each is not None)
-        tick = known if len(known) == n else None
+    tick, noise = tuple(ticks.tolist()) if ticks.all() else None, _noise(continuous, lengths)
+    if len(set(lengths)) == 2 or (guess.servos and n > 1):
         noise = tuple(_noise(continuous[:, [i]], lengths[i : i + 1]) for i in range(n))
-        if tick is not None and np.ptp(tick) < OFF_TICK / 100 * tick[0]:
-            tick = tick[0]
+    if tick is not None and np.ptp(tick) < 10 * SAME_TICK * tick[0]:
+        tick = tick[0]
     return guess._replace(quantum=tick, noise=noise, period=tuple(wraps.tolist()))
 
 
-def _unit_of_step(t: Float[np.ndarray, "T"]) -> str:
-    return next(unit for limit, unit in CLOCKS if np.median(np.diff(t)) < limit)
-
-
-def _refuse_unknown_units(log: LogColumns, fields: Mapping[str, Sequence[str]]) -> None:
-    """Raise `ValueError` for a column whose label states a unit that is none of its field."""
+def _ask_unknown_units(log: LogColumns, fields: Mapping[str, Sequence[str]]) -> None:
+    """Ask for the units of columns whose label states one that is none of its field."""
     for field, names in fields.items():
         for name in names:
-            text = unknown_unit(log.labels[name], MEANT[field], [log.labels[each] for each in names])
+            text = logs.unknown_unit(log.labels[name], logs.MEANT[field], [log.labels[each] for each in names])
             if text is not None:
-                raise InputError(unknown_unit_fault(name, field, text, log.labels[name] != name, drafted=True))
+                log.questions.append(logs.unknown_unit_fault(name, field, text, log.labels[name] != name, drafted=True))
 
 
 def _units(
@@ -355,43 +347,20 @@ def _units(
     `span` (n, 2) is that of the positions, as logged.
     """
     stated = {field: [log.unit(name, field) for name in names] for field, names in fields.items()}
-    odd = odd_clock(log[log.t], stated["t"][0])
-    if odd is not None:
+    stated["u"] = [text or log.unit(name, "q") for text, name in zip(stated["u"], fields["u"], strict=True)]
+    if (odd := logs.odd_clock(log[log.t], stated["t"][0])) is not None:
         raise InputError(f"column {log.labels[log.t]!r} {odd}")
-    content = {"t": _unit_of_step(log[log.t])}
+    content = {"t": "s" if stated["t"][0] else unit_of_time(log, fields["q"])}
     unstated = [width for width, unit in zip(np.ptp(span, axis=1), stated["q"], strict=True) if unit is None]
     content["q"] = "deg" if max(unstated, default=0.0) > DEGREES else "rad"
     units, guessed = {}, []
     for field, named in stated.items():
         if None in named and field in content:
             guessed.append(field)
-        texts = tuple(text or (content[field] if field in content else MEANT[field][0]) for text in named)
-        if any(unit_factor(text) != 1 for text in texts):
+        texts = tuple(text or (content[field] if field in content else logs.MEANT[field][0]) for text in named)
+        if any(logs.unit_factor(text) != 1 for text in texts):
             units[field] = texts
     return units, tuple(field for field in guessed if field in units)
-
-
-def _stamps(log: LogColumns) -> str:
-    rising = [name for name, values in log.values.items() if np.isfinite(values).all() and (np.diff(values) > 0).all()]
-    named = [name for name in rising if log.roles.get(name) == "t"]
-    candidates = named or [name for name in rising if log.roles.get(name) == ""]
-    for name in () if named else log.of("t"):
-        _refuse_episodes(log, name)
-    if len(candidates) == 1:
-        return candidates[0]
-    what = (
-        f"{', '.join(candidates)} all rise from row to row"
-        if candidates
-        else "no column of stamps rises from row to row"
-    )
-    raise InputError(f'{what}; name the one of the stamps by `columns["t"]`{log.listed}')
-
-
-def _refuse_episodes(log: LogColumns, name: str) -> None:
-    """Raise `ValueError` for stamps that start again with each episode."""
-    fault = episodes_fault(log[name], log.values, log.values.__getitem__)
-    if fault is not None:
-        raise InputError(f"column {name!r} {fault}")
 
 
 def _one_family(key: str, names: Sequence[str], log: LogColumns) -> None:
@@ -412,71 +381,6 @@ def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
     return float(np.sqrt(np.nanmean(np.diff(steps, 2, axis=0) ** 2) / 20))
 
 
-def _rounding(column: np.ndarray) -> float:
-    """Power of ten to which the numbers of a column are printed; 0 where they have too many digits."""
-    values = column[np.isfinite(column)]
-    for digits in range(7):
-        scaled = values * 10.0**digits
-        if np.allclose(scaled, np.round(scaled), rtol=0, atol=1e-6 + 1e-12 * np.abs(scaled).max(initial=0.0)):
-            return 10.0**-digits
-    return 0.0
-
-
-def _tick(y: np.ndarray, rounding: Sequence[float]) -> float | None:
-    """Tick of which all differences of positions are multiples, from the gaps between their values, or None.
-
-    `rounding` is to what each column is printed, by which a gap may be off.
-    """
-    columns = [np.unique(column[np.isfinite(column)]) for column in y.T]
-    gaps: np.ndarray = np.concatenate([np.diff(values) for values in columns])
-    # Smaller gaps are rounding.
-    gaps = gaps[gaps > 1e-6 * np.nanmax(np.abs(y))]
-    if len(gaps) < FEWEST_GAPS:
-        return None
-    # A low quantile, since a single wrong cell can make the minimum too small.
-    smallest = float(np.quantile(gaps, 0.02))
-    few = np.asarray(gaps, float)[gaps < 50 * smallest]
-    # Printed with few decimals, equal ticks differ: 0.0879 deg becomes 0.08 or 0.09. Their mean is exact.
-    tick = float(few[few < 1.5 * smallest].mean())
-    tick = float(np.sum(few) / np.sum(np.round(few / tick)))
-    off = np.abs(few - tick * np.round(few / tick))
-    # Where the rounding is no small part of the tick, every number is a multiple of the tick up to it.
-    printed = max(rounding)
-    allowed = printed if printed < MOST_ROUNDING * tick else 0.0
-    if np.quantile(off, 0.95) > max(OFF_TICK * tick, 1.01 * allowed):
-        return None
-    return tick
-
-
-def _quaternion(log: LogColumns) -> tuple[str, ...]:
-    """Names of four columns that are a unit quaternion which moves, scalar first; none where no four are."""
-    groups: dict[str, dict[str, str]] = {}
-    for name in (each for each in log.roles if each != log.t):
-        match = _QUATERNION.match(name)
-        if match is not None and role(name) not in ("left out", "t"):
-            groups.setdefault(match[1], {})[match[2].lower()] = name
-    for group in groups.values():
-        for order in ("wxyz", "0123", "1234"):
-            # The first four of seven joints are none.
-            if set(order) != {key for key in group if key.isdigit() == order.isdigit()}:
-                continue
-            names = tuple(group[key] for key in order)
-            q = log.stack(names)
-            q = q[np.isfinite(q).all(axis=1)]
-            if not len(q) or not np.ptp(q, axis=0).any():
-                continue
-            lengths, motion = np.linalg.norm(q, axis=1), np.ptp(q, axis=0).max()
-            if np.abs(lengths - 1).max() < OFF_UNIT:
-                return names
-            # Whole numbers of a sensor, as 16384 for 1
-            if motion > SCALED_MOTION * lengths.max() and np.ptp(lengths) < SCALED_MOTION**2 * lengths.max():
-                raise InputError(
-                    f"{', '.join(names)} are a quaternion of length {np.median(lengths):.5g}; divide them by it in the "
-                    'log, or name the positions by `columns["q"]`'
-                )
-    return ()
-
-
 def _draft_of_attitude(log: LogColumns, names: tuple[str, ...]) -> Draft:
     """Roles of the columns of a log of a body that turns."""
     # A torque about each axis of the body, or none that is known.
@@ -484,7 +388,7 @@ def _draft_of_attitude(log: LogColumns, names: tuple[str, ...]) -> Draft:
     if "u" in log.given and len(u) not in (0, 3):
         raise InputError(f"{len(u)} inputs ({', '.join(u)}) for a body that turns, needs 3 torques or none")
     u = u if len(u) == 3 else ()
-    _refuse_unknown_units(log, {"t": (log.t,), "u": u})
+    _ask_unknown_units(log, {"t": (log.t,), "u": u})
     guess, q = _roles_and_units(log, (), u, (), names), log.stack(names)
     # A turn by a small angle changes the quaternion by half of it; q and -q are one attitude.
     signs = np.cumprod(np.sign(np.where(np.nansum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)))

@@ -143,6 +143,11 @@ def error_model(unknowns: Unknowns, z: Array, run: Motion, rows: Rows, steps: An
 
     now, then = (jax.tree.map(lambda part, cut=cut: part[cut], run) for cut in (slice(-1), slice(1, None)))
     linear = jax.vmap(step)(t[:-1], now, u[:-1], change[:-1], machine[1:], dt, then)
+    return assembled(manifold, linear, dt, run, rows)
+
+
+def assembled(manifold: Any, linear: Any, dt: Array, run: Motion, rows: Rows) -> ErrorModel:
+    """The error model of transitions, defects, slopes and input matrices of the steps after each row but the last."""
     # After an invalid step the filter restarts and its numbers are not used: zero is as good as any, and finite.
     valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & ~jnp.asarray(rows.fresh)[1:]
     linear = [jnp.where(valid.reshape(-1, *[1] * (each.ndim - 1)), each, 0.0) for each in linear]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from covariant.calibration._least_squares import PRIOR
-from covariant.calibration.diagnosis import acceleration_kernel, second_derivative_weights
+from covariant.calibration.diagnosis import acceleration_kernel, derivative_weights
 from covariant.calibration.identification._fourier import FourierMotion
 from covariant.calibration.identification._robot_combinations import Combinations
 from covariant.calibration.identification._robot_torques import (
@@ -180,7 +180,7 @@ class _Rows(NamedTuple):
         kernel = acceleration_kernel(half, points)
         kernel = kernel / kernel.sum()
         # Densities in time, so that a sum over samples is one over points times the ratio of their spacings.
-        curvature = second_derivative_weights(step * np.arange(-points, points + 1), half) / step
+        curvature = derivative_weights(step * np.arange(-points, points + 1), half) / step
         z = convolved(self.slopes, kernel)
         rests = convolved(self.rests.astype(float), np.abs(kernel) / np.abs(kernel).sum())
         used = rests < RESTING

@@ -8,7 +8,7 @@ the innovations, or from the scatter of its blocks where that is clearly larger.
 import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,7 +25,7 @@ from covariant.calibration._least_squares import (
     minimise,
 )
 from covariant.calibration.identification._contradictions import Evidence, contradictions
-from covariant.calibration.identification._error_model import NoiseLevels
+from covariant.calibration.identification._error_model import ErrorModel, NoiseLevels, error_model
 from covariant.calibration.identification._likelihood import FASTER, GAINED, Likelihood, first_noise, stable_steps
 from covariant.calibration.identification._rows import Rows, gather
 from covariant.calibration.identification._unknowns import Unknowns
@@ -39,7 +39,6 @@ NOISE_STEPS, ROUND_STEPS = 10, 4
 """Most steps of the two searches of a round."""
 SCALED = 10.0
 """Factor by which each first value is changed, up and down, to begin a search from."""
-FIRST = "the first values"
 FAR_OFF = 50.0
 """Twice the negative log-likelihood above what is worth going on, from which a search is given up."""
 ACCURACY = 1e-5
@@ -89,8 +88,6 @@ class Fit(NamedTuple):
         noise: Likeliest noise of readings and model.
         scatter: Standard errors (p,) from the scatter of blocks of the logs over those from the information: far above
             1 where the model is wrong somewhere.
-        starts: Places from which it was searched, by name, and by how much larger the negative log-likelihood was where
-            the first search from each ended; the first one won.
         unlike: Sentences on machines whose logs contradict a number that all machines share.
 
     Example:
@@ -112,7 +109,6 @@ class Fit(NamedTuple):
     undetermined: Float[NumpyArray, "d p"]
     noise: NoiseLevels
     scatter: Float[NumpyArray, "p"]
-    starts: tuple[tuple[str, float], ...] = ()
     unlike: tuple[str, ...] = ()
 
     @property
@@ -195,31 +191,45 @@ def search(
     The prior, and what is not determined, stay at the first values. `least` (n,) is the least noise of a reading.
     """
     unknowns = Unknowns.of(family)
-    noise, bounds = first_noise(unknowns, rows, least)
-    speed = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max())
     free = Fixed.nothing(len(family.first))
-    steps = stable_steps(unknowns, free.at, rows)
-    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
-    rough = rough._replace(pushes=rough.linear(free.at, rough.rows.start).input_matrix)
-    places = _places(unknowns, family) if start is None else {"other inputs": unknowns.relative(start)}
-    begun = {name: Point.at(rough, z) for name, z in places.items()}
-    begun = {name: point for name, point in begun.items() if np.isfinite(point.blocks.loss).all()}
-    if not begun:
+    rough, bounds = begun(unknowns, rows, least)
+    places = _places(unknowns, family) if start is None else [unknowns.relative(start)]
+    begins = [Point.at(rough, z) for z in places]
+    begins = [point for point in begins if np.isfinite(point.blocks.loss).all()]
+    if not begins:
         raise InputError("the model predicts no finite motion with its first values; mend these")
     # The first place, and the best of the others where that explains more.
-    best = min(begun, key=lambda name: begun[name].loss(free))
-    chosen = dict.fromkeys([next(iter(begun)), best])
-    ends = {name: minimise(rough, begun[name], free, functools.partial(progress, 0)) for name in chosen}
-    won = min(ends, key=lambda name: ends[name].loss(free))
-    point = ends[won]
-    behind = sorted(((name, end.loss(free) - point.loss(free)) for name, end in ends.items()), key=lambda each: each[1])
+    best = min(range(len(begins)), key=lambda k: begins[k].loss(free))
+    ends = [minimise(rough, begins[k], free, functools.partial(progress, 0)) for k in sorted({0, best})]
+    point = min(ends, key=lambda end: end.loss(free))
     solved = Solved(family, None, rough, point, free, bounds)  # pyright: ignore[reportArgumentType]
+    return _conclude(likeliest(solved, progress))
+
+
+def likeliest(solved: Solved, progress: Callable[[int, int], object]) -> Solved:
+    """The end of the search from a point, with forces or without, whichever explains the rows better."""
     rounds = itertools.count(1)
     solved, loss = _alternate(solved, progress, rounds)
     # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
-    worth = loss + 2 * (len(bounds) - 1)
+    worth = loss + 2 * (len(solved.bounds) - 1)
     quiet, quiet_loss = _alternate(solved._replace(quiet=True), progress, rounds, worth)
-    return _conclude(quiet if quiet_loss < worth else solved, tuple(behind))
+    return quiet if quiet_loss < worth else solved
+
+
+def begun(
+    unknowns: Any, rows: Rows, least: Float[NumpyArray, "n"] | None, linearised: Callable[..., ErrorModel] = error_model
+) -> tuple[Likelihood, Float[NumpyArray, "k 2"]]:
+    """The likelihood with which a search begins: with the noise that explains the motion under the first values.
+
+    Also bounds of the logarithms of noise.
+    """
+    noise, bounds = first_noise(unknowns, rows, least)
+    speed, first = jnp.asarray(FASTER * np.abs(np.asarray(rows.start.v)).max()), np.zeros(len(unknowns.first))
+    steps = stable_steps(unknowns, first, rows)
+    rough = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed, None, linearised)
+    rough = rough._replace(pushes=rough.linear(first, rough.rows.start).input_matrix)
+    # With less noise of readings than there is a search would take it for friction.
+    return rough.likelier(Point.at(rough, first).blocks.rest, bounds, NOISE_STEPS)[0], bounds
 
 
 def _alternate(
@@ -244,20 +254,17 @@ def _alternate(
     return solved._replace(problem=problem, point=point, fixed=fixed), loss
 
 
-def _places(unknowns: Unknowns, family: Family) -> dict[str, Float[NumpyArray, "p"]]:
-    """Places to start from, by name: the first values, and these with one number scaled, on all machines."""
-    first = np.zeros(len(unknowns.first))
-    scaled = {
-        f"the first values with {name} {word} {SCALED:g}": functools.reduce(
-            lambda z, j, factor=factor: unknowns.multiplied(z, j, factor), np.unique(own).tolist(), first
-        )
-        for word, factor in (("times", SCALED), ("over", 1 / SCALED))
-        for name, own in zip(family.numbers, np.asarray(family.parts).T, strict=True)
-    }
-    return {FIRST: first} | scaled
+def _places(unknowns: Unknowns, family: Family) -> list[Float[NumpyArray, "p"]]:
+    """Places to start from: the first values, and these with one number scaled, on all machines."""
+    first, each = np.zeros(len(unknowns.first)), [np.unique(own).tolist() for own in np.asarray(family.parts).T]
+
+    def scaled(own: list[int], factor: float) -> NumpyArray:
+        return functools.reduce(lambda z, j: unknowns.multiplied(z, j, factor), own, first)
+
+    return [first, *(scaled(own, factor) for factor in (SCALED, 1 / SCALED) for own in each)]
 
 
-def _conclude(solved: Solved, tried: tuple[tuple[str, float], ...]) -> Solved:
+def _conclude(solved: Solved) -> Solved:
     """The fit at the end of a search: values, standard errors and undetermined combinations."""
     family, _, problem, point, fixed, *_ = solved
     inverse = point.blocks.inverse(fixed.directions)
@@ -282,7 +289,7 @@ def _conclude(solved: Solved, tried: tuple[tuple[str, float], ...]) -> Solved:
     information = blocks.informations[each[:, :, None], theirs[:, :, None], theirs[:, None, :]]
     evidence = Evidence(machine, np.asarray(blocks.z)[each, theirs], information)
     unlike = contradictions(family.names, family.parts, values, np.diag(slopes), evidence, inverse)
-    found = Fit(family.names, family.first, values, errors, rows, problem.noise, scatter, tried, unlike)
+    found = Fit(family.names, family.first, values, errors, rows, problem.noise, scatter, unlike)
     return solved._replace(fit=found)
 
 
@@ -291,7 +298,7 @@ def again(solved: Solved, rows: Rows, progress: Callable[[int, int], object] = l
     problem = solved.problem._replace(rows=jax.tree.map(jnp.asarray, rows))
     point = Point.at(problem, solved.point.z)
     begun = solved._replace(problem=problem, point=point, fixed=Fixed.nothing(len(point.z)))
-    return _conclude(_alternate(begun, progress, itertools.count())[0], solved.fit.starts)
+    return _conclude(_alternate(begun, progress, itertools.count())[0])
 
 
 def profile(solved: Solved, again: int = RESTARTS) -> Solved:
@@ -318,8 +325,7 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
             lowest = min(ends, key=lambda each: each[1])[0]
             values = np.asarray(unknowns.values(jnp.asarray(lowest.z)))
             better = search(family, problem.rows, start=values, least=solved.least)
-            starts = ((f"a profile of {fit.names[j]}", 0.0),)
-            return profile(better._replace(fit=better.fit._replace(starts=starts)), again - 1)
+            return profile(better, again - 1)
         flat = [end.z - z for end, rise in ends if rise < judge.chance]
         along = rows[k] * fit.values / np.asarray(unknowns.slopes(jnp.asarray(z)))
         if not flat and np.linalg.norm(blind.T @ along) < 0.9 * np.linalg.norm(along):
@@ -343,7 +349,7 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
         basis = np.linalg.qr((fit.undetermined[held] / ratio).T)[0]
         fixed = Fixed(basis @ basis.T, at)
         end = minimise(problem, Point.at(problem, at, point.blocks.rest), fixed)
-        free = _conclude(solved._replace(point=end, fixed=fixed), fit.starts)
+        free = _conclude(solved._replace(point=end, fixed=fixed))
         # A loss that rises a little, and a standard error above a factor e: it stays at its first value.
         if free.fit.determined[released].all() or len(held) == len(rows):
             solved, kept = free, held

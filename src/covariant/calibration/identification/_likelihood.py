@@ -10,7 +10,7 @@ Source: Schweppe 1965, Evaluation of likelihood functions for Gaussian signals, 
 Kalman smoother as a Gauss–Newton method, SIAM Journal on Optimization 4(3); Ljung 1999, System Identification, 7.4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -33,6 +33,7 @@ from covariant.calibration.identification._error_model import (
 from covariant.calibration.identification._predict import FAR, PredictionErrors, needed_substeps
 from covariant.calibration.identification._rows import Rows
 from covariant.calibration.identification._unknowns import Unknowns
+from covariant.geometry import AbstractManifold
 from covariant.models import Motion
 from covariant.signals import AnyArray
 
@@ -69,6 +70,7 @@ class Likelihood(NamedTuple):
         speed: Standard deviation of velocities where a stretch begins.
         pushes: Accelerations (T, n, n) per unit of the unknown force, held while parameters move: numbers that make a
             machine heavier must not gain by making the force that nobody knows weaker.
+        linearised: Function of unknowns, z, a motion, rows and steps that returns the linear model of errors along it.
     """
 
     unknowns: Unknowns
@@ -77,6 +79,7 @@ class Likelihood(NamedTuple):
     noise: NoiseLevels
     speed: Any
     pushes: Any = None
+    linearised: Callable[..., ErrorModel] = error_model
 
     def blocks(self, z: NumpyArray, kept: Any = None) -> Blocks:
         """The loss and its derivatives at z (p,); `kept` is what the last point has kept, near which that at z is."""
@@ -115,9 +118,13 @@ class Likelihood(NamedTuple):
         """Unknowns (p,) after a step."""
         return self.unknowns.moved(z, dz)
 
+    def lowest(self, z: NumpyArray) -> NumpyArray:
+        """Least steps (p,) that bounds permit."""
+        return self.unknowns.lowest(z)
+
     def linear(self, z: NumpyArray, run: Motion) -> ErrorModel:
         """The linear model of errors along a motion."""
-        system = error_model(self.unknowns, jnp.asarray(z), run, self.rows, self.substeps)
+        system = self.linearised(self.unknowns, jnp.asarray(z), run, self.rows, self.substeps)
         return system if self.pushes is None else system._replace(input_matrix=self.pushes)
 
     def moved_run(self, z: NumpyArray, kept: "Kept") -> Motion:
@@ -185,7 +192,7 @@ def first_noise(
     step, v = rows.step, np.asarray(rows.start.v)[: rows.used]
     motion = np.maximum(np.sqrt(np.mean(v**2, axis=0)) * step * np.sqrt(len(v)), 1e-12)
     floor = np.maximum(FINEST * motion, 0.0 if least is None else least)
-    noise = np.maximum(USUAL * motion, floor)
+    noise = np.maximum(_roughness(unknowns.manifold, rows), floor)
     within = ~np.asarray(rows.fresh)[1 : len(v)]
     acceleration = float(np.sqrt(np.mean((np.diff(v, axis=0)[within] / step) ** 2))) + 1e-9
     gains = np.asarray(_pushes(unknowns, jnp.zeros(len(unknowns.first)), rows.start, rows))
@@ -197,6 +204,17 @@ def first_noise(
     times = [1 + 2 * n, -1]
     lower[times], upper[times] = np.log(4 * step), np.log(step * max(len(v), 8))
     return levels(usual, n), np.stack([lower, upper], axis=1)
+
+
+def _roughness(manifold: AbstractManifold, rows: Rows) -> Float[NumpyArray, "n"]:
+    """Noise (n,) of readings by their fourth differences, in which a motion that they resolve hardly remains."""
+    seen = ~np.asarray(jax.vmap(manifold.missing)(jnp.asarray(rows.y)[: rows.used]))
+    # Of each coordinate the rows with a reading: positions may come at fewer rows than inputs.
+    read = [jnp.asarray(rows.start.q)[np.flatnonzero(each)] for each in seen.T]
+    steps = [np.asarray(jax.vmap(manifold.towards)(q[:-1], q[1:]))[:, j] for j, q in enumerate(read)]
+    # White noise of one has a variance of 1 + 16 + 36 + 16 + 1 = 70 there.
+    fourth = [np.median(np.abs(np.diff(each, 3))) if len(each) > 3 else 0.0 for each in steps]
+    return STD_OF_MEDIAN / np.sqrt(70.0) * np.array(fourth)
 
 
 def levels(z: AnyArray, n: int) -> NoiseLevels:
@@ -269,14 +287,19 @@ def descend(
     return at(minimum.x), float(minimum.fun)
 
 
-def stable_steps(unknowns: Unknowns, z: NumpyArray, rows: Rows) -> Array:
+def stable_steps(unknowns: Any, z: NumpyArray, rows: Rows) -> Array:
     """Runge–Kutta steps between rows that the stiffest of the machines needs."""
     each = [unknowns.model(jnp.asarray(z), machine) for machine in range(len(unknowns.parts))]
     return jnp.asarray(max(needed_substeps(model, rows) for model in each))
 
 
 def window_errors(
-    unknowns: Unknowns, z: NumpyArray, rows: Rows, length: float, judged: Bool[NumpyArray, "T"]
+    unknowns: Any,
+    z: NumpyArray,
+    rows: Rows,
+    length: float,
+    judged: Bool[NumpyArray, "T"],
+    linearised: Callable[..., ErrorModel] = error_model,
 ) -> PredictionErrors:
     """Root mean square errors of the motion that a model predicts over windows [s], each from its best first motion."""
     t = np.asarray(rows.t)
@@ -289,16 +312,19 @@ def window_errors(
     speed, steps = jnp.asarray(FASTER * np.abs(v).max()), stable_steps(unknowns, z, rows)
     # Readings so rough that none is an outlier: their size does not matter where nothing else is uncertain.
     noise = NoiseLevels(jnp.asarray(0.0), jnp.asarray(size), jnp.asarray(0.0))
-    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed)
+    problem = Likelihood(unknowns, jax.tree.map(jnp.asarray, rows), steps, noise, speed, None, linearised)
     run, off, system = problem.rows.start, np.zeros((0, 0)), problem.linear(z, problem.rows.start)
     for _ in range(MOVES):
         run = problem.moved_run(z, Kept(np.asarray(z), run, system))
         if not np.isfinite(run.v).all():
-            return PredictionErrors(*np.full((2, len(size)), np.inf))
+            return PredictionErrors(*np.full((2, len(size)), np.inf), windows=np.full((1, len(size)), np.inf))
         off = np.where(system.present, (now := problem.linear(z, run)).residual, np.nan)
         # Those far off the others are left out from the next time on.
         off[(off**2 > FAR * np.nanquantile(off**2, 0.9, axis=0)).any(axis=1)] = np.nan
         system = now._replace(residual=jnp.nan_to_num(off), present=jnp.asarray(np.isfinite(off)))
     slow = np.where(np.diff(t, prepend=-np.inf)[:, None] > 0, np.asarray(rows.start.v) - np.asarray(run.v), np.nan)
     slow[~np.isfinite(off)] = np.nan
-    return PredictionErrors(known_rms(off), known_rms(slow))
+    first = np.flatnonzero(np.asarray(rows.fresh) & np.asarray(judged))
+    total, count = (np.add.reduceat(part, first) for part in (np.nan_to_num(off**2), np.isfinite(off).astype(float)))
+    windows = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return PredictionErrors(known_rms(off), known_rms(slow), windows)

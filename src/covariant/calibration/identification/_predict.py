@@ -5,7 +5,6 @@ its prediction is thus that of the estimate, propagated to that time, plus an in
 prediction errors judge estimates without a reference.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -33,6 +32,8 @@ MOST_STARTS = 1000
 WORST_GROWTH, WORST_COORDINATE = 1.01, 1.05
 """A fit is worse whose held-out errors are larger than so many times those before, over all coordinates or in one: 1 %
 is no difference."""
+BEYOND_CHANCE, FEWEST_WINDOWS = 2.0, 3
+"""Standard errors by which a coordinate has to be worse, and the least number of windows that tell these."""
 FAR = 16.0
 """Cap on squared errors, as a multiple of their 90 % quantile; it limits the influence of outliers."""
 
@@ -45,6 +46,7 @@ class PredictionErrors(NamedTuple):
     Attributes:
         position: Errors (n,) of the positions [units of the frame].
         velocity: Errors (n,) of the velocities, against the reference [the same units a second].
+        windows: Mean squares (W, n) of the errors of positions in each window, which show what is chance; or None.
 
     Example:
         >>> import numpy as np
@@ -56,6 +58,7 @@ class PredictionErrors(NamedTuple):
 
     position: Float[np.ndarray, "n"]
     velocity: Float[np.ndarray, "n"]
+    windows: Float[np.ndarray, "W n"] | None = None
 
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
@@ -84,12 +87,6 @@ def follow(
 
     after = jax.lax.scan(step, start, (t[:-1], t[1:], u))[1]
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, after)
-
-
-def differences(model: MechanicalSystem, q: Array, y: Array) -> tuple[Float[Array, "L1 n"], Bool[Array, "L1 n"]]:
-    """Prediction errors of the configuration, in the frame."""
-    manifold = model.manifold
-    return jax.vmap(manifold.towards)(q, y), ~jax.vmap(manifold.missing)(y)
 
 
 def needed_substeps(model: MechanicalSystem, rows: Rows) -> int:
@@ -123,8 +120,20 @@ def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:
 
 def predicts_worse(before: PredictionErrors, after: PredictionErrors) -> bool:
     """Whether a fit predicts worse than before, over all coordinates or one of them clearly."""
-    growths = _growths(before, after)
-    return not (error_growth(before, after) <= WORST_GROWTH and growths.max() <= WORST_COORDINATE)
+    return not error_growth(before, after) <= WORST_GROWTH or bool(worse_coordinates(before, after).any())
+
+
+def worse_coordinates(before: PredictionErrors, after: PredictionErrors) -> Bool[np.ndarray, "n"]:
+    """Coordinates (n,) that a fit predicts worse than before, by more than chance does where windows show that."""
+    worse = ~(_growths(before, after) <= WORST_COORDINATE)
+    if before.windows is None or after.windows is None:
+        return worse
+    more = after.windows - before.windows
+    more = more[np.isfinite(more).all(axis=1)]
+    if len(more) < FEWEST_WINDOWS:
+        return worse
+    chance = np.std(more, axis=0, ddof=1) / np.sqrt(len(more))
+    return worse & ~(np.mean(more, axis=0) <= BEYOND_CHANCE * chance)
 
 
 def _growths(before: PredictionErrors, after: PredictionErrors) -> Float[np.ndarray, "n"]:
@@ -215,16 +224,11 @@ def _errors_ahead(
     def ahead(k):
         rows = k + jnp.arange(horizon + 1)
         motions = follow(model, t[rows], u[rows[:-1]], Motion(motion.q[k], motion.v[k]), substeps)
-        errors, seen = differences(model, motions.q[1:], y[rows[1:]])
+        seen = ~jax.vmap(model.manifold.missing)(y[rows[1:]])
+        errors = jax.vmap(model.manifold.towards)(motions.q[1:], y[rows[1:]])
         return jnp.where(seen, jnp.where(jnp.isfinite(errors), errors, jnp.inf), jnp.nan)
 
     return jax.vmap(ahead)(starts)
-
-
-def size(errors: Sequence[Float[np.ndarray, "_ _ n"]]) -> Float[np.ndarray, "n"]:
-    """Root mean squares of errors, with limited influence of outliers."""
-    columns = np.concatenate([np.reshape(each, (-1, each.shape[-1])) for each in errors]).T
-    return np.sqrt([mean_square(column[~np.isnan(column)]) for column in columns])
 
 
 def mean_square(r: np.ndarray) -> float:

@@ -12,6 +12,7 @@ Technology 21(2), and Janot, Vandanjon & Gautier 2014, Robotica 32, on instrumen
 combinations that a log shows; Huber 1981 for weights; White 1982 for the sandwich by blocks.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -22,7 +23,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from covariant import scoring
 from covariant._linalg import solve
-from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
+from covariant.calibration._least_squares import (
+    PRIOR,
+    STD_OF_MEDIAN,
+    block_covariance,
+    minimise_above_bounds,
+    robust,
+)
 from covariant.calibration.diagnosis import held_inputs
 from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._robot_combinations import Combinations
@@ -60,6 +67,8 @@ FULL = 0.6
 """Fraction of the usual number of samples that a window must hold to be used."""
 ROUNDING = 1e-10
 """A value that has come below this fraction of its prior standard deviation is zero but for rounding."""
+SHORTEST = 12.0
+"""Least duration of the logs, in half windows."""
 STILL, MOSTLY = 8.0, 0.9
 """A joint that rests for this fraction of so many half windows is held by its friction: the model does not move it."""
 ORDER = 3
@@ -79,10 +88,11 @@ class RobotFit(NamedTuple):
         combinations: What the log determines of numbers that it cannot tell apart.
         torque: Robust standard deviation (n,) of the residual torques [N m or N].
         half: Half width [s] of the windows.
-        rounds: Number of Gauss–Newton steps.
         coordinates: Coordinates (p,) of the family.
         losses: Negative log-likelihood (B,) of each block of the logs, up to a constant.
         unlike: Sentences on machines whose logs contradict a number that all machines share.
+        likeliest: Whether the numbers are those of the greatest likelihood, and not those by residual torques.
+        kept: Joints whose numbers are the first ones, since those predict better.
 
     Example:
         >>> import numpy as np
@@ -90,7 +100,7 @@ class RobotFit(NamedTuple):
         >>> from covariant.calibration.identification import Combinations
         >>> none = Combinations((), (), 1)
         >>> one = np.ones(1)
-        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, one > 0, none, one, 0.03, 4, one, one)
+        >>> fitted = RobotFit(("gravity",), one, 9.8 * one, 0.1 * one, one > 0, none, one, 0.03, one, one)
         >>> fitted.determined.tolist()
         [True]
     """
@@ -103,10 +113,25 @@ class RobotFit(NamedTuple):
     combinations: Combinations
     torque: Float[np.ndarray, "n"]
     half: float
-    rounds: int
     coordinates: Float[np.ndarray, "p"]
     losses: Float[np.ndarray, "B"]
     unlike: tuple[str, ...] = ()
+    likeliest: bool = False
+    kept: tuple[str, ...] = ()
+
+    def without(self, family: RobotFamily, joints: Bool[np.ndarray, "n"]) -> "RobotFit | None":
+        """The fit with the first values of the numbers of some joints (n,); None where none or all are theirs."""
+        held = np.array([number.joint >= 0 and bool(joints[number.joint]) for number in family.numbers])
+        if not held.any() or held.all():
+            return None
+        x = np.where(held, 0.0, self.coordinates)
+        return self._replace(
+            values=np.asarray(jax.jit(family.values)(x)),
+            standard_errors=np.where(held, np.nan, self.standard_errors),
+            determined=self.determined & ~held,
+            coordinates=x,
+            kept=tuple(np.array(family.file.columns.q)[joints].tolist()),
+        )
 
 
 def fit_robot(
@@ -151,11 +176,10 @@ def fit_robot(
     search = _Search.of(family, records, half, [0] * len(records) if machines is None else machines)
     x = np.zeros(len(family.names)) if start is None else start.coordinates
     point = search.point(x, search.tracks[0].half if start is None else start.half)
-    rounds = 0
+    rounds = itertools.count()
     for most in (ROUNDS, MORE_ROUNDS) if start is None else (ROUNDS,):
         for _ in range(most):
-            progress(rounds)
-            rounds += 1
+            progress(next(rounds))
             step = search.step(point)
             point = search.point(point.x + step.dx, point.half, point.motions)
             if step.settled:
@@ -164,21 +188,10 @@ def fit_robot(
             point = search.with_best_window(point)
     solution = search.step(point)
     known = Determined.of(family, point.x, search.sizes, solution.information, solution.covariance)
-    values = _rounded(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
-    return RobotFit(
-        family.names,
-        family.first,
-        values,
-        known.standard_errors,
-        known.determined,
-        known.combinations,
-        solution.scale,
-        point.half,
-        rounds,
-        point.x,
-        solution.losses,
-        search.unlike(point, values) if len(family.parts) > 1 else (),
-    )
+    values = rounded_values(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
+    unlike = search.unlike(point, values) if len(family.parts) > 1 else ()
+    reached = solution.scale, point.half, point.x, solution.losses
+    return RobotFit(family.names, family.first, values, *known.said, *reached, unlike)
 
 
 class _Track(NamedTuple):
@@ -265,16 +278,16 @@ class _Search(NamedTuple):
         paths = [_smooth_positions(track, track.half, None) for track in tracks]
         q, v, a = (np.concatenate([getattr(p, name)[p.used] for p in paths]) for name in ("q", "v", "residual"))
         u = np.concatenate([track.u[path.used] for track, path in zip(tracks, paths, strict=True)])
-        if len(v) < FEWEST_BLOCKS * BLOCK * FINE:
+        if len(v) < SHORTEST * FINE:
             raise InputError(
                 f"the logs hold {len(v) * tracks[0].step:.3g} s without a gap, and a fit needs "
-                f"{FEWEST_BLOCKS * BLOCK * tracks[0].half:.3g} s; give longer logs"
+                f"{SHORTEST * tracks[0].half:.3g} s; give longer logs"
             )
         parts = family.parts[list(machines)]
         torques, first = Torques.of(family.one), np.zeros(parts.shape[1])
         both = torques.rows(driving)(first, u), torques.rows(needed)(first, q, v, a)
         sizes, speed = usual_sizes(family, *both, v, a)
-        functions = torques.derivatives, torques.rows(_accelerations), torques.rows(_momentum)
+        functions = torques.derivatives, torques.rows(accelerations), torques.rows(_momentum)
         speeds = np.array(family.resting), sticking_speeds(family, speed)
         return cls(family, tracks, tuple(machines), parts, sizes, *speeds, *functions)
 
@@ -397,6 +410,8 @@ def _track(record: Record, half: float, circles: tuple[int, ...], total: float) 
 
 def _smooth_positions(track: _Track, half: float, modelled: np.ndarray | None) -> _Path:
     """Smooth what accelerations along the grid leave of the positions; without them the positions themselves."""
+    from scipy.interpolate import CubicHermiteSpline
+
     t, y, grid, step = track.t, track.y, track.grid, track.step
     if modelled is None:
         modelled = np.zeros((len(grid), y.shape[1]))
@@ -404,25 +419,17 @@ def _smooth_positions(track: _Track, half: float, modelled: np.ndarray | None) -
     middle = np.cumsum(modelled, axis=0) * step
     places = np.concatenate([np.zeros_like(middle[:1]), np.cumsum(middle[:-1], axis=0) * step])
     speeds = middle - modelled * step / 2
-    at = np.clip(np.searchsorted(grid, t) - 1, 0, len(grid) - 2)
-    left = y - _hermite((t - grid[at]) / step, places[at], places[at + 1], speeds[at] * step, speeds[at + 1] * step)
+    left = y - CubicHermiteSpline(grid, places, speeds)(t)
     c = scoring.local_polynomials(t, left, grid, half, ORDER)
     used = (grid >= t[0] + half) & (grid <= t[-1] - half)
     for column in np.isfinite(y).T:
         seen = t[column]
         held = np.searchsorted(seen, grid + half) - np.searchsorted(seen, grid - half)
-        used &= held >= FULL * 2 * half / float(np.median(np.diff(t)))
+        used &= held >= FULL * 2 * half / float(np.median(np.diff(seen)))
     return _Path(places + c[:, 0], speeds + c[:, 1], modelled, 2 * c[:, 2], used)
 
 
-def _hermite(s: np.ndarray, left: np.ndarray, right: np.ndarray, slope_left: np.ndarray, slope_right: np.ndarray):
-    """Cubic at s in [0, 1] with these values and slopes at its ends."""
-    s = s[:, None]
-    across = (2 * s - 3) * s**2
-    return (1 + across) * left - across * right + s * (1 - s) ** 2 * slope_left - s**2 * (1 - s) * slope_right
-
-
-def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
+def rounded_values(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.ndarray:
     """The values, with zero for those that have become zero but for rounding; those that did not move are no such."""
     size = np.abs(values)
     return np.where((size < ROUNDING * prior) & (size <= np.abs(values - first)), 0.0, values)
@@ -430,35 +437,20 @@ def _rounded(values: np.ndarray, first: np.ndarray, prior: np.ndarray) -> np.nda
 
 def _scales(torque: Float[np.ndarray, "k n"], counts: Bool[np.ndarray, "k n"]) -> Float[np.ndarray, "n"]:
     """Robust standard deviations of the torques that count."""
-    return np.array([_scale(torque[counts[:, j], j]) for j in range(torque.shape[1])])
+    return np.array([scale_of(torque[counts[:, j], j]) for j in range(torque.shape[1])])
 
 
-def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation; 1 where there is nothing."""
+def scale_of(values: np.ndarray) -> float:
+    """Robust standard deviation of finite values; 1 where there are none."""
+    values = values[np.isfinite(values)]
     return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-12)) if len(values) else 1.0
-
-
-def minimise_above_bounds(matrix: np.ndarray, gradient: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The step that minimises a quadratic function above bounds: those that it would violate are held, one by one."""
-    held = np.zeros(len(gradient), bool)
-    step = np.zeros(len(gradient))
-    for _ in range(len(gradient) + 1):
-        step[held] = least[held]
-        free = ~held
-        right = -gradient[free] - matrix[np.ix_(free, held)] @ step[held]
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], right)
-        worse = free & (step < least - 1e-12)
-        if not worse.any():
-            break
-        held |= worse
-    return step
 
 
 def _momentum(model: MechanicalSystem, q: Array, a: Array) -> Array:
     return model.space.lower(q, a)
 
 
-def _accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
+def accelerations(model: MechanicalSystem, q: Array, v: Array, u: Array, moving: Array) -> Array:
     """Accelerations (n,) of the joints that move; the others are held, by whatever torque that takes."""
     t = jnp.zeros(())
     covector = applied_force(model, t, q, u) + resistance(model, t, q, v, u) - model.space.connection_force(q, v, v)

@@ -127,6 +127,11 @@ class Determined(NamedTuple):
     combinations: Combinations
     prior: Float[np.ndarray, "p"]
 
+    @property
+    def said(self) -> tuple[Float[np.ndarray, "p"], Bool[np.ndarray, "p"], Combinations]:
+        """What a fit says of it: standard errors, which numbers are determined, and which combinations."""
+        return self.standard_errors, self.determined, self.combinations
+
     @classmethod
     def of(
         cls,

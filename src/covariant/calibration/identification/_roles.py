@@ -2,7 +2,8 @@
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,40 +17,34 @@ from covariant.calibration.identification._commands import (
     Following,
     follow,
 )
-from covariant.logs import KNOWN, MEANT, is_unit_of, unit_in_name, words_of
+from covariant.calibration.identification._names import ACTUATORS, AXES, FEED_FORWARD, REGISTERS, WORDS
+from covariant.logs import KNOWN, MEANT, is_unit_of, unit_factor, unit_in_name, words_of
 from scalargraph.errors import InputError
 
-_WORDS = {
-    "left out": "true truth raw error errors err limit limits",
-    "v": "v w dq qd dqdt dot qdot dth dtheta om omega vel velocity velocities speed rate gyro",
-    "u": "u tau torque torques tq trq effort force motor input",
-    "t": "t time times timestamp timestamps stamp stamps sec secs seconds",
-    "q": "q th theta phi psi angle ang pos position positions enc encoder joint x",
-}
-"""Words in the names of columns, by role; the first role with a match counts."""
-REGISTERS = {
-    "current": "current currents amp amps ampere",
-    "load": "load loads pwm duty",
-    "voltage": "volt volts voltage voltages",
-    "temperature": "temp temperature temperatures",
-}
-"""Words of registers of a drive, by what they hold; none of these is a torque."""
+T = TypeVar("T")
 
 
 def role(name: str, entry: str = "") -> str:
-    """Role of a column by its name, a key of `_WORDS`: by its words, else by its unit; empty where neither shows it.
+    """Role of a column by its name, a key of `WORDS`: by its words, else by its unit; empty where neither shows it.
 
-    Of a drive it may be a "command" of its position, the "switch" of its torque, or one of `REGISTERS`. `entry` is what
+    Of a drive it may be a "command" of its position, a "feed-forward" torque beside it, the "switch" of its torque, or
+    one of `REGISTERS`. `entry` is what
     the log calls the entry of a list, whose column says that it is a state or an action.
     """
     words = words_of(f"{name} {entry}")
-    if words & set(_WORDS["left out"].split()):
+    if words & set(WORDS["left out"].split()):
         return "left out"
     if words & {"enable", "enabled"}:
         return "switch"
     register = next((kind for kind, synonyms in REGISTERS.items() if words & set(synonyms.split())), "")
-    is_rate = bool(words & set(_WORDS["v"].split())) or unit_in_name(name, MEANT["v"]) is not None
+    if words & AXES or (words & {"q", "d"} and (register == "current" or words & {"i", "u"})):
+        return register or "current"  # of the axes of a motor, and no joint
+    is_rate = bool(words & set(WORDS["v"].split())) or unit_in_name(name, MEANT["v"]) is not None
     is_torque = bool(words & TORQUES) or unit_in_name(name, MEANT["u"]) is not None
+    if words & ACTUATORS and not words & set(WORDS["v"].split()):
+        return "u"
+    if is_torque and words & FEED_FORWARD:
+        return "feed-forward"
     if words & COMMANDS:
         if is_rate or register:
             return "left out"
@@ -61,12 +56,11 @@ def role(name: str, entry: str = "") -> str:
     # Entries of a state are positions unless they say otherwise.
     if re.fullmatch(r"(?:.*[_./])?state\[[0-9]+\]", name):
         return "v" if is_rate else "u" if is_torque else "q"
-    roles = [kind for kind, synonyms in _WORDS.items() if words & set(synonyms.split())]
+    by_unit = next((kind for kind in ("v", "u", *MEANT) if unit_in_name(name, MEANT[kind])), "")
     # A unit of velocity decides, whatever the words: q1 [rad/s] is no position.
-    if unit_in_name(name, MEANT["v"]):
-        return "v"
-    roles += [kind for kind, units in MEANT.items() if unit_in_name(name, units)]
-    return next(iter(roles), "")
+    if by_unit in ("v", "u"):
+        return by_unit
+    return next((kind for kind, synonyms in WORDS.items() if words & set(synonyms.split())), by_unit)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,6 +76,8 @@ class LogColumns:
         entries: What the log calls the entries of lists, by column.
         t: Name of the stamps.
         clock: The stamps (T,) [s].
+        product: Drive or program that gave the names, "" for none.
+        questions: What cannot be told of the columns, to be asked at once.
     """
 
     values: Mapping[str, np.ndarray]
@@ -92,6 +88,16 @@ class LogColumns:
     entries: Mapping[str, str]
     t: str
     clock: Float[np.ndarray, "T"]
+    product: str = ""
+    questions: list[str] = dataclasses.field(default_factory=list)
+
+    def ask(self, ask: Callable[..., T], *arguments: Any, otherwise: T) -> T:
+        """What a function tells of the columns; its question is kept, and `otherwise` is taken, where it refuses."""
+        try:
+            return ask(*arguments)
+        except InputError as error:
+            self.questions.extend({str(error)} - set(self.questions))
+            return otherwise
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "T"]:
         return self.values[name]
@@ -116,10 +122,9 @@ class LogColumns:
             raise InputError(
                 f"{len(texts)} units are given for {field}, which has {len(names)} columns ({', '.join(names)})"
             )
+        meant = (*MEANT[field], *(MEANT["q"] if field == "u" else ()))
         for text in texts:
-            if not is_unit_of(text, MEANT["q"] if field == "u" else MEANT[field]) and not is_unit_of(
-                text, MEANT[field]
-            ):
+            if not is_unit_of(text, meant):
                 raise InputError(
                     f"unit {text!r} is no unit of {field}; known are {KNOWN[field][0]}, as {KNOWN[field][1]}"
                 )
@@ -134,13 +139,23 @@ class LogColumns:
         """How a position follows a command, in the rows (T,) in which the servo is switched on."""
         return follow(self.clock, self.values[position], self.values[command], on)
 
-    def is_slope(self, position: str, name: str) -> bool:
-        """Whether a column follows the slope of a position."""
-        v, slope = self.values[name], np.gradient(self.values[position], self.clock)
+    def slope_ratio(self, position: str, name: str) -> float | None:
+        """How many times the slope of a position a column is, in their units; None where it does not follow it."""
+        turn = 2 * np.pi / unit_factor(self.unit(position, "q") or "rad")
+        turns = np.append(0.0, np.cumsum(np.rint(np.nan_to_num(np.diff(self.values[position])) / turn)))
+        v, slope = self.values[name], np.gradient(self.values[position] - turn * turns, self.clock)
         valid = np.isfinite(slope) & np.isfinite(v)
         if valid.sum() < 10 or np.ptp(v[valid]) == 0 or np.ptp(slope[valid]) == 0:
-            return False
-        return bool(np.corrcoef(slope[valid], v[valid])[0, 1] > SAME)
+            return None
+        if np.abs(np.corrcoef(slope[valid], v[valid])[0, 1]) < SAME:
+            return None
+        units = unit_factor(self.unit(name, "v") or "rad/s") / unit_factor(self.unit(position, "q") or "rad")
+        return units * float(slope[valid] @ v[valid]) / float(slope[valid] @ slope[valid])
+
+    def is_slope(self, position: str, name: str) -> bool:
+        """Whether a column follows the slope of a position."""
+        ratio = self.slope_ratio(position, name)
+        return ratio is not None and ratio > 0
 
     @property
     def listed(self) -> str:

@@ -16,7 +16,7 @@ from covariant.signals import AnyArray, Record
 from scalargraph.errors import InputError
 
 MOST_ROWS = 20_000
-"""Largest number of rows of a fit; beyond it stretches of `STRETCH` rows are left out evenly."""
+"""Usual largest number of rows of a fit; beyond it stretches of `STRETCH` rows are left out evenly."""
 STRETCH = 500
 FEWEST_ROWS, FEWEST_WINDOWS = 12, 8
 """Least number of rows with a reading, in which a log shows anything, and of windows that judge a fit to several."""
@@ -86,6 +86,7 @@ def gather(
     records: Sequence[Record],
     velocities: Sequence[Float[np.ndarray, "_ n"]],
     machines: Sequence[int] | None = None,
+    most: int = MOST_ROWS,
 ) -> Rows:
     """Put the rows of records one after the other.
 
@@ -94,6 +95,7 @@ def gather(
         records: The logs.
         velocities: Reference velocities (T, n) of each, near which the search for the motion begins.
         machines: Index of the machine of each record; by default one machine has made all.
+        most: Most rows.
 
     Returns:
         The rows.
@@ -114,12 +116,12 @@ def gather(
     steps[offsets[:-1]] = BETWEEN_LOGS
     fresh = np.concatenate([_begins(own[0]) for own in logs])
     # Where a turn of a joint counts as none, the motion is one without jumps.
-    q = np.concatenate([_filled(own[0], unwrap(own[1], manifold.circles)) for own in logs])
-    v = np.concatenate([_filled(own[0], np.asarray(velocity)) for own, velocity in zip(logs, velocities, strict=True)])
+    q = np.concatenate([filled(own[0], unwrap(own[1], manifold.circles)) for own in logs])
+    v = np.concatenate([filled(own[0], np.asarray(velocity)) for own, velocity in zip(logs, velocities, strict=True)])
     chosen = np.arange(len(t))
-    if len(t) > MOST_ROWS:
+    if len(t) > most:
         stretches = len(t) // STRETCH
-        kept = np.linspace(0, stretches - 1, MOST_ROWS // STRETCH).round().astype(int)
+        kept = np.linspace(0, stretches - 1, most // STRETCH).round().astype(int)
         chosen = np.flatnonzero(np.isin(chosen // STRETCH, kept))
         fresh[chosen[np.diff(chosen, prepend=-2) > 1]] = True
     block, machine = _blocks(chosen, offsets, machines)
@@ -150,7 +152,7 @@ def _begins(t: Float[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
     return np.concatenate([[True], steps > LONGEST_GAP * np.median(steps)])
 
 
-def _filled(t: np.ndarray, column: np.ndarray) -> np.ndarray:
+def filled(t: np.ndarray, column: np.ndarray) -> np.ndarray:
     """The column with values between the nearest known ones where rows are missing: the last one known of those that
     cannot be interpolated, as the parts of an attitude that is missing whole."""
     flat = np.array(column).reshape(len(t), -1)

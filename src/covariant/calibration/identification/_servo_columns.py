@@ -21,61 +21,61 @@ MAX_LAG_AMONG_POSITIONS = 0.15
 """Longest lag [s] of a position behind its command, among columns that are all named as positions."""
 
 
+class Drive(NamedTuple):
+    """The command of a position, and how it is followed; None where either stands still."""
+
+    command: str
+    fit: Following | None
+
+
 class Inputs(NamedTuple):
-    """The inputs of a log: torques, the command of each position, how positions follow these, switches, and remarks."""
+    """The inputs of a log: torques, what drives each position by a command, switches, and remarks."""
 
     u: tuple[str, ...]
-    commands: tuple[str | None, ...] = ()
-    following: tuple[Following | None, ...] = ()
+    drives: tuple[Drive | None, ...] = ()
     switches: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
     def named(self) -> tuple[str, ...]:
         """The commands of those positions that have one."""
-        return tuple(name for name in self.commands if name is not None)
-
-    def of(self, order: Sequence[int]) -> "Inputs":
-        """The same with these positions alone, in this order."""
-        commands, following = (tuple(each[i] for i in order) for each in (self.commands, self.following))
-        return self._replace(commands=commands, following=following)
+        return tuple(each.command for each in self.drives if each is not None)
 
 
 def find_inputs(columns: LogColumns, q: Sequence[str]) -> Inputs:
-    """Identify inputs by name and content."""
-    if "u" in columns.given:
-        return _given_inputs(columns, columns.given["u"], q)
-    named, switches = columns.of("command"), columns.of("switch")
-    paired = pairs(q, named)
-    follow_fits = _follow_all(columns, q, paired, _switched_on(columns, switches))
+    """Identify inputs by name and content; those that the user names are commands where positions follow them."""
+    given, (named, switches) = columns.given.get("u"), (columns.of("command"), columns.of("switch"))
+    if given is not None:
+        named = tuple(name for name in given if not words_of(name) & TORQUES and not columns.unit(name, "u"))
+        switches = ()
+    drives = _drives(columns, q, named, switches)
     # The names may be in another order than the positions, so a pairing that follows far more closely replaces them.
-    if not pairs_by_name(q, named) and len(named) == len(q) > 1:
-        paired, follow_fits = _by_content(columns, q, named, paired, follow_fits)
-    moving = [each.whole for each in follow_fits if each is not None]
+    if given is None and not pairs_by_name(q, named) and len(named) == len(q) > 1:
+        drives = _by_content(columns, q, named, drives)
+    commands = [each.command for each in drives if each is not None]
+    followed = any(each is not None and follows(each.fit) for each in drives)
+    if given is not None:
+        is_command = commands and (followed or all(_is_named_command(columns.labels[name]) for name in named))
+        return (
+            Inputs((), drives, tuple(name for name in given if name not in commands)) if is_command else Inputs(given)
+        )
+    moving = [each.fit.whole for each in drives if each is not None and each.fit is not None]
     by_name = any(_is_named_command(columns.labels[each]) for each in named) or bool(switches)
-    is_command = any(map(follows, follow_fits)) or (by_name and (not moving or min(moving) < UNRELATED_ERROR))
-    if columns.of("u") or not any(paired) or not is_command:
-        return _without_commands(columns, q, paired, follow_fits)
-    return Inputs((), paired, follow_fits, switches)
+    is_command = followed or (by_name and (not moving or min(moving) < UNRELATED_ERROR))
+    if columns.of("u") or not commands or not is_command:
+        return _without_commands(columns, q, drives)
+    remarks = tuple(
+        f"{name} is a torque beside the command of its position: take both as one column of commands, "
+        f"{commands[0]} + {name} / k, with the gain k [N m/rad] of the drive"
+        for name in columns.of("feed-forward")
+    )
+    return Inputs((), drives, switches, remarks)
 
 
-def _given_inputs(columns: LogColumns, given: tuple[str, ...], q: Sequence[str]) -> Inputs:
-    """Inputs that the user names: commands if positions follow them or their names say so, otherwise torques."""
-    named = [name for name in given if not words_of(name) & TORQUES and not columns.unit(name, "u")]
-    paired = pairs(q, named)
-    follow_fits = _follow_all(columns, q, paired)
-    by_name = all(_is_named_command(columns.labels[name]) for name in named)
-    if not any(paired) or not (by_name or any(map(follows, follow_fits))):
-        return Inputs(given)
-    return Inputs((), paired, follow_fits, tuple(name for name in given if name not in paired))
-
-
-def _without_commands(
-    columns: LogColumns, q: Sequence[str], paired: Sequence[str | None], follow_fits: Sequence[Following | None]
-) -> Inputs:
+def _without_commands(columns: LogColumns, q: Sequence[str], drives: Sequence[Drive | None]) -> Inputs:
     """Torques, or else columns that positions follow closely although their names do not mark them as commands."""
-    torques, named = columns.of("u"), columns.of("command")
-    followed = ", ".join(str(name) for name, fit in zip(paired, follow_fits, strict=True) if follows(fit))
+    torques, named = (*columns.of("u"), *columns.of("feed-forward")), columns.of("command")
+    followed = ", ".join(each.command for each in drives if each is not None and follows(each.fit))
     if followed:
         remark = (
             f"positions follow {followed} late, as a servo follows its commands; the torques {', '.join(torques)} are "
@@ -84,9 +84,9 @@ def _without_commands(
         return Inputs(torques, remarks=(remark,))
     silent = [name for name, role in columns.roles.items() if role in ("", "command") or name in torques]
     silent = [name for name in silent if not words_of(name) & TORQUES]
-    names, fits = _closest(columns, q, silent, lambda fit: fit.is_close)
-    if len(set(names)) == len(q):
-        return Inputs((), names, fits, columns.of("switch"))
+    closest = _closest(columns, q, silent, lambda fit: fit.is_close)
+    if len({each.command for each in closest}) == len(q):
+        return Inputs((), closest, columns.of("switch"))
     plain = tuple(name for name in named if words_of(name) & {"cmd", "command", "commands", "commanded"})
     remark = f"{', '.join(plain)}: taken for torques [N m], since no position follows them as its command"
     return Inputs((*torques, *plain), remarks=(remark,) if plain else ())
@@ -94,49 +94,40 @@ def _without_commands(
 
 def _closest(
     columns: LogColumns, q: Sequence[str], names: Sequence[str], counts: Callable[[Following], bool] = lambda _: True
-) -> tuple[tuple[str, ...], tuple[Following, ...]]:
-    """The column that each position follows most closely, and how, of those positions for which one counts."""
-    best: list[tuple[str, Following]] = []
+) -> tuple[Drive, ...]:
+    """The column that each position follows most closely, of those positions for which one counts."""
+    best: list[Drive] = []
     for position in q:
-        fits = [(name, columns.follow(position, name)) for name in names]
-        candidates = [(name, fit) for name, fit in fits if fit is not None and counts(fit)]
-        best += [min(candidates, key=lambda pair: pair[1].error)] if candidates else []
-    return tuple(name for name, _ in best), tuple(fit for _, fit in best)
+        fits = [(fit, name) for name in names if (fit := columns.follow(position, name)) is not None and counts(fit)]
+        best += [Drive(name, fit) for fit, name in sorted(fits, key=lambda each: each[0].error)[:1]]
+    return tuple(best)
 
 
 def _is_named_command(label: str) -> bool:
     words = words_of(label)
-    return bool(words & POSITION_WORDS) and bool(
-        words - POSITION_WORDS or words & {"action", "actions", "leader", "goal"}
+    return bool(words & POSITION_WORDS and (words - POSITION_WORDS or words & {"action", "actions", "leader", "goal"}))
+
+
+def _drives(
+    columns: LogColumns, q: Sequence[str], named: Sequence[str], switches: Sequence[str]
+) -> tuple[Drive | None, ...]:
+    """The commands of positions by name, and how these follow them while all servos are switched on."""
+    on = np.all([columns[name] != 0 for name in switches], axis=0) if switches else None
+    on = on if on is not None and on.any() else None
+    both = zip(q, pairs(q, named), strict=True)
+    return tuple(
+        None if command is None else Drive(command, columns.follow(name, command, on)) for name, command in both
     )
 
 
-def _switched_on(columns: LogColumns, switches: Sequence[str]) -> np.ndarray | None:
-    """Rows (T,) in which all servos are switched on; None without switches, or if there is no such row."""
-    on = np.all([columns[name] != 0 for name in switches], axis=0) if switches else None
-    return on if on is not None and on.any() else None
-
-
-def _follow_all(
-    columns: LogColumns, q: Sequence[str], commands: Sequence[str | None], on: np.ndarray | None = None
-) -> tuple[Following | None, ...]:
-    named = zip(q, commands, strict=True)
-    return tuple(None if command is None else columns.follow(position, command, on) for position, command in named)
-
-
 def _by_content(
-    columns: LogColumns,
-    q: Sequence[str],
-    named: Sequence[str],
-    paired: tuple[str | None, ...],
-    follow_fits: tuple[Following | None, ...],
-) -> tuple[tuple[str | None, ...], tuple[Following | None, ...]]:
+    columns: LogColumns, q: Sequence[str], named: Sequence[str], drives: tuple[Drive | None, ...]
+) -> tuple[Drive | None, ...]:
     """The pairs by name, or a pairing in another order that some position follows far more closely."""
-    now = [fit for fit in follow_fits if fit is not None]
-    names, fits = _closest(columns, q, named) if len(now) == len(q) else ((), ())
-    if len(set(names)) == len(q) and any(a.error < b.error / LATE for a, b in zip(fits, now, strict=True)):
-        return names, fits
-    return paired, follow_fits
+    now = [each.fit for each in drives if each is not None and each.fit is not None]
+    closest = _closest(columns, q, named) if len(now) == len(q) else ()
+    better = any(a.fit.error < b.error / LATE for a, b in zip(closest, now, strict=False) if a.fit is not None)
+    return closest if better and len({each.command for each in closest}) == len(q) else drives
 
 
 def refuse_commands_among(columns: LogColumns, q: Sequence[str]) -> None:
@@ -152,14 +143,14 @@ def refuse_commands_among(columns: LogColumns, q: Sequence[str]) -> None:
 
 def without_rates(columns: LogColumns, q: tuple[str, ...], inputs: Inputs) -> tuple[tuple[str, ...], Inputs]:
     """Positions and inputs without entries of a state that are velocities of servos and not positions."""
-    paired = list(zip(q, inputs.commands, strict=False))
-    driven = [name for name, command in paired if command is not None]
-    passive = [name for name, command in paired if command is None]
+    paired = list(zip(q, inputs.drives, strict=False))
+    driven = [name for name, drive in paired if drive is not None]
+    passive = [name for name, drive in paired if drive is None]
     rates = [name for name in passive if any(columns.is_slope(each, name) for each in driven)]
     if rates:
         remark = f"{', '.join(sorted(rates))} are velocities, and left out"
         remaining = [i for i, name in enumerate(q) if name not in rates]
-        q, inputs = tuple(q[i] for i in remaining), inputs.of(remaining)
+        q, inputs = tuple(q[i] for i in remaining), inputs._replace(drives=tuple(inputs.drives[i] for i in remaining))
     else:
         remark = f"{', '.join(passive)} have no command, and move freely in this draft"
     return q, inputs._replace(remarks=(*inputs.remarks, remark)) if passive and driven else inputs

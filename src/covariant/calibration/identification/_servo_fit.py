@@ -7,29 +7,40 @@ alone.
 Source: Huber 1981 for the weights; White 1982 for the sandwich covariance, here over blocks.
 """
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, robust
-from covariant.calibration.identification._robot_fit import RobotFit, minimise_above_bounds
-from covariant.calibration.identification._robot_torques import Determined
+from covariant.calibration._least_squares import (
+    PRIOR,
+    Blocks,
+    Fixed,
+    Point,
+    block_covariance,
+    minimise,
+    robust,
+)
+from covariant.calibration.identification._robot_fit import RobotFit, scale_of
+from covariant.calibration.identification._robot_torques import Determined, usual_sizes
 from covariant.calibration.identification._servo_motion import ServoLog
 from covariant.models import RobotFamily
 from covariant.signals import Record
 from scalargraph.errors import InputError
 
-WINDOW = 2.0
-"""Length of a window [s]: the effect of the initial state decays within a few tenths of a second."""
+WINDOW, LONGEST_WINDOW = 2.0, 6.0
+"""Length of a window [s], as the effect of the initial state decays within a few tenths of a second, and of one for
+joints that stick."""
 SETTLING = 0.2
 """Time at the start of a window [s] that does not count, since the initial speed is only roughly known."""
 MIN_WINDOWS = 8
 BLOCKS_PER_NUMBER = 3
 """Least number of blocks per fitted number: with too few blocks their covariance has no full rank."""
-MAX_ROUNDS = 25
+MAX_ROUNDS, STEPS, LONGEST_STEP = 48, 12, 1.5
+"""Most steps of a search, and those until the scale of the errors is renewed; longest step of an unknown."""
 TOLERANCE = 3e-3
 """Relative decrease of the loss below which the search stops."""
 RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
@@ -52,8 +63,8 @@ def fit_servos(
     records: Sequence[Record],
     between: str = "held",
     progress: Callable[[int], object] = lambda _: None,
-    length: float | None = None,
     late: float = 0.0,
+    whole: bool = False,
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
@@ -66,9 +77,9 @@ def fit_servos(
         records: The logs, with the commands at the stamps at which they were sent.
         between: "held" if a command is constant until the next stamp, "linear" if it is linear between stamps.
         progress: Called with the number of each round.
-        length: Length of the windows [s]; by default 2 s, and less for short logs. Longer windows suit joints that
-            stick for seconds.
         late: Time [s] by which the stamps of positions are ahead of those of the commands.
+        whole: Whether windows are as long as the logs, up to `LONGEST_WINDOW`, which suits joints that stick for
+            seconds; else they have 2 s, and less in short logs.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine; `torque` has residuals of positions.
@@ -84,69 +95,38 @@ def fit_servos(
     """
     if not records or len(families) != len(records):
         raise InputError("give a family and a log for each of the logs")
-    search = _Search.of(families, records, between, length, late)
-    point, rounds = search.descend(search.started(), progress, 0)
+    search = _Search.of(families, records, between, late, whole)
+    rounds = itertools.count()
+    point = search.descend(search.started(), progress, rounds)
     # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
-    for x in search.shifted(point.x):
-        other, rounds = search.descend(search.point(x), progress, rounds)
-        scale = search.normal(point).scale
-        point = min(point, other, key=lambda each: search.loss(each, scale))
-    step = search.normal(point)
+    for x in search.shifted(point.z * search.sizes):
+        other = search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds)
+        same = search.scaled(point)
+        point = min(point, other, key=lambda each, same=same: same.weighed(each).loss(Fixed.nothing(len(x))))
+    search = search.scaled(point)
+    point = search.weighed(point)
+    x, blocks, outer = point.z * search.sizes, point.blocks, np.outer(search.sizes, search.sizes)
+    prior, information = np.eye(len(x)) / PRIOR**2, blocks.information
+    covariance = outer * block_covariance(blocks.z, information, np.linalg.inv(information + prior), prior)
     family = families[0]
     # Integration steps of a few milliseconds bias the numbers in every window alike, which blocks do not show.
-    values = np.asarray(family.values(point.x))
-    stiffness = float(np.max(np.asarray(search.logs[0].drive(point.x).servos.stiffness)))
+    values = np.asarray(family.values(x))
+    stiffness = float(np.max(np.asarray(search.logs[0].drive(x).servos.stiffness)))
     # A feedforward is a lead times a stiffness, and a lead is a time like a delay.
     of_times = {"delay": TIME_ACCURACY, "feedforward": TIME_ACCURACY * stiffness}
     times = [of_times.get(number.number, 0.0) if number.group == "servo" else 0.0 for number in family.numbers]
     integration_error = np.where(np.array(times) > 0, times, RELATIVE_ACCURACY * np.abs(values))
-    known = Determined.of(
-        family, point.x, search.sizes, step.information, step.covariance + np.diag(integration_error**2)
-    )
-    return RobotFit(
-        family.names,
-        family.first,
-        values,
-        known.standard_errors,
-        known.determined,
-        known.combinations,
-        step.scale,
-        (WINDOW if length is None else length) / 2,
-        rounds,
-        point.x,
-        step.losses,
-    )
-
-
-class _Point(NamedTuple):
-    """Coordinates x (p,), residuals (B, R, n) of all windows, and their derivatives (p, B, R, n) by usual sizes."""
-
-    x: Float[np.ndarray, "p"]
-    residual: Float[np.ndarray, "B R n"]
-    slopes: Float[np.ndarray, "p B R n"]
-
-
-class _Normal(NamedTuple):
-    """The normal equations at a point, in usual sizes, with the information and the covariance of the numbers."""
-
-    matrix: Float[np.ndarray, "p p"]
-    gradient: Float[np.ndarray, "p"]
-    least: Float[np.ndarray, "p"]
-    sizes: Float[np.ndarray, "p"]
-    scale: Float[np.ndarray, "n"]
-    information: Float[np.ndarray, "p p"]
-    covariance: Float[np.ndarray, "p p"]
-    losses: Float[np.ndarray, "B"]
-
-    def to(self, damping: float) -> np.ndarray:
-        """Damped step of the coordinates (p,) that stays above their bounds."""
-        damped = self.matrix + damping * np.diag(np.diagonal(self.matrix))
-        step = np.clip(minimise_above_bounds(damped, self.gradient, self.least), -1.5, 1.5)
-        return step * self.sizes
+    covariance += np.diag(integration_error**2)
+    known = Determined.of(family, x, search.sizes, information / outer, covariance)
+    reached = search.scale, search.length / 2, x, blocks.loss
+    return RobotFit(family.names, family.first, values, *known.said, *reached)
 
 
 class _Search(NamedTuple):
-    """Logs and their windows, with the usual sizes and lower bounds of the open numbers."""
+    """Logs and their windows, with the usual sizes and lower bounds of the open numbers, and the scale (n,) of errors.
+
+    The unknowns z (p,) of the search are coordinates in usual sizes.
+    """
 
     logs: tuple[ServoLog, ...]
     rows: tuple[np.ndarray, ...]
@@ -154,27 +134,25 @@ class _Search(NamedTuple):
     sizes: Float[np.ndarray, "p"]
     least: Float[np.ndarray, "p"]
     rigid: tuple[int, ...]
+    length: float
+    scale: Float[np.ndarray, "n"]
 
     @classmethod
     def of(
-        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, length: float | None, late: float
+        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, late: float, whole: bool
     ) -> "_Search":
         family = families[0]
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
-        min_windows = MIN_WINDOWS
-        if length is None:
-            # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
-            total = sum(float(log.t[-1] - log.t[0]) for log in logs)
-            length = max(min(WINDOW, total / (2 * min_windows + 1)), 3 * SETTLING)
-        else:
-            min_windows = 2
+        durations = [float(log.t[-1] - log.t[0]) for log in logs]
+        # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
+        length = max(min(WINDOW, sum(durations) / (2 * MIN_WINDOWS + 1)), 3 * SETTLING)
+        if whole:
+            usual = max(float(np.median(np.diff(log.t))) for log in logs)
+            length = max(length, min(LONGEST_WINDOW, min(durations) - 2 * usual))
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
-        if sum(counts) < min_windows:
-            raise InputError(
-                f"the logs hold {sum(counts)} windows of {length:.3g} s without a gap, and a fit needs "
-                f"{min_windows}; give longer logs"
-            )
+        if not sum(counts):
+            raise InputError(f"the logs hold no {length:.3g} s without a gap, which a fit needs; give longer logs")
         # All logs have the same number of windows, so that one compiled program serves all; copies do not count.
         max_windows = max(counts)
         padded = [each + each[:1] * (max_windows - len(each)) for each in windows if each]
@@ -186,18 +164,10 @@ class _Search(NamedTuple):
         inertia = body.inertia + np.diag(armature)
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
         servos = logs[0].drive(np.zeros(len(family.names))).servos
-        command_errors = (
-            np.concatenate([log.u for log in logs]) @ np.asarray(servos.commands).T
-            - motion[0] @ np.asarray(servos.rows).T
-        )
-        servo_torques = (
-            (command_errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(np.asarray(servos.rows))
-        )
-        usual = [
-            np.maximum(np.sqrt(np.mean(part**2, axis=0)), 1e-9)
-            for part in (torque, servo_torques, motion[1], motion[2])
-        ]
-        sizes = family.sizes(np.maximum(usual[0], usual[1]), usual[2], usual[3])
+        directions, commanded = np.asarray(servos.rows), np.asarray(servos.commands)
+        errors = np.concatenate([log.u for log in logs]) @ commanded.T - motion[0] @ directions.T
+        servo_torques = (errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(directions)
+        sizes, _ = usual_sizes(family, servo_torques, torque, *motion[1:])
         # If the file states a stiffness, a speed or a limit, that value is its usual size.
         has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])
         sizes = np.where(has_positive_number & (np.abs(family.first) > 0), np.abs(family.first), sizes)
@@ -205,15 +175,16 @@ class _Search(NamedTuple):
             has_positive_number, np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first)), family.least
         )
         rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS)
-        return cls(logs, rows, tuple(count for count in counts if count), sizes, least, rigid)
+        counted, unscaled = tuple(count for count in counts if count), np.ones(logs[0].q.shape[1])
+        return cls(logs, rows, counted, sizes, least, rigid, length, unscaled)
 
-    def started(self) -> _Point:
-        """The first values, with the delay and the stiffness among those tried that predict best."""
+    def started(self) -> Float[np.ndarray, "p"]:
+        """The first values, with the delay and the stiffness among those tried that predict best, in usual sizes."""
         family = self.logs[0].family
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
         is_stiffness = np.array([kind == "stiffness" for kind in kinds])
-        points = []
+        tried, losses, search = [], [], self
         for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
             candidates = [
@@ -222,35 +193,28 @@ class _Search(NamedTuple):
             ]
             candidates = [np.maximum(candidate, self.least) for candidate in candidates]
             # Batches have the size of a point's batch, so that one compiled program serves both.
-            candidates = (candidates * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
-            residuals = self._residuals(candidates, candidates[0], [], np.zeros((len(candidates), len(self.rigid))))
-            points += [
-                _Point(candidate, each, residuals[:0]) for candidate, each in zip(candidates, residuals, strict=True)
-            ]
-        scale = np.array([_scale(column) for column in points[0].residual.reshape(-1, points[0].residual.shape[2]).T])
-        best = min(points, key=lambda point: self.loss(point, scale))
-        if not np.isfinite(self.loss(best, scale)):
+            batch = (candidates * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
+            residuals = self._residuals(batch, batch[0], [], np.zeros((len(batch), len(self.rigid))))
+            search = self._replace(scale=_scales(residuals[0])) if search is self else search
+            for candidate, residual in zip(batch, residuals, strict=True):
+                point = Point(candidate / self.sizes, search._weigh((residual, np.zeros((1, *residual.shape)))))
+                losses.append(point.loss(Fixed.nothing(len(kinds))))
+            tried += batch
+        if not np.isfinite(losses).any():
             raise InputError("the model predicts no finite motion from these commands; check units and first values")
-        return self.point(best.x)
+        return tried[int(np.nanargmin(np.where(np.isfinite(losses), losses, np.nan)))] / self.sizes
 
-    def descend(self, point: _Point, progress: Callable[[int], object], rounds: int) -> tuple[_Point, int]:
-        """The point that Levenberg–Marquardt steps reach, and the number of rounds so far."""
-        damping = 1e-3
-        for _ in range(MAX_ROUNDS):
-            progress(rounds)
-            rounds += 1
-            step = self.normal(point)
-            before = lowered = self.loss(point, step.scale)
-            while damping < 1e6:
-                tried = self.point(point.x + step.to(damping))
-                lowered = before - self.loss(tried, step.scale)
-                if lowered > 0:
-                    point, damping = tried, damping / 5
-                    break
-                damping = max(8 * damping, 1e-3)
-            if lowered <= TOLERANCE * before:
+    def descend(self, z: np.ndarray, progress: Callable[[int], object], rounds: Iterator[int]) -> Point:
+        """The point that a search reaches; the scale of the errors follows them."""
+        point, free = Point.at(self, z), Fixed.nothing(len(z))
+        for _ in range(MAX_ROUNDS // STEPS):
+            search = self.scaled(point)
+            point = search.weighed(point)
+            before = point.loss(free)
+            point = minimise(search, point, free, lambda _: progress(next(rounds)), STEPS)
+            if before - point.loss(free) <= TOLERANCE * before:
                 break
-        return point, rounds
+        return point
 
     def shifted(self, x: np.ndarray) -> list[np.ndarray]:
         """Coordinates with changed delays, and with leads that compensate for the change."""
@@ -275,16 +239,43 @@ class _Search(NamedTuple):
             others.append(other)
         return others
 
-    def point(self, x: np.ndarray) -> _Point:
-        """Residuals at x, and their derivatives by finite differences, all in one batch."""
-        x = np.maximum(x, self.least)
-        p = len(x)
-        steps = DIFFERENCE_STEP * self.sizes * np.eye(p)
-        weights = np.zeros((p + 1, len(self.rigid)))
-        for k, i in enumerate(self.rigid):
-            weights[1 + i, k] = 1.0
+    def blocks(self, z: np.ndarray, kept: Any = None) -> Blocks:
+        """The loss of each block of rows, and its derivatives; `rest` has the errors of all windows and their own."""
+        del kept
+        p, x = len(z), z * self.sizes
+        steps = DIFFERENCE_STEP * np.diag(self.sizes)
+        weights = np.concatenate([np.zeros((1, p)), np.eye(p)])[:, list(self.rigid)]
+        # Errors, and their derivatives by finite differences, all in one batch.
         batch = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
-        return _Point(x, batch[0], (batch[1:] - batch[:1]) / DIFFERENCE_STEP)
+        return self._weigh((batch[0], (batch[1:] - batch[:1]) / DIFFERENCE_STEP))
+
+    def moved(self, z: np.ndarray, dz: np.ndarray) -> np.ndarray:
+        """Unknowns (p,) after a step of limited length."""
+        return np.maximum(z + np.clip(dz, -LONGEST_STEP, LONGEST_STEP), self.least / self.sizes)
+
+    def lowest(self, z: np.ndarray) -> Float[np.ndarray, "p"]:
+        """Least steps (p,) that the bounds of the numbers permit."""
+        return self.least / self.sizes - z
+
+    def scaled(self, point: Point) -> "_Search":
+        """The search with the scale of the errors at a point."""
+        measured = np.where(np.isfinite(self._measured), point.blocks.rest[0], np.nan)
+        return self._replace(scale=_scales(measured))
+
+    def weighed(self, point: Point) -> Point:
+        """The point with its errors weighed by the scale."""
+        return point._replace(blocks=self._weigh(point.blocks.rest))
+
+    def _weigh(self, errors: tuple[np.ndarray, np.ndarray]) -> Blocks:
+        seen, share = np.isfinite(self._measured), 1 / self._alike
+        e, slopes = (np.where(seen, each, 0.0) / self.scale for each in errors)
+        loss, weight = robust(e)
+        slopes = np.where(np.isfinite(slopes), slopes, 0.0)
+        losses = share * np.sum(loss * seen, axis=(1, 2))
+        scores = share * self._by_blocks(np.einsum("pbkj,bkj->bkp", slopes, weight * e, optimize=True))
+        flat = slopes.reshape(len(slopes), -1)
+        majorised, information = (share * (flat * w.ravel()) @ flat.T for w in (weight, weight**3))
+        return Blocks(losses, scores, majorised, information[None], errors)
 
     def _residuals(
         self, candidates: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
@@ -301,13 +292,6 @@ class _Search(NamedTuple):
     def _skipped(log: ServoLog) -> int:
         return max(round(SETTLING / float(np.median(np.diff(log.t)))), 1)
 
-    def loss(self, point: _Point, scale: np.ndarray) -> float:
-        e = np.nan_to_num(point.residual / scale, nan=np.inf)
-        e = np.where(np.isfinite(self._measured), e, 0.0)
-        if not np.isfinite(e).all():
-            return np.inf
-        return float(np.sum(robust(e)[0])) / self._alike + float(np.sum((point.x / self.sizes / PRIOR) ** 2) / 2)
-
     @property
     def _measured(self) -> np.ndarray:
         return np.concatenate(
@@ -322,30 +306,6 @@ class _Search(NamedTuple):
         """Number of rows that count as one independent error: a tenth of a window."""
         return max(1.0, self._measured.shape[1] / 10)
 
-    def normal(self, point: _Point) -> _Normal:
-        """The normal equations at a point."""
-        measured = np.isfinite(self._measured)
-        residual = np.where(measured, point.residual, 0.0)
-        n = residual.shape[2]
-        scale = np.array([_scale(residual[..., j][measured[..., j]]) for j in range(n)])
-        e = residual / scale
-        loss, weight = robust(e)
-        z = np.where(measured, point.slopes, 0.0) / scale
-        z = np.where(np.isfinite(z), z, 0.0)
-        share = 1 / self._alike
-        flat = z.reshape(len(z), -1)
-        information, curvature = (share * (flat * w.ravel()) @ flat.T for w in (weight, weight**3))
-        scores = share * self._by_blocks(np.einsum("pbkj,bkj->bkp", z, weight * e, optimize=True))
-        prior = np.eye(len(z)) / PRIOR**2
-        gradient = scores.sum(axis=0) + prior @ (point.x / self.sizes)
-        covariance = block_covariance(scores, curvature, np.linalg.inv(curvature + prior), prior)
-        outer = np.outer(self.sizes, self.sizes)
-        losses = share * np.sum((loss + np.log(scale)) * measured, axis=(1, 2))
-        least = (self.least - point.x) / self.sizes
-        return _Normal(
-            information + prior, gradient, least, self.sizes, scale, curvature / outer, covariance * outer, losses
-        )
-
     @staticmethod
     def _by_blocks(scores: np.ndarray) -> np.ndarray:
         """Sums (B, p) of scores (W, R, p) over blocks: windows, or parts of windows if there are few."""
@@ -356,7 +316,6 @@ class _Search(NamedTuple):
         return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
 
 
-def _scale(values: np.ndarray) -> float:
-    """Robust standard deviation of the finite values; 1 if there are none."""
-    values = values[np.isfinite(values)]
-    return float(max(STD_OF_MEDIAN * np.median(np.abs(values)), 1e-9)) if len(values) else 1.0
+def _scales(errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:
+    """Robust standard deviations of the finite errors of each joint; 1 if there are none."""
+    return np.array([scale_of(column) for column in errors.reshape(-1, errors.shape[2]).T])

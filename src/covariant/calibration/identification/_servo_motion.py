@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from covariant import scoring
 from covariant.calibration.identification._robot_torques import batched
+from covariant.calibration.identification._rows import filled
 from covariant.models import RobotFamily
 from covariant.models.robots import Servos, dry_friction
 from covariant.signals import Record
@@ -125,13 +126,9 @@ class ServoLog(NamedTuple):
         y = scoring.unwrap(np.asarray(record.y, float), model.circles)
         half = SMOOTHING_ROWS * float(np.median(np.diff(t)))
         c = scoring.local_polynomials(t, y, t, half, 2)
-        for part in (c[:, 0], c[:, 1], c[:, 2]):
-            for column in part.T:
-                bad = ~np.isfinite(column)
-                column[bad] = np.interp(t[bad], t[~bad], column[~bad])
-        u = np.stack([np.interp(t, t[ok], each[ok]) for each, ok in zip(u.T, np.isfinite(u).T, strict=True)], axis=1)
+        q, v, a, u = (filled(t, part) for part in (c[:, 0], c[:, 1], c[:, 2], u))
         drive, evaluate = _compiled(family)
-        return cls(family, t, y, u, c[:, 0], c[:, 1], 2 * c[:, 2], between, late, drive, evaluate)
+        return cls(family, t, y, u, q, v, 2 * a, between, late, drive, evaluate)
 
     def windows(self, length: float) -> list[np.ndarray]:
         """Rows of consecutive windows without gaps, of one length, each starting at a fully measured row."""

@@ -4,19 +4,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from covariant.calibration.identification._commands import (
-    FEWEST_CHANGES,
-    FOLLOWS,
-    FOLLOWS_CLOSELY,
-    Following,
-    command_unit,
-    copied,
-    follows,
-)
+from covariant.calibration.identification._commands import FOLLOWS, FOLLOWS_CLOSELY, Following, copied, follows
 from covariant.calibration.identification._roles import LogColumns
 from covariant.calibration.identification._servo_columns import Inputs
-from covariant.logs import MEANT, unit_factor, unit_in_name, unknown_unit, words_of
+from covariant.logs import MEANT, Register, unit_factor, unit_in_name, unknown_unit, words_of
 from scalargraph.errors import InputError
 
 MIN_STIFF_SLOPE = 0.7
@@ -35,6 +28,10 @@ CERTAIN_TICKS = 1023
 """Whole numbers below `TICKS` are certainly ticks, and not degrees or another encoder, if the largest exceeds this."""
 _UNITS = {1.0: "rad", unit_factor("deg"): "deg", unit_factor("turn/4096"): "turn/4096"}
 """Units of commands that are recognised by their size."""
+COUNTS = (*(2**k for k in range(9, 21)), *(1000 * k for k in (1, 2, 4, 5, 10, 20, 40)))
+"""Usual counts per turn of encoders, whose tick shows in which unit they are printed."""
+SAME_TICK = 1e-4
+"""Relative difference up to which ticks are equal, or such a part of a turn."""
 
 
 class DraftedServo(NamedTuple):
@@ -58,54 +55,60 @@ class DraftedServo(NamedTuple):
     offset: float
 
 
+def unit_of_tick(values: Float[np.ndarray, "T"]) -> str | None:
+    """The unit of an angle by the tick of its encoder, which is a usual part of a turn in that unit alone."""
+    tick = Register.of(values).tick
+    parts = {unit: turn / tick for unit, turn in (("rad", 2 * np.pi), ("deg", 360.0), ("turn", 1.0)) if tick}
+    # A tick of one digit is how the number was printed.
+    printed = not tick or float(f"{tick:.1g}") == float(f"{tick:.12g}")
+    usual = [u for u, n in parts.items() if not printed and any(abs(n / each - 1) < SAME_TICK for each in COUNTS)]
+    return usual[0] if len(usual) == 1 else None
+
+
 def position_units(columns: LogColumns, q: Sequence[str], servos: bool) -> dict[str, str]:
-    """Units of positions that state none: ticks, or degrees for servos; empty if the values decide neither.
+    """Units of positions that state none, by their ticks, or degrees for servos; empty if the values decide neither.
 
     Raises `ValueError` if the values are ambiguous.
     """
     unstated = [name for name in q if columns.unit(name, "q") is None]
+    by_tick = {name: unit for name in unstated if (unit := unit_of_tick(columns[name])) not in (None, "rad")}
+    unstated = [name for name in unstated if name not in by_tick]
     values = columns.stack(unstated) if unstated else np.empty((0, 0))
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
-        return {}
+        return by_tick
     largest, whole = float(np.abs(values).max()), bool((values % 1 == 0).all())
-    listed = ", ".join(unstated)
+    ends = f"{values.min():.6g} to {values.max():.6g}"
     answer = "name their unit by `overrides=['units.q=\"turn/4096\"']`, one for each in brackets where they differ"
     if whole and largest > CERTAIN_TICKS:
         if values.min() >= 0 and largest < TICKS:
-            return dict.fromkeys(unstated, f"turn/{TICKS}")
-        raise InputError(
-            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}, as ticks; {answer}"
-        )
-    if not servos or largest <= MAX_RADIANS:
-        return {}
-    if largest > MAX_DEGREES:
-        raise InputError(
-            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}, more than a servo turns in "
-            f"degrees; {answer}"
-        )
-    if whole:
-        raise InputError(
-            f"the positions {listed} are whole numbers from {values.min():g} to {values.max():g}: ticks or degrees; "
-            f"{answer}"
-        )
-    if largest <= MAX_PER_CENT:
-        raise InputError(
-            f"the positions {listed} are between {values.min():.4g} and {values.max():.4g}: degrees, or per cent of "
+            return by_tick | dict.fromkeys(unstated, f"turn/{TICKS}")
+        what = f"whole numbers from {ends}, as ticks; {answer}"
+    elif not servos or largest <= MAX_RADIANS:
+        return by_tick
+    elif largest > MAX_DEGREES:
+        what = f"from {ends}, more than a servo turns in degrees; {answer}"
+    elif whole:
+        what = f"whole numbers from {ends}: ticks or degrees; {answer}"
+    elif largest <= MAX_PER_CENT:
+        what = (
+            f"from {ends}: degrees, or per cent of "
             "the range of each servo, as LeRobot logs them unless use_degrees is set, which is no angle. Name their "
             "unit by `overrides=['units.q=\"deg\"']`; for -100 to 100 it is a 200th of the range of each joint, as "
             '`overrides=[\'units.q=["1.1 deg", "0.9 deg"]\']` for ranges of 220 and 180 degrees, from the calibration '
             "file of the arm: (range_max - range_min) / 4096 * 360 / 200; of a gripper from 0 to 100 it is a 100th"
         )
-    return dict.fromkeys(unstated, "deg")
+    else:
+        return by_tick | dict.fromkeys(unstated, "deg")
+    raise InputError(f"the positions {', '.join(unstated)} are {what}")
 
 
 def servos_of(
     columns: LogColumns, inputs: Inputs, q: Sequence[str], q_units: Sequence[str]
 ) -> tuple[DraftedServo | None, ...]:
     """The servo of each position with the unit of its command; raises `ValueError` for an ambiguous unit."""
-    rows = zip(q, q_units, inputs.commands, inputs.following, strict=True)
-    return tuple(None if sent is None else _servo(columns, name, text, sent, fit) for name, text, sent, fit in rows)
+    rows = zip(q, q_units, inputs.drives, strict=True)
+    return tuple(None if drive is None else _servo(columns, name, text, *drive) for name, text, drive in rows)
 
 
 def _servo(columns: LogColumns, position: str, text: str, command: str, fit: Following | None) -> DraftedServo:
@@ -139,7 +142,11 @@ def _unit_of_command(columns: LogColumns, position: str, text: str, command: str
     slope = 0.0 if fit is None else fit.slope
     unit, size = unit_factor(named) if named else factor, abs(slope) * factor
     if follows(fit) and not named:
-        unit = command_unit(slope, factor)
+        sign = -1.0 if slope < 0 else 1.0
+        # A servo falls short of its command where it is soft, and does not go beyond it.
+        near = next((each for each in _UNITS if 0.85 * each < size < 1.05 * each), None)
+        near = factor if 0.15 * factor < size < 1.3 * factor else near
+        unit = None if near is None else sign * near
     # A position never moves farther than its command, however well it follows.
     if unit is None or size > 1.5 * abs(unit) or (named and follows(fit) and size < 0.15 * abs(unit)):
         raise InputError(
@@ -165,24 +172,6 @@ def units_of_commands(
     return {} if plain and not in_names else {"u": (*texts, *("1",) * switches)}
 
 
-def plausible_rates(
-    columns: LogColumns, q: Sequence[str], factors: Sequence[float], v: tuple[str, ...]
-) -> tuple[tuple[str, ...], list[str]]:
-    """Velocity registers; none, and a remark, if the slopes of the positions contradict their unit."""
-    for position, factor, name in zip(q, factors, v, strict=False):
-        slope = np.gradient(columns[position], columns.clock) * factor
-        unit = unit_factor(columns.unit(name, "v") or "rad/s")
-        valid = np.isfinite(slope) & np.isfinite(columns[name])
-        size = float(np.sum(slope[valid] ** 2))
-        ratio = float(np.sum(slope[valid] * columns[name][valid])) * unit / size if size else 1.0
-        if np.count_nonzero(np.diff(columns[position])) > FEWEST_CHANGES and not 0.4 < ratio < 1.6:
-            return (), [
-                f"the registers of velocity {', '.join(v)} are left out: {name} is {ratio:.3g} times the slope of "
-                f"{position}"
-            ]
-    return v, []
-
-
 def remarks_on(
     columns: LogColumns,
     inputs: Inputs,
@@ -192,9 +181,10 @@ def remarks_on(
 ) -> list[str]:
     """Remarks on commands that may be in another unit or have gaps."""
     remarks = []
-    for position, factor, servo, follow_fit in zip(q, factors, servos, inputs.following, strict=True):
-        if servo is None:
+    for position, factor, servo, drive in zip(q, factors, servos, inputs.drives, strict=True):
+        if servo is None or drive is None:
             continue
+        follow_fit = drive.fit
         gaps = int(np.count_nonzero(~np.isfinite(columns[servo.command])))
         if gaps:
             remarks.append(

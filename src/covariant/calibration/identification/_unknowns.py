@@ -65,6 +65,10 @@ class Unknowns(NamedTuple):
         ratio = jnp.asarray(self.first * jnp.exp(z))
         return jnp.where(jnp.asarray(self.positive), ratio, jnp.asarray(self.first + self.size * jnp.sinh(z)))
 
+    def lowest(self, z: NumpyArray) -> Float[NumpyArray, "p"]:
+        """Least steps (p,) from z: there are no bounds."""
+        return np.full(len(z), -np.inf)
+
     def relative(self, values: Float[NumpyArray, "p"]) -> Float[NumpyArray, "p"]:
         """Relative changes z (p,) that give these parameters."""
         positive = np.asarray(self.positive)

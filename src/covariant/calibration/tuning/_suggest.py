@@ -4,18 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from covariant.calibration.diagnosis import (
-    BARELY,
-    MOST_ROWS,
-    ROUNDING,
-    best_window,
-    busiest,
-    case_without_outliers,
-    in_coordinates,
-    one_or_each,
-    readings,
-    written,
-)
+from covariant.calibration import diagnosis
 from covariant.models import ModelFile
 from covariant.signals import Record
 
@@ -45,13 +34,13 @@ class Suggestion(NamedTuple):
     @property
     def setting(self) -> str:
         """The number as an override, `measurement.std=0.001`."""
-        return f"{self.key}={written(self.value)}"
+        return f"{self.key}={diagnosis.written(self.value)}"
 
     @property
     def line(self) -> str:
         """The number as it is written in a model file, `[measurement] std = 0.001`."""
         table, key = self.key.split(".")
-        return f"[{table}] {key} = {written(self.value)}"
+        return f"[{table}] {key} = {diagnosis.written(self.value)}"
 
 
 def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
@@ -88,12 +77,12 @@ def suggest_noise(file: ModelFile, record: Record) -> tuple[Suggestion, ...]:
         uncertainty.acceleration=0.028
     """
     suggestions: list[Suggestion] = []
-    if np.asarray(record.y).ndim != 2 or not (in_coordinates(file) or not file.mechanical):
+    if np.asarray(record.y).ndim != 2 or not (diagnosis.in_coordinates(file) or not file.mechanical):
         return ()
-    record = busiest(record, MOST_ROWS)
+    record = diagnosis.busiest(record, diagnosis.MOST_ROWS)
     if file.measurement_std is None:
         suggestions += _suggest_from_readings(file, record)
-    if file.acceleration_std is None and in_coordinates(file):
+    if file.acceleration_std is None and diagnosis.in_coordinates(file):
         suggestions += _suggest_from_accelerations(file, record)
     return tuple(suggestions)
 
@@ -102,36 +91,33 @@ def _suggest_from_readings(file: ModelFile, record: Record) -> list[Suggestion]:
     circles = file.model.circles if file.mechanical else ()  # pyright: ignore[reportAttributeAccessIssue]
     units = file.model.units if file.mechanical else ()
     units = units or ("",) * np.asarray(record.y).shape[1]
-    readings_noise = readings(record, circles)
+    readings_noise = diagnosis.readings(record, circles)
     if not readings_noise.known:
         return []
     if (readings_noise.ticks > 0).all():
-        value = one_or_each(readings_noise.ticks, units, 5)
+        value = diagnosis.one_or_each(readings_noise.ticks, units, 5)
         return [Suggestion("measurement.quantum", value, "positions of the log are whole ticks apart")]
     # A constant position shows no noise, nor do rounding errors.
-    if not (readings_noise.std > ROUNDING * np.nanmax(np.abs(np.asarray(record.y)), axis=0)).all():
+    if not (readings_noise.std > diagnosis.ROUNDING * np.nanmax(np.abs(np.asarray(record.y)), axis=0)).all():
         return []
     caveat = "" if readings_noise.white.all() else ", at most, since they move between the rows"
-    value = one_or_each(readings_noise.std, units, 2)
+    value = diagnosis.one_or_each(readings_noise.std, units, 2)
     return [Suggestion("measurement.std", value, f"the noise of the positions in the log{caveat}")]
 
 
 def _suggest_from_accelerations(file: ModelFile, record: Record) -> list[Suggestion]:
-    case, _ = case_without_outliers(file, record)
-    best = best_window(case)
+    case, _ = diagnosis.case_without_outliers(file, record)
+    best = diagnosis.best_window(case)
     if best is None or not (significant := best[1].told).any():
         return []
     left = best[1]
-    noise = np.asarray(left.noise)
-    # Noise is independent of the model's error, so the variances subtract.
-    squares = np.mean(left.left**2, axis=0) - noise**2
-    clear = squares > FAINT * noise**2
-    size = np.where(clear, np.sqrt(np.maximum(squares, 0.0)), noise)
+    clear = left.squares > FAINT * left.noise**2
+    size = np.where(clear, np.sqrt(np.maximum(left.squares, 0.0)), left.noise)
     value = float(f"{np.max(size[significant]):.2g}")
     if not 0 < value < np.inf:
         return []
     caveat = "" if clear[np.argmax(np.where(significant, size, 0.0))] else ", at most, since noise hides the rest"
     evidence = f"the model leaves that much of the accelerations in the log{caveat}"
-    if left.misfit > BARELY:
+    if left.misfit > diagnosis.BARELY:
         evidence += ", nearly all of them: look at its [parameters] first, `covariant check` says more"
     return [Suggestion("uncertainty.acceleration", value, evidence)]

@@ -15,7 +15,28 @@ from covariant.geometry.lie._group import AbstractGroup
 from covariant.geometry.lie._rotations import SO2, SO3, no_half_turn, rotation_defect
 
 
-class SpecialEuclidean2(AbstractGroup):
+class AbstractMotions(AbstractGroup):
+    """Rigid motions as affine matrices, with the translation in the last column."""
+
+    def inverse(self, g: Element) -> Element:
+        # A rotation is inverted by its transpose: this needs no linear system, and is exact for exact rotations.
+        return _affine(g[:-1, :-1].T, -g[:-1, :-1].T @ g[:-1, -1], 1.0)
+
+    def act(self, g: Element, point: Vector) -> Vector:
+        return g[:-1, :-1] @ point + g[:-1, -1]
+
+    def defect(self, g: Element) -> Array:
+        size = g.shape[0] - 1
+        last = jnp.max(jnp.abs(g[size] - jnp.eye(size + 1, dtype=g.dtype)[size]))
+        # No equation of the group restricts a translation, so an infinite one is excluded here.
+        finite = jnp.where(jnp.all(jnp.isfinite(g)), last, jnp.inf)
+        return jnp.maximum(rotation_defect(g[:size, :size]), finite)
+
+    def unique_log(self, g: Element) -> Flag:
+        return no_half_turn(g[:-1, :-1])
+
+
+class SpecialEuclidean2(AbstractMotions):
     """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body frame [m, m, rad]. `SE2` is its instance.
 
     Use it for vehicles in the plane. Elements are matrices (3, 3), with the translation in the last column. Velocities
@@ -62,27 +83,14 @@ class SpecialEuclidean2(AbstractGroup):
         at_start = jnp.concatenate([g[:2, 2], jnp.zeros_like(angle)])
         return jnp.concatenate([SO3.left_jacobian_inverse(_axis(angle), at_start)[:2], angle])
 
-    def inverse(self, g: Element) -> Element:
-        # A rotation is inverted by its transpose: this needs no linear system, and is exact for exact rotations.
-        return _affine(g[:2, :2].T, -g[:2, :2].T @ g[:2, 2], 1.0)
-
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
         return _flatten(SE3.right_jacobian(_lift(x), _lift(y)))
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         return _flatten(SE3.right_jacobian_inverse(_lift(x), _lift(y)))
 
-    def act(self, g: Element, point: Float[Array, "2"]) -> Float[Array, "2"]:
-        return g[:2, :2] @ point + g[:2, 2]
 
-    def defect(self, g: Element) -> Array:
-        return _affine_defect(g)
-
-    def unique_log(self, g: Element) -> Flag:
-        return no_half_turn(g[:-1, :-1])
-
-
-class SpecialEuclidean3(AbstractGroup):
+class SpecialEuclidean3(AbstractMotions):
     """SE(3): rigid motions of space; x = (v, ω) in the body frame [m, rad]. `SE3` is its instance.
 
     Use it for bodies that turn and move, such as vehicles under water or in the air. Elements are matrices (4, 4). The
@@ -126,23 +134,11 @@ class SpecialEuclidean3(AbstractGroup):
         # The translation of exp is J_l(ω) v, whose inverse gives v.
         return jnp.concatenate([SO3.left_jacobian_inverse(omega, g[:3, 3]), omega])
 
-    def inverse(self, g: Element) -> Element:
-        return _affine(g[:3, :3].T, -g[:3, :3].T @ g[:3, 3], 1.0)
-
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
         return _dual(SO3.right_jacobian, x, y)
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         return _dual(SO3.right_jacobian_inverse, x, y)
-
-    def act(self, g: Element, point: Float[Array, "3"]) -> Float[Array, "3"]:
-        return g[:3, :3] @ point + g[:3, 3]
-
-    def defect(self, g: Element) -> Array:
-        return _affine_defect(g)
-
-    def unique_log(self, g: Element) -> Flag:
-        return no_half_turn(g[:-1, :-1])
 
 
 SE2 = SpecialEuclidean2()
@@ -161,14 +157,6 @@ def _dual(formula, x: Vector, y: Vector) -> Vector:
 def _affine(linear: Array, shift: Array, corner: float) -> Element:
     upper = jnp.concatenate([linear, shift[:, None]], axis=1)
     return jnp.concatenate([upper, corner * np.eye(upper.shape[1], dtype=upper.dtype)[-1:]])
-
-
-def _affine_defect(g: Element) -> Array:
-    size = g.shape[0] - 1
-    last = jnp.max(jnp.abs(g[size] - jnp.eye(size + 1, dtype=g.dtype)[size]))
-    # No equation of the group restricts a translation, so an infinite one is excluded here.
-    finite = jnp.where(jnp.all(jnp.isfinite(g)), last, jnp.inf)
-    return jnp.maximum(rotation_defect(g[:size, :size]), finite)
 
 
 def _axis(angle: Array) -> Array:

@@ -15,7 +15,20 @@ Quaternion = Float[Array, "4"]
 """Components wxyz, of unit length; q and −q are the same rotation."""
 
 
-class SpecialOrthogonal2(AbstractGroup):
+class AbstractRotations(AbstractGroup):
+    """Rotations as orthogonal matrices."""
+
+    def inverse(self, g: Element) -> Element:
+        return g.T
+
+    def defect(self, g: Element) -> Array:
+        return rotation_defect(g)
+
+    def unique_log(self, g: Element) -> Flag:
+        return no_half_turn(g)
+
+
+class SpecialOrthogonal2(AbstractRotations):
     """SO(2): rotations of the plane; x = (ω,) is the angle [rad]. `SO2` is its instance.
 
     Use it for one angle as a factor of a `ProductManifold`. For a machine with joints, `Coordinates` with circles is
@@ -60,23 +73,14 @@ class SpecialOrthogonal2(AbstractGroup):
         # Sums of both entries give the angle of the nearest rotation, even if g is a rotation only to rounding.
         return jnp.arctan2(g[1, 0] - g[0, 1], g[0, 0] + g[1, 1])[None]
 
-    def inverse(self, g: Element) -> Element:
-        return g.T
-
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
         return y
 
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         return y
 
-    def defect(self, g: Element) -> Array:
-        return rotation_defect(g)
 
-    def unique_log(self, g: Element) -> Flag:
-        return no_half_turn(g)
-
-
-class SpecialOrthogonal3(AbstractGroup):
+class SpecialOrthogonal3(AbstractRotations):
     """SO(3): rotations of space; x (3,) is a rotation vector [rad]. `SO3` is its instance.
 
     Velocities are angular velocities [rad/s] in the body frame.
@@ -127,9 +131,6 @@ class SpecialOrthogonal3(AbstractGroup):
         q = quaternion_from_rotation(g)
         return angle_over_half_sine(q[1:] @ q[1:], q[0]) * q[1:]
 
-    def inverse(self, g: Element) -> Element:
-        return g.T
-
     def right_jacobian(self, x: Vector, y: Vector) -> Vector:
         # The odd term has the sign for the body frame: J_r(x) = J_l(−x).
         square, turned = x @ x, jnp.cross(x, y)
@@ -138,12 +139,6 @@ class SpecialOrthogonal3(AbstractGroup):
     def right_jacobian_inverse(self, x: Vector, y: Vector) -> Vector:
         turned = jnp.cross(x, y)
         return y + turned / 2 + inverse_jacobian_coefficient(x @ x) * jnp.cross(x, turned)
-
-    def defect(self, g: Element) -> Array:
-        return rotation_defect(g)
-
-    def unique_log(self, g: Element) -> Flag:
-        return no_half_turn(g)
 
 
 SO2 = SpecialOrthogonal2()

@@ -73,4 +73,8 @@ def unknown_model(name: str) -> str:
             f"unknown model {name!r}. The model comes first and then the log: did you swap them? A model is a .toml, "
             ".urdf or .xml file, module:attribute, or the name of a system or a robot"
         )
+    if name.endswith(".xacro"):
+        return f"is a xacro, which has to be expanded: xacro {name} > {Path(name).name.split('.')[0]}.urdf"
+    if name.endswith((".sdf", ".world")):
+        return "SDF is not read; write the model as URDF, or as MJCF, and give that file"
     return f"{unknown('model', name, (*SYSTEMS, *ROBOTS))}, a .toml, .urdf or .xml file, or module:attribute"

@@ -22,7 +22,7 @@ from covariant.models.robots._description import (
     limits_in_doubt,
 )
 from covariant.models.robots._transmission import with_rotors
-from covariant.models.robots._xml import attribute, name_of, number, vector
+from covariant.models.robots._xml import attribute, finite, name_of, number, unread, vector
 from scalargraph.errors import InputError
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating", "ball", "spherical")
@@ -54,11 +54,15 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
         if entry_name in (links if tag == "link" else {joint.name for joint in joints}):
             raise InputError(f"two {tag}s are called {entry_name!r}")
         if tag == "link":
-            links[entry_name] = _inertia(entry, entry_name)
+            links[entry_name] = _inertia(entry, entry_name, doubts)
             doubts += doubts_on(entry_name, links[entry_name])
         else:
             joints.append(_joint(entry, entry_name))
             doubts += limits_in_doubt(joints[-1])
+        known = [part for part in entry if part.tag in (OF_LINK if tag == "link" else OF_JOINT)]
+        for part in (entry, *known, *(inner for each in known for inner in each)):
+            what = tag if part is entry else f"{tag}/{name_of(part)}"
+            ignored.update(f"{what} {key}" for key in unread(part))
     if not links:
         raise InputError("has no <link>")
     transmissions = [entry for entry in robot if name_of(entry) == "transmission"]
@@ -77,7 +81,7 @@ def read_urdf(robot: Element, name: str, motor_torques: bool = False) -> Descrip
     )
 
 
-def _inertia(link: Element, name: str) -> BodyInertia:
+def _inertia(link: Element, name: str, doubts: list[str]) -> BodyInertia:
     inertial = link.find("inertial")
     if inertial is None:
         return NO_INERTIA
@@ -91,6 +95,10 @@ def _inertia(link: Element, name: str) -> BodyInertia:
         number(moments, key, where, 0.0 if key in ("ixy", "ixz", "iyz") else None)
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
+    for key, value in (("ixy", xy), ("ixz", xz), ("iyz", yz)):
+        other = moments.attrib.get(f"i{key[2]}{key[1]}", "")
+        if other and finite(other, f"{where}: i{key[2]}{key[1]}") != value:
+            doubts.append(f"{where}: i{key[2]}{key[1]} = {other} is ignored, and differs from {key} = {value:g}")
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return BodyInertia.of(number(mass, "value", where), centre, rotation @ tensor @ rotation.T)
 

@@ -2,14 +2,32 @@
 
 import math
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, TreeBuilder, XMLParser
 
 import numpy as np
 
 from covariant._door import MOST_ENTRIES, ROBOT, check_count
 from scalargraph.errors import InputError
 from scalargraph.files import read_bytes
+
+
+class Tag(Element):
+    """A tag that remembers which of its attributes were asked for."""
+
+    def __init__(self, tag: str, attrib: dict[str, str]):
+        super().__init__(tag, attrib)
+        self.asked: set[str] = set()
+
+    def get(self, key: str, default: Any = None) -> Any:
+        self.asked.add(key)
+        return super().get(key, default)
+
+
+def unread(entry: Element) -> list[str]:
+    """Attributes of a tag that nobody asked for."""
+    return [key for key in entry.attrib if key not in getattr(entry, "asked", ())]
 
 
 def parse(path: Path) -> Element:
@@ -23,7 +41,7 @@ def parse(path: Path) -> Element:
         raise InputError("declares a document type or entities, which a robot description has no need of; remove them")
     check_count(data.count(b"<") - data.count(b"</"), MOST_ENTRIES, "entries")
     try:
-        return ElementTree.fromstring(data)
+        return ElementTree.fromstring(data, XMLParser(target=TreeBuilder(element_factory=Tag)))
     except ElementTree.ParseError as error:
         raise InputError(f"is not readable XML: {error}") from error
 
@@ -33,6 +51,7 @@ def vector(entry: Element | None, key: str, where: str, default: tuple[float, fl
     text = None if entry is None else entry.get(key)
     if text is None:
         return np.array(default)
+    refuse_unexpanded(text, f"{where}: {key}")
     try:
         numbers = np.array([float(part) for part in text.split()])
     except ValueError:
@@ -52,12 +71,19 @@ def number(entry: Element, key: str, where: str, default: float | None = None) -
     return finite(text, f"{where}: {key} of <{entry.tag}>")
 
 
+def refuse_unexpanded(text: str, what: str) -> None:
+    """Raise `ValueError` for an expression of a xacro in place of a number."""
+    if "${" in text or "$(" in text:
+        raise InputError(f"{what} is {text!r}, of a xacro that was not expanded: xacro FILE > robot.urdf")
+
+
 def finite(text: str, what: str) -> float:
     """The number in a text; raises `ValueError` if it is not a number, or not finite."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
+    refuse_unexpanded(text, what)
     if not math.isfinite(value):
         raise InputError(f"{what} must be a finite number; got {text!r}")
     return value

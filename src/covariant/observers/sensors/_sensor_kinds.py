@@ -461,17 +461,7 @@ class Point(_AbstractOnLink, _AbstractNumbers):
         return self.pose(now.q)[1]
 
 
-SENSOR_KINDS = {
-    each.kind: each
-    for each in (
-        Encoder,
-        Tachometer,
-        Gyro,
-        Accelerometer,
-        Pose,
-        Point,
-    )
-}
+SENSOR_KINDS = {each.kind: each for each in (Encoder, Tachometer, Gyro, Accelerometer, Pose, Point)}
 """The kinds of sensors of a model file, by their names in its tables."""
 
 

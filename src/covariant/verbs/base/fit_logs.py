@@ -53,14 +53,13 @@ class FitLogs(NamedTuple):
     machines: list[int]
 
     @classmethod
-    def read(cls, jobs: list[Job], length: float | None, machines: list[int] | None = None) -> "FitLogs":
-        """Read the logs, the same model in each; a length of None is chosen by the motion."""
+    def read(cls, jobs: list[Job], machines: list[int] | None = None) -> "FitLogs":
+        """Read the logs, the same model in each."""
         logs = [_without_outliers(aligned(job)) for job in jobs]
         machines = [0] * len(jobs) if machines is None else machines
         file, references = logs[0].loaded.file, [log.loaded.reference.v for log in logs if log.loaded.reference]
         firsts = [machines.index(machine) for machine in sorted(set(machines))]
-        if length is None:
-            length = float(np.median([horizon(np.asarray(logs[k].raw.t), references[k]) for k in firsts]))
+        length = float(np.median([horizon(np.asarray(logs[k].raw.t), references[k]) for k in firsts]))
         document = models.document(jobs[0].model_name, jobs[0].overrides)
         stated = file.input_between != BETWEEN[0] or "between" in document.get("inputs", {})
         # An input that is constant is the same held and linear.

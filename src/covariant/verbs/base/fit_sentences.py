@@ -23,17 +23,6 @@ MIRRORED = (
 )
 
 
-def start_sentence(best: Fit) -> str:
-    """Where the search began that won, and what the others ended at."""
-    (won, _), *others = best.starts or (("", 0.0),)
-    if not won:
-        return ""
-    if not others:
-        return f"The search began from {won}."
-    rest = ", ".join(f"that from {name} by {behind:.3g} worse in log-likelihood" for name, behind in others)
-    return f"The search from {won} ended best, {rest}."
-
-
 def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float, machine: str = "") -> str:
     """What another reading of the logs explains, or of those of one machine, with the line of the model file that says
     so; `step` is of its rows."""
@@ -80,6 +69,8 @@ def robot_details(best: RobotFit) -> dict[str, Any]:
     unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
     combinations = best.combinations
     sentences = []
+    if best.kept:
+        sentences.append(f"the numbers of {', '.join(best.kept)} stay as they are: with others it is predicted worse")
     if unknown:
         shown = "does not show by itself" if len(unknown) == 1 else "does not show by themselves"
         sentences.append(f"this log {shown} {', '.join(unknown)}: the nearest values to the first ones are kept")

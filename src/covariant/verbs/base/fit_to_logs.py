@@ -1,6 +1,8 @@
 """Computes a fit to logs: reads them, solves with held and with linear inputs, and judges on what is held out."""
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +15,8 @@ from covariant._names import refuse_unknown
 from covariant.calibration import Fit, PredictionErrors, RobotFit, fit_robot, relations
 from covariant.calibration.identification import (
     FITTED,
+    MOST_ROWS,
+    RobotUnknowns,
     Rows,
     Solved,
     Unknowns,
@@ -20,9 +24,12 @@ from covariant.calibration.identification import (
     better_reading,
     block_losses,
     error_growth,
+    error_model,
     fit_servos,
     gather,
     held_out_rows,
+    likeliest_robot,
+    linearised_robot,
     predict_servos,
     predicts_worse,
     profile,
@@ -30,6 +37,7 @@ from covariant.calibration.identification import (
     search,
     standing_still,
     window_errors,
+    worse_coordinates,
 )
 from covariant.signals import Record
 from covariant.verbs.base.aligned import Aligned
@@ -39,7 +47,6 @@ from covariant.verbs.base.fit_sentences import (
     rival_sentence,
     robot_details,
     servo_details,
-    start_sentence,
     unlike_servos,
 )
 from covariant.verbs.base.inputs import Job, MisfitError, coordinates
@@ -53,6 +60,8 @@ DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
 CLEAR = 2.0
 """Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
+CLEARLY_WORSE = 1.05
+"""Growth of held-out errors that is no chance."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
 
@@ -60,7 +69,6 @@ ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 def fit_to_logs(
     jobs: list[Job],
     names: Sequence[str],
-    length: float | None,
     progress: Progress,
     sources: Mapping[Path, bytes],
     own: OwnNumbers | None = None,
@@ -72,7 +80,7 @@ def fit_to_logs(
     """
     progress("reading")
     kind = _kind_of(jobs[0], names)
-    problem = kind.read(jobs, names, length, own)
+    problem = kind.read(jobs, names, own)
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
@@ -80,16 +88,19 @@ def fit_to_logs(
         fits = _solve(problem, parts, progress)
     except InputError as error:
         raise InputError(f"{', '.join(logs.names)}: {error}") from error
-    progress("errors on what is held out", 1.0)
     gain = problem.gain(fits) if len(fits) > 1 else None
     used = "linear" if gain is not None and gain.clear and gain.of_linear > 0 else logs.tried[0]
-    best, part = fits[used], parts[used]
+    best, part = problem.refined(fits[used], parts[used], progress), parts[used]
+    progress("errors on what is held out", 1.0)
     # Before the fit no way between stamps was chosen: the first is the one that the model file would use.
     before = problem.errors(None, parts[logs.tried[0]])
     after = problem.errors(best, part)
     progress("other readings of the log", 1.0)
     suspicion = problem.suspicion(best, part)
+    if isinstance(best, RobotFit) and not suspicion:
+        best, after = _by_joint(problem, best, part, before, after)
     better = not predicts_worse(before, after) and not suspicion
+    progress("all rows" if better else "what the logs do not tell", 1.0)
     found: Any = problem.ended(best, part if better else None)
     values = np.array([float(f"{value:.{DIGITS}g}") for value in found.values])[problem.family.parts]
     contents = {
@@ -101,10 +112,8 @@ def fit_to_logs(
             content["parameters"]["source"] = f"fitted to {logs.fitted_to} from first values of: {source}"
         if gain is not None and gain.clear:
             content.setdefault("inputs", {})["between"] = used
-    details = _details(jobs[0], logs, guessed, found, before, after, suspicion) | {
-        "inputs": _input_details(used, logs.stated, gain)
-    }
-    details |= problem.details(found)
+    details = _details(jobs[0], logs, guessed, found, before, after, suspicion)
+    details |= {"inputs": _input_details(used, logs.stated, gain), "better": better, **problem.details(found)}
     if (origin := logs.logs[0].loaded.origin) is not None:
         details["t_counts_from"] = origin
     # A log that is misread says nothing of what it determines.
@@ -121,12 +130,27 @@ class _Part(NamedTuple):
     def of(cls, problem: "_Problem", word: str) -> "_Part":
         logs = problem.logs
         records = [problem.acting(log, word) for log in logs.logs]
-        rows = gather(logs.logs[0].loaded.model.manifold, records, logs.references, logs.machines)
+        model = logs.logs[0].loaded.model
+        # A step of a robot with many joints costs as the square of their number.
+        cost = 1 if isinstance(problem.family, models.Family) else max(1, len(model.coordinates) // 2) ** 2
+        rows = gather(model.manifold, records, logs.references, logs.machines, MOST_ROWS // cost)
         stamps = [np.asarray(record.t) for record in records]
         return cls(rows, held_out_rows(rows, stamps, logs.length, logs.machines))
 
 
-def _solve(problem: "_Problem", parts: dict[str, _Part], progress: Progress) -> dict[str, Any]:
+def _by_joint(
+    problem: Any, best: RobotFit, part: _Part, before: PredictionErrors, after: PredictionErrors
+) -> tuple[RobotFit, PredictionErrors]:
+    """The fit and its errors; with first values for the joints that it predicts worse, where that is better."""
+    worse = worse_coordinates(before, after)
+    parted = best.without(problem.family, worse) if worse.any() else None
+    if parted is None:
+        return best, after
+    errors = problem.errors(parted, part)
+    return (best, after) if predicts_worse(before, errors) else (parted, errors)
+
+
+def _solve(problem: Any, parts: dict[str, _Part], progress: Progress) -> dict[str, Any]:
     """The fit for each way of inputs between stamps, each search from where the one before ended."""
     tried = problem.logs.tried
     fits: dict[str, Any] = {}
@@ -135,7 +159,7 @@ def _solve(problem: "_Problem", parts: dict[str, _Part], progress: Progress) -> 
 
         def report(done: int, fraction: float, k: int = k, word: str = word) -> None:
             which = f" with {word} inputs" if len(tried) > 1 else ""
-            progress(f"round {done + 1}{which}", (k + fraction) / len(tried))
+            progress(f"round {done + 1}{which}", (k + min(fraction, 1.0)) / len(tried))
 
         start = fits[word] = problem.fit(word, parts[word], start, report)
     return fits
@@ -159,26 +183,47 @@ class Gain(NamedTuple):
         return abs(self.of_linear) > CLEAR * self.standard_error
 
 
-class _PredictionProblem(NamedTuple):
+@dataclass(frozen=True)
+class _Problem:
+    """What is fitted to logs: a family of models, the logs, and the machines that they are of."""
+
+    family: Any
+    logs: FitLogs
+    machines: Sequence[str]
+
+    def acting(self, log: Aligned, between: str) -> Record:
+        """The record with the inputs that act in each step."""
+        return log.acting(between, log.loaded.file.input_lag)
+
+    def refined(self, best: Any, part: _Part, progress: Progress) -> Any:
+        """The fit after what need not be done for each way of inputs."""
+        del part, progress
+        return best
+
+    def ended(self, best: Any, part: _Part | None) -> Any:
+        """The fit in the end: once more to all rows of a part, where it was found good there."""
+        del part
+        return best
+
+    def suspicion(self, best: Any, part: _Part) -> str:
+        """A sentence on another reading of the logs that explains them better than the fit; or ""."""
+        del best, part
+        return ""
+
+    def gain(self, fits: dict[str, Any]) -> Gain:
+        """What linear inputs explain better than held ones."""
+        return Gain.of(fits["held"].losses - fits["linear"].losses)
+
+
+class _PredictionProblem(_Problem):
     """Parameters of a model, fitted by the likelihood of logs."""
 
-    family: models.Family
-    logs: FitLogs
-    machines: list[str]
-
     @classmethod
-    def read(
-        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
-    ) -> "_PredictionProblem":
+    def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_PredictionProblem":
         refuse_other_parameters(jobs, ("between", "lag"))
-        family, machines, of_log = models.family(jobs[0].model_name, names, jobs[0].overrides), [""], None
-        if own is not None:
-            machines, of_log = own.numbered
-            try:
-                family = family.of_machines(machines, own.names)
-            except InputError as error:
-                raise InputError(f"each: {error}") from error
-        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], length, of_log), machines)
+        family = models.family(jobs[0].model_name, names, jobs[0].overrides)
+        family, machines, of_log = _of_machines(family, own, lambda own: own)
+        return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], of_log), machines)
 
     def acting(self, log: Aligned, between: str) -> Record:
         """The record with the inputs that act in each step, without their lag, which may be fitted."""
@@ -187,16 +232,11 @@ class _PredictionProblem(NamedTuple):
     def fit(self, word: str, part: _Part, start: Solved | None, report: Callable[[int, float], None]) -> Solved:
         del word
 
-        def progress(done: int, step: int) -> None:
-            report(done, min((done + step / STEPS) / ROUNDS, 1.0))
-
         begin = None if start is None else start.fit.values
         quantum = self.logs.logs[0].loaded.file.quantum
         # The noise of a reading is at least that of rounding.
         least = None if quantum is None else np.asarray(quantum, float) / np.sqrt(12)
-        found = search(self.family, part.rows.only(~part.judged), progress, begin, least)
-        # Which place won is known from the first search; a later one begins where that ended.
-        return found if start is None else found._replace(fit=found.fit._replace(starts=start.fit.starts))
+        return search(self.family, part.rows.only(~part.judged), _reported(report), begin, least)
 
     def ended(self, best: Solved, part: _Part | None) -> Fit:
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
@@ -226,39 +266,27 @@ class _PredictionProblem(NamedTuple):
         return window_errors(unknowns, unknowns.relative(values), part.rows, self.logs.length, part.judged)
 
     def details(self, best: Fit) -> dict[str, Any]:
-        return {"start": start_sentence(best), "undetermined": list(relations(best)), "unlike": list(best.unlike)}
+        return {"undetermined": list(relations(best)), "unlike": list(best.unlike)}
 
 
-class _RobotProblem(NamedTuple):
-    """Numbers of a robot's joints and links, fitted by residual torques."""
+class _RobotProblem(_Problem):
+    """Numbers of a robot's joints and links, fitted by residual torques, and from these by the likelihood of logs."""
 
-    family: models.RobotFamily
-    logs: FitLogs
-    machines: list[str]
+    @functools.cached_property
+    def unknowns(self) -> RobotUnknowns:
+        """The numbers of one machine, whose graphs are made once."""
+        return RobotUnknowns.of(self.family.one, _Part.of(self, self.logs.tried[0]).rows)
 
     @classmethod
-    def read(
-        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
-    ) -> "_RobotProblem":
+    def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_RobotProblem":
         refuse_other_parameters(jobs, ("between",))
-        family, machines, of_log = models.robot_family(jobs[0].model_name, names, jobs[0].overrides), [""], None
-        if own is not None:
-            machines, of_log = own.numbered
-            try:
-                family = family.of_machines(machines, _own_robot_numbers(jobs[0], own.names, family.names))
-            except InputError as error:
-                raise InputError(f"each: {error}") from error
+        family = models.robot_family(jobs[0].model_name, names, jobs[0].overrides)
+        all_names = family.names
+        family, machines, of_log = _of_machines(family, own, lambda own: _own_robot_numbers(jobs[0], own, all_names))
         # A robot without its friction may explain little of a log, as the fit is for that; so its check is another one.
-        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], length, of_log)
-        for name, log in zip(logs.names, logs.logs, strict=True):
-            finding = None if jobs[0].anyway else robot_misfit(family.one, log.loaded.file, log.raw)
-            if finding is not None:
-                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], of_log)
+        _refuse_misfits(jobs[0], logs, lambda log: robot_misfit(family.one, log.loaded.file, log.raw))
         return cls(family, logs, machines)
-
-    def acting(self, log: Aligned, between: str) -> Record:
-        """The record with the inputs that act in each step."""
-        return log.acting(between, log.loaded.file.input_lag)
 
     def fit(self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
         last = self.logs.last
@@ -268,54 +296,52 @@ class _RobotProblem(NamedTuple):
             records = [_first_part(record) for record in records]
         half = self.logs.logs[0].loaded.file.reference_half
 
-        def progress(done: int) -> None:
-            report(done, min(done / ROBOT_ROUNDS, 1.0))
+        return fit_robot(self.family, records, half, lambda done: report(done, done / ROBOT_ROUNDS), start, machines)
 
-        return fit_robot(self.family, records, half, progress, start, machines)
+    def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
+        """The fit of greatest likelihood, where it knows more and predicts no worse than that by residual torques."""
+        if len(self.machines) > 1:
+            return best
+        report = _reported(lambda done, fraction: progress(f"all rows, round {done + 1}", fraction))
+        other = likeliest_robot(self.unknowns, best, part.rows.only(~part.judged), report)
+        # Of a long log not all rows are used.
+        if not np.nanmedian(other.standard_errors / best.standard_errors) < 1:
+            return best
+        return best if error_growth(self.errors(best, part), self.errors(other, part)) > CLEARLY_WORSE else other
 
     def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
-        del part
-        return best
-
-    def suspicion(self, best: RobotFit, part: _Part) -> str:
-        del best, part
-        return ""
-
-    def gain(self, fits: dict[str, RobotFit]) -> Gain:
-        return Gain.of(fits["held"].losses - fits["linear"].losses)
+        """The fit, once more to all rows of a part where it was found good there."""
+        known = best.likeliest and not best.kept
+        return likeliest_robot(self.unknowns, best, part.rows) if part is not None and known else best
 
     def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
         """Root mean squares over the machines, of the first values where there is no fit."""
-        # At the first values the family has the program of the fitted model; but a load that it adds was not there.
-        added = any(number.group == "payload" for number in self.family.numbers)
         x = np.zeros(len(self.family.names)) if best is None else best.coordinates
-        old = best is None and added
-        each: list[Any] = [self.family.file.model if old else self.family.make(own) for own in x[self.family.parts]]
         machine, found = part.rows.of_machine, []
-        for k, model in enumerate(each):
-            rows = part.rows._replace(machine=np.zeros_like(part.rows.machine))
-            judged = part.judged & (machine == k)
+        for k, own in enumerate(x[self.family.parts]):
+            rows, judged = part.rows._replace(machine=np.zeros_like(part.rows.machine)), part.judged & (machine == k)
+            of: Any = self.unknowns, own / self.unknowns.sizes, linearised_robot
+            # A load that the family adds was not there before.
+            if best is None and any(number.group == "payload" for number in self.family.numbers):
+                of = Unknowns.none(self.family.file.model), np.zeros(0), error_model
             if judged.any():
-                found.append(window_errors(Unknowns.none(model), np.zeros(0), rows, self.logs.length, judged))
-        return PredictionErrors(*(np.sqrt(np.mean(np.square(kind), axis=0)) for kind in zip(*found, strict=True)))
+                found.append(window_errors(of[0], of[1], rows, self.logs.length, judged, of[2]))
+        *sizes, windows = zip(*found, strict=True)
+        position, velocity = (np.sqrt(np.mean(np.square(kind), axis=0)) for kind in sizes)
+        return PredictionErrors(position, velocity, np.concatenate(windows))
 
     def details(self, best: RobotFit) -> dict[str, Any]:
         return robot_details(best)
 
 
-class _ServoProblem(NamedTuple):
-    """Numbers of a robot with servos, fitted by predictions from its commands."""
+@dataclass(frozen=True)
+class _ServoProblem(_Problem):
+    """Numbers of a robot with servos, fitted by predictions from its commands; with a family for each log."""
 
-    family: models.RobotFamily
-    logs: FitLogs
-    families: list[models.RobotFamily]
-    window: float | None
-    machines: tuple[str, ...] = ("",)
+    families: Sequence[models.RobotFamily]
 
     @classmethod
-    def read(
-        cls, jobs: list[Job], names: Sequence[str], length: float | None, own: OwnNumbers | None = None
-    ) -> "_ServoProblem":
+    def read(cls, jobs: list[Job], names: Sequence[str], own: OwnNumbers | None = None) -> "_ServoProblem":
         if own is not None:
             raise InputError(
                 "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
@@ -335,43 +361,36 @@ class _ServoProblem(NamedTuple):
         same = all(job.overrides == jobs[0].overrides for job in jobs)
         family = families[0] if same else models.robot_family(jobs[0].model_name, names)
         # A servo whose numbers are first values explains little of a log, as the fit is for that.
-        logs = FitLogs.read([job._replace(anyway=True) for job in jobs], None)
-        for name, log in zip(logs.names, logs.logs, strict=True):
-            finding = None if jobs[0].anyway else standing_still(log.loaded.file, log.raw)
-            if finding is not None:
-                raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
+        logs = FitLogs.read([job._replace(anyway=True) for job in jobs])
+        _refuse_misfits(jobs[0], logs, lambda log: standing_still(log.loaded.file, log.raw))
         file = logs.logs[0].loaded.file
-        return cls(family, logs._replace(tried=(file.input_between,)), families, length)
+        return cls(family, logs._replace(tried=(file.input_between,)), [""], families)
 
-    def acting(self, log: Aligned, between: str) -> Record:
-        """The record with the inputs that act in each step."""
-        return log.acting(between, log.loaded.file.input_lag)
-
-    def fit(self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
+    def fit(
+        self, word: str, part: _Part, start: RobotFit | None, report: Callable[[int, float], None], whole: bool = False
+    ) -> RobotFit:
         seen = self.logs.seen
         records = [log.raw for log in self.logs.logs[:seen]]
         if len(self.logs.logs) == 1:
             records = [_first_part(records[0])]
-        return fit_servos(
-            self.families[:seen],
-            records,
-            word,
-            lambda done: report(done, min(done / ROBOT_ROUNDS, 1.0)),
-            self.window,
-            late=_late(self.logs.logs[0]),
-        )
 
-    def ended(self, best: RobotFit, part: _Part | None) -> RobotFit:
-        del part
-        return best
+        del part, start
+        late = _late(self.logs.logs[0])
+        return fit_servos(self.families[:seen], records, word, lambda k: report(k, k / ROBOT_ROUNDS), late, whole)
+
+    def refined(self, best: RobotFit, part: _Part, progress: Progress) -> RobotFit:
+        """The fit with windows as long as the logs, where that predicts clearly better: they are few."""
+
+        def report(done: int, fraction: float) -> None:
+            progress(f"whole logs, round {done + 1}", min(fraction, 1.0))
+
+        other = self.fit(self.logs.tried[0], part, None, report, whole=True)
+        return other if error_growth(self.errors(other), self.errors(best)) > CLEARLY_WORSE else best
 
     def suspicion(self, best: RobotFit, part: _Part) -> str:
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
         del part
         return unlike_servos(self.family, best, self.logs.logs[-1], self.errors(best).position)
-
-    def gain(self, fits: dict[str, RobotFit]) -> Gain:
-        return Gain.of(fits["held"].losses - fits["linear"].losses)
 
     def errors(self, best: RobotFit | None, part: _Part | None = None) -> PredictionErrors:
         """Errors of the motion predicted from the first row and the commands of what is held out."""
@@ -397,15 +416,35 @@ class _ServoProblem(NamedTuple):
         return servo_details(best, self.family)
 
 
-_Problem = _PredictionProblem | _RobotProblem | _ServoProblem
-
-
-def _kind_of(job: Job, names: Sequence[str]) -> "type[_Problem]":
+def _kind_of(job: Job, names: Sequence[str]) -> type[Any]:
     """The kind of problem that the names of the numbers, and the inputs of the model, make it."""
     if not _is_robot_fit(job, names):
         return _PredictionProblem
     model = models.load(job.model, job.overrides).model
     return _RobotProblem if models.robots.servos_in(model) is None else _ServoProblem
+
+
+def _reported(report: Callable[[int, float], None]) -> Callable[[int, int], None]:
+    """Report of a round and of the part that is done, at a step of a round."""
+    return lambda done, step: report(done, min((done + step / STEPS) / ROUNDS, 1.0))
+
+
+def _of_machines(family: Any, own: OwnNumbers | None, named: Callable[[list[str]], list[str]]) -> Any:
+    """The family of all machines, their names, and the machine of each log."""
+    if own is None:
+        return family, [""], None
+    machines, of_log = own.numbered
+    try:
+        return family.of_machines(machines, named(own.names)), machines, of_log
+    except InputError as error:
+        raise InputError(f"each: {error}") from error
+
+
+def _refuse_misfits(job: Job, logs: FitLogs, find: Callable[[Aligned], Any]) -> None:
+    """Raise if something is found that makes a log useless for a fit, unless it is fitted anyway."""
+    for name, log in zip(logs.names, logs.logs, strict=True):
+        if not job.anyway and (finding := find(log)) is not None:
+            raise MisfitError(f"{name}: {finding.evidence}. {finding.line}; `anyway=True` goes on")
 
 
 def _own_robot_numbers(job: Job, names: Sequence[str], fitted: tuple[str, ...]) -> list[str]:
@@ -483,11 +522,10 @@ def _details(
         "coordinates": list(names),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out_errors": {
-            when: {kind: rounded(np.asarray(values)) for kind, values in errors._asdict().items()}
+            when: {"position": rounded(errors.position), "velocity": rounded(errors.velocity)}
             for when, errors in (("before", before), ("after", after))
         },
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
-        "better": not predicts_worse(before, after) and not suspicion,
         "suspicion": suspicion,
     }
 
