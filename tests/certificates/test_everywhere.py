@@ -213,9 +213,8 @@ def test_gains_that_do_not_suffice_are_undecided():
 
 def test_a_small_effort_gives_the_bound_so_far(proved):
     some = certify_globally(ARM, velocity=1.0, interval=(STEP, STEP), boxes=10)
-    assert some.norm > proved.norm
-    if some.statement.proved:
-        assert some.document.omega.max() > proved.document.omega.max()
+    assert some.proof.boxes <= 10
+    assert not some.statement.proved or some.document.omega.max() > proved.document.omega.max()
 
 
 @pytest.mark.core(3)

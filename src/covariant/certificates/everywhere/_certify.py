@@ -8,12 +8,12 @@ Source: an addition; Boyd, Kim, Vandenberghe & Hassibi 2007, A tutorial on geome
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
-from scipy.optimize import bisect, minimize
+from scipy.optimize import minimize
 
 from covariant._domains import NOT_NEGATIVE, SPAN, Count, Positive, Whole, check_numbers
 from covariant.certificates.base import (
@@ -26,13 +26,10 @@ from covariant.certificates.base import (
     check_recipe,
     dimension,
     need_doubles,
-    need_joint_friction,
-    need_known,
-    need_steady_friction,
 )
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
 from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling
-from covariant.certificates.everywhere._document import GlobalDocument, statement_of
+from covariant.certificates.everywhere._document import GlobalDocument, need_covered, statement_of
 from covariant.certificates.proving import friction_bounds, friction_on
 from covariant.certificates.theory import compare_connections
 from covariant.models import MechanicalSystem
@@ -58,7 +55,6 @@ class GlobalCertificate(NamedTuple):
         observer: the observer, with its gains and the bound of its speeds.
         document: all numbers of the claim, as they are saved.
         proof: the tree of boxes of the coupling.
-        norm: the largest ‖diag(1/ω) W⁻¹ N W‖₂ proved so far; the claim needs it below 1/γ.
 
     Example:
         >>> from covariant import models
@@ -72,7 +68,6 @@ class GlobalCertificate(NamedTuple):
     observer: MeasuredCoefficients
     document: GlobalDocument
     proof: Proof
-    norm: float
 
     def velocity_noise(self, std: ArrayLike) -> Float[np.ndarray, "n"]:
         """Standard deviations (n,) of the velocities by independent encoder noise, of linear channels.
@@ -147,13 +142,9 @@ def certify_globally(
     need_doubles("certify_globally")
     given: Any = observer if type(observer) is MeasuredCoefficients else None
     model: Any = observer if given is None else given.model
-    need_known(model)
-    if not model.manifold.commuting:
-        raise InputError("certify_globally needs a model in coordinates; on a group there are no differences of them")
-    n = dimension(model)
+    need_covered(model)
     check_recipe(model, recipe)
-    need_steady_friction(model)
-    need_joint_friction(model)
+    n = dimension(model)
     clip: Any = None if given is None else np.broadcast_to(np.asarray(given.speed), (n,))
     if velocity is None and (clip is None or not np.isfinite(clip).all()):
         raise InputError("certify_globally: velocity is missing, the bound of the true speeds that the clip is for")
@@ -187,12 +178,12 @@ def certify_globally(
     bound = bound_coupling(coupling._replace(document=document), enough, boxes, seconds, told)
     levels = tuple(to_letters(bound.proof.levels))
     document = document._replace(acceleration=bound.acceleration, coupling=bound.norm, levels=levels)
-    if bound.norm < math.inf:
-        document = (_design if given is None else _verify)(document, rate)
+    tries = _tries(document, given is None, rate) if bound.norm < math.inf else ()
+    document = next((found for each in tries if (found := _metrics(each)) is not None), document)
     hypotheses = (*_hypotheses(document, bound, omega, model), compare_connections(model.space, domain, PLACES))
     statement = statement_of(document, model, hypotheses, all(each.verdict == "holds" for each in hypotheses))
     made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given
-    return GlobalCertificate(statement, made, document, bound.proof, bound.norm)
+    return GlobalCertificate(statement, made, document, bound.proof)
 
 
 def _domain(model: MechanicalSystem, position: Bounds | None, noise: np.ndarray) -> Box:
@@ -224,10 +215,8 @@ def _friction(model: MechanicalSystem, speed: np.ndarray) -> tuple[np.ndarray, n
 
 def _perron(matrix: np.ndarray) -> np.ndarray:
     """W (n,) with which `W⁻¹AW` has the spectral radius of A > 0 as its norm: √(r/l) of A's two eigenvectors."""
-    right = left = np.ones(len(matrix))
-    for _ in range(500):
-        right, left = matrix @ right, matrix.T @ left
-        right, left = right / right.max(), left / left.max()
+    pairs = map(np.linalg.eig, (matrix, matrix.T))
+    right, left = (np.abs(vectors[:, values.real.argmax()]) for values, vectors in pairs)
     return np.sqrt(right / left)
 
 
@@ -261,31 +250,20 @@ def _metrics(document: GlobalDocument) -> GlobalDocument | None:
     return document._replace(metrics=np.stack([p for _, p in found])) if fits else None
 
 
-def _design(document: GlobalDocument, rate: float | None) -> GlobalDocument:
-    """The smallest multiple of ω for which metrics are found."""
+def _tries(document: GlobalDocument, designed: bool, rate: float | None) -> Iterator[GlobalDocument]:
+    """Multiples of ω from the smallest that may do, or for given gains rates from the largest."""
+    if not designed:
+        fastest = 0.5 * float(document.alpha.min())
+        for mu in [rate] if rate else np.geomspace(fastest, 2e-4 * fastest, 20).tolist():
+            yield document._replace(rate=mu)
+        return
     shape, norm = document.omega, document.coupling
     factor = 1.38 * norm
     while factor * shape.max() * document.ages[-1, 1] <= DENSE:
         omega = factor * shape
         gains = {"alpha": DAMPING * omega, "beta": omega**2, "rate": rate or RATE * float(omega.min())}
-        found = _metrics(document._replace(coupling=norm / factor * (1 + 1e-12), **gains))
-        if found is not None:
-            return found
+        yield document._replace(coupling=norm / factor * (1 + 1e-12), **gains)
         factor *= 1.03
-    return document
-
-
-def _verify(document: GlobalDocument, rate: float | None) -> GlobalDocument:
-    """The document at the largest rate for which metrics are found, or at a given one."""
-
-    def room(mu):
-        return _allowed(document._replace(rate=mu)) - document.coupling
-
-    slowest, fastest = (part * float(document.alpha.min()) for part in (1e-4, 0.5))
-    found: Any = rate
-    if rate is None and room(slowest) >= 0:
-        found = bisect(room, slowest, fastest, xtol=slowest)
-    return document if found is None else _metrics(document._replace(rate=found)) or document
 
 
 def _hypotheses(

@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -61,7 +62,7 @@ class Channel(NamedTuple):
         return cls(flow, jnp.stack([kept * s * s / 2, s - rate * s * s / 2]), jnp.stack([part, rate]), first, last)
 
 
-def gain_matrix(alpha: float, beta: float, p: np.ndarray, rate: float, square: float) -> Callable[[Array], Array]:
+def gain_matrix(alpha: float, beta: float, p: Any, rate: float, square: float) -> Callable[[Array], Array]:
     """The matrix (3, 3) of τ that is positive definite where P proves the gain γ, γ² = `square`, at the rate μ."""
 
     def matrix(z):
@@ -75,35 +76,34 @@ def gain_matrix(alpha: float, beta: float, p: np.ndarray, rate: float, square: f
     return matrix
 
 
+@jax.jit
+def _forms(alpha: float, beta: float, p: Array, rate: float, ages: Array) -> Array:
+    """The matrices (a, 3, 3) of `gain_matrix` at the gain 0."""
+    return jax.vmap(gain_matrix(alpha, beta, p, rate, 0.0))(ages[:, None])
+
+
 def least_gain_of(
     alpha: float, beta: float, rate: float, ages: Float[np.ndarray, "a"]
 ) -> tuple[float, Float[np.ndarray, "2 2"]]:
     """The least square of the gain at some times between samples, and its P, by a search; `NONE` if none is found."""
-    channels = [Channel.of(alpha, beta, float(age)) for age in ages]
-    a, b = (np.stack([np.asarray(each[k]) for each in channels]) for k in (0, 1))
-    kept = np.exp(-2 * rate * np.asarray(ages))[:, None, None]
-    times = np.asarray(ages, float)
-    output = times[:, None, None] * np.diag([0.0, 1.0])
 
     def matrix(x):
         roots, bend = np.exp(x[:2]), math.tanh(x[2])
-        return np.array([[roots[0] ** 2, bend * roots[0] * roots[1]], [bend * roots[0] * roots[1], roots[1] ** 2]])
+        return np.array([[1.0, bend], [bend, 1.0]]) * np.outer(roots, roots)
 
     def square(x):
         p = matrix(x)
-        left = kept * p - a.swapaxes(1, 2) @ p @ a - output
-        det = left[:, 0, 0] * left[:, 1, 1] - left[:, 0, 1] ** 2
-        if not (np.isfinite(p).all() and (left[:, 0, 0] > 0).all() and (det > 0).all()):
+        forms = np.asarray(_forms(alpha, beta, p, rate, ages))
+        if not np.isfinite(forms).all() or np.linalg.eigvalsh(forms[:, :2, :2]).min() <= 0:
             return NONE
-        cross = np.einsum("aji,jk,ak->ai", a, p, b)
-        inner = left[:, 1, 1] * cross[:, 0] ** 2 - 2 * left[:, 0, 1] * cross[:, 0] * cross[:, 1]
-        inner = (inner + left[:, 0, 0] * cross[:, 1] ** 2) / det
-        return float(((np.einsum("ai,ij,aj->a", b, p, b) + inner) / times).max())
+        # The last pivot, with which the determinant is 0: γ² is what has to be added to it.
+        return float((-1 / np.linalg.inv(forms)[:, 2, 2] / ages).max())
 
-    middle = a[0] * math.exp(rate * float(ages[0]))
-    if max(abs(np.linalg.eigvals(middle))) >= 1:
+    shortest = float(ages[0])
+    step = math.exp(rate * shortest) * np.asarray(Channel.of(alpha, beta, shortest).flow)
+    if max(abs(np.linalg.eigvals(step))) >= 1:
         return NONE, np.eye(2)
-    start = solve_discrete_lyapunov(middle.T, 2 * output[0] + 0.02 * times[0] * np.eye(2))
+    start = solve_discrete_lyapunov(step.T, shortest * np.diag([0.02, 2.02]))
     roots = np.sqrt(np.diag(start))
     x = np.array([*np.log(roots), math.atanh(start[0, 1] / roots.prod())])
     x = min((x + np.array([shift, shift, 0.0]) for shift in (0.0, 0.35, 0.7, 1.05)), key=square)

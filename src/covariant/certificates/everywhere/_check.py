@@ -17,16 +17,9 @@ import numpy as np
 from jaxtyping import Array
 
 from covariant._linalg import solve
-from covariant.certificates.base import (
-    Hypothesis,
-    friction_of,
-    need_doubles,
-    need_joint_friction,
-    need_known,
-    need_steady_friction,
-)
+from covariant.certificates.base import Hypothesis, friction_of, need_doubles
 from covariant.certificates.checking import Checked
-from covariant.certificates.everywhere._document import GlobalDocument, read_document, statement_of
+from covariant.certificates.everywhere._document import GlobalDocument, need_covered, read_document, statement_of
 from covariant.models import Lagrangian, MechanicalSystem, from_recipe
 from covariant.observers import MeasuredCoefficients
 from scalargraph.errors import InputError
@@ -73,11 +66,9 @@ def check_globally(
     need_doubles("a check")
     try:
         system: Any = from_recipe(document.recipe or {}, model)
-        need_known(system)
+        need_covered(system)
         if len(system.coordinates) != len(document.low):
             raise InputError(f"recipe: its model has {len(system.coordinates)} coordinates, not {len(document.low)}")
-        need_steady_friction(system)
-        need_joint_friction(system)
         count = _show(document, system, progress)
     except Exception as error:  # the model of a user may fail in any way while it is traced
         kind = "" if isinstance(error, InputError) else f"the model fails: {type(error).__name__}: "

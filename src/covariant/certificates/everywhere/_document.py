@@ -28,6 +28,9 @@ from covariant.certificates.base import (
     MOST_LOST,
     Hypothesis,
     Statement,
+    need_joint_friction,
+    need_known,
+    need_steady_friction,
     read_fields,
     read_interval,
     read_metric,
@@ -44,6 +47,12 @@ from scalargraph.proofs import LETTERS, digest, parse_file, read_file, saved_lev
 
 FORMAT = "covariant certificate of all first errors 1"
 MOST_JOINTS = len(LETTERS)
+DISTURBING = {
+    "noise": "unit of noise",
+    "acceleration": "unit/s² of unknown acceleration",
+    "jerk": "unit/s³ of jerk",
+}
+"""What leaves an error in the end."""
 CELLS = 64
 """Parts of an interval of ages on which the disturbances are bounded."""
 POSITIVE = ("velocity", "alpha", "beta", "weights")
@@ -190,50 +199,49 @@ def read_document(path: str | Path, content: bytes | None = None) -> GlobalDocum
     return GlobalDocument(recipe=read_recipe(fields["recipe"]), **numbers)
 
 
+def need_covered(model: MechanicalSystem) -> None:
+    """Refuse models that the statement does not cover."""
+    need_known(model)
+    if not model.manifold.commuting:
+        raise InputError("certify_globally needs a model in coordinates; on a group there are no differences of them")
+    need_steady_friction(model)
+    need_joint_friction(model)
+
+
 def statement_of(
     document: GlobalDocument, model: MechanicalSystem, hypotheses: tuple[Hypothesis, ...], proved: bool
 ) -> Statement:
     """The statement that follows from the numbers of a document."""
-    names, units = model.coordinates, model.units or ("",) * len(model.coordinates)
-    bounds = zip(names, document.low, document.high, units, strict=True)
+    n, units = len(model.coordinates), model.units or ("",) * len(model.coordinates)
+    bounds = zip(model.coordinates, document.low, document.high, units, strict=True)
     position, velocity = document.reach
-    radius = document.radius() if proved else math.inf
-    shortest, longest = document.interval.tolist()
-    every = f"{shortest!r} s" if shortest == longest else f"{shortest!r} to {longest!r} s"
-    disturbing = {
-        "noise": "unit of noise",
-        "acceleration": "unit/s² of unknown acceleration",
-        "jerk": "unit/s³ of jerk",
-    }
-    exact = document._replace(**dict.fromkeys(disturbing, np.zeros(len(names))))
+    stated = {key: value.tolist() for key, value in document._asdict().items() if isinstance(value, np.ndarray)}
     lines = [
         f"model: {'one that was given as an object' if document.recipe is None else recipe_text(document.recipe)}",
-        f"observer: measured-coefficients, speed = {document.velocity.tolist()}, alpha = {document.alpha.tolist()} "
-        f"1/s, beta = {document.beta.tolist()} 1/s²",
-        f"samples {every} apart, of which at most {document.lost} in a row are lost, as rows or without them",
+        "observer: measured-coefficients, speed = {velocity}, alpha = {alpha} 1/s, beta = {beta} 1/s²".format(**stated),
+        f"samples {' to '.join(map(repr, dict.fromkeys(stated['interval'])))} s apart, of which at most {document.lost}"
+        " in a row are lost, as rows or without them",
         "measured configurations: "
         + ", ".join(f"{low:.4g} ≤ {name} ≤ {high:.4g} {unit}".rstrip() for name, low, high, unit in bounds),
-        f"true velocities up to {document.velocity.tolist()}",
-        f"friction: between velocities it differs by up to {document.viscous.tolist()} times their distance, and "
-        f"{document.dry.tolist()}",
-        f"noise of measurements up to {document.noise.tolist()}, unknown forces up to {document.disturbance.tolist()}, "
-        f"together accelerations up to {_rounded(document.acceleration)}; jerk up to {document.jerk.tolist()}",
+        "true velocities up to {velocity}".format(**stated),
+        "friction: between velocities it differs by up to {viscous} times their distance, and {dry}".format(**stated),
+        "noise of measurements up to {noise}, unknown forces up to {disturbance}, together accelerations up to "
+        "{}; jerk up to {jerk}".format(_rounded(document.acceleration), **stated),
     ]
+    claim = "from every first error of positions and velocities, the error of the estimate falls"
+    claim += f" at {rounded_down(document.rate)} 1/s or faster" if document.rate else ""
     if proved:
+        radius, none = document.radius(), document._replace(**dict.fromkeys(DISTURBING, np.zeros(n)))
         lines += [
             f"an error of the norm 1 is at most {_rounded(position)} of the positions and {_rounded(velocity)} of the "
-            f"velocities; weights {document.weights.tolist()}, P {document.metrics.tolist()}",
+            "velocities; weights {weights}, P {metrics}".format(**stated),
             *(
                 f"each {what} in every coordinate leaves velocities off by at most "
-                f"{_rounded(velocity * exact._replace(**{key: np.ones(len(names))}).radius())}"
-                for key, what in disturbing.items()
+                f"{_rounded(velocity * none._replace(**{key: np.ones(n)}).radius())}"
+                for key, what in DISTURBING.items()
             ),
         ]
-    claim = (
-        "from every first error of positions and velocities, the error of the estimate falls"
-        + (f" at {rounded_down(document.rate)} 1/s or faster" if document.rate else "")
-        + (f", to within {_rounded(velocity * radius)} of the velocities" if proved and radius else "")
-    )
+        claim += f", to within {_rounded(velocity * radius)} of the velocities" if radius else ""
     assumed = tuple(Hypothesis(text, "assumed") for text in ASSUMED)
     return Statement(claim, tuple(lines), (*hypotheses, *assumed), document.rate)
 
