@@ -22,7 +22,7 @@ from .base.inputs import MisfitError as MisfitError
 from .base.model_output import check_model_output as check_model_output
 from .base.outputs import FIGURES as FIGURES, TABLES as TABLES, check_output as check_output, columns_of as columns_of
 from .base.progress import Progress as Progress
-from .base.result import AbstractResult as AbstractResult, AbstractTable as AbstractTable
+from .base.result import AbstractResult as AbstractResult
 
 __all__ = [
     "AbstractResult",

@@ -79,11 +79,7 @@ from ._intrinsic import (
     observer_document as observer_document,
     with_model as with_model,
 )
-from ._noise import (
-    error_bounds as error_bounds,
-    noise_disturbance as noise_disturbance,
-    steady_distance as steady_distance,
-)
+from ._noise import error_bounds as error_bounds, steady_distance as steady_distance
 from ._properties import PERIODIC as PERIODIC, need_known as need_known, need_symmetry as need_symmetry
 from ._radius_recursion import Recursion as Recursion
 from ._recipe import (
