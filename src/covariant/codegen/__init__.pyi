@@ -5,7 +5,6 @@ from ._program import (
     Program as Program,
     Recipe as Recipe,
     Signals as Signals,
-    TracedProgram as TracedProgram,
     of_family as of_family,
     program as program,
     trace_program as trace_program,
