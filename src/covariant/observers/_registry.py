@@ -263,7 +263,7 @@ REGISTRY = (
         observer=EKF,
         make=partial(EKF, adaptive=True),
         tuned_by="noise",
-        about="extended Kalman filter, Joseph form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
+        about="extended Kalman filter, square-root form; on SO(3) the multiplicative, on SE(3) the left-invariant one",
         when="known noise, large initial uncertainty",
         source="Gelb 1974, 6.1; Lefferts, Markley & Shuster 1982; Barrau & Bonnabel 2017, 3",
         fits=without_contacts,
