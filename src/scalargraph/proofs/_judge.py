@@ -12,7 +12,6 @@ from scalargraph.proofs._box import Box
 from scalargraph.proofs._definite import definite, factors, indefinite, weights
 from scalargraph.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
 from scalargraph.proofs._models import polynomials
-from scalargraph.proofs._tests_in_c import tests_in_c
 from scalargraph.proofs._tree import OPEN, PROVED, middle_of
 
 MODELLED = 128
@@ -57,19 +56,15 @@ def _test_boxes(
     at = enclose(matrix.first, centre, centre, matrix.engine)
     on = enclose(matrix.second, low, high, matrix.engine)
     k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
-    tests = tests_in_c(matrix.engine, matrix.size)
-    enclosures = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
-    test = tests.definite if tests else definite
+    enclosures = enclosed_by(at, on, half, k)
     # The form with terms comes first: under a congruence its terms cancel between entries, which bounds cannot.
-    proved, c = test(enclosures.centre, enclosures.rest, enclosures.terms)
+    proved, c = definite(enclosures.centre, enclosures.rest, enclosures.terms)
     rest = np.flatnonzero(~proved)
     # Bounds of the entries also hold if the matrix is not smooth; Taylor's form is not valid then.
-    proved[rest] = test(enclosures.middle[:, rest], enclosures.radius[:, rest])[0]
+    proved[rest] = definite(enclosures.middle[:, rest], enclosures.radius[:, rest])[0]
     rest = np.flatnonzero(~proved)
     parts = np.zeros((len(enclosures.terms), len(low)))
-    parts[:, rest] = (tests.weights if tests else weights)(
-        c[..., rest], enclosures.terms[..., rest], enclosures.shares[..., rest]
-    )
+    parts[:, rest] = weights(c[..., rest], enclosures.terms[..., rest], enclosures.shares[..., rest])
     return proved, _weight(parts, np.arange(f), f), enclosures.smooth
 
 
@@ -77,12 +72,12 @@ def _test_by_models(
     matrix: Expansions, low: np.ndarray, high: np.ndarray
 ) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
     """`_test_boxes` by Taylor models, a few boxes at a time. At kinks these are hulls, so all boxes count as smooth."""
-    tests, f = tests_in_c(matrix.engine, matrix.size), len(matrix.free)
+    f = len(matrix.free)
     proved, weight = np.empty(len(low), bool), np.empty((len(low), f))
     for start in range(0, len(low), MODELLED):
         chunk = slice(start, start + MODELLED)
         models = polynomials(matrix.value, low[chunk], high[chunk], matrix.free)
-        proved[chunk], c = (tests.definite if tests else definite)(models.centre, models.rest, models.terms)
+        proved[chunk], c = definite(models.centre, models.rest, models.terms)
         rest = np.flatnonzero(~proved[chunk])
         shares = np.zeros_like(models.terms[..., rest])
         shares[:f] = models.shares[..., rest]
