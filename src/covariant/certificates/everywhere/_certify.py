@@ -216,7 +216,7 @@ def _friction(model: MechanicalSystem, speed: np.ndarray) -> tuple[np.ndarray, n
 def _perron(matrix: np.ndarray) -> np.ndarray:
     """W (n,) with which `W⁻¹AW` has the spectral radius of A > 0 as its norm: √(r/l) of A's two eigenvectors."""
     pairs = map(np.linalg.eig, (matrix, matrix.T))
-    right, left = (np.abs(vectors[:, values.real.argmax()]) for values, vectors in pairs)
+    right, left = (np.abs(vectors[:, np.real(values).argmax()]) for values, vectors in pairs)
     return np.sqrt(right / left)
 
 
