@@ -172,13 +172,13 @@ def _compare(shown: str, printed: str) -> None:
 
 def same(shown: str, printed: str) -> bool:
     """Whether two lines have the same words, and numbers that differ by 5 % at most; `…` stands for any word."""
-    left, right = shown.split(), printed.split()
+    left, right = ([word.strip("[](),;:") for word in line.split()] for line in (shown, printed))
     return len(left) == len(right) and all(a in ("…", b) or _near(a, b) for a, b in zip(left, right, strict=True))
 
 
 def _near(shown: str, printed: str) -> bool:
     try:
-        a, b = float(shown.rstrip(",;:")), float(printed.rstrip(",;:"))
+        a, b = float(shown), float(printed)
     except ValueError:
         return False
     return abs(a - b) <= TOLERANCE * max(abs(a), abs(b))

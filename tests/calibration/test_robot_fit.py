@@ -10,7 +10,7 @@ from two_links import Truth, swing
 from covariant import models
 from covariant.calibration import fit_robot
 from covariant.calibration.identification._robot_fit import rounded_values
-from covariant.calibration.identification._robot_torques import _told_from_zero
+from covariant.calibration.identification._robot_torques import told_from_zero
 from covariant.signals import Record
 
 HALF = 0.03
@@ -40,9 +40,9 @@ def test_positions_may_come_at_fewer_rows_than_torques():
 def test_a_number_is_determined_where_zero_and_a_tenth_of_its_usual_size_are_told_apart():
     """A Coulomb friction of 0 ± 0.78 N m says nothing where the motor has 3 N m; one of 2.6 ± 0.78 N m does."""
     values, errors = np.array([0.0, 2.6, 0.0, 0.4]), np.array([0.78, 0.78, 0.1, 0.1])
-    assert _told_from_zero(values, errors, np.full(4, 3.0)).tolist() == [False, True, True, True]
-    assert _told_from_zero(values, errors, np.full(4, 20.0)).tolist() == [True] * 4
-    assert not _told_from_zero(-values, errors, np.full(4, 1.0))[2]
+    assert told_from_zero(values, errors, np.full(4, 3.0)).tolist() == [False, True, True, True]
+    assert told_from_zero(values, errors, np.full(4, 20.0)).tolist() == [True] * 4
+    assert not told_from_zero(-values, errors, np.full(4, 1.0))[2]
 
 
 def test_a_joint_may_stick_by_the_friction_of_its_file(tmp_path):

@@ -1,7 +1,6 @@
 """Reads logs of every kind into records in SI units."""
 
 import contextlib
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._names import did_you_mean
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
 from covariant.logs._clock import displaced_rows
@@ -21,7 +19,16 @@ from covariant.logs._entries import by_entries, is_list
 from covariant.logs._episodes import episodes_fault
 from covariant.logs._register import Register
 from covariant.logs._stamps import stamps, timed
-from covariant.logs._tables import LogSource, plain_text, source_name, stated_units, table_source
+from covariant.logs._tables import (
+    LogSource,
+    find,
+    no_header,
+    plain_text,
+    source_name,
+    stated_units,
+    table_source,
+    unite,
+)
 from covariant.logs._text import read_text, sheet, with_points
 from covariant.logs._unit_in_name import MEANT, is_unit_of, unit_in_name, unknown_unit, unknown_unit_fault
 from covariant.logs._units import check_unit, unit_factor
@@ -377,7 +384,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     with _legible(name, log):
         source = _open_source(name, log)
         named = list(dict.fromkeys(column for column in source.shown if column))
-        table, remarks = _unite(name, source.load(named, (), ()), refuse=False)
+        table, remarks = unite(name, source.load(named, (), ()), refuse=False)
         table = with_points(pyarrow(), name, table, source.decimal_commas)
     columns: dict[str, np.ndarray] = {}
     # A log of messages also loads its clock.
@@ -388,7 +395,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
                 stamps(name, column, None).t if timed(column) else numbers(name, column, needed=False)
             )
     if source.first_line:
-        remarks.append(_no_header(source))
+        remarks.append(no_header(source))
     return LogSurvey(columns, source.units, tuple(remarks), source.labels)
 
 
@@ -421,8 +428,8 @@ def _columns_and_table(asked: _Asked) -> tuple[Columns, list[Columns], Any, LogS
         # A sensor also counts as absent only if all its columns are missing.
         present = [each for each, _ in asked.sensors if set(each.measured) & set(names)]
         beside = [name for each in present for name in each.measured if name not in wanted]
-        _find(name, wanted + beside, source)
-        table, _ = _unite(name, source.load(wanted, columns.u, beside))
+        find(name, wanted + beside, source)
+        table, _ = unite(name, source.load(wanted, columns.u, beside))
         return columns, present, with_points(pyarrow(), name, table, source.decimal_commas), source
 
 
@@ -481,56 +488,3 @@ def _parquet(path: Path, wanted: Sequence[str]) -> Any:
     with pyarrow().parquet.ParquetFile(path) as file:
         table = file.read(columns=wanted)
     return pyarrow().table([plain_text(column) for column in table.columns], names=table.column_names)
-
-
-def _find(log: str, wanted: Sequence[str], source: LogSource) -> None:
-    """Check that each wanted column exists."""
-    for name in wanted:
-        if name in source.names:
-            continue
-        there = _no_header(source) if source.first_line else f"There are: {', '.join(source.shown)}"
-        raise LogError(f"{log}: no column {name!r}.{did_you_mean(name, source.names)} {there}")
-
-
-def _no_header(source: LogSource) -> str:
-    """Remark that a text has no header."""
-    return (
-        f"Its first line, {source.first_line[:60]!r}, names no columns, so that they are called "
-        f"{', '.join(source.names)}; use these names, or put a header above it"
-    )
-
-
-def _unite(log: str, table: Any, refuse: bool = True) -> tuple[Any, list[str]]:
-    """A table in which each name occurs once, and a remark for each name that occurred more often.
-
-    Of equal columns the first one is kept. Different ones raise `LogError`, or are all left out.
-    """
-    remarks = []
-    for name, count in Counter(table.column_names).items():
-        if count == 1:
-            continue
-        places = [place for place, other in enumerate(table.column_names) if other == name]
-        cells = [table.column(place).to_pylist() for place in places]
-        row = next((k for k, row in enumerate(zip(*cells, strict=True)) if not _are_equal(row)), None)
-        remark = f"{count} columns are named {name!r} and are equal, so that they count as one"
-        if row is not None:
-            values = " and ".join(repr(column[row]) for column in cells)
-            remark = f"{count} columns are named {name!r} and differ, first in row {row + 1}: {values}"
-            if refuse:
-                raise LogError(f"{log}: {remark}; rename all but one")
-            remark += "; they are left out, so rename all but one"
-        remarks.append(remark)
-        for place in reversed(places[row is None :]):
-            table = table.remove_column(place)
-    return table, remarks
-
-
-def _are_equal(cells: Sequence[Any]) -> bool:
-    """Whether cells have the same content; 0.5 equals 0.50, and a missing number differs from any other."""
-    compared = []
-    for cell in cells:
-        plain = cell.strip() if isinstance(cell, str) else cell
-        with contextlib.suppress(TypeError, ValueError):
-            plain = float(plain)
-        compared.append(None if plain == "" or plain != plain else plain)
-    return all(other == compared[0] for other in compared)

@@ -4,6 +4,7 @@ import contextlib
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant._names import did_you_mean
 from covariant._optional import load_optional
 from covariant.logs._columns import LogError, pyarrow
 from covariant.signals import Record
@@ -188,3 +190,56 @@ def plain_text(cells: Any) -> Any:
     if any(each(cells.type) for each in (types.is_dictionary, types.is_large_string, types.is_string_view)):
         return cells.cast(pyarrow().string())
     return cells
+
+
+def find(log: str, wanted: Sequence[str], source: LogSource) -> None:
+    """Check that each wanted column exists."""
+    for name in wanted:
+        if name in source.names:
+            continue
+        there = no_header(source) if source.first_line else f"There are: {', '.join(source.shown)}"
+        raise LogError(f"{log}: no column {name!r}.{did_you_mean(name, source.names)} {there}")
+
+
+def no_header(source: LogSource) -> str:
+    """Remark that a text has no header."""
+    return (
+        f"Its first line, {source.first_line[:60]!r}, names no columns, so that they are called "
+        f"{', '.join(source.names)}; use these names, or put a header above it"
+    )
+
+
+def unite(log: str, table: Any, refuse: bool = True) -> tuple[Any, list[str]]:
+    """A table in which each name occurs once, and a remark for each name that occurred more often.
+
+    Of equal columns the first one is kept. Different ones raise `LogError`, or are all left out.
+    """
+    remarks = []
+    for name, count in Counter(table.column_names).items():
+        if count == 1:
+            continue
+        places = [place for place, other in enumerate(table.column_names) if other == name]
+        cells = [table.column(place).to_pylist() for place in places]
+        row = next((k for k, row in enumerate(zip(*cells, strict=True)) if not _are_equal(row)), None)
+        remark = f"{count} columns are named {name!r} and are equal, so that they count as one"
+        if row is not None:
+            values = " and ".join(repr(column[row]) for column in cells)
+            remark = f"{count} columns are named {name!r} and differ, first in row {row + 1}: {values}"
+            if refuse:
+                raise LogError(f"{log}: {remark}; rename all but one")
+            remark += "; they are left out, so rename all but one"
+        remarks.append(remark)
+        for place in reversed(places[row is None :]):
+            table = table.remove_column(place)
+    return table, remarks
+
+
+def _are_equal(cells: Sequence[Any]) -> bool:
+    """Whether cells have the same content; 0.5 equals 0.50, and a missing number differs from any other."""
+    compared = []
+    for cell in cells:
+        plain = cell.strip() if isinstance(cell, str) else cell
+        with contextlib.suppress(TypeError, ValueError):
+            plain = float(plain)
+        compared.append(None if plain == "" or plain != plain else plain)
+    return all(other == compared[0] for other in compared)

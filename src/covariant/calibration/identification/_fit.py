@@ -313,14 +313,14 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
     if not len(fit.undetermined):
         return solved
     unknowns = problem.unknowns
-    judge = _Profiles(unknowns, problem, point, CONFIDENCE**2 / 2 * point.blocks.overdispersion)
+    judge = _Profiles(problem, point, CONFIDENCE**2 / 2 * point.blocks.overdispersion)
     rows, z = np.array(fit.undetermined), point.z
     leading = [int(np.argmax((row == 1) & (np.sum(rows != 0, axis=0) == 1))) for row in rows]
     kept, at, moved_by = [], z.copy(), np.zeros(len(z))
     information, directions = np.linalg.eigh(point.blocks.information)
     blind = directions[:, information < INFORMED]
     for k, j in enumerate(leading):
-        ends = judge.moved(j)
+        ends = [judge.rise(unknowns.multiplied(z, j, by), j) for by in (FAR, 1 / FAR)]
         if again and min(rise for _, rise in ends) < -judge.chance:
             lowest = min(ends, key=lambda each: each[1])[0]
             values = np.asarray(unknowns.values(jnp.asarray(lowest.z)))
@@ -364,16 +364,12 @@ def profile(solved: Solved, again: int = RESTARTS) -> Solved:
 class _Profiles(NamedTuple):
     """Where the loss goes with one parameter moved and the others fitted again, and how far it rises by chance."""
 
-    unknowns: Unknowns
     problem: Likelihood
     point: Point
     chance: float
 
-    def moved(self, j: int) -> list[tuple[Point, float]]:
-        """Points with parameter j far above and below, and the rise of the loss at each."""
-        return [self.rise(self.unknowns.multiplied(self.point.z, j, by), j) for by in (FAR, 1 / FAR)]
-
     def rise(self, z: NumpyArray, j: int) -> tuple[Point, float]:
+        """The best point with parameter j as in z, and the rise of the loss there."""
         begin = Point.at(self.problem, z, self.point.blocks.rest)
         fixed = Fixed.nothing(len(z)).beside(j, float(z[j]))
         end = minimise(self.problem, begin, fixed, most=PROFILE_STEPS)

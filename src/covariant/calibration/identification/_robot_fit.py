@@ -191,7 +191,7 @@ def fit_robot(
     values = rounded_values(np.asarray(jax.jit(family.values)(point.x)), family.first, known.prior)
     unlike = search.unlike(point, values) if len(family.parts) > 1 else ()
     reached = solution.scale, point.half, point.x, solution.losses
-    return RobotFit(family.names, family.first, values, *known.said, *reached, unlike)
+    return RobotFit(family.names, family.first, values, *known[:3], *reached, unlike)
 
 
 class _Track(NamedTuple):

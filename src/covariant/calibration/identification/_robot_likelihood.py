@@ -176,5 +176,5 @@ def _concluded(found: RobotFit, unknowns: RobotUnknowns, point: Point) -> RobotF
     outer = np.outer(sizes, sizes)
     known = Determined.of(family, x, sizes, blocks.information / outer, covariance * outer)
     values = rounded_values(np.asarray(jax.jit(family.values)(x)), family.first, known.prior)
-    named = dict(zip(("standard_errors", "determined", "combinations"), known.said, strict=True))
+    named = dict(zip(("standard_errors", "determined", "combinations"), known[:3], strict=True))
     return found._replace(values=values, coordinates=x, likeliest=True, **named)

@@ -24,7 +24,7 @@ explains any unit."""
 def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> diagnosis.Finding | None:
     """Reason why a fit of a robot must not use a log: nothing moves, or another unit explains its torques; or None."""
     case, _ = diagnosis.case_without_outliers(file, diagnosis.busiest(record, diagnosis.FEW_ROWS))
-    found = _standing_still(case, record)
+    found = standing_still(file, record, case)
     log = diagnosis.clearly(case)
     if found is not None or log is None or not log.used.any():
         return found  # what is too short, whoever fits says
@@ -51,14 +51,10 @@ def robot_misfit(family: RobotFamily, file: ModelFile, record: Record) -> diagno
     return None
 
 
-def standing_still(file: ModelFile, record: Record) -> diagnosis.Finding | None:
+def standing_still(file: ModelFile, record: Record, case: diagnosis.Case | None = None) -> diagnosis.Finding | None:
     """Reason why a fit must not use a log in which nothing moves; None where something does."""
-    return _standing_still(
-        diagnosis.case_without_outliers(file, diagnosis.busiest(record, diagnosis.FEW_ROWS))[0], record
-    )
-
-
-def _standing_still(case: diagnosis.Case, record: Record) -> diagnosis.Finding | None:
+    if case is None:
+        case, _ = diagnosis.case_without_outliers(file, diagnosis.busiest(record, diagnosis.FEW_ROWS))
     still, whole = diagnosis.still_findings(np.asarray(record.y), case.names.q, case.names.units)
     if whole:
         return still[0]

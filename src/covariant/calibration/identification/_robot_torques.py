@@ -127,11 +127,6 @@ class Determined(NamedTuple):
     combinations: Combinations
     prior: Float[np.ndarray, "p"]
 
-    @property
-    def said(self) -> tuple[Float[np.ndarray, "p"], Bool[np.ndarray, "p"], Combinations]:
-        """What a fit says of it: standard errors, which numbers are determined, and which combinations."""
-        return self.standard_errors, self.determined, self.combinations
-
     @classmethod
     def of(
         cls,
@@ -151,14 +146,13 @@ class Determined(NamedTuple):
         combined = np.isin(family.names, undetermined.leading)
         shown = (errors < KNOWN * prior) & ~combined
         values = np.asarray(jax.jit(family.values)(x))
-        nonzero = _told_from_zero(values, errors, prior / PRIOR)
+        nonzero = told_from_zero(values, errors, prior / PRIOR)
         return cls(np.where(shown, errors, np.nan), shown & nonzero, undetermined, prior)
 
 
-def _told_from_zero(values: np.ndarray, errors: np.ndarray, usual: np.ndarray) -> Bool[np.ndarray, "p"]:
+def told_from_zero(values: np.ndarray, errors: np.ndarray, usual: np.ndarray) -> Bool[np.ndarray, "p"]:
     """Whether numbers (p,) differ from zero, or cannot be of a useful size, by their standard errors."""
-    of_size, of_value = APART
-    return (of_size * errors < USEFUL * usual) | (of_value * errors < np.abs(values))
+    return (APART[0] * errors < USEFUL * usual) | (APART[1] * errors < np.abs(values))
 
 
 def needed(model: MechanicalSystem, q: Array, v: Array, a: Array) -> Array:

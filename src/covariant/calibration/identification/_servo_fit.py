@@ -119,7 +119,7 @@ def fit_servos(
     covariance += np.diag(integration_error**2)
     known = Determined.of(family, x, search.sizes, information / outer, covariance)
     reached = search.scale, search.length / 2, x, blocks.loss
-    return RobotFit(family.names, family.first, values, *known.said, *reached)
+    return RobotFit(family.names, family.first, values, *known[:3], *reached)
 
 
 class _Search(NamedTuple):

@@ -1,6 +1,6 @@
 """Sentences of a fit: where its search began, what logs do not determine, which other reading would explain them."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,16 +11,37 @@ from covariant.calibration.diagnosis import later_line, names_of
 from covariant.calibration.identification import Rival
 from covariant.models import ModelFile, RobotFamily
 from covariant.verbs.base.aligned import Aligned
+from covariant.verbs.base.fit_logs import BETWEEN
 
 LEAST_MOTION, LEAST_FOLLOWED = 0.1, 0.7
 """Motion of a joint relative to that of the one that moves most, and error relative to its motion, from which a fitted
 servo does not explain what its joint does."""
 LONGEST_DELAY = 0.3
 """A delay [s] longer than that of any servo, which a reversed command looks like in a motion of one frequency."""
+CLEAR = 2.0
+"""Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 MIRRORED = (
     "on which side of its link the load is: with the offsets of joints open too, a mirrored load with other offsets "
     "may explain these logs as well, and the solution nearest to the first values is given"
 )
+
+
+class Gain(NamedTuple):
+    """Log-likelihood with linear inputs minus that with held ones, and its standard error."""
+
+    of_linear: float
+    standard_error: float
+
+    @classmethod
+    def of(cls, less: Float[np.ndarray, "B"]) -> "Gain":
+        """The gain from what linear inputs lower the negative log-likelihood by in each of B independent parts."""
+        # The variance of a sum of independent terms is their number times that of one; errors may be correlated within.
+        return cls(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
+
+    @property
+    def clear(self) -> bool:
+        """Whether the gain exceeds `CLEAR` standard errors."""
+        return abs(self.of_linear) > CLEAR * self.standard_error
 
 
 def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float, machine: str = "") -> str:
@@ -119,3 +140,26 @@ def servo_details(best: RobotFit, family: RobotFamily) -> dict[str, Any]:
 def number_rows(best: Fit | RobotFit):
     """Name, values before and after, standard error and whether it is determined, of each number."""
     return zip(best.names, best.first, best.values, best.standard_errors, best.determined, strict=True)
+
+
+def input_details(used: str, stated: bool, gain: Gain | None) -> dict[str, Any]:
+    """How inputs were taken to go between stamps, whether the model file says so, and how well the logs show it."""
+    return {
+        "between": used,
+        "stated": stated,
+        "log_likelihood_gain": None if gain is None else float(f"{abs(gain.of_linear):.4g}"),
+        "gain_standard_error": None if gain is None else float(f"{gain.standard_error:.3g}"),
+        "sentence": "" if gain is None else _input_sentence(used, gain),
+    }
+
+
+def _input_sentence(used: str, gain: Gain) -> str:
+    other = next(word for word in BETWEEN if word != used)
+    size = f"{abs(gain.of_linear):.3g} ± {gain.standard_error:.2g}"
+    if not gain.clear:
+        return (
+            f"Inputs are taken as {used} from one stamp to the next; the log hardly tells that from {other} (the "
+            f"log-likelihoods differ by {size})."
+        )
+    phrase = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
+    return f"Inputs {phrase} explain the log better than {other} ones, by {size} in log-likelihood; they are used."

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from covariant import models, scoring
 from covariant._linalg import known_rms
@@ -43,6 +43,8 @@ from covariant.signals import Record
 from covariant.verbs.base.aligned import Aligned
 from covariant.verbs.base.fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
 from covariant.verbs.base.fit_sentences import (
+    Gain,
+    input_details,
     number_rows,
     rival_sentence,
     robot_details,
@@ -58,8 +60,6 @@ from scalargraph.errors import InputError
 
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
-CLEAR = 2.0
-"""Standard errors by which held or linear inputs must explain a log better than the other ones to be preferred."""
 CLEARLY_WORSE = 1.05
 """Growth of held-out errors that is no chance."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
@@ -113,7 +113,7 @@ def fit_to_logs(
         if gain is not None and gain.clear:
             content.setdefault("inputs", {})["between"] = used
     details = _details(jobs[0], logs, guessed, found, before, after, suspicion)
-    details |= {"inputs": _input_details(used, logs.stated, gain), "better": better, **problem.details(found)}
+    details |= {"inputs": input_details(used, logs.stated, gain), "better": better, **problem.details(found)}
     if (origin := logs.logs[0].loaded.origin) is not None:
         details["t_counts_from"] = origin
     # A log that is misread says nothing of what it determines.
@@ -142,8 +142,7 @@ def _by_joint(
     problem: Any, best: RobotFit, part: _Part, before: PredictionErrors, after: PredictionErrors
 ) -> tuple[RobotFit, PredictionErrors]:
     """The fit and its errors; with first values for the joints that it predicts worse, where that is better."""
-    worse = worse_coordinates(before, after)
-    parted = best.without(problem.family, worse) if worse.any() else None
+    parted = best.without(problem.family, worse_coordinates(before, after))
     if parted is None:
         return best, after
     errors = problem.errors(parted, part)
@@ -163,24 +162,6 @@ def _solve(problem: Any, parts: dict[str, _Part], progress: Progress) -> dict[st
 
         start = fits[word] = problem.fit(word, parts[word], start, report)
     return fits
-
-
-class Gain(NamedTuple):
-    """Log-likelihood with linear inputs minus that with held ones, and its standard error."""
-
-    of_linear: float
-    standard_error: float
-
-    @classmethod
-    def of(cls, less: Float[np.ndarray, "B"]) -> "Gain":
-        """The gain from what linear inputs lower the negative log-likelihood by in each of B independent parts."""
-        # The variance of a sum of independent terms is their number times that of one; errors may be correlated within.
-        return cls(float(np.sum(less)), float(np.sqrt(len(less)) * np.std(less, ddof=1)))
-
-    @property
-    def clear(self) -> bool:
-        """Whether the gain exceeds `CLEAR` standard errors."""
-        return abs(self.of_linear) > CLEAR * self.standard_error
 
 
 @dataclass(frozen=True)
@@ -230,8 +211,6 @@ class _PredictionProblem(_Problem):
         return log.acting(between)
 
     def fit(self, word: str, part: _Part, start: Solved | None, report: Callable[[int, float], None]) -> Solved:
-        del word
-
         begin = None if start is None else start.fit.values
         quantum = self.logs.logs[0].loaded.file.quantum
         # The noise of a reading is at least that of rounding.
@@ -461,9 +440,8 @@ def _own_robot_numbers(job: Job, names: Sequence[str], fitted: tuple[str, ...]) 
 
 def _first_part(record: Record) -> Record:
     """The rows of a log that a fit to its first part sees."""
-    t, u, y = (np.asarray(column) for column in record[:3])
-    seen = t < t[0] + FITTED * (t[-1] - t[0])
-    return Record(t[seen], u[seen], y[seen])
+    seen = np.asarray(record.t) < record.t[0] + FITTED * (record.t[-1] - record.t[0])
+    return Record(*(np.asarray(column)[seen] for column in record[:3]))
 
 
 def _late(log: Aligned) -> float:
@@ -528,26 +506,3 @@ def _details(
         "growth": float(f"{ratio:.4g}") if np.isfinite(ratio) else None,
         "suspicion": suspicion,
     }
-
-
-def _input_details(used: str, stated: bool, gain: Gain | None) -> dict[str, Any]:
-    """How inputs were taken to go between stamps, whether the model file says so, and how well the logs show it."""
-    return {
-        "between": used,
-        "stated": stated,
-        "log_likelihood_gain": None if gain is None else float(f"{abs(gain.of_linear):.4g}"),
-        "gain_standard_error": None if gain is None else float(f"{gain.standard_error:.3g}"),
-        "sentence": "" if gain is None else _input_sentence(used, gain),
-    }
-
-
-def _input_sentence(used: str, gain: Gain) -> str:
-    other = next(word for word in BETWEEN if word != used)
-    size = f"{abs(gain.of_linear):.3g} ± {gain.standard_error:.2g}"
-    if not gain.clear:
-        return (
-            f"Inputs are taken as {used} from one stamp to the next; the log hardly tells that from {other} (the "
-            f"log-likelihoods differ by {size})."
-        )
-    phrase = {"held": "held from one stamp to the next", "linear": "linear between stamps"}[used]
-    return f"Inputs {phrase} explain the log better than {other} ones, by {size} in log-likelihood; they are used."
