@@ -9,7 +9,6 @@ Source: Aghannan & Rouchon 2003, section IV and equations (6), (11); their dV/dt
 
 import contextlib
 import math
-from collections.abc import Callable
 from typing import Annotated
 
 import jax
@@ -21,9 +20,8 @@ from covariant._domains import FINITE, POSITIVE, Finite, Positive, check_numbers
 from covariant._typing import MatrixField, Number, Numbers
 from covariant.certificates.base._contraction import StateMetric
 from covariant.certificates.base._properties import need_no_loops
-from covariant.geometry import AbstractSpace, as_space
+from covariant.geometry import as_space
 from scalargraph.errors import InputError
-from scalargraph.proofs import Form, derivative_form
 
 TwoByTwo = Float[np.ndarray, "2 2"]
 
@@ -263,12 +261,3 @@ def tangent_metric(metric: MatrixField, q: Annotated[TwoByTwo, FINITE]) -> State
 def lowered_christoffel(change: Float[Array, "n n n"]) -> Float[Array, "n n n"]:
     """Compute `Γ_ijk = ½(∂_i g_jk + ∂_j g_ik − ∂_k g_ij)`, of the first kind, from `change[i, j, k] = ∂_k g_ij`."""
     return (jnp.transpose(change, (2, 0, 1)) + jnp.transpose(change, (0, 2, 1)) - change) / 2
-
-
-def metric_form(space: AbstractSpace, formula: Callable[[Array, Array], Array]) -> Form:
-    """The form of an expression in the metric g (n, n) and its derivatives ∂_k g_ij (n, n, n), from the graph of g."""
-
-    def parts(derivatives, nodes, n):
-        return nodes[0], derivatives.each(nodes[0], range(1, 1 + n))
-
-    return derivative_form(lambda t, q, z: (space(q),), lambda z: z, parts, formula)
