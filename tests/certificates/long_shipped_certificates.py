@@ -10,7 +10,7 @@ from test_shipped_certificates import FOLDER
 from covariant.certificates import ContractionCertificate, check, check_sample
 from covariant.certificates.base._inequalities import contraction
 from scalargraph.proofs import PROVED, leaves
-from scalargraph.proofs._enclosure import Entries
+from scalargraph.proofs._entries import Entries
 from scalargraph.proofs._judge import judge
 
 

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from scalargraph import enclose
 from scalargraph.graph import pairs
 from scalargraph.proofs._box import Box
-from scalargraph.proofs._definite import definite, indefinite, weights
-from scalargraph.proofs._enclosure import Ball, Entries
+from scalargraph.proofs._definite import ROUND, TINY, definite, indefinite, weights
+from scalargraph.proofs._entries import Entries
 from scalargraph.proofs._models import polynomials
 from scalargraph.proofs._tree import OPEN, PROVED, middle_of
 
@@ -31,8 +31,7 @@ def judge(matrix: Entries, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.nd
         return codes, counterexample
     weight = weight[rest]
     relative = ((high - low)[rest] / np.where(matrix.width > 0, matrix.width, 1.0))[:, matrix.free]
-    lost = ~np.isfinite(weight).all(axis=1)
-    weight[lost] = relative[lost]
+    weight = np.where(np.isfinite(weight).all(axis=1, keepdims=True), weight, relative)
     # If no variable has an effect, or none of them can be halved any more, the widest side is halved.
     middle = middle_of(low[rest], high[rest])[:, matrix.free]
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
@@ -76,7 +75,11 @@ def look_around(matrix: Entries, domain: Box, count: int = 4096) -> np.ndarray |
 def counterexample_at(matrix: Entries, points: np.ndarray) -> np.ndarray | None:
     """The first of some points at which the matrix is proved not to be positive definite."""
     at = enclose(matrix.value, points, points)
-    wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
+    low, high = at.low.T, at.high.T
+    middle = middle_of(low, high)
+    # Rounded up, so that both bounds lie within the radius although the middle is rounded.
+    radius = np.maximum(high - middle, middle - low) * (1 + ROUND) + TINY
+    wrong = np.flatnonzero(indefinite(middle, radius))
     # The box of a single point has two equal corners.
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 

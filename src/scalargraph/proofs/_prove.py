@@ -24,7 +24,7 @@ from scalargraph.errors import InputError
 from scalargraph.graph import TRUTHS
 from scalargraph.proofs._box import Box, check_box
 from scalargraph.proofs._conditions import show_conditions
-from scalargraph.proofs._enclosure import Entries
+from scalargraph.proofs._entries import Entries
 from scalargraph.proofs._form import Formed, as_form
 from scalargraph.proofs._judge import judge, look_around
 from scalargraph.proofs._tree import CHUNK, OPEN, Tree, open_boxes

@@ -13,7 +13,6 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
-from scipy.optimize import minimize
 
 from covariant._domains import NOT_NEGATIVE, SPAN, Count, Positive, Whole, check_numbers
 from covariant.certificates.base import (
@@ -222,6 +221,7 @@ def _perron(matrix: np.ndarray) -> np.ndarray:
 
 def _shape(sampled: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """ω (n,) up to a factor, for the least noise of the velocities."""
+    from scipy.optimize import minimize
 
     def variance(logs):
         return math.log(float((noise**2 * (sampled @ np.exp(logs) * np.exp(-logs)) ** 3).sum()))

@@ -22,8 +22,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.linalg import solve_discrete_lyapunov
-from scipy.optimize import minimize
 
 from covariant.observers.base import sampled_gains
 
@@ -86,6 +84,8 @@ def least_gain_of(
     alpha: float, beta: float, rate: float, ages: Float[np.ndarray, "a"]
 ) -> tuple[float, Float[np.ndarray, "2 2"]]:
     """The least square of the gain at some times between samples, and its P, by a search; `NONE` if none is found."""
+    from scipy.linalg import solve_discrete_lyapunov
+    from scipy.optimize import minimize
 
     def matrix(x):
         roots, bend = np.exp(x[:2]), math.tanh(x[2])

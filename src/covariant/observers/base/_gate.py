@@ -24,7 +24,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
-from scipy.special import chdtrc, chdtri
 
 from covariant._linalg import half_solve
 from covariant._typing import Flag, Matrix, Vector
@@ -165,6 +164,8 @@ class Gate(eqx.Module):
 
     def _limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
+        from scipy.special import chdtrc, chdtri  # it loads slowly
+
         return float(chdtri(n, chdtrc(1, self.deviations**2)))
 
 
