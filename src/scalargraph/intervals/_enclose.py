@@ -108,7 +108,7 @@ def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
 
         return apply
 
-    domain = INTERVALS | {op: watched(op) for op in JUMPS}
+    domain: Domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
     ends = np.empty((2, len(lowered.outputs), len(low)))
     with np.errstate(all="ignore"):
         values = evaluate_nodes(lowered.graph, lowered.outputs, domain, inputs)
