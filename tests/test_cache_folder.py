@@ -18,7 +18,7 @@ from covariant import verbs
 from covariant._programs import CHECKED, drop_broken_programs
 from scalargraph import cache as caching, compiler as _compile, files as _files
 from scalargraph.cache import cache_folder, open_cache_folder
-from scalargraph.compiler import EXACT, compiled, compiler, is_kept
+from scalargraph.compiler import FAST, compiled, compiler
 from scalargraph.files import read_sealed, write_sealed
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
@@ -26,8 +26,8 @@ needs_owners = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders hav
 HALF = "double half(double x) { return x / 2; }\n"
 LOADS = """
 import covariant, ctypes, sys
-from scalargraph.compiler import EXACT, compiled
-half = compiled("double half(double x) { return x / 2; }\\n", EXACT, ctypes.CDLL).half
+from scalargraph.compiler import FAST, compiled
+half = compiled("double half(double x) { return x / 2; }\\n", FAST, ctypes.CDLL).half
 half.restype, half.argtypes = ctypes.c_double, [ctypes.c_double]
 print(half(3.0))
 """
@@ -53,7 +53,7 @@ def replaced_by_link(path: Path) -> None:
 
 
 def of_another_source(path: Path) -> None:
-    compiled("double half(double x) { return -x; }\n", EXACT, ctypes.CDLL)
+    compiled("double half(double x) { return -x; }\n", FAST, ctypes.CDLL)
     (other,) = (entry for entry in path.parent.glob("*.so") if entry != path)
     other.replace(path)
 
@@ -78,11 +78,11 @@ def test_a_library_that_is_not_as_it_was_written_is_compiled_again(damage, cache
     (path,) = cache.glob("*.so")
     whole = path.read_bytes()
     DAMAGES[damage](path)
-    assert not is_kept(HALF, EXACT)
+    assert read_sealed(path) is None
     done = python()
     assert (done.returncode, done.stdout, done.stderr) == (0, "1.5\n", "")
     assert path.read_bytes() == whole
-    assert is_kept(HALF, EXACT)
+    assert read_sealed(path) is not None
     assert {entry.suffix for entry in cache.iterdir()} == {".so"}
 
 
@@ -103,7 +103,7 @@ def test_a_library_behind_a_link_is_loaded_by_its_content_and_a_new_one_takes_th
 @needs_compiler
 def test_what_was_compared_with_its_hash_is_what_is_loaded(cache, monkeypatch):
     """Even where the file is replaced between the two, and truncated after them."""
-    compiled(HALF, EXACT, ctypes.CDLL)
+    compiled(HALF, FAST, ctypes.CDLL)
     (path,) = cache.glob("*.so")
 
     def load(place: str) -> ctypes.CDLL:
@@ -113,7 +113,7 @@ def test_what_was_compared_with_its_hash_is_what_is_loaded(cache, monkeypatch):
         os.truncate(path, 0)
         return library
 
-    half = compiled(HALF, EXACT, load).half
+    half = compiled(HALF, FAST, load).half
     half.restype, half.argtypes = ctypes.c_double, [ctypes.c_double]
     assert half(3.0) == 1.5
 
@@ -143,11 +143,11 @@ def test_a_full_disk_changes_no_result(cache, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(tempfile, "mkstemp", mkstemp)
         patched.setattr(_compile, "write_sealed", full)
-        assert compiled(HALF, EXACT, ctypes.CDLL).half
+        assert compiled(HALF, FAST, ctypes.CDLL).half
         assert not list(cache.iterdir())
-    compiled(HALF, EXACT, ctypes.CDLL)
+    compiled(HALF, FAST, ctypes.CDLL)
     monkeypatch.setattr(tempfile, "mkstemp", mkstemp)
-    assert compiled(HALF, EXACT, ctypes.CDLL).half
+    assert compiled(HALF, FAST, ctypes.CDLL).half
 
 
 def test_an_entry_is_on_the_disk_before_it_is_named(tmp_path, monkeypatch):
@@ -274,9 +274,9 @@ def test_nothing_is_compiled_where_others_can_replace_it(tmp_path, monkeypatch):
     tmp_path.chmod(0o777)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with pytest.raises(OSError, match=r"other users can write to .*set TMPDIR to another one"):
-        compiled(HALF, EXACT, ctypes.CDLL)
+        compiled(HALF, FAST, ctypes.CDLL)
     tmp_path.chmod(0o1777)
-    assert compiled(HALF, EXACT, ctypes.CDLL).half
+    assert compiled(HALF, FAST, ctypes.CDLL).half
     assert not list(tmp_path.iterdir())
 
 
@@ -324,7 +324,7 @@ def test_programs_of_jax_that_are_not_as_they_were_written_are_removed(tmp_path)
 
 def test_threads_that_load_one_library_all_get_it(cache):
     results = []
-    threads = [threading.Thread(target=lambda: results.append(compiled(HALF, EXACT, ctypes.CDLL))) for _ in range(4)]
+    threads = [threading.Thread(target=lambda: results.append(compiled(HALF, FAST, ctypes.CDLL))) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:

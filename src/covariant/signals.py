@@ -64,7 +64,8 @@ _MESSAGES = {
     StepCode.OUTLIER: "a measurement is too far from what is expected: it was refused, as if it were missing",
     StepCode.TOO_LATE: "a measurement came too late, beyond what is kept of the past: it was left out",
     StepCode.RESTARTED: "the estimate started anew: what came before tells too little of the motion now",
-    StepCode.ASTRAY: "the estimate does not follow the measurements: its velocity is off by more than the usual speed",
+    StepCode.ASTRAY: "the estimate does not follow the measurements: its velocity is off by more than the usual speed, "
+    "or above the one that the observer is told",
     StepCode.CUT_LOCUS: "two ways to the measurement are equally short, as after half a turn: one of them was taken",
     StepCode.LEFT_DOMAIN: "the past of the point leaves the domain: its metric starts at the border",
     StepCode.ESCAPED: "the past of the point escapes to infinity: its metric starts far away",

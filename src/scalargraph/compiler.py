@@ -19,24 +19,6 @@ from scalargraph.files import read_sealed, write_sealed
 
 Library = TypeVar("Library")
 
-EXACT = (
-    "-std=c99",
-    "-O3",
-    "-march=native",
-    "-ffp-contract=off",
-    "-fno-fast-math",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-fwrapv",
-    "-fPIC",
-    "-shared",
-)
-"""Compiler flags for C whose results follow IEEE 754: no flag permits a change of the result of an operation.
-
-Products and sums are not fused; the flags for errno, traps and wrapping integers change no value of a double.
-"""
-
-
 FAST = (
     "-std=c99",
     "-O2",
@@ -106,7 +88,7 @@ def compiled(source: str, flags: Sequence[str], load: Callable[[str], Library]) 
 
     Args:
         source: Text of the C file.
-        flags: Flags of the compiler, as `EXACT` or `FAST`.
+        flags: Flags of the compiler, as `FAST`.
         load: Loads a shared library from its path.
 
     Returns:
@@ -144,12 +126,6 @@ def _load_copy(library: bytes, folder: Path, load: Callable[[str], Library]) -> 
     finally:
         with contextlib.suppress(OSError):  # Windows does not remove a file that is loaded
             os.unlink(copy)
-
-
-def is_kept(source: str, flags: Sequence[str]) -> bool:
-    """Whether a source is compiled and cached, so that it is only loaded."""
-    path = _cached_path(source, flags)
-    return path is not None and read_sealed(path) is not None
 
 
 def _cached_path(source: str, flags: Sequence[str]) -> Path | None:

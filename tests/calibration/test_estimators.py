@@ -40,6 +40,7 @@ from covariant.observers import (
     IntrinsicKalman,
     JointKalman,
     LagrangianMetric,
+    MeasuredCoefficients,
     ModelCopy,
     SavitzkyGolay,
     run,
@@ -129,6 +130,7 @@ def test_all_estimators_come_from_one_data_sheet():
         "intrinsic-force": IntrinsicForce,  # which learns no force without one on the sheet
         "geodesic": Geodesic,
         "lagrangian-metric": LagrangianMetric,
+        "measured-coefficients": MeasuredCoefficients,
         "copy": ModelCopy,
     }.items():
         assert isinstance(estimators[name], kind)
@@ -145,7 +147,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
     assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(*polynomial(SHEET, RATE)))
-    assert len(estimators) == 15
+    assert len(estimators) == 16
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():

@@ -10,7 +10,7 @@ from test_shipped_certificates import FOLDER
 from covariant.certificates import ContractionCertificate, check, check_sample
 from covariant.certificates.base._inequalities import contraction
 from scalargraph.proofs import PROVED, leaves
-from scalargraph.proofs._enclosure import Expansions
+from scalargraph.proofs._entries import Entries
 from scalargraph.proofs._judge import judge
 
 
@@ -56,10 +56,10 @@ def test_leaves_of_a_robot_are_proved_by_the_prover_again():
     certificate = loaded("scara")
     domain, levels = certificate.domain, certificate.claims[0].proof.levels
     formed = contraction(certificate.error_system, certificate.rate).graph(domain.low)
-    matrix = Expansions.of(formed.entries, domain, "numpy")
+    matrix = Entries.of(formed.entries, domain)
     assert [domain.names[i] for i in matrix.free if i < 4] == ["elbow", "twist"]
     low, high = (np.concatenate(ends)[::100] for ends in list(zip(*leaves(domain, levels), strict=True))[1:])
     assert (judge(matrix, low, high)[0] == PROVED).all()
     # A rate beyond that of the gains is found wrong.
     wrong = contraction(certificate.error_system, 30 * certificate.rate).graph(domain.low)
-    assert judge(Expansions.of(wrong.entries, domain, "numpy"), low, high)[1] is not None
+    assert judge(Entries.of(wrong.entries, domain), low, high)[1] is not None

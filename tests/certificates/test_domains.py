@@ -60,7 +60,7 @@ STUB = ast.parse(Path(str(certificates.__file__)).with_suffix(".pyi").read_text(
 NAMES = [alias.asname for node in STUB.body if isinstance(node, ast.ImportFrom) for alias in node.names]
 INSIDE = (
     *(base.conditioning, base.contraction_matrix, base.correction, base.error_matrix, base.force_bounds),
-    *(base.generalised_jacobian, in_coordinates, base.noise_disturbance, base.rate_of, base.steady_distance),
+    *(base.generalised_jacobian, in_coordinates, base.rate_of, base.steady_distance),
     *(bending, detectability_rate, lower_distance, upper_distance),
 )
 """Functions of statements that only the room itself uses."""

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant.certificates import (
-    DistanceBounds,
-    certify_distance,
-    least_gain,
-    lifted_gain,
-    observability,
-    tangent_metric,
-)
+from covariant.certificates import certify_distance, least_gain, observability, tangent_metric
+from covariant.certificates.theory import DistanceBounds, lifted_gain
 from covariant.models import state_space
 
 BEAM = models.ball_and_beam()

@@ -121,7 +121,10 @@ def test_gains_are_designed_from_the_data_sheet(monkeypatch):
 
 REFUSED = {
     "no velocity": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--error", "0.1"), ["velocity", "no certificate"]),
-    "no error": (("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--velocity", "2"), ["error"]),
+    "no error": (
+        ("pendulum.toml", *GAINS, "--box", "q1=-1:1", "--velocity", "2", "--observer", "intrinsic"),
+        ["error"],
+    ),
     "negative error": (("pendulum.toml", *GAINS, *REGION, "--error", "-0.1"), ["error", "positive", "-0.1"]),
     "too many": (("pendulum.toml", *GAINS, *REGION, "--velocity", "1,2"), ["velocity", "dq1/dt", "1, 2"]),
     "unknown coordinate": (("pendulum.toml", *GAINS, *REGION, "--box", "x=0:1"), ["region", "'x'", "q1"]),
@@ -162,3 +165,18 @@ def test_what_the_statement_about_distances_does_not_have_is_refused_and_what_ru
     told = str(call())
     assert told.startswith("holds (proved)")
     assert "run intrinsic-force unless they are asked for `observer='lagrangian-metric'`" in told
+
+
+def test_without_a_bound_of_errors_the_statement_is_about_all_of_them(tmp_path):
+    """And its file is checked by the same option as others."""
+    path = tmp_path / "arm.json"
+    ended = leave("certify", "pendulum_chain", "--velocity", "1", "--sampling", "500", "--out", str(path))
+    assert ended.code == 0
+    assert ended.out.startswith("holds (proved): from every first error of positions and velocities")
+    assert "samples 0.002 s apart" in ended.out
+    assert leave("certify", "--check", str(path)).code == 0
+    for name, value in {"times": (0.0, 1.0), "q": (1.0, 0.0, 1.0), "find": "rate", "checker": "all"}.items():
+        with pytest.raises(ValueError, match=f"has no {name}; leave it out"):
+            covariant.certify("pendulum_chain", velocity=1.0, **{name: value})
+    with pytest.raises(ValueError, match="jerk is for certificates of measured-coefficients"):
+        covariant.certify("pendulum_chain", velocity=1.0, error=0.1, jerk=1.0)

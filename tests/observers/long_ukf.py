@@ -63,7 +63,7 @@ def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
     def both(errors):
         """Both predictions, and the bodies of the cloud as seen from each."""
         found = ukf.predict(ukf.init(q0)._replace(v=v0, root=jnp.asarray(root)), u, dt)
-        linear = ekf.predict(ekf.init(q0)._replace(v=v0, cov=jnp.asarray(root**2)), u, dt)
+        linear = ekf.predict(ekf.init(q0)._replace(v=v0, root=jnp.asarray(root)), u, dt)
 
         def seen(error):
             q, v = models.advance(rigid, 0.0, Motion(SO3.retract(q0, error[:3]), v0 + error[3:]), u, dt, 4)
@@ -77,7 +77,7 @@ def test_on_rotations_mean_and_covariance_are_those_of_a_cloud_of_bodies():
         return np.linalg.norm(whiten @ seen.mean(0)), np.linalg.norm(whiten @ np.asarray(cov) @ whiten.T - np.eye(6))
 
     (found, linear), cloud = both(jnp.asarray(rng.normal(size=(40_000, 6)) @ root))
-    unscented, extended = off(np.asarray(cloud[0]), ukf.cov(found)), off(np.asarray(cloud[1]), linear.cov)
+    unscented, extended = off(np.asarray(cloud[0]), ukf.cov(found)), off(np.asarray(cloud[1]), ekf.cov(linear))
     assert unscented[0] < 0.03 < 0.5 < extended[0]
     assert unscented[1] < min(0.7, 0.8 * extended[1])
 

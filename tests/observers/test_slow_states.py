@@ -35,22 +35,22 @@ ONE = jnp.eye(1)
 
 FAMILY_ARGUMENTS = ("pendulum_chain", ["mass"], ["parameters.mass=[1.0]", "parameters.length=[1.0]"])
 REFUSED = [
-    (lambda: sensor_bias((-0.1,)), "sensor_bias: std must be numbers ≥ 0"),
-    (lambda: sensor_bias((0.1, np.nan)), "sensor_bias: std must be numbers ≥ 0"),
+    (lambda: sensor_bias((-0.1,)), "sensor_bias: std must be one number or several, numbers ≥ 0"),
+    (lambda: sensor_bias((0.1, np.nan)), "sensor_bias: std must be one number or several, numbers ≥ 0"),
     (lambda: sensor_bias((0.0, 0.0)), "all of std are zero"),
-    (lambda: sensor_bias((0.1,), np.inf), "sensor_bias: drift must be numbers ≥ 0"),
-    (lambda: sensor_bias((0.1, 0.1), (0.1, 0.1, 0.1)), "sensor_bias: drift must be one number, or 2"),
+    (lambda: sensor_bias((0.1,), np.inf), "sensor_bias: drift must be one number, numbers ≥ 0"),
+    (lambda: sensor_bias((0.1, 0.1), (0.1, 0.1, 0.1)), "sensor_bias: drift must be one number or 2"),
     (lambda: external_force(-ONE), "external_force: density must have variances that are zero or more"),
     (lambda: external_force(2.0), r"external_force: density must be a matrix \(n, n\)"),
     (lambda: external_force(ONE, time=1.0), "give a density, or both std and time"),
     (lambda: external_force(std=1.0), "give a density, or both std and time"),
     (lambda: external_force(std=1.0, time=0.0), "time must be a positive, finite number; got 0"),
-    (lambda: external_force(std=-1.0, time=1.0), "external_force: std must be numbers ≥ 0"),
+    (lambda: external_force(std=-1.0, time=1.0), "external_force: std must be one number or several, numbers ≥ 0"),
     (
         lambda: SlowVariables(("a",), jnp.zeros(1), ONE, ONE, offset=wrong_shape, time=-1.0),
         "SlowVariables: time must be a positive",
     ),
-    (lambda: uncertain_parameters(models.family(*FAMILY_ARGUMENTS), (0.1, 0.2)), "std must be one number, or 1"),
+    (lambda: uncertain_parameters(models.family(*FAMILY_ARGUMENTS), (0.1, 0.2)), "std must be one number, numbers ≥ 0"),
     (lambda: SlowVariables((), jnp.zeros(0), ONE, ONE, offset=wrong_shape), "names must be different names"),
     (lambda: SlowVariables(("a",), jnp.zeros(2), ONE, ONE, offset=wrong_shape), "first must be 1 finite numbers"),
     (
@@ -61,7 +61,7 @@ REFUSED = [
         lambda: kalman(CHAIN, 2, SlowVariables(("a",), jnp.zeros(1), ONE, ONE)),
         "give a force, a model or an offset .* states a$",
     ),
-    (lambda: kalman(CHAIN, 2, sensor_bias((0.1,))), r"offset of the slow states bias1 must have shape \(2,\)"),
+    (lambda: kalman(CHAIN, 2, sensor_bias((0.1,))), r"offset of the slow states bias1 must return shape \(2,\)"),
     (lambda: kalman(CHAIN, 2, external_force(jnp.eye(3))), "force of the slow states external_force1, external_force2"),
     (lambda: kalman(CHAIN, 2, *(external_force(jnp.eye(2)),) * 2), "two slow states are called 'external_force1'"),
     (lambda: kalman(CHAIN, 2, "bias"), "slow must be one SlowVariables or several"),

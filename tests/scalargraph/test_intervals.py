@@ -685,8 +685,7 @@ def test_values_are_let_go_after_their_last_use():
     assert Value.most < 8
 
 
-@pytest.mark.parametrize("engine", ["numpy", "auto"])
-def test_loops_and_tables_have_no_bounds(engine):
+def test_loops_and_tables_have_no_bounds():
     def halved(x):
         return jax.lax.while_loop(lambda z: z > 1.0, lambda z: z / 2.0, x)
 
@@ -696,4 +695,10 @@ def test_loops_and_tables_have_no_bounds(engine):
     for function, kind in ((halved, "loop"), (looked_up, "table")):
         lowered = lower(function, jnp.array(0.0), loops="any")
         with pytest.raises(ValueError, match=f"a function with a {kind} has no bounds"):
-            enclose(lowered, np.array([[0.5]]), np.array([[3.0]]), engine=engine)
+            enclose(lowered, np.array([[0.5]]), np.array([[3.0]]))
+
+
+def test_of_no_boxes_there_are_no_bounds():
+    graph = lower(lambda x: jnp.sin(x[0]) / x[1] + jnp.sign(x[0]), jnp.zeros(2))
+    found = enclose(graph, np.zeros((0, 2)), np.zeros((0, 2)))
+    assert (found.low.shape, found.high.shape, found.smooth.shape) == ((0, 1), (0, 1), (0,))

@@ -17,6 +17,7 @@ from .base import (
     tangent_metric as tangent_metric,
 )
 from .checking import Checked as Checked, check as check, check_sample as check_sample
+from .everywhere import certify_globally as certify_globally, check_globally as check_globally
 from .proving import (
     Attempt as Attempt,
     CheckerName as CheckerName,
@@ -40,7 +41,6 @@ from .sampled import (
 from .theory import (
     CascadeCertificate as CascadeCertificate,
     Corners as Corners,
-    DistanceBounds as DistanceBounds,
     DistanceCertificate as DistanceCertificate,
     MetricDesign as MetricDesign,
     ReducedOrderDesign as ReducedOrderDesign,
@@ -56,7 +56,6 @@ from .theory import (
     feedthrough as feedthrough,
     jump_growth as jump_growth,
     least_gain as least_gain,
-    lifted_gain as lifted_gain,
     longest_interval as longest_interval,
     observability as observability,
     observer_gain as observer_gain,

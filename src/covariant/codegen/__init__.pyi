@@ -1,11 +1,10 @@
 from ._data_sheet import Facts as Facts
-from ._fmu import Unit as Unit, fmu as fmu, write_fmu as write_fmu
+from ._fmu import fmu as fmu, write_fmu as write_fmu
 from ._names import check_export_name as check_export_name, export_name as export_name
 from ._program import (
     Program as Program,
     Recipe as Recipe,
     Signals as Signals,
-    TracedProgram as TracedProgram,
     of_family as of_family,
     program as program,
     trace_program as trace_program,

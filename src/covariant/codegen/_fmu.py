@@ -100,7 +100,7 @@ class Unit(NamedTuple):
         without_binary: Reason why there is no binary among them; "" if there is one.
 
     Example:
-        >>> from covariant.codegen import Unit
+        >>> from covariant.codegen._fmu import Unit
         >>> Unit({"modelDescription.xml": b"<fmiModelDescription/>"}, "there is no C compiler").without_binary
         'there is no C compiler'
     """
@@ -182,7 +182,8 @@ def write_fmu(unit: Unit, path: Path, overwrite: bool = False) -> None:
     Example:
         >>> import zipfile
         >>> from pathlib import Path
-        >>> from covariant.codegen import Unit, write_fmu
+        >>> from covariant.codegen import write_fmu
+        >>> from covariant.codegen._fmu import Unit
         >>> write_fmu(Unit({"modelDescription.xml": b"<fmiModelDescription/>"}, ""), Path("speed.fmu"))
         >>> zipfile.ZipFile("speed.fmu").namelist()
         ['modelDescription.xml']

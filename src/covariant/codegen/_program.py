@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from scalargraph import Lowered, TracedFunction, lower_traced, trace
 from scalargraph.errors import InputError
 
 Real = Literal["double", "float"]
+Function = TypeVar("Function", Lowered, TracedFunction)
 DTYPES = {"double": np.float64, "float": np.float32}
 
 BOUND = ("position_bound", "velocity_bound", "premise")
@@ -116,7 +117,7 @@ class Signals(NamedTuple):
         return tuple(name.rpartition(" [")[2][:-1] if name.endswith("]") else "" for name in names)
 
 
-class Program(NamedTuple):
+class Program(NamedTuple, Generic[Function]):
     """An observer as graphs of scalars, in which counts and truth values of its state are real numbers.
 
     This form lies between an observer and its C, for tools that write another language. `write_source` generates C from
@@ -143,6 +144,9 @@ class Program(NamedTuple):
         units: Units of the open numbers that have one, by name.
         largest: Largest magnitude of each number of a configuration from which an estimate can start.
         input_at_end: Whether the input of a step is the input at its end instead of its begin.
+        estimated_as: The estimate, with its shapes and types in JAX.
+
+    Of `trace_program` it has functions that JAX has traced in place of graphs, and all open numbers.
 
     Example:
         >>> import numpy as np
@@ -153,9 +157,9 @@ class Program(NamedTuple):
         (['q', 'v', 'age'], (1,), 0)
     """
 
-    init: Lowered
-    step: Lowered
-    estimate: Lowered
+    init: Function
+    step: Function
+    estimate: Function
     numbers: dict[str, np.ndarray]
     given: tuple[Member, ...]
     values: tuple[np.ndarray, ...]
@@ -167,11 +171,32 @@ class Program(NamedTuple):
     real: Real
     told_as: Any
     sensors: tuple[tuple[str, int], ...] = ()
-    alone: tuple[tuple[str, Lowered], ...] = ()
+    alone: tuple[tuple[str, Function], ...] = ()
     signals: Signals = Signals()
     units: Mapping[str, str] = MappingProxyType({})
     largest: tuple[float, ...] = ()
     input_at_end: bool = False
+    estimated_as: Any = None
+
+    def lower(self, loops: bool = False) -> "Program[Lowered]":
+        """Write the graphs of traced functions.
+
+        Args:
+            loops: Whether loops are allowed whose length depends on numbers; as for `program`.
+
+        Raises:
+            LoweringError: As for `program`.
+        """
+
+        def graph(function: Any) -> Lowered:
+            return lower_traced(function, loops="any" if loops else "long")
+
+        graphs = init, step, estimate = graph(self.init), graph(self.step), graph(self.estimate)
+        used = _find_used_numbers(graphs, self.given)
+        numbers = {name: value for name, value in self.numbers.items() if name in used}
+        alone = tuple((name, graph(part)) for name, part in self.alone)
+        lowered: Any = self._replace(numbers=numbers)
+        return lowered._replace(init=init, step=step, estimate=estimate, alone=alone)
 
     @property
     def parts(self) -> tuple[tuple[str, int], ...]:
@@ -333,68 +358,6 @@ def _whole(base: str, ks: Sequence[int], family: Family) -> bool:
     return not isinstance(value, list) or (np.ndim(value) == 1 and len(value) == len(ks))
 
 
-class TracedProgram(NamedTuple):
-    """An observer traced by JAX, before its graphs are written.
-
-    Attributes:
-        init: Traced function `(numbers, y, t) -> state`.
-        step: Traced function `(numbers, state, u, y, dt) -> (state, info)`.
-        estimate: Traced function `(numbers, state) -> x`.
-        estimated_as: The estimate, with its shapes and types in JAX.
-
-    The other fields are those of `Program`.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant import codegen, observers
-        >>> recipe = codegen.with_open_numbers(observers.FilteredDerivative(20.0))
-        >>> traced = codegen.trace_program(recipe, np.zeros(1))
-        >>> traced.estimated_as.shape, sorted(traced.lower().numbers)
-        ((2,), ['bandwidth'])
-    """
-
-    init: TracedFunction
-    step: TracedFunction
-    estimate: TracedFunction
-    given: tuple[Member, ...]
-    values: tuple[np.ndarray, ...]
-    state: tuple[Member, ...]
-    info: tuple[Member, ...]
-    x: tuple[Member, ...]
-    y: tuple[int, ...]
-    u: int
-    real: Real
-    told_as: Any
-    estimated_as: Any
-    sensors: tuple[tuple[str, int], ...] = ()
-    alone: tuple[tuple[str, TracedFunction], ...] = ()
-    units: Mapping[str, str] = MappingProxyType({})
-    largest: tuple[float, ...] = ()
-    input_at_end: bool = False
-
-    def lower(self, loops: bool = False) -> Program:
-        """Write the graphs of the observer.
-
-        Args:
-            loops: Whether loops are allowed whose length depends on numbers; as for `program`.
-
-        Raises:
-            LoweringError: As for `program`.
-        """
-        loop_kinds = "any" if loops else "long"
-        lowered = (
-            lower_traced(self.init, loops=loop_kinds),
-            lower_traced(self.step, loops=loop_kinds),
-            lower_traced(self.estimate, loops=loop_kinds),
-        )
-        alone = tuple((name, lower_traced(step, loops=loop_kinds)) for name, step in self.alone)
-        used = _find_used_numbers(lowered, self.given)
-        numbers = {leaf.name: value for leaf, value in zip(self.given, self.values, strict=True) if leaf.name in used}
-        structure = (self.state, self.info, self.x, self.y, self.u, self.real, self.told_as)
-        rest: Any = {"units": self.units, "largest": self.largest, "input_at_end": self.input_at_end}
-        return Program(*lowered, numbers, self.given, self.values, *structure, self.sensors, alone, **rest)
-
-
 def program(
     recipe: Recipe,
     y: Array | np.ndarray,
@@ -402,7 +365,7 @@ def program(
     real: Real = "double",
     loops: bool = False,
     alone: bool = False,
-) -> Program:
+) -> Program[Lowered]:
     """Trace an observer to graphs of scalars, from which code is written.
 
     Use it for the steps before `write_source`, or to count operations. A step of the observer must have a fixed amount
@@ -433,7 +396,7 @@ def program(
 
 def trace_program(
     recipe: Recipe, y: Array | np.ndarray, inputs: int | None = None, real: Real = "double", alone: bool = False
-) -> TracedProgram:
+) -> Program[TracedFunction]:
     """Trace an observer by JAX, which takes only a part of the time needed for its graphs.
 
     Args:
@@ -514,15 +477,15 @@ def trace_program(
             part = jax.ShapeDtypeStruct((count,), dtype)
             alone_traced.append((name, trace(step_alone, open_numbers, state, acting, part, scalar)))
             at += count
-    leaves = tuple(
-        Member(name, np.shape(recipe.numbers[name])) for name in sorted(recipe.numbers)
-    )  # as JAX orders them
-    return TracedProgram(
+    names = sorted(recipe.numbers)  # as JAX orders them
+    numbers = {name: np.asarray(recipe.numbers[name], float) for name in names}
+    return Program(
         traced_init,
         traced_step,
         traced_estimate,
-        leaves,
-        tuple(np.asarray(recipe.numbers[leaf.name], float) for leaf in leaves),
+        numbers,
+        tuple(Member(name, np.shape(recipe.numbers[name])) for name in names),
+        tuple(numbers.values()),
         _leaves(kinds),
         _leaves(traced_step.results[1]),
         _leaves(traced_estimate.results),
@@ -530,12 +493,12 @@ def trace_program(
         u,
         real,
         structures["info"],
-        structures["estimate"],
         sensors,
         tuple(alone_traced),
-        recipe.units,
-        tuple(first.configuration(np.asarray(first.largest(y), float)).ravel().tolist()),
-        first.input_at_end,
+        units=recipe.units,
+        largest=tuple(first.configuration(np.asarray(first.largest(y), float)).ravel().tolist()),
+        input_at_end=first.input_at_end,
+        estimated_as=structures["estimate"],
     )
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
-from covariant.codegen import TracedProgram
+from covariant.codegen import Program
 from covariant.engine._layout import Layout
 from covariant.engine._sources import source_files
 from scalargraph import LoweringError, fingerprint
@@ -28,7 +28,7 @@ WRITTEN_BY = hashlib.sha256(b"\n".join(path.read_bytes() for path in _WRITERS)).
 """A hash of the files that write the C; a change of any of them invalidates the cache."""
 
 
-def cache_key(traced: TracedProgram, lanes: int) -> str | None:
+def cache_key(traced: Program, lanes: int) -> str | None:
     """Cache key of the C text of a traced observer."""
     if cache_folder() is None:
         return None
@@ -38,7 +38,7 @@ def cache_key(traced: TracedProgram, lanes: int) -> str | None:
     return fingerprint(*functions, names, traced.y, traced.u, traced.real, lanes, result_index(traced), versions)
 
 
-def result_index(traced: TracedProgram) -> int:
+def result_index(traced: Program) -> int:
     """Index of the result code in the flattened info of `traced`."""
     return [leaf.name for leaf in traced.info for _ in range(leaf.size)].index("result")
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from covariant.codegen import Recipe, TracedProgram, trace_program
+from covariant.codegen import Program, Recipe, trace_program
 from covariant.engine._cache import cache_key, cache_layout, cached_layout, cached_text, result_index
 from covariant.engine._compile import library
 from covariant.engine._description import description_key
@@ -166,7 +166,7 @@ class Prepared:
         cache_layout(description, self.key, self._layout)
 
     @functools.cached_property
-    def _traced(self) -> TracedProgram:
+    def _traced(self) -> Program:
         form = self._kernel_key.form
         return trace_program(self._kernel_key.recipe(), np.zeros(form.y), form.inputs)
 
@@ -193,7 +193,7 @@ class Prepared:
 _prepared = functools.lru_cache(maxsize=64)(Prepared)
 
 
-def _c_text(traced: TracedProgram, lanes: int) -> str:
+def _c_text(traced: Program, lanes: int) -> str:
     """The text of a kernel; raises `LoweringError`."""
     # On a computer the time of a step may depend on its numbers; code for a controller has fixed loops.
     program = traced.lower(loops=True)

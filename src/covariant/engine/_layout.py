@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from covariant.codegen import TracedProgram
+from covariant.codegen import Program
 from covariant.engine._sources import LIBRARY
 from scalargraph.errors import InputError
 
@@ -29,7 +29,7 @@ class Layout(NamedTuple):
     estimate: Any
 
     @classmethod
-    def of(cls, traced: TracedProgram) -> "Layout":
+    def of(cls, traced: Program) -> "Layout":
         """The layout of a traced observer."""
         state, estimate, info = (sum(leaf.size for leaf in leaves) for leaves in (traced.state, traced.x, traced.info))
         return cls((state, estimate, info), traced.y, traced.u, traced.told_as, traced.estimated_as)

@@ -9,6 +9,7 @@ from ._mechanical import (
     acceleration as acceleration,
     advance as advance,
     applied_force as applied_force,
+    check_shapes as check_shapes,
     energy as energy,
     friction as friction,
     input_count as input_count,

@@ -6,6 +6,7 @@ OBSERVER_NAMES = (
     "intrinsic-force",
     "geodesic",
     "lagrangian-metric",
+    "measured-coefficients",
     "copy",
     "intrinsic-kalman",
     "ekf",

@@ -1,4 +1,4 @@
-"""`certify` proves that an observer converges; `check_certificate` verifies a saved proof."""
+"""`certify` proves that an observer converges."""
 
 import functools
 import math
@@ -20,17 +20,17 @@ from covariant.verbs.base.by_distance import BY_DISTANCE, DistanceResult, by_dis
 from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
 from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
+from covariant.verbs.base.globally import GLOBALLY, GlobalResult, certify_globally
 from covariant.verbs.base.inputs import numbered
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
 from scalargraph.errors import InputError
-from scalargraph.proofs import read_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OBSERVERS = "intrinsic", "geodesic", BY_DISTANCE
+OBSERVERS = "intrinsic", "geodesic", BY_DISTANCE, GLOBALLY
 """The observers that there are certificates for."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
@@ -49,7 +49,7 @@ def certify(
     velocity: Amounts | None = None,
     error: Amounts | None = None,
     region: Region | None = None,
-    observer: str = "intrinsic",
+    observer: str | None = None,
     alpha: float | None = None,
     beta: float | None = None,
     sampling: float | None = None,
@@ -69,8 +69,9 @@ def certify(
     find: str | None = None,
     runs: int = 10,
     overrides: Overrides = (),
+    jerk: Amounts = 0.0,
     progress: Progress = notebook_line,
-) -> "CertifyResult | DistanceResult":
+) -> "CertifyResult | DistanceResult | GlobalResult":
     """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
 
     Use it to state how far an estimate may start from the truth and still converge. The result holds for the whole
@@ -82,13 +83,16 @@ def certify(
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.
         velocity: Bound of the true velocities [unit/s], one for all or one each; required. There is no certificate
             without it.
-        error: How far estimated positions may be off [unit], one bound for all or one each; required.
-        region: Ends of the positions by coordinate; rotations need none. On another group the entries of its
-            matrices, named g11, g12, ….
-        observer: "intrinsic", "geodesic", or "lagrangian-metric", which converges from far away at high gains and has a
-            statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`, `lost`, `seconds`,
-            `processes`, `find`, a checker and a file.
-        alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file.
+        error: How far estimated positions may be off [unit], one bound for all or one each; without it the statement is
+            about all first errors, of the observer "measured-coefficients".
+        region: Ends of the positions by coordinate; rotations need none, nor do limits of joints for all first errors.
+            On another group the entries of its matrices, named g11, g12, ….
+        observer: "intrinsic" (default with an `error`), "geodesic", or "lagrangian-metric", which converges from far
+            away at high gains and has a statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`,
+            `lost`, `seconds`, `processes`, `find`, a checker and a file; or "measured-coefficients" (default without an
+            `error`), without `times`, `q`, `input`, `find`, in one process, and with a checker of files alone.
+        alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file, for all
+            first errors the least that are proved.
         beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
         input: Bound of the inputs, one for all or one each.
@@ -112,6 +116,7 @@ def certify(
             "interval" the longest time between two samples.
         runs: With `find`, how many certificates are tried at most.
         overrides: Values that replace those of the model file.
+        jerk: For all first errors, bound of the change of each acceleration within a sample, per second.
         progress: Called with the current proof and the fraction of its region that is decided.
 
     Returns:
@@ -131,14 +136,31 @@ def certify(
             "velocity is missing: no certificate exists without a bound of the velocity, because the tube in which "
             "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
         )
-    if error is None:
-        raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
-    if observer not in OBSERVERS:
+    if observer is not None and observer not in OBSERVERS:
         raise InputError(unknown("observer", observer, OBSERVERS))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
     file = _read(model, name, overrides)
+    if observer is None:
+        observer = GLOBALLY if error is None and file.model.manifold.commuting else OBSERVERS[0]
+    recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
+    limits = _effort(boxes, seconds, processes)
+    if observer == GLOBALLY:
+        within = {"error": error, "times": times, "q": q, "input": input, "find": find}
+        within |= {"checker": checker == "all"}
+        del limits["processes"]  # it takes one, whatever the command line's default is
+        given = {"lost": lost, "recipe": recipe, **limits}
+        given["disturbed"] = {"noise": noise, "disturbance": disturbance, "jerk": jerk}
+        every = None if sampling is None else (1 / above_zero("sampling", sampling),) * 2
+        period = every if interval is None else tuple(interval)
+        return certify_globally(
+            name, file, pair, region, progress, within, rate=rate, interval=period, velocity=velocity, **given
+        )
+    if error is None:
+        raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
+    if np.any(jerk):
+        raise InputError(f"jerk is for certificates of {GLOBALLY}; leave it out")
     designed = design(file, observer, pair, None if sampling is None else above_zero("sampling", sampling))
     settings = _region(name, file, velocity, error, region, input, noise, disturbance)
     settings |= {
@@ -149,8 +171,7 @@ def certify(
         "lost": lost,
         "lost_rows": lost_rows,
     }
-    settings |= _effort(boxes, seconds, processes) | {"checker": checker}
-    recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
+    settings |= limits | {"checker": checker}
     prove = functools.partial(_prove, designed, recipe, progress, **settings)
     notes = designed.notes + runs_otherwise(file, observer)
     if observer == BY_DISTANCE:
@@ -319,110 +340,6 @@ class CertifyResult(AbstractResult):
         if self.certificate.sampling is not None:
             raise InputError("figures are of certificates in continuous time; this one is about sampled measurements")
         return certificate_figure(self.certificate)
-
-
-def check_certificate(
-    path: str | Path, *, model: str | None = None, processes: int = 1, progress: Progress = notebook_line
-) -> "CertificateCheckResult":
-    """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
-
-    A certificate that is not verified gives a result with the reason, rather than an exception. `model` runs code of
-    the person who checks, and never code from the file. `certificates.check` is the same without ball arithmetic, and
-    returns the statement.
-
-    Args:
-        path: The certificate (.json), as `certify` saves it.
-        model: The `module:attribute` of a model that is not of this library, given by the person who checks.
-        processes: Largest number of processes to check with; with several, a script needs the
-            `if __name__ == "__main__"` guard. Up to 1024 leaves are checked in this process.
-        progress: Called with the fraction of the leaves that are checked.
-
-    Returns:
-        Whether the certificate is verified, and otherwise why not.
-
-    Raises:
-        ValueError: Where there is no such file.
-
-    Example:
-        >>> import covariant
-        >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
-        >>> proved = covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, **bounds)
-        >>> covariant.verbs.check_certificate(proved.save("oscillator.json")).verified
-        True
-    """
-    path = Path(path)
-    content = read_file(path)  # only once, so that both checks examine the same content
-    try:
-        document = certificates.parse(path, content)
-        checked = certificates.check(
-            document,
-            model=model,
-            processes=int(above_zero("processes", processes)),
-            progress=lambda done, total: progress(f"checking leaves, {done} of {total}", done / max(total, 1)),
-        )
-        return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
-    except InputError as refusal:
-        return CertificateCheckResult(path, model, None, 0, str(refusal))
-
-
-@dataclass(frozen=True, repr=False)
-class CertificateCheckResult(AbstractResult):
-    """Whether a saved certificate is verified.
-
-    Attributes:
-        path: The file.
-        model: The `module:attribute` that was given for its model, or None.
-        checked: What was verified; None where the certificate is refused.
-        balls: Number of leaves that were verified again in ball arithmetic.
-        note: A remark on the balls, or why the certificate is refused.
-
-    Example:
-        >>> from covariant import verbs
-        >>> verbs.CertificateCheckResult("top.json", None, None, 0, "its digest does not fit")
-        <CertificateCheckResult: top.json: refused>
-    """
-
-    path: Path
-    model: str | None
-    checked: certificates.Checked | None
-    balls: int
-    note: str
-
-    @property
-    def verified(self) -> bool:
-        """Whether all leaves of the proofs are verified."""
-        return self.checked is not None
-
-    @property
-    def headline(self) -> str:
-        return f"{self.path}: {'refused' if self.checked is None else f'verified, {self.checked.leaves} leaves'}"
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        if self.checked is None:
-            return {"verified": False, "reason": self.note}
-        assumed = [each.text for each in self.checked.statement.hypotheses if each.evidence == "assumed"]
-        details = {"model": self.model, "balls": self.balls, "assumed": assumed}
-        return {"verified": True, **self.checked._asdict(), "statement": self.checked.statement.document(), **details}
-
-    def __str__(self) -> str:
-        details = self.checked
-        if details is None:
-            return f"Refused: {self.note}"
-        lines = [f"Verified: {details.leaves} leaves in {details.seconds:.1f} s, {self.note}."]
-        if details.model_given:
-            given = f"The model is {self.model}, given by the person who checks"
-            lines.append(f"{given}; that the file means this one is not verified.")
-        return "\n".join([*lines, str(details.statement)])
-
-
-def _in_balls(document: certificates.Document, model: str | None) -> tuple[int, str]:
-    """The number of leaves verified in ball arithmetic, also in words."""
-    try:
-        balls = certificates.check_sample(document, model=model).leaves
-    except ImportError as missing:
-        return 0, f"none in ball arithmetic: {missing}"
-    return balls, f"{balls} of them again in ball arithmetic"
 
 
 def _read(model: Any, name: str, overrides: Overrides) -> ModelFile:

@@ -9,7 +9,7 @@ from typing import Any
 
 from covariant.verbs.base.result import AbstractResult
 from scalargraph.cache import SharedFolderError, open_cache_folder
-from scalargraph.compiler import EXACT, compiled, compiler
+from scalargraph.compiler import FAST, compiled, compiler
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _compiler() -> Part:
     import ctypes
 
     try:
-        half = compiled("double half(double x) { return x / 2; }\n", EXACT, ctypes.CDLL).half
+        half = compiled("double half(double x) { return x / 2; }\n", FAST, ctypes.CDLL).half
     except OSError as error:
         return Part(name, path, f"{error}; set CC to another one")
     half.restype, half.argtypes = ctypes.c_double, [ctypes.c_double]

@@ -67,17 +67,6 @@ class Lowered(NamedTuple):
         """Number of scalar inputs."""
         return sum(math.prod(shape) for shape in self.arguments)
 
-    def leading(self, count: int) -> "Lowered":
-        """Return the function of the first leaves of the results alone, as a tuple.
-
-        Args:
-            count: Number of leaves to keep. Nodes that only the other leaves need are dropped, and so are the
-                conditions.
-        """
-        results = self.results[:count]
-        small, outputs = self.graph.pruned(self.outputs[: sum(leaf.size for leaf in results)])
-        return Lowered(small, self.arguments, tuple(outputs), results, jax.tree.structure(results))
-
     def nodes(self) -> Any:
         """Return the result of the function with nodes in place of values.
 

@@ -1,14 +1,15 @@
 """Evaluates a graph in intervals: bounds a function over boxes, and finds boxes without undefined values or jumps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Bool
 
 from scalargraph.errors import InputError
 from scalargraph.graph import LARGEST, Conditions, Domain, Lowered, evaluate_nodes
-from scalargraph.intervals._intervals import INTERVALS, as_number, both, constant, eq, le, lt
-from scalargraph.intervals._tape import Interval, Truth, kernel
+from scalargraph.intervals._intervals import INTERVALS, as_number, constant, eq, le, lt
+from scalargraph.intervals._types import Interval, Truth
 
 
 class Enclosure(NamedTuple):
@@ -25,7 +26,7 @@ class Enclosure(NamedTuple):
         >>> import scalargraph
         >>> lowered = scalargraph.lower(lambda x: jnp.sign(x), jnp.array(0.0))
         >>> low, high = np.array([[1.0], [-1.0]]), np.array([[2.0], [1.0]])
-        >>> scalargraph.enclose(lowered, low, high, engine="numpy").smooth.tolist()
+        >>> scalargraph.enclose(lowered, low, high).smooth.tolist()
         [True, False]
     """
 
@@ -38,92 +39,84 @@ JUMPS = ("select", "either", "sign", "floor", "ceil", "round", "atan2")
 """Operations whose values may jump."""
 
 
-@kernel
-def decided(p: Truth) -> Truth:
+def _decided(p: Truth) -> Bool[np.ndarray, "B"]:
     """Boxes on which a choice by a statement does not jump: the statement holds everywhere or nowhere on the box."""
-    known = p.must | ~p.may
-    return Truth(known, known)
+    return p.must | ~p.may
 
 
-@kernel
-def unequal(a: Interval, b: Interval) -> Truth:
-    """Boxes on which two numbers are equal at no point."""
-    known = (a.high < b.low) | (a.low > b.high)
-    return Truth(known, known)
-
-
-@kernel
-def not_zero(a: Interval) -> Truth:
-    """Boxes on which a sign does not jump: 0 is excluded, since its sign differs from those of all other numbers."""
-    known = (a.low > 0) | (a.high < 0)
-    return Truth(known, known)
-
-
-@kernel
-def off_the_cut(y: Interval, x: Interval) -> Truth:
-    """Boxes on which the angle atan2(y, x) does not jump.
-
-    The cut is the negative half-axis with the origin; values on it belong to the upper side.
-    """
-    # The cut is y = 0, x ≤ 0. For x < 0 the angle is continuous up to the cut from y ≥ 0, hence the second term.
-    known = ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
-    return Truth(known, known)
-
-
-@kernel
-def one_value(found: Interval) -> Truth:
-    """Boxes on which a function that is constant between its jumps, such as floor, has one value."""
-    known = found.low == found.high
-    return Truth(known, known)
-
-
-def _no_jump(op: str, arguments: tuple, result: Interval) -> Truth:
+def _no_jump(op: str, arguments: tuple, result: Interval) -> Bool[np.ndarray, "B"]:
     """Boxes on which an operation of `JUMPS` does not jump."""
     match op:
         case "select":
-            return decided(arguments[0])
+            return _decided(arguments[0])
         case "either":
-            return unequal(*arguments[:2])
+            a, b = arguments[:2]
+            return (a.high < b.low) | (a.low > b.high)
         case "sign":
-            return not_zero(*arguments)
+            # 0 is excluded, since its sign differs from those of all other numbers.
+            return (arguments[0].low > 0) | (arguments[0].high < 0)
         case "atan2":
-            return off_the_cut(*arguments)
-    return one_value(result)
+            # The cut of the angle is y = 0, x ≤ 0; values on it belong to the upper side. For x < 0 the angle is
+            # continuous up to the cut from y ≥ 0, hence the second term.
+            y, x = arguments
+            return ~((y.low <= 0) & (y.high >= 0) & (x.low <= 0)) | (y.low >= 0) & (x.high < 0)
+    # A function that is constant between its jumps, such as floor, has one value.
+    return result.low == result.high
 
 
-def by_numpy(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
-    """Bound the values of a function over boxes by NumPy."""
-    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
-    with np.errstate(all="ignore"):
-        values, smooth = bounds(lowered, inputs)
-    ends = np.empty((2, len(values), len(low)))
-    for k, value in enumerate(values):
-        ends[0, k], ends[1, k] = value
-    return Enclosure(ends[0].T, ends[1].T, np.broadcast_to(smooth.must, len(low)).copy())
+def enclose(lowered: Lowered, low: np.ndarray, high: np.ndarray) -> Enclosure:
+    """Bound the values of a function over boxes, rigorously.
 
+    Use it to bound a function over a region with certainty, which samples cannot do. The bounds are safe but may be
+    wide, since each occurrence of a variable counts as an independent variable: halve the boxes for tighter bounds.
+    `proofs.prove` does this for matrices until a verdict is reached.
 
-def bounds(lowered: Lowered, inputs: Sequence[Interval]) -> tuple[list[Interval], Truth]:
-    """Bound the values of a function, in NumPy or as steps of a tape."""
+    Args:
+        lowered: The function, without loops or tables.
+        low: Lower corners of the boxes (B, inputs).
+        high: Upper corners (B, inputs), low ≤ high.
+
+    Returns:
+        The bounds of each output over each box, rounding errors included. Statements are bounded as the numbers 0 and
+        1.
+
+    Raises:
+        ValueError: The corners have another shape, are NaN, or low exceeds high; or the function has loops or tables.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> import numpy as np
+        >>> import scalargraph
+        >>> square = scalargraph.lower(lambda x: x * x, jnp.array(0.0))
+        >>> bounds = scalargraph.enclose(square, np.array([[-1.0]]), np.array([[2.0]]))
+        >>> bounds.low.round(9).tolist(), bounds.high.round(9).tolist()
+        ([[0.0]], [[4.0]])
+    """
+    low, high = corners(low, high, lowered.inputs)
     # A loop may never end in intervals, as its condition stays undecided; a table would be read at one index only.
     if odd := {node.op for node in lowered.graph.nodes} & {"loop", "table"}:
         raise InputError(f"a function with a {min(odd)} has no bounds; lower it with loops='unrolled'")
-    smooth: Truth = constant(True)  # pyright: ignore[reportAssignmentType]
+    inputs = [Interval(a, b) for a, b in zip(low.T.copy(), high.T.copy(), strict=True)]
+    smooth = np.ones(len(low), bool)
 
     def watched(op: str) -> Callable:
         def apply(*arguments: Interval | Truth) -> Any:
             nonlocal smooth
             result = INTERVALS[op](*arguments)
-            smooth = both(smooth, _no_jump(op, arguments, result))
+            smooth = smooth & _no_jump(op, arguments, result)
             return result
 
         return apply
 
-    domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
-    values = evaluate_nodes(lowered.graph, lowered.outputs, domain, inputs)
-    for value in values:
-        if isinstance(value, Truth):
-            smooth = both(smooth, decided(value))
-    return [as_number(value) for value in values], smooth
+    domain: Domain = {**INTERVALS, **{op: watched(op) for op in JUMPS}}
+    ends = np.empty((2, len(lowered.outputs), len(low)))
+    with np.errstate(all="ignore"):
+        values = evaluate_nodes(lowered.graph, lowered.outputs, domain, inputs)
+        for k, value in enumerate(values):
+            if isinstance(value, Truth):
+                smooth = smooth & _decided(value)
+            ends[0, k], ends[1, k] = as_number(value)
+    return Enclosure(ends[0].T, ends[1].T, smooth)
 
 
 def corners(low: np.ndarray, high: np.ndarray, inputs: int) -> tuple[np.ndarray, np.ndarray]:

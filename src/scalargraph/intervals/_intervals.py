@@ -10,16 +10,14 @@ A bound that is NaN gives no information. If a function is undefined somewhere i
 number, both bounds are NaN and remain so through every operation; comparisons with them are undecided.
 """
 
-import functools
-import inspect
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from scalargraph.graph import STUMPFF_TERMS, Domain, stumpff_bounds, stumpff_coefficients
+from scalargraph.graph import Domain, stumpff_bounds, stumpff_coefficients
 from scalargraph.intervals._elementary import ELEMENTARY, TINY
-from scalargraph.intervals._tape import Interval, Kernel, Truth, as_kernel, kernel
+from scalargraph.intervals._types import Interval, Truth
 
 STEP = 3 * 2.0**-54
 """A relative step outward: c ± STEP·|c|, computed in doubles, is a neighbour of c or lies beyond it.
@@ -33,7 +31,6 @@ BLOCK = 4096
 """Number of boxes for which an elementary function is computed at once; its working arrays then fit in the cache."""
 MOST_PRODUCTS = 32
 """Largest exponent for which a power is computed as a product."""
-Bounded = TypeVar("Bounded", Interval, Truth)
 
 
 def constant(value: float | bool | int) -> Interval | Truth:
@@ -90,23 +87,20 @@ def _is_number(a: Interval) -> bool:
     return bool(np.ndim(a.low) == 0 and a.low == a.high)
 
 
-# The operations, and the kernels from which they are composed.
+# The operations.
 
 
-@kernel
 def neg(a: Interval) -> Interval:
     """Interval of −a; a change of sign is exact."""
     return Interval(-a.high, -a.low)
 
 
-@kernel
 def add(a: Interval, b: Interval) -> Interval:
     """Interval of a + b; each bound is moved outward by the rounding error of its sum."""
     # A sum in the range of subnormal numbers is exact in IEEE arithmetic, so a relative step is enough.
     return Interval(_down(a.low + b.low), _up(a.high + b.high))
 
 
-@kernel
 def sub(a: Interval, b: Interval) -> Interval:
     """Interval of a − b; each bound is moved outward by the rounding error of its difference."""
     return Interval(_down(a.low - b.high), _up(a.high - b.low))
@@ -140,28 +134,16 @@ def _extremes(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
     return _product(low, high, a, b)
 
 
-def _extremes_apart(operation: np.ufunc, a: Interval, b: Interval) -> Interval:
-    """The same as `_extremes`, with a separate test for NaN, for processors whose minimum does not propagate NaN."""
-    (p, q), (r, s) = ((operation(end, b.low), operation(end, b.high)) for end in a)
-    known = (p == p) & (q == q) & (r == r) & (s == s)
-    low, other = np.where(q < p, q, p), np.where(s < r, s, r)
-    high, another = np.where(q > p, q, p), np.where(s > r, s, r)
-    low, high = np.where(other < low, other, low), np.where(another > high, another, high)
-    return _product(np.where(known, low, np.nan), np.where(known, high, np.nan), a, b)
-
-
 def _turned(a: Interval, k: float) -> Interval:
     """The ends of a, ordered such that the first one gives the smallest a·k and a/k."""
     return a if k >= 0 else Interval(a.high, a.low)
 
 
-@kernel
 def times_number(ends: Interval, k: Interval) -> Interval:
     """Interval of a·k."""
     return _scale_ends(np.multiply, ends, k.low)
 
 
-@kernel
 def over_number(ends: Interval, k: Interval) -> Interval:
     """Interval of a/k."""
     return _scale_ends(np.divide, ends, k.low)
@@ -175,7 +157,6 @@ def _scale_ends(operation: np.ufunc, ends: Interval, k: float | np.ndarray) -> I
     return Interval(low - below, high + above)
 
 
-@kernel
 def square(a: Interval) -> Interval:
     """Interval of a². It is never negative, unlike the product of two independent numbers in the same interval."""
     size = absolute(a)
@@ -195,17 +176,16 @@ def div(a: Interval, b: Interval) -> Interval:
     return quotients(a, b)
 
 
-def _pair(name: str, rule: Callable[..., Interval]) -> Callable[[Interval, Interval], Interval]:
-    """A kernel of two intervals, from a rule that receives the function for their extremes as an argument."""
-    kernel = Kernel(functools.partial(rule, _extremes_apart), (Interval, Interval), Interval)
-    return as_kernel(name, kernel, functools.partial(rule, _extremes))
+def products(a: Interval, b: Interval) -> Interval:
+    """Interval of a·b for any a and b."""
+    return _extremes(np.multiply, a, b)
 
 
-products = _pair("products", lambda extremes, a, b: extremes(np.multiply, a, b))
-quotients = _pair("quotients", lambda extremes, a, b: where((b.low > 0) | (b.high < 0), extremes(np.divide, a, b)))
+def quotients(a: Interval, b: Interval) -> Interval:
+    """Interval of a/b, NaN if b may be zero."""
+    return where((b.low > 0) | (b.high < 0), _extremes(np.divide, a, b))
 
 
-@kernel
 def number_over(k: Interval, b: Interval, ends: Interval) -> Interval:
     """Interval of k/b, NaN if b may be zero."""
     quotient = _product(k.low / ends.low, k.low / ends.high, k, b)
@@ -219,46 +199,39 @@ def where(defined: np.ndarray, a: Interval) -> Interval:
     return Interval(np.where(defined, a.low, np.nan), np.where(defined, a.high, np.nan))
 
 
-@kernel
 def absolute(a: Interval) -> Interval:
     """Interval of |a|, exact; its lower bound is 0 if a contains 0."""
     nearest = np.maximum(a.low, -a.high)
     return Interval(np.maximum(nearest, 0.0), np.maximum(-a.low, a.high))
 
 
-def minimum(a: Bounded, b: Bounded) -> Bounded:
+def minimum(a: Interval | Truth, b: Any) -> Any:
     """Interval of min(a, b), or the statement "a and b"."""
     return both(a, b) if isinstance(a, Truth) else smaller(a, b)
 
 
-@kernel
 def smaller(a: Interval, b: Interval) -> Interval:
     """Interval of min(a, b), exact."""
     return Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high))
 
 
-def maximum(a: Bounded, b: Bounded) -> Bounded:
+def maximum(a: Interval | Truth, b: Any) -> Any:
     """Interval of max(a, b), or the statement "a or b"."""
     return either(a, b) if isinstance(a, Truth) else larger(a, b)
 
 
-@kernel
 def larger(a: Interval, b: Interval) -> Interval:
     """Interval of max(a, b), exact."""
     return Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high))
 
 
-@kernel
 def sqrt(a: Interval) -> Interval:
     """Interval of √a, NaN if a may be negative; a correctly rounded root errs by half a unit in the last place."""
     return where(a.low >= 0, Interval(_down(np.sqrt(a.low)), _up(np.sqrt(a.high))))
 
 
-def _elementary_of(op: str, bounds: Callable) -> Callable:
+def _elementary_of(bounds: Callable) -> Callable:
     """An operation on intervals from one on bounds; it works block by block, so that its arrays fit in the cache."""
-
-    def formula(*arguments: Interval) -> Interval:
-        return Interval(*bounds(*(end for a in arguments for end in a)))
 
     def compute(*arguments: Interval) -> Interval:
         ends = np.broadcast_arrays(*(end for a in arguments for end in a))
@@ -268,11 +241,10 @@ def _elementary_of(op: str, bounds: Callable) -> Callable:
         low, high = map(np.concatenate, zip(*parts, strict=True))
         return Interval(low, high)
 
-    count = len(inspect.signature(bounds).parameters) // 2
-    return as_kernel(op, Kernel(formula, (Interval,) * count, Interval), compute)
+    return compute
 
 
-_ELEMENTARY = {op: _elementary_of(op, bounds) for op, bounds in ELEMENTARY.items()}
+_ELEMENTARY = {op: _elementary_of(bounds) for op, bounds in ELEMENTARY.items()}
 
 
 def power(a: Interval, b: Interval) -> Interval:
@@ -299,7 +271,6 @@ def _product_of_many(a: Interval, count: int) -> Interval:
     return result
 
 
-@kernel
 def one(a: Interval) -> Interval:
     """The number 1 if a is known, else NaN."""
     # 0·NaN and 0·∞ are NaN, so an unknown base stays unknown.
@@ -309,25 +280,21 @@ def one(a: Interval) -> Interval:
 # Non-decreasing functions that are constant between their jumps.
 
 
-@kernel
 def sign(a: Interval) -> Interval:
     """Interval of the sign of a, −1, 0 or 1 at each end."""
     return Interval(np.sign(a.low), np.sign(a.high))
 
 
-@kernel
 def floor(a: Interval) -> Interval:
     """Interval of the largest integer ≤ a."""
     return Interval(np.floor(a.low), np.floor(a.high))
 
 
-@kernel
 def ceil(a: Interval) -> Interval:
     """Interval of the smallest integer ≥ a."""
     return Interval(np.ceil(a.low), np.ceil(a.high))
 
 
-@kernel
 def nearest(a: Interval) -> Interval:
     """Interval of the nearest integer; ties go to the even one, as in `numpy.rint`."""
     return Interval(np.rint(a.low), np.rint(a.high))
@@ -341,7 +308,6 @@ def as_number(a: Interval | Truth) -> Interval:
     return number_of(a) if isinstance(a, Truth) else a
 
 
-@kernel
 def number_of(a: Truth) -> Interval:
     """A statement as a number: 1 if it holds, 0 if it does not, and 0 … 1 if it is undecided."""
     return Interval(np.where(a.must, 1.0, 0.0), np.where(a.may, 1.0, 0.0))
@@ -352,7 +318,6 @@ def lt(a: Interval | Truth, b: Interval | Truth) -> Truth:
     return less(as_number(a), as_number(b))
 
 
-@kernel
 def less(a: Interval, b: Interval) -> Truth:
     """Statement a < b; bounds that are NaN leave it undecided."""
     return Truth(a.high < b.low, ~(a.low >= b.high))
@@ -363,7 +328,6 @@ def le(a: Interval | Truth, b: Interval | Truth) -> Truth:
     return at_most(as_number(a), as_number(b))
 
 
-@kernel
 def at_most(a: Interval, b: Interval) -> Truth:
     """Statement a ≤ b; bounds that are NaN leave it undecided."""
     return Truth(a.high <= b.low, ~(a.low > b.high))
@@ -375,46 +339,40 @@ def eq(a: Interval | Truth, b: Interval | Truth) -> Truth:
     return equal_to_itself(a) if a is b else equal(a, b)
 
 
-@kernel
 def equal_to_itself(a: Interval) -> Truth:
     """Statement a = a, the usual test for a missing (NaN) measurement: true wherever a is defined."""
     defined = ~(np.isnan(a.low) & np.isnan(a.high))
     return Truth(defined, np.ones_like(defined))
 
 
-@kernel
 def equal(a: Interval, b: Interval) -> Truth:
     """Statement a = b: proved if both are the same single number, refuted if their intervals are disjoint."""
     return Truth((a.high <= b.low) & (b.high <= a.low), ~((a.high < b.low) | (b.high < a.low)))
 
 
-@kernel
 def both(a: Truth, b: Truth) -> Truth:
     """The statement "a and b"."""
     return Truth(a.must & b.must, a.may & b.may)
 
 
-@kernel
 def either(a: Truth, b: Truth) -> Truth:
     """The statement "a or b"."""
     return Truth(a.must | b.must, a.may | b.may)
 
 
-@kernel
 def opposite(a: Truth) -> Truth:
     # "Not a" is proved where a is refuted, and possible where a is not proved.
     """The statement "not a"."""
     return Truth(~a.may, ~a.must)
 
 
-@kernel
 def is_finite(a: Interval) -> Truth:
     """Statement that a number is finite: proved if its bounds are finite, never refuted."""
     known = np.isfinite(a.low) & np.isfinite(a.high)
     return Truth(known, np.ones_like(known))
 
 
-def select(p: Truth, a: Bounded, b: Bounded) -> Bounded:
+def select(p: Truth, a: Interval | Truth, b: Any) -> Any:
     """Values of a if p holds, of b if it does not, and the hull of both if p is undecided."""
     if isinstance(a, Truth):
         # If p is undecided, "a and b" still implies the result; the other two terms do not cover this.
@@ -422,7 +380,6 @@ def select(p: Truth, a: Bounded, b: Bounded) -> Bounded:
     return chosen(p, a, b)
 
 
-@kernel
 def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
     """Interval of `p ? a : b`, the hull of a and b if p is undecided."""
     result = Interval(np.where(p.must, a.low, b.low), np.where(p.must, a.high, b.high))
@@ -433,7 +390,6 @@ def chosen(p: Truth, a: Interval, b: Interval) -> Interval:
     return Interval(np.where(undecided, low, result.low), np.where(undecided, high, result.high))
 
 
-@kernel
 def kinked(a: Interval, b: Interval, x: Interval, y: Interval) -> Interval:
     """Interval of a derivative at a kink: x where a < b, y where b < a, and the hull of both if a = b is
     possible.
@@ -448,14 +404,7 @@ def stumpff(k: Interval, x: Interval) -> Interval:
         k: Order, a number as an interval.
         x: Interval of the argument.
     """
-    return stumpff_series(x, stumpff_coefficients(int(k.low)))
-
-
-def _stumpff_series(x: Interval, series: Sequence[float]) -> Interval:
-    return Interval(*stumpff_bounds(series, x.low, x.high))
-
-
-stumpff_series = as_kernel("stumpff", Kernel(_stumpff_series, (Interval, STUMPFF_TERMS), Interval), _stumpff_series)
+    return Interval(*stumpff_bounds(stumpff_coefficients(int(k.low)), x.low, x.high))
 
 
 INTERVALS: Domain = {

@@ -2,9 +2,9 @@ from . import checker as checker
 from ._balls import BITS as BITS, BallMatrix as BallMatrix
 from ._box import Box as Box, box as box, check_box as check_box
 from ._conditions import show_conditions as show_conditions
-from ._enclosure import MOST_DERIVED as MOST_DERIVED
 from ._file import Field as Field, digest as digest, parse_file as parse_file, read_file as read_file
 from ._form import Form as Form, as_form as as_form, derivative_form as derivative_form
+from ._models import Polynomials as Polynomials, polynomials as polynomials
 from ._prove import (
     MOST_BOXES as MOST_BOXES,
     Proof as Proof,

@@ -68,17 +68,14 @@ def sum_over(rows: np.ndarray) -> np.ndarray:
     return total
 
 
-def definite(
-    middle: np.ndarray, radius: np.ndarray, terms: np.ndarray | None = None
-) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
-    """Whether all symmetric matrices in an enclosure are positive definite."""
+def definite(middle: np.ndarray, radius: np.ndarray, terms: np.ndarray) -> tuple[Bool[np.ndarray, "B"], np.ndarray]:
+    """Whether all symmetric matrices within `radius` of `middle + Σ wₘ terms[m]`, |wₘ| ≤ 1, are positive definite."""
     c, positive = factors(middle)
     n, at = len(c), places(len(c))
     with np.errstate(all="ignore"):
         error, size = np.abs(np.eye(n)[np.tril_indices(n)][:, None] - congruent(c, middle)), np.abs(middle)
-        if terms is not None:
-            error += sum_over(np.abs(congruent(c, terms)))
-            size += sum_over(np.abs(terms))
+        error += sum_over(np.abs(congruent(c, terms)))
+        size += sum_over(np.abs(terms))
         # |C|ᵀ R |C| bounds the contribution of the radii; ROUND times the sizes bounds rounding of the congruences.
         error += congruent(np.abs(c), radius + ROUND * size)
         # Relative and absolute margins make E an upper bound of |I − CᵀSC| despite all rounding.

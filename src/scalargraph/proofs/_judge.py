@@ -9,19 +9,18 @@ from jaxtyping import Bool, Float, Int
 from scalargraph import enclose
 from scalargraph.graph import pairs
 from scalargraph.proofs._box import Box
-from scalargraph.proofs._definite import definite, factors, indefinite, weights
-from scalargraph.proofs._enclosure import Ball, Expansions, enclosed_by, half_widths, taylor_form
+from scalargraph.proofs._definite import ROUND, TINY, definite, indefinite, weights
+from scalargraph.proofs._entries import Entries
 from scalargraph.proofs._models import polynomials
-from scalargraph.proofs._tests_in_c import tests_in_c
 from scalargraph.proofs._tree import OPEN, PROVED, middle_of
 
 MODELLED = 128
 """Number of boxes whose Taylor models are computed at once."""
 
 
-def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
+def judge(matrix: Entries, low: np.ndarray, high: np.ndarray) -> tuple[Int[np.ndarray, "B"], np.ndarray | None]:
     """For each box return that it is proved, or the variable across which to halve it; or find a counter-example."""
-    proved, weight, smooth = _test_boxes(matrix, low, high)
+    proved, weight = _test_boxes(matrix, low, high)
     codes = np.full(len(low), PROVED)
     rest = np.flatnonzero(~proved)
     if not len(rest):
@@ -31,12 +30,8 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
     if counterexample is not None:
         return codes, counterexample
     weight = weight[rest]
-    blind = np.flatnonzero(~(np.isfinite(weight).all(axis=1) & smooth[rest]))
-    if len(blind):
-        weight[blind] = _weight_at_centre(matrix, low[rest][blind], high[rest][blind])
     relative = ((high - low)[rest] / np.where(matrix.width > 0, matrix.width, 1.0))[:, matrix.free]
-    lost = ~np.isfinite(weight).all(axis=1)
-    weight[lost] = relative[lost]
+    weight = np.where(np.isfinite(weight).all(axis=1, keepdims=True), weight, relative)
     # If no variable has an effect, or none of them can be halved any more, the widest side is halved.
     middle = middle_of(low[rest], high[rest])[:, matrix.free]
     possible = (middle > low[rest][:, matrix.free]) & (middle < high[rest][:, matrix.free])
@@ -48,52 +43,27 @@ def judge(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> tuple[Int[np
 
 
 def _test_boxes(
-    matrix: Expansions, low: np.ndarray, high: np.ndarray
-) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
-    """Which boxes are proved, how much each variable widens the enclosures of the others, and which are smooth."""
-    if matrix.first is None or matrix.second is None:
-        return _test_by_models(matrix, low, high)
-    centre = middle_of(low, high)
-    at = enclose(matrix.first, centre, centre, matrix.engine)
-    on = enclose(matrix.second, low, high, matrix.engine)
-    k, half, f = matrix.size * (matrix.size + 1) // 2, half_widths(matrix, low, high), len(matrix.free)
-    tests = tests_in_c(matrix.engine, matrix.size)
-    enclosures = (tests.enclosed if tests else enclosed_by)(at, on, half, k)
-    test = tests.definite if tests else definite
-    # The form with terms comes first: under a congruence its terms cancel between entries, which bounds cannot.
-    proved, c = test(enclosures.centre, enclosures.rest, enclosures.terms)
-    rest = np.flatnonzero(~proved)
-    # Bounds of the entries also hold if the matrix is not smooth; Taylor's form is not valid then.
-    proved[rest] = test(enclosures.middle[:, rest], enclosures.radius[:, rest])[0]
-    rest = np.flatnonzero(~proved)
-    parts = np.zeros((len(enclosures.terms), len(low)))
-    parts[:, rest] = (tests.weights if tests else weights)(
-        c[..., rest], enclosures.terms[..., rest], enclosures.shares[..., rest]
-    )
-    return proved, _weight(parts, np.arange(f), f), enclosures.smooth
-
-
-def _test_by_models(
-    matrix: Expansions, low: np.ndarray, high: np.ndarray
-) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"], Bool[np.ndarray, "B"]]:
-    """`_test_boxes` by Taylor models, a few boxes at a time. At kinks these are hulls, so all boxes count as smooth."""
-    tests, f = tests_in_c(matrix.engine, matrix.size), len(matrix.free)
+    matrix: Entries, low: np.ndarray, high: np.ndarray
+) -> tuple[Bool[np.ndarray, "B"], Float[np.ndarray, "B f"]]:
+    """Which boxes are proved by Taylor models, and how much each variable widens the models of the others."""
+    f = len(matrix.free)
     proved, weight = np.empty(len(low), bool), np.empty((len(low), f))
     for start in range(0, len(low), MODELLED):
         chunk = slice(start, start + MODELLED)
         models = polynomials(matrix.value, low[chunk], high[chunk], matrix.free)
-        proved[chunk], c = (tests.definite if tests else definite)(models.centre, models.rest, models.terms)
+        proved[chunk], c = definite(models.centre, models.rest, models.terms)
         rest = np.flatnonzero(~proved[chunk])
         shares = np.zeros_like(models.terms[..., rest])
         shares[:f] = models.shares[..., rest]
         parts = np.zeros((len(models.terms), len(c.T)))
         parts[:, rest] = weights(c[..., rest], models.terms[..., rest], shares)
+        # Where nothing is bounded, the variables to blame for that are halved.
         blind = np.asarray(models.blame.any(axis=0))
         weight[chunk] = np.where(blind[:, None], models.blame.T, _weight(parts, models.owners, f))
-    return proved, weight, np.ones(len(low), bool)
+    return proved, weight
 
 
-def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarray | None:
+def look_around(matrix: Entries, domain: Box, count: int = 4096) -> np.ndarray | None:
     """Search random points of a box for a point at which the matrix is not positive definite."""
     rng = np.random.default_rng(0)
     inside = rng.uniform(size=(count, len(domain.low)))
@@ -102,10 +72,14 @@ def look_around(matrix: Expansions, domain: Box, count: int = 4096) -> np.ndarra
     return counterexample_at(matrix, points)
 
 
-def counterexample_at(matrix: Expansions, points: np.ndarray) -> np.ndarray | None:
+def counterexample_at(matrix: Entries, points: np.ndarray) -> np.ndarray | None:
     """The first of some points at which the matrix is proved not to be positive definite."""
-    at = enclose(matrix.value, points, points, matrix.engine)
-    wrong = np.flatnonzero(indefinite(*Ball.of(at.low.T, at.high.T)))
+    at = enclose(matrix.value, points, points)
+    low, high = at.low.T, at.high.T
+    middle = middle_of(low, high)
+    # Rounded up, so that both bounds lie within the radius although the middle is rounded.
+    radius = np.maximum(high - middle, middle - low) * (1 + ROUND) + TINY
+    wrong = np.flatnonzero(indefinite(middle, radius))
     # The box of a single point has two equal corners.
     return np.stack([points[wrong[0]]] * 2) if len(wrong) else None
 
@@ -123,15 +97,3 @@ def _weight(parts: np.ndarray, owners: np.ndarray, f: int) -> Float[np.ndarray, 
         if owners[i] != owners[j]:
             weight[owners[j]] += parts[number]
     return weight.T
-
-
-def _weight_at_centre(matrix: Expansions, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Weights from derivatives at the centre alone, for boxes without bounds; NaN if there are no derivatives."""
-    if matrix.second is None:
-        return np.full((len(low), len(matrix.free)), np.nan)
-    centre = middle_of(low, high)
-    at, k = enclose(matrix.second, centre, centre, matrix.engine), matrix.size * (matrix.size + 1) // 2
-    with np.errstate(invalid="ignore", over="ignore"):
-        value, terms, shares = taylor_form(at, at, ((high - low)[:, matrix.free] / 2).T.copy(), k)
-    f = len(matrix.free)
-    return _weight(weights(factors(value.middle)[0], terms, shares), np.arange(f), f)

@@ -20,12 +20,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from scalargraph import Lowered, expand
-from scalargraph._typing import Arithmetic
 from scalargraph.errors import InputError
 from scalargraph.graph import TRUTHS
 from scalargraph.proofs._box import Box, check_box
 from scalargraph.proofs._conditions import show_conditions
-from scalargraph.proofs._enclosure import Expansions
+from scalargraph.proofs._entries import Entries
 from scalargraph.proofs._form import Formed, as_form
 from scalargraph.proofs._judge import judge, look_around
 from scalargraph.proofs._tree import CHUNK, OPEN, Tree, open_boxes
@@ -109,7 +108,6 @@ def prove(
     seconds: float | None = None,
     processes: int = 1,
     progress: Callable[[float, int], None] | None = None,
-    engine: Arithmetic = "auto",
 ) -> Proof:
     """Prove that a symmetric matrix is positive definite for every z in a box.
 
@@ -125,8 +123,6 @@ def prove(
         processes: Number of processes that share the boxes. Above 1, a script needs the `if __name__ == "__main__"`
             guard. The tree does not depend on their number.
         progress: Called now and then with the decided fraction of the domain and the number of boxes evaluated.
-        engine: Arithmetic that bounds the graphs, as for `scalargraph.enclose`: "auto" chooses between "numpy" and "c".
-            Tree and verdict are the same.
 
     Returns:
         The proof with its verdict and its tree of boxes.
@@ -144,8 +140,8 @@ def prove(
     """
     check_box(domain)
     formed = as_form(matrix).graph(jnp.asarray(domain.low))
-    expansions = Expansions.of(formed.entries, domain, engine)
-    return _decide(expansions, domain, _Effort.of(boxes, seconds), processes, progress, _reason(formed, domain))
+    entries = Entries.of(formed.entries, domain)
+    return _decide(entries, domain, _Effort.of(boxes, seconds), processes, progress, _reason(formed, domain))
 
 
 def prove_at_corners(
@@ -207,10 +203,10 @@ def prove_at_corners(
         # Equal bounds fix the affine variables; the other variables keep their whole range.
         low[indices] = high[indices] = corner
         corners.append(domain._replace(low=low, high=high))
-    expansions, proofs = Expansions.of(formed.entries, corners[0]), []
+    block, proofs = Entries.of(formed.entries, corners[0]), []
     for at in corners:
         left = effort._replace(boxes=effort.boxes - sum(proof.boxes for proof in proofs))
-        proofs.append(_decide(expansions, at, left, 1, None, reason))
+        proofs.append(_decide(block, at, left, 1, None, reason))
         if proofs[-1].verdict != "holds":
             break
     return proofs
@@ -280,7 +276,7 @@ class _Effort(NamedTuple):
         return time.monotonic() - self.start
 
 
-def _decide(matrix: "Expansions", domain: Box, effort: _Effort, processes: int, progress, reason: str) -> Proof:
+def _decide(matrix: Entries, domain: Box, effort: _Effort, processes: int, progress, reason: str) -> Proof:
     """Branch and bound on one matrix, after a search for a counter-example at random points."""
     # A point where the matrix is not positive definite refutes the claim, even if conditions are not shown elsewhere.
     counterexample = look_around(matrix, domain)
@@ -320,11 +316,11 @@ def _reason(formed: Formed, domain: Box) -> str:
     return show_conditions(formed.conditions, domain.with_fixed(formed.pins))
 
 
-_matrix: Expansions | None = None
+_matrix: Entries | None = None
 """The matrix of this worker process."""
 
 
-def _set_matrix(matrix: Expansions) -> None:
+def _set_matrix(matrix: Entries) -> None:
     """Store the matrix in a worker process, so that later messages to the process contain boxes only."""
     global _matrix
     _matrix = matrix

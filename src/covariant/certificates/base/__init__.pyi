@@ -31,6 +31,10 @@ from ._document import (
     Document as Document,
     Resolved as Resolved,
     parse as parse,
+    read_fields as read_fields,
+    read_interval as read_interval,
+    read_metric as read_metric,
+    read_recipe as read_recipe,
     write as write,
 )
 from ._effort import Effort as Effort
@@ -54,6 +58,7 @@ from ._inequalities import (
     in_frame_along as in_frame_along,
     joint_force_bound as joint_force_bound,
     length_change as length_change,
+    metric_form as metric_form,
     missing_bound as missing_bound,
     remainder_bound as remainder_bound,
     squared_widths as squared_widths,
@@ -75,11 +80,7 @@ from ._intrinsic import (
     observer_document as observer_document,
     with_model as with_model,
 )
-from ._noise import (
-    error_bounds as error_bounds,
-    noise_disturbance as noise_disturbance,
-    steady_distance as steady_distance,
-)
+from ._noise import error_bounds as error_bounds, steady_distance as steady_distance
 from ._properties import PERIODIC as PERIODIC, need_known as need_known, need_symmetry as need_symmetry
 from ._radius_recursion import Recursion as Recursion
 from ._recipe import (
@@ -100,6 +101,8 @@ from ._statement import (
     Verdict as Verdict,
     lines as lines,
     need_doubles as need_doubles,
+    rounded_down as rounded_down,
+    rounded_up as rounded_up,
 )
 from ._steady import disturbance_sizes as disturbance_sizes, loss_of as loss_of, steady_of as steady_of
 from ._tangent_metric import (

@@ -109,7 +109,6 @@ class AbstractClaim(abc.ABC):
         Args:
             radius: the radius.
         """
-        del radius
         return None
 
     def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
@@ -120,7 +119,6 @@ class AbstractClaim(abc.ABC):
             n: number of velocities.
             sampling: when measurements come; None in continuous time.
         """
-        del n, sampling
         return low, high
 
     def variables(self, names: Sequence[str], units: Sequence[str], n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -131,7 +129,6 @@ class AbstractClaim(abc.ABC):
             units: units (d).
             n: number of velocities.
         """
-        del n
         return tuple(names), tuple(units)
 
     def hypothesis(self, terms: Terms, evidence: Evidence) -> Hypothesis:
@@ -268,7 +265,6 @@ class RemainderClaim(AbstractClaim):
         return count, count
 
     def text(self, terms: Terms) -> str:
-        del terms
         size = rounded_up(math.sqrt(self.square))
         return f"{self.TENSORS[self.row]} is at most {size} long, where u, w and x are 1 long"
 
@@ -292,7 +288,6 @@ class DisturbanceClaim(AbstractClaim):
         return (0, 1) if setting.sampling is None else (acts, acts)
 
     def text(self, terms: Terms) -> str:
-        del terms
         return "noise and unknown forces add no more to the flow than the radius allows"
 
 
@@ -348,7 +343,6 @@ class MissingClaim(AbstractClaim):
         return count, count
 
     def text(self, terms: Terms) -> str:
-        del terms
         return "the acceleration that a prediction lacks, and the position error, keep their bounds"
 
     def bounds(self, low: np.ndarray, high: np.ndarray, n: int, sampling: Sampling | None) -> Ends:
@@ -378,7 +372,6 @@ class PredictionClaim(AbstractClaim):
         return 0, int(setting.sampling is not None and setting.sampling.substeps is not None)
 
     def text(self, terms: Terms) -> str:
-        del terms
         return "the defect of the Runge–Kutta steps of a prediction keeps its bound"
 
     def defect(self, longest: float) -> float:
@@ -412,7 +405,6 @@ class StartClaim(AbstractClaim):
         return 0, 1
 
     def text(self, terms: Terms) -> str:
-        del terms
         return "errors within the bounds of a start are no longer than the radius"
 
 

@@ -207,10 +207,7 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     top.need(isinstance(top.value, dict) and "format" in top.value, "a certificate with a format")
     top.at("format").need(top.value["format"] == FORMAT, f"{FORMAT!r}; this version reads no other")
     sampled = "sampling" in top.value
-    fields = top.record([*KEYS, "sampling"] if sampled else KEYS)
-    expected = digest(top.value)
-    message = f"{expected} for what the file says; it was changed since it was saved"
-    fields["digest"].need(fields["digest"].value == expected, message)
+    fields = read_fields(top, [*KEYS, "sampling"] if sampled else KEYS)
     observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, MOST_PARTS, least=0.0)
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
     n = len(velocity)
@@ -233,9 +230,9 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     claims = _claims(fields["claims"], Setting(low, high, n, sampling, given, observer.get("order")))
     return Document(
         top.file,
-        _recipe(fields["recipe"]),
+        read_recipe(fields["recipe"]),
         observer,
-        _metric(fields["q"]),
+        read_metric(fields["q"]),
         fields["rate"].positive(),
         _radius(fields["radius"], any(claim.open for claim in claims)),
         velocity,
@@ -248,31 +245,53 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     )
 
 
-def write(path: str | Path, document: dict[str, Any], check: Callable[[Document], None] = lambda _: None) -> Path:
+def read_fields(top: Field, keys: list[str]) -> dict[str, Field]:
+    """The fields of a certificate of any format, with its digest checked."""
+    fields, expected = top.record(keys), digest(top.value)
+    message = f"{expected} for what the file says; it was changed since it was saved"
+    fields["digest"].need(fields["digest"].value == expected, message)
+    return fields
+
+
+def read_interval(field: Field) -> Float[np.ndarray, "2"]:
+    """Read the shortest and longest time between two samples."""
+    interval = field.vector(2, 2)
+    field.need(0 < interval[0] <= interval[1], "two positive times, the shorter one first")
+    return interval
+
+
+def write(
+    path: str | Path,
+    document: dict[str, Any],
+    check: Callable[[Any], None] = lambda _: None,
+    read: Callable[[str | Path, bytes], Any] = parse,
+) -> Path:
     """Write a certificate file.
 
     Args:
         path: the file.
         document: its content, as data for JSON.
-        check: called with the content as `parse` reads it; if it raises, no file is written.
+        check: called with the content as `read` gives it; if it raises, no file is written.
+        read: reads the content, as `parse` does for files of this format.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: `parse` would reject the content; no file is written then.
+        ValueError: `read` would reject the content; no file is written then.
     """
     try:
         # The content is parsed before it is written, so that a saved file can always be read again.
         content = json.dumps(document, indent=1, ensure_ascii=False).encode("utf-8")
-        parsed = parse(path, content)
+        parsed = read(path, content)
     except (TypeError, ValueError) as error:
         raise InputError(f"nothing is written, since it could not be read again: {error}") from error
     check(parsed)
     return write_atomically(path, lambda file: file.write(content))
 
 
-def _recipe(field: Field) -> dict[str, Any]:
+def read_recipe(field: Field) -> dict[str, Any]:
+    """Read the recipe of a model."""
     field.need(isinstance(field.value, dict), "an object with a system, or an attribute, and its parameters")
     source = "attribute" if "attribute" in field.value else "system"
     fields = field.record([source, "parameters"])
@@ -318,7 +337,8 @@ def _observer(field: Field) -> dict[str, Any]:
     return {"kind": kind, "frame": frame, **gains, **options}
 
 
-def _metric(field: Field) -> np.ndarray:
+def read_metric(field: Field) -> np.ndarray:
+    """Read a matrix (2, 2) that is positive definite."""
     q = np.stack([row.vector(2, 2) for row in field.rows(2, 2)])
     # Fractions decide positive definiteness of exactly these doubles; the comparison a b > c² is not rounded.
     (a, c), (d, b) = [[Fraction(number) for number in row] for row in q.tolist()]
@@ -346,8 +366,7 @@ def _sampling(field: Field) -> Sampling:
     keys = ["interval", "lost", "slopes", "shear", "substeps"]
     missing_rows = isinstance(field.value, dict) and "missing_rows" in field.value
     fields = field.record([*keys, "missing_rows"] if missing_rows else keys)
-    interval = fields["interval"].vector(2, 2)
-    fields["interval"].need(0 < interval[0] <= interval[1], "two positive times, the shorter one first")
+    interval = read_interval(fields["interval"])
     slopes = np.array([[row.vector(2, 2) for row in slope.rows(2, 2)] for slope in fields["slopes"].rows(0, 8)])
     slopes = slopes.reshape(-1, 2, 2)
     fields["slopes"].need((slopes == np.swapaxes(slopes, 1, 2)).all(), "symmetric matrices (2, 2)")

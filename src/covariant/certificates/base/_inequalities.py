@@ -17,6 +17,7 @@ from covariant.certificates.base._claims import reach_squares
 from covariant.certificates.base._contraction import lengths
 from covariant.certificates.base._document import Resolved
 from covariant.certificates.base._error_system import ErrorSystem, corrections, values
+from covariant.geometry import AbstractSpace
 from scalargraph.proofs import Form, as_form, derivative_form
 
 
@@ -290,3 +291,12 @@ FORMS: dict[str, Callable[[Resolved, Any], Form]] = {
     "start": lambda of, claim: start_bound(of.about, reach_squares(of.document.claims), claim.square),
 }
 """The matrix to be proved positive definite, for each kind of claim of a document."""
+
+
+def metric_form(space: AbstractSpace, formula: Callable[[Array, Array], Array]) -> Form:
+    """The form of an expression in the metric g (n, n) and its derivatives ∂_k g_ij (n, n, n), from the graph of g."""
+
+    def parts(derivatives, nodes, n):
+        return nodes[0], derivatives.each(nodes[0], range(1, 1 + n))
+
+    return derivative_form(lambda t, q, z: (space(q),), lambda z: z, parts, formula)

@@ -38,43 +38,6 @@ def steady_distance(rate: Positive, disturbance: NotNegative) -> float:
 
 
 @check_numbers
-def noise_disturbance(
-    alpha: Annotated[Number, FINITE],
-    beta: Annotated[Number, FINITE],
-    q: TwoByTwo,
-    noise: NotNegative,
-    slope: NotNegative,
-) -> float:
-    """Compute the length, in the metric of q, of the term by which a measurement error changes the observer's flow.
-
-    To first order an error b adds `αb` to q̂' and `βb` to ∇v̂, a vector of length `|b| √½(aα² + 2cαβ + bβ²)`. Since
-    force and curvature are evaluated at the measured position, the error also adds up to `slope |b|` to ∇v̂.
-
-    Args:
-        alpha: gain α [1/s].
-        beta: gain β [1/s²].
-        q: matrix Q (2, 2) of the metric.
-        noise: length of the measurement error, in the metric on configurations.
-        slope: upper bound [1/s²] of the gradient of acceleration and curvature, as for `error_bounds`.
-
-    Returns:
-        The length D, an argument of `steady_distance`.
-
-    Raises:
-        ValueError: a q that is not symmetric positive definite.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.certificates.base import noise_disturbance
-        >>> round(noise_disturbance(3.0, 4.0, 2 * np.eye(2), noise=0.1, slope=0.0), 6)
-        0.5
-    """
-    q, gains = check_q("noise_disturbance", q), np.array([alpha, beta])
-    # The squared length of a vector v is ½ vᵀQv, here for the vector (α, β), and for the change of ∇v̂ alone.
-    return noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2))
-
-
-@check_numbers
 def error_bounds(
     alpha: Annotated[Number, FINITE],
     beta: Annotated[Number, FINITE],
@@ -115,7 +78,10 @@ def error_bounds(
     # The tolerance accepts a rate that `rate_of` returned, despite rounding.
     if rate > fastest * (1 + 1e-9):
         raise InputError(f"error_bounds: the gains contract the metric q at {fastest:.6g} 1/s at most; got {rate:g}")
-    distance = steady_distance(rate, noise_disturbance(alpha, beta, q, noise, slope))
-    inverse = np.linalg.inv(check_q("error_bounds", q))
+    q, gains = check_q("error_bounds", q), np.array([alpha, beta])
+    # The squared length of a vector v is ½ vᵀQv: the error adds (α, β) times it, and changes ∇v̂ by `slope` times it,
+    # as force and curvature are evaluated at the measured position.
+    distance = steady_distance(rate, noise * (math.sqrt(gains @ q @ gains / 2) + slope * math.sqrt(q[1, 1] / 2)))
+    inverse = np.linalg.inv(q)
     # ½ vᵀQv ≤ d² bounds an entry of v by d√(2 (Q⁻¹)ᵢᵢ), the half width of this ellipse.
     return distance * math.sqrt(2 * inverse[0, 0]), distance * math.sqrt(2 * inverse[1, 1])

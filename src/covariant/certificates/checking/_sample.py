@@ -21,9 +21,11 @@ from covariant.certificates.base import (
 from covariant.certificates.checking._check import follows
 from covariant.certificates.checking._matrices import prediction_of_steps, sizes
 from covariant.certificates.sampled import defect_bound
-from scalargraph.proofs import BITS, MOST_DERIVED, BallMatrix, Form
+from scalargraph.proofs import BITS, BallMatrix, Form
 from scalargraph.proofs.checker import leaves
 
+MOST_VARIABLES = 10
+"""Largest number of variables of a leaf that is checked whole."""
 PART = 64
 """Ratio of a leaf with many variables to its checked part, in every direction."""
 
@@ -54,9 +56,9 @@ class Sampled(NamedTuple):
 def check_sample(source: str | Path | Document, count: Count = 20, seed: Whole = 0, *, model: object = None) -> Sampled:
     """Check random leaves of a saved certificate, drawn from all its claims, in ball arithmetic with many digits.
 
-    Balls bound derivatives operation by operation, which needs small boxes. Two kinds of leaves are too large for that:
-    leaves with more than `MOST_DERIVED` variables, which were proved by Taylor models, and leaves on the steps of
-    predictions. Of these only a random part is checked.
+    Balls bound derivatives operation by operation, which needs smaller boxes than the Taylor models of the proof, so
+    leaves are halved. Two kinds of leaves are too large for that: leaves with more than ten variables, and leaves on
+    the steps of predictions. Of these only a random part is checked.
 
     Args:
         source: the file, or its content from `parse`.
@@ -90,7 +92,7 @@ def check_sample(source: str | Path | Document, count: Count = 20, seed: Whole =
             for k in chosen - (ends[index] - len(boxes[index][0])):
                 leaf = boxes[index][0][k], boxes[index][1][k]
                 # Derivatives of the defect of steps are too wide for balls on a whole leaf.
-                large = form.reads > MOST_DERIVED or isinstance(claim, PredictionClaim)
+                large = form.reads > MOST_VARIABLES or isinstance(claim, PredictionClaim)
                 piece = _part(*leaf, rng) if large else leaf
                 evaluated += form.show(*piece, f"{document.file}: leaf {k} of claims[{index}]")
     return Sampled(len(drawn), int(ends[-1]), evaluated, time.monotonic() - start)

@@ -61,6 +61,17 @@ def friction_bounds(
     model: MechanicalSystem, speed: Float[np.ndarray, "n"]
 ) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, "2 n"]]:
     """Bound the friction and its slopes, for friction in each joint that depends on the velocity of this joint only."""
+    friction, slopes = friction_on(model, speed, -speed[None], speed[None])
+    return friction[:, 0], slopes[:, 0]
+
+
+def friction_on(
+    model: MechanicalSystem,
+    speed: Float[np.ndarray, "n"],
+    low: Float[np.ndarray, "k n"],
+    high: Float[np.ndarray, "k n"],
+) -> tuple[Float[np.ndarray, "2 k n"], Float[np.ndarray, "2 k n"]]:
+    """The same on boxes of velocities among all."""
     n = len(speed)
     friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
     velocity_box = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
@@ -68,11 +79,11 @@ def friction_bounds(
     # All conditions are needed, since slopes have bounds only if the friction is continuous.
     _need("the friction of the model jumps, or is not defined", show_conditions(friction.conditions, velocity_box))
     derivatives = expand(friction._replace(conditions=None), range(n), 1)
-    enclosure = enclose(derivatives, velocity_box.low[None], velocity_box.high[None])
+    enclosure = enclose(derivatives, low, high)
     # The derivatives are listed velocity by velocity; on the diagonal are those of friction i by velocity i.
     diagonal = n + np.arange(n) * (n + 1)
-    slopes = np.stack([0.0 - enclosure.high[0, diagonal], 0.0 - enclosure.low[0, diagonal]])
-    return np.concatenate([enclosure.low[:, :n], enclosure.high[:, :n]]), slopes
+    slopes = np.stack([0.0 - enclosure.high[:, diagonal], 0.0 - enclosure.low[:, diagonal]])
+    return np.stack([enclosure.low[:, :n], enclosure.high[:, :n]]), slopes
 
 
 def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> bool:

@@ -11,7 +11,11 @@ from ._distance import (
     lower_distance as lower_distance,
     upper_distance as upper_distance,
 )
-from ._distance_certificate import DistanceCertificate as DistanceCertificate, certify_distance as certify_distance
+from ._distance_certificate import (
+    DistanceCertificate as DistanceCertificate,
+    certify_distance as certify_distance,
+    compare_connections as compare_connections,
+)
 from ._dwell_time import JumpGrowth as JumpGrowth, dwell_time as dwell_time, jump_growth as jump_growth
 from ._falsify import falsify as falsify
 from ._implicit_distances import (

@@ -36,12 +36,14 @@ from covariant.certificates.base import (
     check_recipe,
     dimension,
     lowered_christoffel,
+    metric_form,
     need_doubles,
     need_known,
     region_of,
 )
 from covariant.certificates.theory._implicit_distances import DistanceBounds, DistanceDecay, distance_decay
 from covariant.certificates.theory._lifted_metric import dense_decay, least_gain
+from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, applied_force, recipe_text, resistance
 from covariant.observers import LagrangianMetric
 from scalargraph import LoweringError, lower, numbers
@@ -193,7 +195,7 @@ def certify_distance(
     room = Hypothesis("the region has positions so far from its border", "proved", "holds" if fits else "undecided")
     hypotheses = (
         *found.hypotheses,
-        _compare_connections(known),
+        compare_connections(model.space, known.domain),
         gains,
         *([Hypothesis(PERIODIC, "proved")] if model.manifold.circles else []),
         *([room] if border.any() else []),
@@ -277,10 +279,11 @@ class _Model(NamedTuple):
         return derivative_form(values, lambda z: z[:2], parts, formula)
 
 
-def _compare_connections(known: _Model) -> Hypothesis:
+def compare_connections(space: AbstractSpace, domain: Box, places: int = PLACES) -> Hypothesis:
     """Compare the connection of the space, used by the observer, with that of the metric, used in the bounds."""
     # The space declares its connection or derives it from the metric by JAX; the bounds use the graph of the metric.
-    space, identity = known.model.space, jnp.eye(2)
+    n = len(domain.low)
+    identity = jnp.eye(n)
 
     def declared(q):
         """Compute `g Γ(e_i, e_j)` and `g g⁻¹` with the operations of the space."""
@@ -288,21 +291,21 @@ def _compare_connections(known: _Model) -> Hypothesis:
         raised = jnp.stack([space.raise_(q, a) for a in identity])
         return jnp.concatenate([(pairs @ space(q)).ravel(), (raised @ space(q)).ravel()])
 
-    def derived(g, dg, ddg, f, df):
-        return jnp.concatenate([lowered_christoffel(dg).ravel(), identity.ravel()])
+    def derived(_, slopes):
+        return jnp.concatenate([lowered_christoffel(slopes).ravel(), identity.ravel()])
 
-    points = np.random.default_rng(0).uniform(known.whole.low, known.whole.high, (PLACES, len(known.whole.low)))
+    points = np.random.default_rng(0).uniform(domain.low, domain.high, (places, n))
+    expected = metric_form(space, derived).at(points)
     try:
-        lowered = lower(declared, jnp.zeros(2))
-        computed = np.asarray(numbers(lowered, points[:, :2]))
+        lowered = lower(declared, jnp.zeros(n))
+        computed = np.asarray(numbers(lowered, points))
         analytic = {node.op for node in lowered.graph.nodes} <= ANALYTIC
     except LoweringError:
-        computed, analytic = np.asarray(jax.lax.map(declared, jnp.asarray(points[:, :2]))), False
-    expected = known.form(derived).at(points)
+        computed, analytic = np.asarray(jax.lax.map(declared, jnp.asarray(points))), False
     off = np.abs(computed - expected).max(axis=1) / np.maximum(np.abs(expected).max(axis=1), 1.0)
-    text = f"the connection of the model's space is that of its metric, as at {PLACES} random positions"
+    text = f"the connection of the model's space is that of its metric, as at {len(points)} random positions"
     if not (off <= AGREES).all():
-        place = ", ".join(f"{x:.4g}" for x in points[int(np.where(np.isnan(off), np.inf, off).argmax()), :2])
+        place = ", ".join(f"{x:.4g}" for x in points[int(np.where(np.isnan(off), np.inf, off).argmax())])
         return Hypothesis(text, "sampled", "undecided", place=f"({place}), where the two differ")
     # Analytic functions that agree near one point agree everywhere; others may differ at positions that were not drawn.
     return Hypothesis(text, "assumed" if analytic else "sampled")

@@ -55,7 +55,7 @@ class DistanceBounds(NamedTuple):
             the plane if no curvature is positive.
 
     Example:
-        >>> from covariant.certificates import DistanceBounds
+        >>> from covariant.certificates.theory import DistanceBounds
         >>> DistanceBounds(1.0, 0.5, 1.0, (-1.0, 1.0), (-1.0, 0.0)).riemann is None  # a ball on a beam
         True
     """
@@ -82,7 +82,7 @@ class DistanceDecay(NamedTuple):
         turning: λ, below π: the effect of curvature.
 
     Example:
-        >>> from covariant.certificates import DistanceBounds, distance_decay
+        >>> from covariant.certificates.theory import DistanceBounds, distance_decay
         >>> decay = distance_decay(0.05, 0.9, 4.0, DistanceBounds(1.0, 0.5, 1.0, (-1.0, 1.0), (-1.0, 0.0)))
         >>> decay.after <= decay.before, 0 < decay.turning < 3.1416
         (True, True)
@@ -131,7 +131,7 @@ def distance_decay(h: Positive, part: Share, sigma: Positive, bounds: DistanceBo
         A ball on a beam moves at up to 0.5 m/s and is first seen 1 m away, by an observer that does not know its
         velocity:
 
-        >>> from covariant.certificates import DistanceBounds, distance_decay
+        >>> from covariant.certificates.theory import DistanceBounds, distance_decay
         >>> distance_decay(0.02, 0.9, 6.0, DistanceBounds(0.5, 1.0, 0.5, (-1.0, 1.0), (-1.0, 0.0))).rate > 0
         True
     """

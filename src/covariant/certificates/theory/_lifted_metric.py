@@ -50,7 +50,7 @@ class LiftedGain(NamedTuple):
         decay: Rate and radius of the distance, and the set that it is about.
 
     Example:
-        >>> from covariant.certificates import DistanceBounds, lifted_gain
+        >>> from covariant.certificates.theory import DistanceBounds, lifted_gain
         >>> gain = lifted_gain(4.0, 1.0, 0.5, DistanceBounds(0.0, 0.5, 0.0, (-1.0, 1.0)))  # flat: k = ρ/2
         >>> gain.turning, round(gain.k / gain.rho, 6)
         (0.0, 0.5)
@@ -86,7 +86,7 @@ def lifted_gain(m: Positive, sigma: Positive, rate: Positive, bounds: DistanceBo
     Example:
         Twice the first error needs more than twice the gain:
 
-        >>> from covariant.certificates import DistanceBounds, lifted_gain
+        >>> from covariant.certificates.theory import DistanceBounds, lifted_gain
         >>> near = DistanceBounds(0.5, 0.2, 0.5, (-1.0, 1.0), (-1.0, 0.0))
         >>> far = near._replace(error=0.4)
         >>> lifted_gain(20.0, 1.0, 0.5, near).alpha < lifted_gain(20.0, 1.0, 0.5, far).alpha
@@ -125,7 +125,7 @@ def least_gain(sigma: Positive, rate: Positive, bounds: DistanceBounds) -> Lifte
         The gain and the set; an infinite gain where no weight does.
 
     Example:
-        >>> from covariant.certificates import DistanceBounds, least_gain
+        >>> from covariant.certificates.theory import DistanceBounds, least_gain
         >>> bounds = DistanceBounds(0.5, 0.2, 0.5, (-1.0, 1.0), (-1.0, 0.0))
         >>> 1 < least_gain(1.0, 0.5, bounds).alpha < 100
         True

@@ -377,7 +377,7 @@ def _is_exact(split: _Split, point: np.ndarray, direction: np.ndarray, value: fl
         return jnp.concatenate([moved[jnp.array(split.measured)], moved[jnp.array(split.unmeasured)] - value * along])
 
     formed = split.form(residual, split.unmeasured).graph(jnp.asarray(point))
-    found = enclose(formed.entries, point[None], point[None], "numpy")
+    found = enclose(formed.entries, point[None], point[None])
     return bool((found.low == 0).all() and (found.high == 0).all())
 
 

@@ -164,22 +164,9 @@ class Gate(eqx.Module):
 
     def _limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
-        target, low, high = _exceedance(1, self.deviations**2), 0.0, 4 * (self.deviations**2 + n)
-        # Bisection: 80 halvings exhaust the digits of a double.
-        for _ in range(80):
-            middle = (low + high) / 2
-            low, high = (middle, high) if _exceedance(n, middle) > target else (low, middle)
-        return high
+        from scipy.special import chdtrc, chdtri  # it loads slowly
 
-
-def _exceedance(n: int, square: float) -> float:
-    """Probability that χ² with n degrees of freedom exceeds `square`: `Q(n/2, square/2)`, by its recurrence in n."""
-    x = square / 2
-    a, total = (1.0, math.exp(-x)) if n % 2 == 0 else (0.5, math.erfc(math.sqrt(x)))
-    while a < n / 2:
-        total += math.exp(a * math.log(x) - x - math.lgamma(a + 1)) if x > 0 else 0.0
-        a += 1
-    return total
+        return float(chdtri(n, chdtrc(1, self.deviations**2)))
 
 
 def _mean_squares(cov: Matrix, vectors: Float[Array, "n k"]) -> Float[Array, "k"]:

@@ -483,16 +483,17 @@ def check_finite(whose: str, **given: object) -> None:
         FINITE_ENTRIES.check(whose, name, array)
 
 
-def as_numbers(whose: str, what: str, value: Numbers, count: int, least: float = -np.inf) -> np.ndarray:
+def as_numbers(whose: str, what: str, value: Numbers, count: int | None, least: float = -np.inf) -> np.ndarray:
     """Check one number or `count` numbers, all at least `least`, and return `count` of them."""
     try:
-        numbers = np.broadcast_to(np.asarray(value, float), (count,))
+        given = np.asarray(value, float)
+        numbers = np.broadcast_to(given, (given.size if count is None else count,))
     except (TypeError, ValueError):
-        numbers = np.full(count, np.nan)
+        numbers = np.full(1, np.nan)
     if not (np.isfinite(numbers).all() and (numbers >= least).all()):
         kind = "numbers ≥ 0" if least == 0 else "finite numbers"
-        many = {1: "one number", 3: "one number or three"}.get(count, f"one number or {count}")
-        raise InputError(f"{whose}: {what} must be {many}, {kind}; got {value}")
+        others = {None: " or several", 1: "", 3: " or three"}.get(count, f" or {count}")
+        raise InputError(f"{whose}: {what} must be one number{others}, {kind}; got {value}")
     return numbers
 
 

@@ -4,6 +4,7 @@ from ._geodesic import Geodesic as Geodesic, GeodesicInfo as GeodesicInfo, Geode
 from ._intrinsic import Intrinsic as Intrinsic, second_order as second_order
 from ._intrinsic_force import IntrinsicForce as IntrinsicForce, IntrinsicForceState as IntrinsicForceState
 from ._lagrangian_metric import LagrangianMetric as LagrangianMetric
+from ._measured_coefficients import MeasuredCoefficients as MeasuredCoefficients
 from ._passive_ship import (
     PassiveShip as PassiveShip,
     lyapunov_gains as lyapunov_gains,

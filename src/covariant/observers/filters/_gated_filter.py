@@ -264,6 +264,21 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
         )
         return corrected._replace(noise_scale=scale)
 
+    def cov(self, state: Any) -> Float[Array, "N N"]:
+        """Covariance (N, N) of the errors of the estimate."""
+        return state.root @ state.root.T
+
+    def root(self, state: Any) -> Float[Array, "N N"]:
+        return state.root
+
+    def with_root(self, state: Any, root: Float[Array, "N N"]) -> Any:
+        return state._replace(root=root)
+
+    def _velocity(self, state: Any) -> Velocity:
+        n = state.v.shape[0]
+        root = state.root[n : 2 * n]
+        return Velocity(state.v, root @ root.T)
+
     def _start(self, state: Any, expected: Expectation) -> Array:
         """The configuration of a restart: the measured entries, and the predicted ones in place of missing ones."""
         return start(self.model.manifold, state.q, expected.innovation, expected.y, expected.present)

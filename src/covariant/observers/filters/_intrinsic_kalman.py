@@ -277,10 +277,6 @@ class IntrinsicKalman(AbstractMechanicalFilter):
     def configuration(self, y: AnyArray) -> Any:
         return self._split(y)[0]
 
-    def cov(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
-        """Covariance P (2n + k, 2n + k) of (ε, ν), then the slow states, in the parallel frame at the estimate."""
-        return state.root @ state.root.T
-
     def velocity_std(self, state: KalmanState) -> Vector:
         """Standard deviations (n,) of the components of the velocity [rad/s or m/s] in a state.
 
@@ -327,11 +323,6 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         frame = _with_slow(apart(self.model.space, state.q, state.v), state)
         with_slow = functools.partial(self._slow.in_model, self.model)
         return self._sensors.sensed(self.model, state, u, frame, readings, with_slow)
-
-    def _velocity(self, state: KalmanState) -> Velocity:
-        n = state.v.shape[0]
-        root = state.root[n : 2 * n]
-        return Velocity(state.v, root @ root.T)
 
     def _usual_velocity(self, state: KalmanState) -> Matrix:
         return self._velocity_cov(state.q)
@@ -545,14 +536,8 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         reset = space.between(state.q, q, _with_slow(parallel(space, q, v) @ slope, state))
         return Moved(state._replace(q=q, v=v, slow=state.slow + error[2 * n :]), reset)
 
-    def root(self, state: KalmanState) -> Float[Array, "two_n_k two_n_k"]:
-        return state.root
-
     def regular_root(self, state: KalmanState) -> Float[Array, "two_n_k K"]:
         return with_part_across(self.model.space, state.q, state.root, len(state.v))
-
-    def with_root(self, state: KalmanState, root: Float[Array, "two_n_k two_n_k"]) -> KalmanState:
-        return state._replace(root=root)
 
     def deviations(self, state: KalmanState) -> dict[str, Vector]:
         slow, slow_std = self._slow_estimates(state)

@@ -10,6 +10,7 @@ Source: Singer 1970, Estimating optimal tracking filter performance for manned m
 Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, chapter 6.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -286,10 +287,7 @@ def singer(theta: Scalar) -> tuple[Matrix, Matrix]:
 
 
 def _series(coefficients: list[float], x: Scalar) -> Scalar:
-    total = jnp.zeros_like(x)
-    for coefficient in coefficients[::-1]:
-        total = total * x + coefficient
-    return total
+    return functools.reduce(lambda total, coefficient: total * x + coefficient, coefficients[::-1], jnp.zeros_like(x))
 
 
 def _stationary(step: np.ndarray, added: np.ndarray, noise: float) -> np.ndarray:

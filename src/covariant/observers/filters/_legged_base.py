@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant.geometry.lie import SO3
 from covariant.models import ON_THE_GROUND, StateSpace
 from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
 from covariant.observers.filters._state_noise import StateNoise
@@ -327,12 +328,10 @@ def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
 
 def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
     """First-order low-pass filter along the first axis, with a cutoff in cycles per sample."""
+    from scipy.signal import lfilter  # it loads slowly
+
     kept = math.exp(-2 * math.pi * cutoff)
-
-    def step(y, x):
-        return (kept * y + (1 - kept) * x,) * 2
-
-    return np.asarray(jax.lax.scan(step, jnp.zeros(x.shape[1:]), x)[1])
+    return np.asarray(lfilter([1 - kept], [1, -kept], x, axis=0))
 
 
 def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:
@@ -343,12 +342,7 @@ def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:
 def _turns(new: Float[Array, "F 3 3"], old: Float[Array, "F 3 3"]) -> Float[Array, "F 3"]:
     """Small rotation vectors, in the axes of the base, from old rotations to new ones."""
     change = jnp.sum(new[:, :, None, :] * old[:, None, :, :], axis=3)
-    return (
-        jnp.stack(
-            [change[:, 2, 1] - change[:, 1, 2], change[:, 0, 2] - change[:, 2, 0], change[:, 1, 0] - change[:, 0, 1]], 1
-        )
-        / 2
-    )
+    return jax.vmap(SO3.vee)(change)
 
 
 def legged_base(model: StateSpace, noise: StateNoise) -> LeggedBase:

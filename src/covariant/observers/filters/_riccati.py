@@ -345,15 +345,9 @@ def _correct(x: Vector, p: Matrix, weight: Number, output: _Output) -> tuple[Vec
     positive = _is_metric(p)
     correction = jnp.where(positive, correction, 0.0)
     corrected = x - correction
-    result = jnp.where(
-        ~jnp.all(jnp.isfinite(corrected)),
-        int(StepCode.NOT_FINITE),
-        jnp.where(
-            jnp.all(output.missing),
-            int(StepCode.COASTED),
-            jnp.where(positive, int(StepCode.OK), int(StepCode.OUT_OF_DOMAIN)),
-        ),
-    )
+    faults = ~jnp.all(jnp.isfinite(corrected)), jnp.all(output.missing), ~positive
+    codes = (StepCode.NOT_FINITE, StepCode.COASTED, StepCode.OUT_OF_DOMAIN)
+    result = jnp.select(faults, [jnp.asarray(int(code)) for code in codes], int(StepCode.OK))
     # Zero times infinity is NaN, so entries of p that are not finite are replaced first.
     square = jnp.where(positive, correction @ jnp.where(jnp.isfinite(p), p, 0.0) @ correction, 0.0)
     distance = jnp.sqrt(jnp.maximum(square, 0.0))

@@ -13,71 +13,21 @@ Brossard, Barrau & Bonnabel 2020, A code for unscented Kalman filtering on manif
 The square-root unscented Kalman filter, ICASSP; Bar-Shalom, Li & Kirubarajan 2001, section 5.4, for the gate.
 """
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Inexact
+from jaxtyping import Array, Float
 
-from covariant._linalg import semidefinite_root, triangular, upper_solve
-from covariant._typing import Code, Matrix, Number, Scalar, Vector
+from covariant._linalg import triangular, upper_solve
+from covariant._typing import Matrix, Scalar, Vector
 from covariant.models import MechanicalSystem, Motion
-from covariant.observers.base import (
-    Covariance,
-    Gate,
-    GateMemory,
-    LastInput,
-    Velocity,
-    as_gain,
-    at_rest,
-    check_covariance,
-    check_finite,
-    check_free,
-    covariance_at,
-    diagonal,
-    isotropic,
-    predict,
-    updated,
-    white_acceleration,
-    with_block,
-)
-from covariant.observers.filters._ekf import EKFInfo, ekf_info, moved
-from covariant.observers.filters._gated_filter import AbstractMechanicalFilter, Expectation, Moved, Used
-from covariant.observers.filters._noise_scale import NoiseScale, scaled
+from covariant.observers.base import Covariance, Gate, as_gain, covariance_at, predict, white_acceleration
+from covariant.observers.filters._noise_scale import scaled
+from covariant.observers.filters._square_root_filter import AbstractSquareRootFilter, SquareRootState
 from scalargraph.errors import InputError
 
 
-class UKFState(NamedTuple):
-    """State of a `UKF`: the estimate, a square root of its covariance, and the memory of the gate.
-
-    Attributes:
-        q: Estimated configuration q̂: coordinates (n,), or a group element (N, N).
-        v: Estimated velocity v̂ (n,) in the frame of the space.
-        t: Time [s] of the estimate.
-        root: Square root S (2n, 2n) of the covariance `S Sᵀ` of the error `(local(q̂, q), v − v̂)`.
-        gate: Memory of the gate.
-        last_input: Last finite input (m,), which replaces an input that is not finite; None if none is stored.
-        noise_scale: Learnt size of the unknown noise, and its sensitivities; None if the filter is not adaptive.
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant import models, observers
-        >>> ukf = observers.UKF(models.oscillator(), 1.0, 1e-4, initial_velocity_std=2.0)
-        >>> ukf.init(np.array([0.1])).root.round(6).tolist()
-        [[0.01, 0.0], [0.0, 2.0]]
-    """
-
-    q: Inexact[Array, "..."]
-    v: Vector
-    t: Scalar
-    root: Float[Array, "two_n two_n"]
-    gate: GateMemory
-    last_input: LastInput = None
-    noise_scale: NoiseScale | None = None
-
-
-class UKF(AbstractMechanicalFilter):
+class UKF(AbstractSquareRootFilter):
     """Unscented Kalman filter with 4n + 1 sigma points, in square-root form.
 
     Each covariance is a matrix (n, n) in the frame, equal everywhere; a function of the configuration; or a number, a
@@ -123,27 +73,13 @@ class UKF(AbstractMechanicalFilter):
     adaptive: bool = eqx.field(default=False, static=True)
 
     def __check_init__(self):
-        check_covariance("UKF", "process_cov", self.process_cov)
-        check_covariance("UKF", "measurement_cov", self.measurement_cov, positive=True)
-        check_finite("UKF", initial_velocity_std=self.initial_velocity_std)
-        check_free("UKF", self.model)
         # The weight 4 − α⁻² − α² of the central point is positive for α² between 2 − √3 and 2 + √3.
         if not 0.52 <= self.spread <= 1.93:
             raise InputError(f"UKF: spread must be between 0.52 and 1.93; got {self.spread}")
 
-    def init(self, y: Array, t: Number = 0.0) -> UKFState:
-        q, v, t, last_input, _ = at_rest(self.model, y, t)
-        root = self._first_root(q, isotropic(self.initial_velocity_std, v))
-        scale = NoiseScale.at_start(root) if self.adaptive else None
-        return UKFState(q, v, t, root, GateMemory.at_start(v), last_input, scale)
-
-    def cov(self, state: UKFState) -> Float[Array, "two_n two_n"]:
-        """Covariance (2n, 2n) of the error `(local(q̂, q), v − v̂)` in a state, from its square root."""
-        return state.root @ state.root.T
-
     def _predicted(
-        self, state: UKFState, u: Float[Array, "m"], dt: Scalar, carry: bool
-    ) -> tuple[UKFState, Matrix | None]:
+        self, state: SquareRootState, u: Float[Array, "m"], dt: Scalar, carry: bool
+    ) -> tuple[SquareRootState, Matrix | None]:
         manifold, n = self.model.manifold, state.v.shape[0]
         squared_radius = 2 * n * self.spread**2  # L + λ = α²(L + κ) of the scaled set, L = 2n
 
@@ -174,51 +110,3 @@ class UKF(AbstractMechanicalFilter):
         root = triangular(jnp.concatenate([columns, noise.astype(columns.dtype)], axis=1))
         new = state._replace(q=q, v=v, t=state.t + dt, root=root, gate=state.gate.advanced(dt), noise_scale=scale)
         return new, carried if carry else None
-
-    def _expected(self, state: UKFState, u: Float[Array, "m"], y: Array) -> Expectation:
-        manifold, n = self.model.manifold, state.v.shape[0]
-        noise = covariance_at(self.measurement_cov, self.model.space, state.q)
-        cov = state.root[:n] @ state.root[:n].T + noise
-        return Expectation(y, manifold.towards(state.q, y), cov, noise, ~manifold.missing(y))
-
-    def _velocity(self, state: UKFState) -> Velocity:
-        root = state.root[state.v.shape[0] :]
-        return Velocity(state.v, root @ root.T)
-
-    def _usual_velocity(self, state: UKFState) -> Matrix:
-        return isotropic(self.initial_velocity_std, state.v)
-
-    def _used(self, state: UKFState, y: Array, expected: Expectation, used: Bool[Array, "n"]) -> Used:
-        n = state.v.shape[0]
-        gain, root = updated(state.root, state.root[:n], expected.noise, used)
-        error = gain @ expected.innovation
-        new, reset = self.moved(state, error)
-        return Used(new._replace(root=root), error, reset)
-
-    def moved(self, state: UKFState, error: Float[Array, "two_n"]) -> Moved:
-        return moved(self.model, state, error)
-
-    def root(self, state: UKFState) -> Float[Array, "two_n two_n"]:
-        return state.root
-
-    def with_root(self, state: UKFState, root: Float[Array, "two_n two_n"]) -> UKFState:
-        return state._replace(root=root)
-
-    def deviations(self, state: UKFState) -> dict[str, Vector]:
-        return {"velocity_std": jnp.sqrt(jnp.sum(state.root[state.v.shape[0] :] ** 2, axis=1))}
-
-    def _started_anew(
-        self, state: UKFState, corrected: UKFState, y: Array, expected: Expectation, velocity: Velocity
-    ) -> UKFState:
-        q, n = self._start(state, expected), state.v.shape[0]
-        root = self._first_root(q, velocity.cov)
-        predicted, measured = (a[:n] @ a[:n].T for a in (state.root, root))
-        position = semidefinite_root(with_block(predicted, measured, expected.present))
-        return corrected._replace(q=q, v=velocity.mean, root=root.at[:n, :n].set(position))
-
-    def _info(self, state: UKFState, new: UKFState, expected: Expectation, result: Code) -> EKFInfo:
-        return ekf_info(self.model, state.q, expected, self.deviations(new), result, new.noise_scale)
-
-    def _first_root(self, q: Array, velocity_cov: Matrix) -> Float[Array, "two_n two_n"]:
-        position = semidefinite_root(covariance_at(self.measurement_cov, self.model.space, q))
-        return diagonal(position.astype(velocity_cov.dtype), semidefinite_root(velocity_cov))

@@ -13,7 +13,6 @@ integral action; Gelb 1974, Applied Optimal Estimation, section 2.2, for Gaussâ€
 """
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -28,8 +27,17 @@ from covariant._functional import Functional
 from covariant._gauss_markov import gauss_markov
 from covariant._linalg import semidefinite_root
 from covariant._typing import Matrix, Number, Numbers, Scalar, Vector
-from covariant.models import Family, MechanicalSystem, Motion, Parametric, acceleration, input_count, resistance
-from covariant.observers.base import as_gain, check_covariance, check_positive, diagonal
+from covariant.models import (
+    Family,
+    MechanicalSystem,
+    Motion,
+    Parametric,
+    acceleration,
+    check_shapes,
+    input_count,
+    resistance,
+)
+from covariant.observers.base import as_gain, as_numbers, check_covariance, check_positive, diagonal
 from scalargraph.errors import InputError
 
 SlowVector = Float[Array, "k"]
@@ -273,7 +281,7 @@ def external_force(
     if density is not None or std is None or time is None:
         raise InputError("external_force: give a density, or both std and time")
     check_positive("external_force", time=time)
-    stds = _deviations("external_force", "std", std)
+    stds = as_numbers("external_force", "std", std, None, 0.0)
     return forgotten_force(_numbered_names(name, len(stds)), stds, time, _itself)
 
 
@@ -313,8 +321,8 @@ def sensor_bias(std: Numbers, drift: Numbers = 0.0, name: str = "bias") -> SlowV
         >>> bias.names, bias.offset(bias.first + 1.0).tolist()
         (('bias1', 'bias3'), [1.0, 0.0, 1.0])
     """
-    stds = _deviations("sensor_bias", "std", std)
-    drifts = _deviations("sensor_bias", "drift", drift, stds.size)
+    stds = as_numbers("sensor_bias", "std", std, None, 0.0)
+    drifts = as_numbers("sensor_bias", "drift", drift, stds.size, 0.0)
     biased = np.flatnonzero(stds > 0)
     if not biased.size:
         raise InputError("sensor_bias: all of std are zero; give that of a position that may be off")
@@ -359,8 +367,8 @@ def uncertain_parameters(family: Family, std: Numbers, drift: Numbers = 0.0) -> 
     p = len(family.names)
     if any(place[0] != "parameters" for place in family.places):
         raise InputError("uncertain_parameters: a lag of inputs is no number of the equations of motion; leave it out")
-    stds = _deviations("uncertain_parameters", "std", std, p)
-    drifts = _deviations("uncertain_parameters", "drift", drift, p)
+    stds = as_numbers("uncertain_parameters", "std", std, p, 0.0)
+    drifts = as_numbers("uncertain_parameters", "drift", drift, p, 0.0)
     parameters = Parametric(_relative(family.positive), first=family.first)
 
     def model(z):
@@ -406,49 +414,25 @@ def _square(whose: str, name: str, value: Any) -> Matrix:
     return jnp.asarray(value, float)
 
 
-def _deviations(whose: str, name: str, value: Numbers, count: int | None = None) -> np.ndarray:
-    """Standard deviations as an array of one axis, of `count` entries where that is known."""
-    try:
-        deviations = np.atleast_1d(np.asarray(value, float))
-    except (TypeError, ValueError):
-        deviations = np.array(np.nan)
-    if deviations.ndim != 1 or not all(0 <= deviation < math.inf for deviation in deviations):
-        raise InputError(f"{whose}: {name} must be numbers â‰¥ 0, standard deviations; got {value}")
-    if count is None:
-        return deviations
-    if deviations.size not in (1, count):
-        raise InputError(f"{whose}: {name} must be one number, or {count}; got {value}")
-    return np.broadcast_to(deviations, (count,))
-
-
 def _check_shapes(whose: str, states: SlowStates, model: MechanicalSystem) -> None:
     q = jax.eval_shape(model.manifold.origin)
     v = jax.eval_shape(model.manifold.zero, q)
     (n,) = v.shape
+    u, t = jax.ShapeDtypeStruct((input_count(model, n),), jnp.float64), jax.ShapeDtypeStruct((), jnp.float64)
     for group in states.groups:
-        s = jax.ShapeDtypeStruct((len(group.names),), jnp.float64)
-        if group.model is not None:
-            build = group.model
-            u, t = jax.ShapeDtypeStruct((input_count(model, n),), jnp.float64), jax.ShapeDtypeStruct((), jnp.float64)
+        s, names = jax.ShapeDtypeStruct((len(group.names),), jnp.float64), ", ".join(group.names)
 
-            def accelerate(t, q, v, u, s, build=build):
-                return acceleration(build(s), t, *Motion(q, v), u)
+        def accelerate(t, q, v, u, s, build=group.model):
+            return acceleration(build(s), t, *Motion(q, v), u)
 
-            _need(whose, group, "the acceleration of the model", accelerate, (t, q, v, u, s), (n,))
-        if group.force is not None:
-            _need(whose, group, "force", group.force, (q, v, s), (n,))
-        if group.offset is not None:
-            _need(whose, group, "offset", group.offset, (s,), (n,))
-
-
-def _need(
-    whose: str, group: SlowVariables, what: str, function: Any, arguments: tuple, expected: tuple[int, ...]
-) -> None:
-    names = ", ".join(group.names)
-    try:
-        shape = eqx.filter_eval_shape(function, *arguments).shape
-    except (TypeError, ValueError, IndexError, AttributeError) as error:
-        reason = next(iter(str(error).splitlines()), type(error).__name__)
-        raise InputError(f"{whose}: {what} of the slow states {names} cannot be evaluated: {reason}") from error
-    if shape != expected:
-        raise InputError(f"{whose}: {what} of the slow states {names} must have shape {expected}; it has {shape}")
+        functions = (
+            ("the acceleration of the model", group.model and accelerate, (t, q, v, u, s)),
+            ("force", group.force, (q, v, s)),
+            ("offset", group.offset, (s,)),
+        )
+        given = [
+            (f"{whose}: {what} of the slow states {names}", function, arguments, (n,))
+            for what, function, arguments in functions
+            if function is not None
+        ]
+        check_shapes(given, f"{len(group.names)} of them", f"{n} velocities")

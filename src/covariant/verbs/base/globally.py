@@ -1,0 +1,116 @@
+"""Certifies convergence from all first errors: the part of `certify` for the observer with measured coefficients."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from covariant import certificates
+from covariant.certificates.everywhere import GlobalCertificate
+from covariant.models import ModelFile
+from covariant.observers import MeasuredCoefficients
+from covariant.verbs.base.arguments import Amounts, Region, amounts, bounds, numbers
+from covariant.verbs.base.inputs import numbered
+from covariant.verbs.base.progress import Progress
+from covariant.verbs.base.result import AbstractResult
+from scalargraph.errors import InputError
+
+GLOBALLY = "measured-coefficients"
+"""The observer whose certificate is about all first errors."""
+INTERVAL = 0.001
+"""Time between samples [s] where none is given."""
+
+
+def certify_globally(
+    name: str,
+    file: ModelFile,
+    gains: tuple[float, float] | None,
+    region: Region | None,
+    progress: Progress,
+    without: dict[str, Any],
+    *,
+    rate: float | None,
+    interval: Sequence[float] | None,
+    velocity: Amounts,
+    disturbed: dict[str, Amounts],
+    **settings: Any,
+) -> "GlobalResult":
+    """Prove the statement about all first errors; `without` are settings of others, which it refuses."""
+    if given := [key for key, value in without.items() if value is not None and np.any(value)]:
+        raise InputError(f"a certificate of {GLOBALLY} has no {', '.join(given)}; leave it out")
+    model: Any = file.model
+    names = model.coordinates or numbered("q", file.dimension)
+    ends = bounds("region", region or {}, names, "coordinate", equal=True)
+    position = np.array([ends.get(each, (np.nan, np.nan)) for each in names]).T
+    speeds = numbers("velocity", velocity, [f"d{each}/dt" for each in names], positive=True, one=True)
+    observer = model if gains is None else MeasuredCoefficients(model, *gains, speeds)
+    certificate = certificates.certify_globally(
+        observer,
+        velocity=speeds,
+        position=(position[0], position[1]),
+        interval=(INTERVAL, INTERVAL) if interval is None else interval,
+        rate=None if rate is None else rate / 2,  # of the errors, not of their squares
+        progress=lambda what, share, count: progress(f"bounding {what}, {count} boxes", share),
+        **{key: amounts(key, value, names) for key, value in disturbed.items()},
+        **settings,
+    )
+    notes = f"Samples every {INTERVAL:g} s are assumed; give `interval` or `sampling`." if interval is None else ""
+    return GlobalResult(name, certificate, notes)
+
+
+@dataclass(frozen=True, repr=False)
+class GlobalResult(AbstractResult):
+    """Verdict on a statement about all first errors of position and velocity.
+
+    Attributes:
+        model_name: The model, by its path or name.
+        certificate: The statement with its proof, and the observer that it is about.
+        note: A sentence on what was assumed; may be empty.
+
+    Example:
+        >>> import covariant
+        >>> covariant.certify("pendulum_chain", velocity=1.0).holds
+        True
+    """
+
+    model_name: str
+    certificate: GlobalCertificate
+    note: str
+
+    wrong: ClassVar[bool] = False
+    written: ClassVar[tuple[str, ...]] = (".json",)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the statement is proved."""
+        return self.certificate.statement.proved
+
+    @property
+    def headline(self) -> str:
+        verdict, document = self.certificate.statement.short, self.certificate.document
+        return f"{self.model_name}, {verdict}: rate μ = {document.rate:.4g} 1/s, ω up to {document.omega.max():.4g} 1/s"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        document = self.certificate.document.document()
+        kept = {key: document[key] for key in ("velocity", "alpha", "beta", "interval", "lost", "rate", "coupling")}
+        numbers = {"omega": self.certificate.document.omega.tolist(), "boxes": self.certificate.proof.boxes}
+        return {"model": self.model_name, **self.certificate.statement.document(), **kept, **numbers}
+
+    def __str__(self) -> str:
+        cert = self.certificate
+        lines = [str(cert.statement), ""]
+        rows = zip(cert.observer.model.coordinates, cert.document.omega, cert.velocity_noise(1.0), strict=True)
+        lines += [
+            f"{name}: ω = {omega:.4g} 1/s; noise σ of the encoder gives the velocity {noise:.4g} σ 1/s"
+            for name, omega, noise in (rows if self.holds else ())
+        ]
+        lines += [self.note] if self.note else []
+        return "\n".join([*lines, f"{cert.proof.boxes} boxes, {cert.proof.seconds:.1f} s"])
+
+    def _write(self, path: Path) -> None:
+        if not self.holds:
+            raise InputError(f"{path}: nothing is proved that could be saved; a smaller region or velocity may do")
+        self.certificate.document.save(path)
