@@ -9,11 +9,9 @@ with respect to the open numbers, divided by the noise of the encoders.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from covariant.calibration._least_squares import PRIOR
@@ -24,6 +22,7 @@ from covariant.calibration.identification._robot_combinations import Combination
 from covariant.calibration.identification._robot_torques import (
     Determined,
     efforts,
+    flattened,
     in_batches,
     inverse_inputs,
     usual_sizes,
@@ -175,12 +174,7 @@ class _Simulation(NamedTuple):
     @classmethod
     def of(cls, family: RobotFamily, rate: float) -> "_Simulation":
         x = np.zeros(len(family.names))
-        numbers, static = eqx.partition(family.make(x), eqx.is_inexact_array)
-        unravel = ravel_pytree(numbers)[1]
-
-        def arrays(x: Array) -> Array:
-            return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
-
+        arrays, robot = flattened(family)
         model: Any = family.make(x)
         servos = servos_in(model)
         assert servos is not None
@@ -191,9 +185,9 @@ class _Simulation(NamedTuple):
 
         @jax.jit
         def positions(flat: Array, inputs: Array, start: Array) -> tuple[Array, Array, Array]:
-            return _simulated(eqx.combine(unravel(flat), static), inputs, start, step, substeps)
+            return _simulated(robot(flat), inputs, start, step, substeps)
 
-        flat, to_arrays = np.asarray(jax.jit(arrays)(x)), np.asarray(jax.jit(jax.jacfwd(arrays))(x))
+        flat, to_arrays = np.asarray(arrays(x)), np.asarray(jax.jit(jax.jacfwd(arrays))(x))
 
         @jax.jit
         def slopes(inputs: Array, start: Array) -> Array:

@@ -13,15 +13,13 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from covariant import scoring
-from covariant.calibration.identification._robot_torques import batched
+from covariant.calibration.identification._robot_torques import batched, flattened
 from covariant.calibration.identification._rows import filled
 from covariant.models import RobotFamily
 from covariant.models.robots import Servos, dry_friction
@@ -222,17 +220,11 @@ def _compiled(family: RobotFamily) -> _Compiled:
     """Functions of x for the drive and for the rigid body along a path, compiled once for a family."""
     if id(family) in _CACHE:
         return _CACHE[id(family)][1]
-    numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
-    unravel = ravel_pytree(numbers)[1]
-
-    def arrays(x: Array) -> Array:
-        return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
-
-    at = jax.jit(arrays)
+    at, robot = flattened(family)
 
     @jax.jit
     def along(flat: Array, q: Array, v: Array) -> tuple[Array, ...]:
-        model: Any = eqx.combine(unravel(flat), static)
+        model = robot(flat)
 
         def one(q: Array, v: Array) -> tuple[Array, ...]:
             weight = jax.grad(model.potential)
@@ -252,11 +244,8 @@ def _compiled(family: RobotFamily) -> _Compiled:
         inertia, coriolis, slope, bend = np.split(every, np.cumsum([n * n, n, n]), axis=1)
         return RigidBody(inertia.reshape(-1, n, n), coriolis, slope, bend.reshape(-1, n, n))
 
-    def drive(x: Any) -> Drive:
-        return Drive.of(eqx.combine(unravel(at(x)), static))
-
     _CACHE.clear()
-    _CACHE[id(family)] = family, (drive, evaluate)
+    _CACHE[id(family)] = family, (lambda x: Drive.of(robot(at(x))), evaluate)
     return _CACHE[id(family)][1]
 
 
