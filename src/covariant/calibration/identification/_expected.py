@@ -95,21 +95,38 @@ class ExpectedErrors(NamedTuple):
         determined: Whether a fit of the log would say of each number (p,) that it is determined.
         combinations: What it would determine of numbers that it cannot tell apart.
         condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
-        window: The window of the fit that makes the errors smallest.
         size: Logarithm of the size of the errors: that of the determinant of their covariance, over 2 p.
+        window: The window of the fit that makes the errors smallest; None for a fit of commands, which has no window.
 
     Example:
         >>> from covariant.calibration import ExpectedErrors
         >>> ExpectedErrors._fields
-        ('errors', 'determined', 'combinations', 'condition', 'window', 'size')
+        ('errors', 'determined', 'combinations', 'condition', 'size', 'window')
     """
 
     errors: Float[np.ndarray, "p"]
     determined: Bool[np.ndarray, "p"]
     combinations: Combinations
     condition: float
-    window: FitWindow
     size: float
+    window: Any = None
+
+    @classmethod
+    def of(
+        cls,
+        family: RobotFamily,
+        sizes: Float[np.ndarray, "p"],
+        information: Float[np.ndarray, "p p"],
+        covariance: Float[np.ndarray, "p p"],
+        window: FitWindow | None = None,
+    ) -> "ExpectedErrors":
+        """Evaluate the information, without the prior, and the covariance, with it, of numbers in usual sizes (p,)."""
+        outer = np.outer(sizes, sizes)
+        known = Determined.of(family, np.zeros(len(sizes)), sizes, information / outer, covariance * outer)
+        values, rank = np.linalg.eigvalsh(information)[::-1], known.combinations.rank
+        condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
+        size = float(np.linalg.slogdet(covariance * outer)[1]) / (2 * len(sizes))
+        return cls(known.standard_errors, known.determined, known.combinations, condition, size, window)
 
 
 def expected_errors(
@@ -129,7 +146,6 @@ def expected_errors(
             f"duration: a fit needs a log of {shortest:.3g} s, and this one has {duration:.3g} s; "
             "give a longer duration, or a shorter [reference] half"
         )
-    x = np.zeros(len(family.names))
     model: Any = family.file.model
     count = int(np.ceil(FINE / half / motion.frequency))
     step = 1 / motion.frequency / count
@@ -149,16 +165,8 @@ def expected_errors(
         points = max(round(factor * half / step), 3)
         if factor > 1 and points * step * FEWEST_BLOCKS * BLOCK > duration:
             break
-        information, covariance, window = rows.covariance(points, sensing)
-        tried.append((float(np.linalg.slogdet(covariance)[1]), information, covariance, window))
-    _, information, covariance, window = min(tried, key=lambda each: each[0])
-    outer = np.outer(sizes, sizes)
-    known = Determined.of(family, x, sizes, information / outer, covariance * outer)
-    values = np.linalg.eigvalsh(information)[::-1]
-    rank = known.combinations.rank
-    condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
-    size = float(np.linalg.slogdet(covariance * outer)[1]) / (2 * len(sizes))
-    return ExpectedErrors(known.standard_errors, known.determined, known.combinations, condition, window, size)
+        tried.append(rows.covariance(points, sensing))
+    return ExpectedErrors.of(family, sizes, *min(tried, key=lambda each: np.linalg.slogdet(each[1])[1]))
 
 
 def _inertia(model: Any, q: Array) -> Array:

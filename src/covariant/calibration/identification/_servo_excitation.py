@@ -16,11 +16,9 @@ from jaxtyping import Array, Float
 
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.identification._excitation import Excitation, ExcitationPlan, JointLimits
-from covariant.calibration.identification._expected import Sensing
+from covariant.calibration.identification._expected import ExpectedErrors, Sensing
 from covariant.calibration.identification._fourier import FourierMotion
-from covariant.calibration.identification._robot_combinations import Combinations
 from covariant.calibration.identification._robot_torques import (
-    Determined,
     efforts,
     flattened,
     in_batches,
@@ -68,34 +66,13 @@ class Commanded(NamedTuple):
     used: Float[np.ndarray, "3 n"]
 
 
-class ExpectedOfCommands(NamedTuple):
-    """Expected errors and information of a fit of open numbers to a log of commands.
-
-    Attributes:
-        errors: Standard errors (p,) of the numbers, NaN where the log would not determine a number by itself.
-        determined: Whether a fit of the log would report each number (p,) as determined.
-        combinations: Combinations that it would determine of numbers that it cannot distinguish.
-        condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
-
-    Example:
-        >>> from covariant.calibration import ExpectedOfCommands
-        >>> ExpectedOfCommands._fields
-        ('errors', 'determined', 'combinations', 'condition')
-    """
-
-    errors: Float[np.ndarray, "p"]
-    determined: np.ndarray
-    combinations: Combinations
-    condition: float
-
-
 class CommandedExcitation(NamedTuple):
     """A designed log of commands and a reference with one sine per joint, each with the expected errors of a fit."""
 
     designed: Commanded
     reference: Commanded
-    expected: ExpectedOfCommands
-    expected_reference: ExpectedOfCommands
+    expected: ExpectedErrors
+    expected_reference: ExpectedErrors
 
 
 def of_coordinates(servos: Servos, values: Any) -> Float[np.ndarray, "n"]:
@@ -317,7 +294,7 @@ def _simulated(
 
 def _expected(
     family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing, plan: ExcitationPlan
-) -> ExpectedOfCommands:
+) -> ExpectedErrors:
     """Standard errors of a fit that predicts the positions of the whole log from its commands."""
     forgotten = int(np.ceil(SKIPPED_TIME * sensing.rate))
     rows = simulation.derivatives(commanded.inputs)[forgotten:] / sensing.noise[:, None]
@@ -326,8 +303,4 @@ def _expected(
     scaled = rows * sizes
     information = np.einsum("tjp,tjq->pq", scaled, scaled)
     covariance = np.linalg.inv(information + np.eye(len(sizes)) / PRIOR**2)
-    outer = np.outer(sizes, sizes)
-    known = Determined.of(family, np.zeros(len(sizes)), sizes, information / outer, covariance * outer)
-    values, rank = np.linalg.eigvalsh(information)[::-1], known.combinations.rank
-    condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
-    return ExpectedOfCommands(known.standard_errors, known.determined, known.combinations, condition)
+    return ExpectedErrors.of(family, sizes, information, covariance)

@@ -9,7 +9,6 @@ from covariant import logs, models
 from covariant.calibration import (
     ExcitationPlan,
     ExpectedErrors,
-    ExpectedOfCommands,
     JointLimits,
     Sensing,
     command_excitation,
@@ -163,18 +162,17 @@ def _largest(argument: str, given: Amounts | None, names: Sequence[str], of_file
 
 def _refuse_missing(model: str, limits: JointLimits) -> None:
     """Raise `ValueError` for limits that neither the file nor an argument has; some files have 0 for none."""
-    unknown = {
-        "region": ~(np.isfinite(limits.room) & (limits.room > 0)),
-        "velocity": ~(np.isfinite(limits.velocity) & (limits.velocity > 0)),
-        "effort": ~(np.isfinite(limits.effort) & (limits.effort > 0)),
+    needed = {
+        "region": ("ends of its positions", limits.room),
+        "velocity": ("largest speed", limits.velocity),
+        "effort": ("largest torque", limits.effort),
     }
-    for argument, missing in unknown.items():
-        names = [name for name, each in zip(limits.names, missing, strict=True) if each]
+    for argument, (what, sizes) in needed.items():
+        names = [name for name, size in zip(limits.names, sizes, strict=True) if not 0 < size < np.inf]
         if names:
             example = ",".join(f"{name}=LOW:HIGH" for name in names) if argument == "region" else "NUMBER"
-            what = {"region": "ends of its positions", "velocity": "largest speed", "effort": "largest torque"}
             raise InputError(
-                f"{model}: joint {names[0]!r} has no {what[argument]} in its file"
+                f"{model}: joint {names[0]!r} has no {what} in its file"
                 + (" that is read from MJCF" if str(model).endswith(".xml") and argument != "region" else "")
                 + (f", and neither have {', '.join(names[1:])}" if names[1:] else "")
                 + f"; give `{argument}` {example}"
@@ -246,9 +244,7 @@ def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Any) 
     return rows
 
 
-def _expected_errors(
-    family: RobotFamily, after: ExpectedErrors | ExpectedOfCommands, before: ExpectedErrors | ExpectedOfCommands
-) -> dict[str, Any]:
+def _expected_errors(family: RobotFamily, after: ExpectedErrors, before: ExpectedErrors) -> dict[str, Any]:
     """Standard errors to expect, and what is not determined."""
     unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
     sentences = [f"no log of this motion shows {', '.join(unknown)} alone"] if unknown else []
@@ -281,5 +277,5 @@ def _number_or_none(error: float) -> float | None:
     return None if np.isnan(error) else float(error)
 
 
-def _condition(expected: ExpectedErrors | ExpectedOfCommands) -> float | None:
+def _condition(expected: ExpectedErrors) -> float | None:
     return float(expected.condition) if np.isfinite(expected.condition) else None
