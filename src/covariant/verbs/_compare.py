@@ -14,8 +14,8 @@ from covariant.models import Overrides
 from covariant.observers import AbstractObserver
 from covariant.scoring import SETTLED
 from covariant.verbs.base.design import log_sheet
-from covariant.verbs.base.estimates import INFORMED, hole_doubts
-from covariant.verbs.base.inputs import ColumnNames, Job, Loaded, load, with_sensor_delays
+from covariant.verbs.base.estimates import hole_doubts
+from covariant.verbs.base.inputs import INFORMED, ColumnNames, Job, Loaded, load, with_sensor_delays
 from covariant.verbs.base.kind import Labels
 from covariant.verbs.base.outcome import (
     Outcome,

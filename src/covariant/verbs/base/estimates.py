@@ -13,14 +13,14 @@ import numpy as np
 from covariant import logs
 from covariant.engine import EngineName
 from covariant.models.robots import servos_in
-from covariant.observers import REGISTRY, AbstractObserver
+from covariant.observers import AbstractObserver
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.verbs.base.bands import narrow_bands
 from covariant.verbs.base.design import design, tells_noise, widens
 from covariant.verbs.base.determined import Determinacy
 from covariant.verbs.base.holes import LONGEST_SHOWN
-from covariant.verbs.base.inputs import Job, Loaded, last_known
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known
 from covariant.verbs.base.outcome import (
     Outcome,
     Pushes,
@@ -39,9 +39,6 @@ from covariant.verbs.base.pages import AbstractEstimates, accuracy, estimate_rep
 from covariant.verbs.base.refusals import LISTED, Refusal, refusals, refused_text
 from covariant.verbs.base.sensors import SensorCount, sensor_counts
 from covariant.verbs.base.without_model import WithoutModel, without_model
-
-INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
-"""Observers that predict with the model."""
 
 
 @dataclass(frozen=True, repr=False)

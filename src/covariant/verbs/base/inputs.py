@@ -30,6 +30,10 @@ OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
 
 
+INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
+"""Names of the observers that know the model."""
+
+
 class Job(NamedTuple):
     """What a verb reads, and which part of it.
 
@@ -275,12 +279,11 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
             f"{loaded.file.name}: readings that are late are made up for in mechanical models and bases on legs only"
         )
     rate = densest_rate(np.asarray(loaded.record.t), longest)
-    informed = {entry.name for entry in REGISTRY if entry.knows_model}
     wrapped = dict(observers)
     for name, observer in observers.items():
         y = np.asarray(loaded.record_for(observer).y)[0]
         delay = reading_delays(observer, loaded.file.delay, loaded.sensors, y)
-        if name in informed and np.any(delay):
+        if name in INFORMED and np.any(delay):
             wrapped[name] = Delayed(observer, delay, rate)
     return wrapped
 
