@@ -137,30 +137,26 @@ class CompareResult(AbstractTable):
     def columns(self) -> dict[str, np.ndarray]:
         loaded, outcomes = self.loaded, self.outcomes.values()
         scored = loaded.kind.estimates.names if loaded.reference else loaded.file.columns.q
-        errors = np.array([rmse(outcome) for outcome in outcomes])
+        scores = [outcome.score for outcome in outcomes]
+        errors: dict[str, list[Any]] = {
+            "rmse": [rmse(outcome) for outcome in outcomes],
+            "median_error": [score and score.median for score in scores],
+            "rmse_without_holes": [score and score.apart and score.apart.rmse for score in scores],
+        }
         known = [consistency(outcome) for outcome in outcomes]
         return {
             "rank": np.arange(1, len(outcomes) + 1),
             "estimator": np.array(self.ranking),
-            **{f"{name}_rmse": errors[:, i] for i, name in enumerate(scored)},
-            **self._score_columns(scored),
+            **{
+                f"{name}_{suffix}": np.array(rows)[:, i]
+                for suffix, rows in errors.items()
+                if all(row is not None for row in rows)
+                for i, name in enumerate(scored)
+            },
             **self._predicted_columns(),
             **{key.lower(): np.array([row[key] for row in known]) for key in ("NIS", "NEES")},
             "microseconds": np.array([outcome.microseconds for outcome in outcomes]),
         }
-
-    def _score_columns(self, scored: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Medians of the errors, and their root mean squares without the holes of the log."""
-        scores = [outcome.score for outcome in self.outcomes.values()]
-        columns: dict[str, np.ndarray] = {}
-        for suffix, parts in (
-            ("median_error", [score and score.median for score in scores]),
-            ("rmse_without_holes", [score and score.apart and score.apart.rmse for score in scores]),
-        ):
-            if all(part is not None for part in parts):
-                values: Any = np.array(parts)
-                columns |= {f"{name}_{suffix}": values[:, i] for i, name in enumerate(scored)}
-        return columns
 
     @property
     def ranking_without_holes(self) -> tuple[str, ...] | None:
@@ -368,11 +364,8 @@ def without_holes(
     if loaded.holes is None or loaded.reference is None:
         return None
     if predicted is not None:
-        return (
-            None
-            if predicted.apart is None
-            else tuple(rank(outcomes, loaded, predicted._replace(errors=predicted.apart)))
-        )
+        errors = predicted.apart
+        return None if errors is None else tuple(rank(outcomes, loaded, predicted._replace(errors=errors)))
     apart = {name: outcome.score and outcome.score.apart for name, outcome in outcomes.items()}
     if any(score is None for score in apart.values()):
         return None
