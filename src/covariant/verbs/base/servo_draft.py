@@ -117,20 +117,14 @@ def with_joints(draft: Draft, joints: Joints) -> Draft:
     if "u" in units:
         texts = units["u"]
         units["u"] = (*(texts[i] for i in driven), *texts[len(used) : len(used) + len(switches)])
-    q = each(draft.q)
+    fields = {key: each(getattr(draft, key)) for key in ("q", "v", "lengths", "quantum", "noise", "period", "servos")}
     return draft._replace(
-        q=q,
+        **fields,
         u=(*(draft.u[i] for i in driven), *switches),
-        v=each(draft.v),
-        lengths=each(draft.lengths),
-        quantum=each(draft.quantum),
-        noise=each(draft.noise),
         span=draft.span[list(order)],
         units=units,
-        period=each(draft.period),
-        servos=each(draft.servos),
         switches=switches,
-        left_out=(*draft.left_out, *(name for name in draft.q if name not in q)),
+        left_out=(*draft.left_out, *(name for name in draft.q if name not in fields["q"])),
     )
 
 
@@ -246,7 +240,7 @@ def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
 
-def quoted(text: str) -> str:
+def quoted(text: str | Sequence[str]) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
