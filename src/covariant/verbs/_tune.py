@@ -242,12 +242,7 @@ def _rows(result: dict[str, Any]) -> list[dict[str, str | float]]:
             row[f"{name} one step ahead [{unit}]"] = judged["one_step"][i]
             row[f"{result['velocities'][i]}, gains [{unit}/s]"] = judged["gains_error"][i]
             row[f"{result['velocities'][i]}, Kalman [{unit}/s]"] = judged["kalman_error"][i]
-        rows.append(
-            row
-            | {
-                "log-likelihood": judged["likelihood"][0],
-                "NIS": judged["nis"][0],
-                "correlation": max(judged["correlation"], key=abs),
-            }
-        )
+        row["log-likelihood"], row["NIS"] = judged["likelihood"][0], judged["nis"][0]
+        row["correlation"] = max(judged["correlation"], key=abs)
+        rows.append(row)
     return rows
