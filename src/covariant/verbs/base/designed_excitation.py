@@ -101,14 +101,9 @@ def designed_excitation(
     details = {
         "model": model,
         "rows": len(t),
-        "duration": plan.duration,
         "rate": rate,
-        "frequency": plan.frequency,
-        "harmonics": plan.harmonics,
         "periods": round(plan.duration * plan.frequency),
-        "margin": plan.margin,
-        "starts": plan.starts,
-        "seed": plan.seed,
+        **plan._asdict(),
         **kind,
         "joints": _joints(file, limits, sensing, found),
         **_expected_errors(family, found.expected, found.expected_reference),
@@ -269,13 +264,9 @@ def _expected_errors(family: RobotFamily, after: ExpectedErrors, before: Expecte
         "combinations": list(after.combinations.determined),
         "redundant": list(after.combinations.absorbed),
         "rank": {"reference": before.combinations.rank, "designed": after.combinations.rank},
-        "condition": {"reference": _condition(before), "designed": _condition(after)},
+        "condition": {"reference": _number_or_none(before.condition), "designed": _number_or_none(after.condition)},
     }
 
 
-def _number_or_none(error: float) -> float | None:
-    return None if np.isnan(error) else float(error)
-
-
-def _condition(expected: ExpectedErrors) -> float | None:
-    return float(expected.condition) if np.isfinite(expected.condition) else None
+def _number_or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
