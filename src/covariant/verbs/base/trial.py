@@ -107,9 +107,7 @@ def _without_inputs(record: Record, horizon: int) -> Record:
     absent = ~np.isfinite(u).all(1)
     if not absent.any():
         return record
-    count = np.concatenate([[0], np.cumsum(absent)])
-    k = np.arange(len(u))
-    led = count[k] > count[np.maximum(k - horizon, 0)]
     y = np.array(record.y, float)
-    y[led] = np.nan
+    # The kernel begins with zero, since an input acts from its row to the next ones.
+    y[np.convolve(absent, np.concatenate([[0.0], np.ones(horizon)]))[: len(u)] > 0] = np.nan
     return record._replace(u=np.nan_to_num(u), y=y)
