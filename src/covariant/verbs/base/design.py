@@ -111,12 +111,8 @@ class Design(NamedTuple):
         gate, kind = self.observer, kind_of(self.file)
         if not isinstance(gate, Gated):
             own: Gate | None = gate.gate
-            return (
-                kind.without_gate
-                if own is None
-                else f"Its gate refuses what is {own.deviations:g} standard deviations off.",
-                "",
-            )
+            refused = "" if own is None else f"Its gate refuses what is {own.deviations:g} standard deviations off."
+            return refused or kind.without_gate, ""
         noise, speed = (_with_units(getattr(gate, key), units) for key, units in self._gate_units.items())
         text = f"Its gate refuses outliers, by the noise {noise} and the usual speed {speed}."
         if self.log is not None:

@@ -130,16 +130,12 @@ def _along(loaded: Loaded, outcome: Outcome) -> Along | None:
 def _pushed(loaded: Loaded, outcome: Outcome, t: np.ndarray) -> np.ndarray | None:
     """Begin and end [s] of the stretches in which something pushes."""
     pushed = pushes(loaded.file, outcome)
-    if pushed is None:
+    if pushed is None or not pushed.rows.any():
         return None
     edges = np.diff(np.concatenate([[0], pushed.rows.astype(int), [0]]))
     begin, end = t[np.flatnonzero(edges > 0)], t[np.flatnonzero(edges < 0) - 1]
     apart = begin[1:] - end[:-1] > (t[-1] - t[0]) / FINEST
-    return (
-        np.stack([begin[np.concatenate([[True], apart])], end[np.concatenate([apart, [True]])]], axis=1)
-        if len(begin)
-        else None
-    )
+    return np.stack([begin[np.concatenate([[True], apart])], end[np.concatenate([apart, [True]])]], axis=1)
 
 
 def _facts(job: Job, loaded: Loaded, more: Mapping[str, str]) -> dict[str, str]:
