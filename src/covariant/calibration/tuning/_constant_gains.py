@@ -11,6 +11,7 @@ Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampl
 blocks.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -93,27 +94,26 @@ def best_innovations(
     pairs = list(zip(logs, parts, strict=True))
     measured = np.concatenate([_usable(model, part)[log.tuned[: len(part.t)]] for log, part in pairs])
 
-    def usable(results):
+    def squares(results):
         residuals = [np.asarray(done.info.innovation) for done in results]
-        return np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(residuals, logs, strict=True)])
+        r = np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(residuals, logs, strict=True)])
+        return np.array([mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)])
 
-    def innovations(z):
-        return usable(runs([_observer(model, z, rate)], parts))
-
-    def total(r):
+    def total(results):
         with np.errstate(all="ignore"):
-            mean = [mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)]
-            value = float(np.sum(np.log(mean)))
+            value = float(np.sum(np.log(squares(results))))
         return value if np.isfinite(value) else FAILED
+
+    def along(z):
+        return runs([_observer(model, z, rate)], parts)
 
     starts = [np.array([w, np.log(USUAL)]) for w in np.linspace(np.log(0.02), np.log(2.0), 8)]
     tried = [runs([_observer(model, z, rate) for z in starts], [part]) for part in parts]  # by part, then by start
-    start = starts[int(np.argmin([total(usable(results)) for results in zip(*tried, strict=True)]))]
-    best, least = _descend(lambda z: total(innovations(z)), start, 60)
+    start = starts[int(np.argmin([total(results) for results in zip(*tried, strict=True)]))]
+    best, least = _descend(lambda z: total(along(z)), start, 60)
     if least >= FAILED:
         raise InputError("no gains give a finite estimate; check units and signs by `covariant check`")
-    sizes = [np.sqrt(mean_square(column[mask])) for column, mask in zip(innovations(best).T, measured.T, strict=True)]
-    return float(np.exp(best[0])) * rate, float(np.exp(best[1])), np.array(sizes)
+    return float(np.exp(best[0])) * rate, float(np.exp(best[1])), np.sqrt(squares(along(best)))
 
 
 def candidates(
@@ -247,14 +247,9 @@ def best_gains(
         ratios = ratios**0.5
         for k in range(2):
             w, z, r = min(tried, key=lambda each, k=k: tried[each][k])
-            search([
-                (
-                    _within(w * ratios[0] ** i, bounds),
-                    _within(z * ratios[1] ** j, DAMPINGS),
-                    float(r * ratios[2] ** m),
-                )
-                for i in (-1, 0, 1) for j in (-1, 0, 1) for m in ((-1, 0, 1) if r else (0,))
-            ])  # fmt: skip
+            steps = itertools.product((-1, 0, 1), (-1, 0, 1), (-1, 0, 1) if r else (0,))
+            near = (np.array([w, z, r]) * ratios**step for step in steps)
+            search([(_within(w, bounds), _within(z, DAMPINGS), float(r)) for w, z, r in near])
     by_later, by_smoother = (min(tried, key=lambda each, k=k: tried[each][k]) for k in range(2))
     everything = proposed | {"later rows": by_later, "smoothed velocities": by_smoother}
     squares = distances(list(everything.values()), [log.record for log in logs], held_out)
