@@ -12,6 +12,7 @@ from covariant.calibration import estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
+from covariant.report import table, write_report
 from covariant.scoring import SETTLED
 from covariant.verbs.base.design import log_sheet
 from covariant.verbs.base.estimates import hole_doubts
@@ -28,7 +29,7 @@ from covariant.verbs.base.outcome import (
     with_units,
 )
 from covariant.verbs.base.outputs import write_table
-from covariant.verbs.base.pages import estimate_report, write_report
+from covariant.verbs.base.pages import estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
 from covariant.verbs.base.trial import Ahead, ahead, trial_part
@@ -212,8 +213,6 @@ class CompareResult(AbstractTable):
         return f"{len(self.outcomes)} estimators on {len(loaded.record.t)} rows; best: {best}, RMSE {error}"
 
     def __str__(self) -> str:
-        from covariant.report import table
-
         what = self.loaded.kind.what if self.loaded.reference else "prediction"
         notable = any(engine_is_notable(each.engine, self.asked_engine) for each in self.outcomes.values())
         lines = [
@@ -246,7 +245,7 @@ class CompareResult(AbstractTable):
             best=len(self._equals),
             hidden=tuple(name for name in self.ranking if name not in drawn),
         )
-        return write_report(path, page)
+        return write_report(page, path)
 
     @property
     def _badness(self) -> dict[str, float]:

@@ -150,7 +150,7 @@ class TuneResult(AbstractResult):
             ValueError: For another suffix, or a folder that does not exist.
             ImportError: Without matplotlib or plotly; nothing is written then.
         """
-        from covariant.verbs.base.pages import write_report
+        from covariant.report import write_report
         from covariant.verbs.base.tune_to_logs import tuned_page
 
         check_output(Path(path), ".html")
@@ -167,7 +167,7 @@ class TuneResult(AbstractResult):
             warnings=self.warnings,
             code="\n".join(_lines(self.summary)).replace("\n[", "\n\n["),
         )
-        return write_report(Path(path), page)
+        return write_report(page, Path(path))
 
     def __str__(self) -> str:
         from covariant.report import table

@@ -270,21 +270,12 @@ class EstimateResult(AbstractEstimates):
 
     def __str__(self) -> str:
         result = self.summary
-        lines = [
-            f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
-            *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
-            result["design"],
-            *error_lines(result, self.loaded),
-            *hole_lines(result, self.loaded),
-            *(
-                f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} per component"
-                for name, each in self.sensors.items()
-            ),
+        lines = head_lines(result, self.loaded)
+        lines += [
+            f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} per component"
+            for name, each in self.sensors.items()
         ]
-        free = self.without_model
-        lines += [] if free is None or free.is_better else [free.sentence(self.observer_name)]
-        lines += [] if self.pushes is None else [str(self.pushes)]
-        lines += [str(each) for each in self.determined]
+        lines += self._findings
         if "logged_velocity_rmse" in result:
             speeds = with_units(result["logged_velocity_rmse"], self.loaded.kind.estimates.units)
             lines.append(f"the same for the velocity in the log: {speeds}")
@@ -292,18 +283,22 @@ class EstimateResult(AbstractEstimates):
             lines.append(f"engine: {result['engine']}")
         return "\n".join([*lines, *self.warnings])
 
+    @property
+    def _findings(self) -> list[str]:
+        """Sentences on the filter without a model, on pushes, and on what the log determines."""
+        free, pushed = self.without_model, self.pushes
+        known = [] if free is None or free.is_better else [free.sentence(self.observer_name)]
+        return [*known, *([] if pushed is None else [str(pushed)]), *map(str, self.determined)]
+
     def _page(self) -> Any:
-        result, free = self.summary, self.without_model
+        result = self.summary
         errors = (line for line in error_lines(result, self.loaded) if "RMSE" not in line)  # these are in the table
-        notes = (*errors, *hole_lines(result, self.loaded))
-        notes += () if free is None or free.is_better else (free.sentence(self.observer_name),)
-        notes += () if self.pushes is None else (str(self.pushes),)
         return estimate_report(
             f"{self.loaded.kind.title} of {self.job.title}",
             self.job,
             self.loaded,
             {self.observer_name: self.outcome},
-            (*notes, *map(str, self.determined)),
+            (*errors, *hole_lines(result, self.loaded), *self._findings),
             {"observer": self.observer_name, "design": " ".join(self.design)},
             rows=accuracy(self.loaded, self.outcome),
             headline=self._verdict,
@@ -340,6 +335,17 @@ def choose_observer(
         return designed.observer, (f"{designed.notes}{loaded.note}{unused}",)
     unknown = "" if tells_noise(loaded.file) else " No measurement is refused: the model file tells no noise."
     return designed.observer, (designed.notes + unknown,)
+
+
+def head_lines(result: Mapping[str, Any], loaded: Loaded, extent: str = "") -> list[str]:
+    """Log, rows and observer, the design, and the sentences on errors and holes."""
+    return [
+        f"{result['log']}: {result['rows']} rows, {result['observer']} observer{extent}",
+        *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
+        result["design"],
+        *error_lines(result, loaded),
+        *hole_lines(result, loaded),
+    ]
 
 
 def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:

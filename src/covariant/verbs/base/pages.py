@@ -13,7 +13,7 @@ import numpy as np
 
 import covariant
 from covariant.models import Motion
-from covariant.report import Along, EstimateReport, write_article, write_report as write_page_and_figures
+from covariant.report import Along, EstimateReport, write_article, write_report
 from covariant.signals import StepCode
 from covariant.verbs.base.inputs import Job, Loaded
 from covariant.verbs.base.outcome import Outcome, deviations, known, pushes, slow_units
@@ -193,19 +193,6 @@ def lag(t: np.ndarray, estimate: np.ndarray, reference: np.ndarray, rows: np.nda
     return np.where(power > 0, -np.sum(error * slope, axis=0) / np.where(power > 0, power, 1.0), np.nan)
 
 
-def write_report(path: Path, report: EstimateReport) -> list[Path]:
-    """Write an interactive page, and PNG figures beside it, all or none.
-
-    Args:
-        path: The page to write (.html).
-        report: What it shows.
-
-    Returns:
-        The paths of all files, the page first.
-    """
-    return write_page_and_figures(report, path)
-
-
 def write_result_page(
     path: Path,
     title: str,
@@ -252,7 +239,7 @@ class AbstractEstimates(AbstractTable):
         """The `EstimateResult` whose measurements, results and configurations are drawn."""
 
     def _write_page(self, path: Path) -> list[Path]:
-        return write_report(path, self._page())
+        return write_report(self._page(), path)
 
     def _figure(self) -> "Figure":
         from covariant.report import figure
