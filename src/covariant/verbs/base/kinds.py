@@ -237,10 +237,6 @@ class OnGroup(AbstractMechanical):
     has_ticks = False
 
     @property
-    def chart(self) -> tuple[str, ...]:
-        return numbered("x", self.file.dimension)
-
-    @property
     def noise_axes(self) -> tuple[str, ...]:
         return self.model.velocities
 
