@@ -145,8 +145,6 @@ class _Simulation(NamedTuple):
     flat: np.ndarray
     positions_at: Callable[..., Any]
     slopes_at: Callable[..., Array]
-    substeps: int
-    rate: float
 
     @classmethod
     def of(cls, family: RobotFamily, rate: float) -> "_Simulation":
@@ -173,7 +171,7 @@ class _Simulation(NamedTuple):
 
             return jax.vmap(one_direction, in_axes=1, out_axes=2)(jnp.asarray(to_arrays))
 
-        return cls(model, servos, flat, positions, slopes, substeps, rate)
+        return cls(model, servos, flat, positions, slopes)
 
     def run(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, velocities and torques (T, n) at the rows."""
