@@ -16,7 +16,6 @@ from covariant.verbs.base.arguments import ColumnNames as ColumnNames
 from covariant.verbs.base.holes import Holes, holes_of
 from covariant.verbs.base.kind import AbstractKind, Labels, numbered as numbered
 from covariant.verbs.base.kinds import kind_of
-from covariant.verbs.base.outputs import check_output as check_output
 from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
 from covariant.verbs.base.sensors import FileSensor, file_sensors, reading_delays, readings
 from covariant.verbs.base.sheet import data_sheet as data_sheet
