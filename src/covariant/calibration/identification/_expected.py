@@ -154,12 +154,8 @@ def expected_errors(
     sizes, speed = usual_sizes(family, torque[:, 0], torque[:, 1], v, a)
     u = inverse_inputs(model).apply(torque[:, 0], q, v)
     repeats = round(duration * motion.frequency)
-    rows = _Rows(
-        np.tile(derivatives(q, v, a, u) * sizes, (repeats, 1, 1)),
-        np.tile(in_batches(_inertia, model, q), (repeats, 1, 1)),
-        np.tile(np.abs(v) < sticking_speeds(family, speed), (repeats, 1)),
-        step,
-    )
+    period = derivatives(q, v, a, u) * sizes, in_batches(_inertia, model, q), np.abs(v) < sticking_speeds(family, speed)
+    rows = _Rows(*(np.concatenate([each] * repeats) for each in period), step=step)
     tried = []
     for factor in WINDOWS:
         points = max(round(factor * half / step), 3)

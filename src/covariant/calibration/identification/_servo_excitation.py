@@ -57,6 +57,7 @@ class Commanded(NamedTuple):
         q, v: Positions and velocities (T, n).
         torque: Torques (T, n) of the servos within their limits.
         used: Largest positions, velocities and torques (3, n) as fractions of the limits.
+        expected: What a log of them is expected to show; None until that is computed.
     """
 
     inputs: Float[np.ndarray, "T m"]
@@ -64,6 +65,7 @@ class Commanded(NamedTuple):
     v: Float[np.ndarray, "T n"]
     torque: Float[np.ndarray, "T n"]
     used: Float[np.ndarray, "3 n"]
+    expected: ExpectedErrors | None = None
 
 
 class CommandedExcitation(NamedTuple):
@@ -71,8 +73,6 @@ class CommandedExcitation(NamedTuple):
 
     designed: Commanded
     reference: Commanded
-    expected: ExpectedErrors
-    expected_reference: ExpectedErrors
 
 
 def of_coordinates(servos: Servos, values: Any) -> Float[np.ndarray, "n"]:
@@ -98,10 +98,10 @@ def command_excitation(
     own_limit = of_coordinates(simulation.servos, simulation.servos.limit)
     limited = np.array([name in asked for name in limits.names]) & (own_limit <= limits.effort)
     moving = motion_periods(plan) / plan.frequency
-    designed = _commanded(simulation, limits, plan, t, found.motion, moving, limited)
-    reference = _commanded(simulation, limits, plan, t, found.reference, plan.duration, np.zeros_like(limited))
-    expected = [_expected(family, simulation, each, sensing, plan) for each in (designed, reference)]
-    return CommandedExcitation(designed, reference, *expected)
+    designed = _commanded(simulation, limits, plan, t, found.designed.motion, moving, limited)
+    reference = _commanded(simulation, limits, plan, t, found.reference.motion, plan.duration, np.zeros_like(limited))
+    both = (each._replace(expected=_expected(family, simulation, each, sensing)) for each in (designed, reference))
+    return CommandedExcitation(*both)
 
 
 def _commanded(
@@ -290,9 +290,7 @@ def _simulated(
     return jax.lax.scan(simulate_row, (start, jnp.zeros_like(start)), u)[1]
 
 
-def _expected(
-    family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing, plan: ExcitationPlan
-) -> ExpectedErrors:
+def _expected(family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing) -> ExpectedErrors:
     """Standard errors of a fit that predicts the positions of the whole log from its commands."""
     forgotten = int(np.ceil(SKIPPED_TIME * sensing.rate))
     rows = simulation.derivatives(commanded.inputs)[forgotten:] / sensing.noise[:, None]

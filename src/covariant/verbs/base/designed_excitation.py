@@ -83,10 +83,10 @@ def designed_excitation(
     try:
         if servos is None:
             found: Any = design_excitation(family, limits, sensing, plan, file.reference_half, report)
-            q, v, third = found.motion.at(t)
+            q, v, third = found.designed.motion.at(t)
             u, motors = motor_inputs(machine, q, v, third)
-            halves = {"reference": found.expected_reference.window.half, "designed": found.expected.window.half}
-            kind = {"motors": motors.tolist(), "window": {key: 2 * half for key, half in halves.items()}}
+            windows = {key: 2 * each.expected.window.half for key, each in found._asdict().items()}
+            kind = {"motors": motors.tolist(), "window": windows}
         else:
             moving = motion_periods(plan) / plan.frequency
             motion = design_excitation(
@@ -106,7 +106,7 @@ def designed_excitation(
         **plan._asdict(),
         **kind,
         "joints": _joints(file, limits, sensing, found),
-        **_expected_errors(family, found.expected, found.expected_reference),
+        **_expected_errors(family, found.designed.expected, found.reference.expected),
     }
     return file.columns, columns, units, details
 
@@ -218,7 +218,7 @@ def _columns(
 def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Any) -> list[dict[str, Any]]:
     """What of its limits each joint uses."""
     commanded, rows = robots.servos_in(file.model) is not None, []
-    used, reference = (found.designed.used, found.reference.used) if commanded else (found.used, found.used_reference)
+    used, reference = found.designed.used, found.reference.used
     for i, (name, unit) in enumerate(zip(limits.names, file.model.units, strict=True)):
         force = "N m" if unit == "rad" else "N"
         sizes = (limits.room[i], limits.velocity[i], limits.effort[i])
