@@ -394,14 +394,11 @@ def badness(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | Non
     else:
         scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 
-    def of(name: str) -> float:
-        errors = rmse(outcomes[name]) if predicted is None else predicted.errors[name]
-        relative = errors / np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
-        total = float(np.sqrt(np.mean(relative**2)))
-        # NaN compares as neither smaller nor larger, which would leave the order undefined.
-        return total if np.isfinite(total) else float("inf")
-
-    return {name: of(name) for name in outcomes}
+    size = np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
+    errors = {name: rmse(each) for name, each in outcomes.items()} if predicted is None else predicted.errors
+    totals = {name: float(np.sqrt(np.mean((errors[name] / size) ** 2))) for name in outcomes}
+    # NaN compares as neither smaller nor larger, which would leave the order undefined.
+    return {name: total if np.isfinite(total) else math.inf for name, total in totals.items()}
 
 
 def rmse(outcome: Outcome) -> np.ndarray:
