@@ -199,14 +199,6 @@ class Judge(NamedTuple):
         return np.where(np.isfinite(both), both, FAILED).T
 
 
-class GainSearch(NamedTuple):
-    """The gains that were taken, all candidates, and the range of ω [rad/s] of gains that are as good."""
-
-    best: Candidate
-    judged: tuple[Candidate, ...]
-    same: tuple[float, float]
-
-
 def best_gains(
     model: MechanicalSystem,
     logs: list[TuningLog],
@@ -214,8 +206,11 @@ def best_gains(
     judges: list[Judge],
     runs: Runs,
     force: bool,
-) -> GainSearch:
-    """Search for gains on the first part of the logs, with those that learn a `force`, and judge on held-out rows."""
+) -> tuple[tuple[Candidate, ...], Candidate, tuple[float, float]]:
+    """Search for gains on the first part of the logs, with those that learn a `force`, and judge on held-out rows.
+
+    Returns all candidates, the one to take, and the range of ω [rad/s] of gains that are as good.
+    """
     parts = [log.first_part for log in logs]
     tuned, held_out = [log.tuned for log in logs], [log.held_out for log in logs]
 
@@ -253,10 +248,10 @@ def best_gains(
     by_later, by_smoother = (min(tried, key=lambda each, k=k: tried[each][k]) for k in range(2))
     everything = proposed | {"later rows": by_later, "smoothed velocities": by_smoother}
     squares = distances(list(everything.values()), [log.record for log in logs], held_out)
-    judged, best = chosen(everything, squares, SLACK if force else 1.0)
+    judged = chosen(everything, squares, SLACK if force else 1.0)
     least = min(each[1] for each in tried.values())
     same = [w for (w, _, _), each in tried.items() if each[1] <= SAME**2 * least]
-    return GainSearch(best, judged, (min(same), max(same)))
+    return *judged, (min(same), max(same))
 
 
 def chosen(

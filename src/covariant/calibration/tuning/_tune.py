@@ -188,11 +188,11 @@ def tune(
     filtered = [each.filtered(likeliest, speed) for each in errors]
     proposed |= candidates(likeliest, [each.system for each in errors], filtered, rate)
     judges = [Judge.of(each, likeliest, speed) for each in errors]
-    found = best_gains(model, logs, proposed, judges, runner, bool(np.any(likeliest.force)))
-    best, gains_kept = found.best, False
+    judged, best, same = best_gains(model, logs, proposed, judges, runner, bool(np.any(likeliest.force)))
+    gains_kept = False
     gained = followed(model, logs, (best.natural_frequency, best.damping, best.force_rate), runner)
     if old is not None and best.source != "model file" and _worse(logs, *(_velocities(e) for e in (gained, old[0]))):
-        best, gains_kept, gained = next(each for each in found.judged if each.source == "model file"), True, old[0]
+        best, gains_kept, gained = next(each for each in judged if each.source == "model file"), True, old[0]
     after = _held_out_errors(errors, gained, noise, speed)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
@@ -205,10 +205,10 @@ def tune(
         after,
         free,
         sum(int(log.tuned.sum()) for log in logs),
-        found.judged,
+        judged,
         best.source,
         best.force_rate,
-        found.same,
+        same,
         gains_kept,
         kept,
         known,
