@@ -66,14 +66,12 @@ class FitWindow(NamedTuple):
     Attributes:
         half: Half width [s].
         duration: Length of the log [s].
-        weight: Information of a second, in that of one residual torque.
         accelerations: Variances (n,) of residual accelerations.
         torque: Variances (n,) of residual torques beyond these.
     """
 
     half: float
     duration: float
-    weight: float
     accelerations: Float[np.ndarray, "n"]
     torque: Float[np.ndarray, "n"]
 
@@ -83,7 +81,7 @@ class FitWindow(NamedTuple):
         lags = self.half / KERNEL * np.arange(-KERNEL, KERNEL + 1)
         pace = 2 * np.pi * frequency * np.arange(points // 2 + 1)
         transfer = np.cos(pace[:, None] * lags) @ kernel / kernel.sum()
-        weight = self.weight * self.duration / points
+        weight = self.duration / self.half / points
         return tuple(jnp.asarray(each) for each in (transfer, weight, self.accelerations, self.torque))
 
 
@@ -192,12 +190,11 @@ class _Rows(NamedTuple):
         window = FitWindow(
             half,
             step * len(self.slopes),
-            1 / half,
             sensing.noise**2 * spacing * step * np.sum(curvature**2),
             sensing.torque_noise**2 * spacing * np.sum(kernel**2) / step,
         )
         variance = np.mean(self.inertia**2 @ window.accelerations, axis=0) + window.torque
-        weighed = z * (used / variance)[:, :, None] * (step * window.weight)
+        weighed = z * (used / variance)[:, :, None] * (step / half)
         information = np.einsum("kjp,kjq->pq", weighed, z, optimize=True)
         padding = ((points, points), (0, 0), (0, 0))
         of_positions = np.pad(np.einsum("kji,kjp->kip", self.inertia, weighed, optimize=True), padding)
