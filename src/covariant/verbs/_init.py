@@ -303,7 +303,7 @@ def _chain(guess: Draft) -> list[str]:
         'zero = "hanging"  # or "upright": where the angles are 0',
         "gravity = 9.81",
         _guess_line("mass", 1.0, n, "kg"),
-        f"length = {_list(0.3, n)}  {between}m, from joint to joint; that of the last link does not matter",
+        f"length = {[0.3] * n}  {between}m, from joint to joint; that of the last link does not matter",
         _guess_line("com", 0.15, n, "m, from joint to centre of mass"),
         _guess_line("inertia", 0.01, n, "kg m^2, about the centre of mass"),
         _guess_line("viscous", 0.01, n, "N m s/rad, friction in each joint"),
@@ -319,7 +319,7 @@ def _chain(guess: Draft) -> list[str]:
 
 def _guess_line(key: str, value: float, n: int, what: str) -> str:
     """The line of a parameter of n entries, or of one number where n is 0, whose value is a guess."""
-    return f"{key} = {_list(value, n) if n else value}  {marked([value] * max(n, 1))}; {what}"
+    return f"{key} = {[value] * n if n else value}  {marked([value] * max(n, 1))}; {what}"
 
 
 def _python_system_lines(guess: Draft, module: str) -> list[str]:
@@ -409,7 +409,3 @@ def _units(guess: Draft) -> list[str]:
         why = "guessed from the numbers: `covariant check` looks closer" if field in guess.guessed else "as stated"
         lines.append(f"{field} = {written}  # {why}")
     return lines
-
-
-def _list(value: float, n: int) -> str:
-    return str([value] * n)

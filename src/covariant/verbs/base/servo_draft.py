@@ -139,7 +139,7 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
             "# here, its joints in the order of columns.q, or draft anew with --set 'parameters.path=\"arm.urdf\"'",
         ]
     if joints.guess:
-        lines += [f"# {line}" for line in _wrapped(joints.guess)]
+        lines += [f"# {line}" for line in textwrap.wrap(f"{joints.guess[0].upper()}{joints.guess[1:]}.", 108)]
     driven = [name for name, servo in zip(joints.names, draft.servos, strict=True) if servo is not None]
     if len(driven) < len(joints.names):
         lines.append(f"actuated = [{', '.join(map(quoted, driven))}]  # the others have no command")
@@ -242,7 +242,3 @@ def _key(name: str) -> str:
 
 def quoted(text: str | Sequence[str]) -> str:
     return json.dumps(text, ensure_ascii=False)
-
-
-def _wrapped(text: str) -> Sequence[str]:
-    return textwrap.wrap(text[0].upper() + text[1:] + ".", 108)
