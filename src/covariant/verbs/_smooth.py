@@ -183,9 +183,8 @@ class SmoothResult(AbstractEstimates):
     @property
     def summary(self) -> dict[str, Any]:
         what = self.smoothed.loaded.kind.what
-        filter_summary = {
-            key: value for key, value in self.filtered.summary.items() if key in (f"{what}_rmse", "nis", "nees")
-        }
+        numbers = self.filtered.summary
+        filter_summary = {key: numbers[key] for key in (f"{what}_rmse", "nis", "nees") if key in numbers}
         std, filter_std = (
             {f"{what}_std": rounded(np.median(np.asarray(each.velocity_std), axis=0))}
             for each in (self.smoothed, self.filtered)

@@ -91,8 +91,8 @@ def best_innovations(
 ) -> tuple[float, float, Float[np.ndarray, "n"]]:
     """Natural frequency [rad/s] and damping ratio with the least innovations, and the size (n,) of these."""
     rate, parts = logs[0].rate, [log.first_part for log in logs]
-    pairs = list(zip(logs, parts, strict=True))
-    measured = np.concatenate([_usable(model, part)[log.tuned[: len(part.t)]] for log, part in pairs])
+    missing = [np.asarray(jax.vmap(model.manifold.missing)(jnp.asarray(part.y))) for part in parts]
+    measured = ~np.concatenate([rows[log.tuned[: len(rows)]] for rows, log in zip(missing, logs, strict=True)])
 
     def squares(results):
         residuals = [np.asarray(done.info.innovation) for done in results]
@@ -291,10 +291,6 @@ def clearly_positive(differences: Sequence[Float[np.ndarray, "_"]]) -> bool:
 
 def _observer(model: MechanicalSystem, z: np.ndarray, rate: float):
     return constant_gains(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
-
-
-def _usable(model: MechanicalSystem, record) -> Bool[np.ndarray, "T n"]:
-    return ~np.asarray(jax.vmap(model.manifold.missing)(jnp.asarray(record.y)))
 
 
 def _descend(cost: Callable[[np.ndarray], float], start: np.ndarray, most: int) -> tuple[np.ndarray, float]:

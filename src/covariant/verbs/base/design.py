@@ -156,9 +156,8 @@ def design(
                 f"{known}"
             )
         observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
-        return Design(
-            file, name, observer, f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s².", sheet, log
-        )
+        notes = f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s²."
+        return Design(file, name, observer, notes, sheet, log)
     if rate is None:
         sheet()  # first names the numbers that the model file lacks, if any
         raise InputError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")

@@ -140,15 +140,11 @@ class EstimateResult(AbstractEstimates):
             return {}
         q, v = estimate[:, : len(loaded.model.coordinates)], self.outcome.velocity
         u = last_known(np.asarray(loaded.record.u, float))  # as in the estimate
-        values = jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(u))
+        columns = np.asarray(jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(u))).T
         places = np.argmax(np.abs(np.asarray(servos.commands)), axis=1)
-        return {
-            f"torque_{servos.input_names[i].removeprefix('cmd_')}": (
-                "N m" if servos.input_units[i] == "rad" else "N",
-                column,
-            )
-            for i, column in zip(places, np.asarray(values).T, strict=True)
-        }
+        names = (f"torque_{servos.input_names[i].removeprefix('cmd_')}" for i in places)
+        units = ("N m" if servos.input_units[i] == "rad" else "N" for i in places)
+        return dict(zip(names, zip(units, columns, strict=True), strict=True))
 
     def _columns(self, positions: tuple[str, ...], velocities: tuple[str, ...]) -> dict[str, np.ndarray]:
         """The columns: t, the configuration as the log has it, the velocities, and what else is estimated.
