@@ -197,10 +197,7 @@ class EstimateResult(AbstractEstimates):
             **({} if loaded.holes is None else {"holes": loaded.holes.table}),
         }
         if self.sensors:
-            result["sensors"] = {
-                name: {"readings": each.readings, "refused": each.refused, "nis": plain(each.nis)}
-                for name, each in self.sensors.items()
-            }
+            result["sensors"] = {name: each._asdict() | {"nis": plain(each.nis)} for name, each in self.sensors.items()}
         if self.refused:
             result["refused"] = [each.data for each in self.refused[:LISTED]]
         if self.pushes is not None:
