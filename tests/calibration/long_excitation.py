@@ -22,33 +22,33 @@ def found(robot):
 @pytest.mark.exhaustive
 def test_limits_are_kept_on_a_grid_ten_times_finer(robot, found):
     t = np.linspace(0, 1 / PLAN.frequency, 10 * 2000 * PLAN.harmonics)
-    q, v, a = found.motion.at(t)
+    q, v, a = found.designed.motion.at(t)
     u, motors = motor_inputs(robot.file.model, q, v, a)
     used = LIMITS.used(q, v, u @ motors.T)
     assert used.max() <= PLAN.margin * (1 + 1e-7)
     assert used.max() > 0.98 * PLAN.margin, "something is at its limit"
-    np.testing.assert_allclose(used, found.used, rtol=1e-4)
+    np.testing.assert_allclose(used, found.designed.used, rtol=1e-4)
     np.testing.assert_allclose([v[[0, -1]], a[[0, -1]]], 0, atol=1e-9)
 
 
 @pytest.mark.exhaustive
 def test_the_torques_make_another_programs_arm_move_so(robot, found):
     """The closed form of the two links, which shares no line with the robot."""
-    q, v, a = found.motion.at(np.linspace(0, 5, 200))
+    q, v, a = found.designed.motion.at(np.linspace(0, 5, 200))
     u, _ = motor_inputs(robot.file.model, q, v, a)
     np.testing.assert_allclose(accelerate(TRUTH, q, v, u), a, atol=1e-8)
 
 
 @pytest.mark.exhaustive
 def test_errors_are_smaller_than_those_of_one_sine_a_joint(found):
-    assert found.used_reference.max() <= PLAN.margin
-    assert found.used_reference.max() > 0.98 * PLAN.margin, "the plain motion is as large as it may be"
-    gain = found.expected_reference.errors / found.expected.errors
+    assert found.reference.used.max() <= PLAN.margin
+    assert found.reference.used.max() > 0.98 * PLAN.margin, "the plain motion is as large as it may be"
+    gain = found.reference.expected.errors / found.designed.expected.errors
     # The determinant is what is maximised: a number may have a larger error, where others gain more.
-    assert found.expected_reference.size - found.expected.size > 0.2
+    assert found.reference.expected.size - found.designed.expected.size > 0.2
     assert np.exp(np.mean(np.log(gain))) > 1.2, gain
     assert gain.min() > 0.6, gain
-    assert found.expected.condition < found.expected_reference.condition
+    assert found.designed.expected.condition < found.reference.expected.condition
 
 
 @pytest.mark.exhaustive
@@ -82,19 +82,19 @@ def test_the_bounds_of_the_search_are_not_below_the_largest_values(robot):
 @pytest.mark.exhaustive
 def test_seeds_repeat(robot, found):
     again = design_excitation(robot, LIMITS, SENSING, PLAN, HALF)
-    np.testing.assert_array_equal(again.motion.coefficients, found.motion.coefficients)
+    np.testing.assert_array_equal(again.designed.motion.coefficients, found.designed.motion.coefficients)
     other = design_excitation(robot, LIMITS, SENSING, PLAN._replace(seed=1), HALF)
-    assert np.abs(other.motion.coefficients - found.motion.coefficients).max() > 0.01
+    assert np.abs(other.designed.motion.coefficients - found.designed.motion.coefficients).max() > 0.01
 
 
 @pytest.mark.exhaustive
 def test_what_no_motion_shows_is_named():
     robot = family("inertia.lower")
     found = design_excitation(robot, LIMITS, SENSING, PLAN._replace(harmonics=2), HALF)
-    assert found.expected.combinations.rank < 10
+    assert found.designed.expected.combinations.rank < 10
     # A plane arm feels the inertia about its axis alone: others follow from mass and place, and that all are physical.
-    assert not found.expected.determined[robot.names.index("inertia.lower.ixx")]
-    assert "inertia.lower.Ixx" in found.expected.combinations.absorbed
+    assert not found.designed.expected.determined[robot.names.index("inertia.lower.ixx")]
+    assert "inertia.lower.Ixx" in found.designed.expected.combinations.absorbed
 
 
 @pytest.mark.exhaustive
@@ -133,8 +133,8 @@ def test_fits_to_simulated_logs_scatter_as_expected(monkeypatch):
     truth = np.concatenate([truth, TRUTH.armature])
     scatter = {}
     for name, motion, expected in (
-        ("designed", found.motion, found.expected.errors),
-        ("reference", found.reference, found.expected_reference.errors),
+        ("designed", found.designed.motion, found.designed.expected.errors),
+        ("reference", found.reference.motion, found.reference.expected.errors),
     ):
         t, u, y = tracked(motion, rough.file.model, SENSING.rate, plan.duration)
         fits = []

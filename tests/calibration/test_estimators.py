@@ -161,7 +161,7 @@ def test_an_acceleration_new_at_each_sample_is_white_over_one():
 @pytest.mark.parametrize("field", ["measurement_std", "acceleration_std", "correlation_time", "damping"])
 @pytest.mark.parametrize("number", [0.0, math.nan, math.inf])
 def test_a_number_that_makes_no_sense_is_named(field, number):
-    with pytest.raises(ValueError, match=f"gains: {field} must be a positive number; got {number}"):
+    with pytest.raises(ValueError, match=f"gains: {field} must be a positive, finite number; got {number}"):
         tuned_estimators(oscillator(), 1, SHEET._replace(**{field: number}), RATE)
 
 

@@ -49,7 +49,7 @@ def test_predicted_errors_of_a_sampled_observer_are_those_of_its_runs():
     assert continuous.position_std > 1.2 * found.position_std
     fast = calibration.predict_sampled_errors(alpha, beta, 1e5, std * (1e5 / rate) ** 0.5, density)
     assert fast[2:] == pytest.approx(continuous[2:], rel=1e-3)
-    with pytest.raises(ValueError, match="rate must be a positive number"):
+    with pytest.raises(ValueError, match="rate must be a positive, finite number"):
         calibration.predict_sampled_errors(alpha, beta, 0.0, std)
 
 

@@ -13,7 +13,6 @@ from .identification import (
     Draft as Draft,
     ExcitationPlan as ExcitationPlan,
     ExpectedErrors as ExpectedErrors,
-    ExpectedOfCommands as ExpectedOfCommands,
     Fit as Fit,
     JointLimits as JointLimits,
     PredictionErrors as PredictionErrors,

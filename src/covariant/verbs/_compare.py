@@ -12,10 +12,11 @@ from covariant.calibration import estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
+from covariant.report import table, write_report
 from covariant.scoring import SETTLED
 from covariant.verbs.base.design import log_sheet
-from covariant.verbs.base.estimates import INFORMED, hole_doubts
-from covariant.verbs.base.inputs import ColumnNames, Job, Loaded, load, with_sensor_delays
+from covariant.verbs.base.estimates import hole_doubts
+from covariant.verbs.base.inputs import INFORMED, ColumnNames, Job, Loaded, load, with_sensor_delays
 from covariant.verbs.base.kind import Labels
 from covariant.verbs.base.outcome import (
     Outcome,
@@ -28,7 +29,7 @@ from covariant.verbs.base.outcome import (
     with_units,
 )
 from covariant.verbs.base.outputs import write_table
-from covariant.verbs.base.pages import estimate_report, write_report
+from covariant.verbs.base.pages import estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
 from covariant.verbs.base.trial import Ahead, ahead, trial_part
@@ -137,30 +138,26 @@ class CompareResult(AbstractTable):
     def columns(self) -> dict[str, np.ndarray]:
         loaded, outcomes = self.loaded, self.outcomes.values()
         scored = loaded.kind.estimates.names if loaded.reference else loaded.file.columns.q
-        errors = np.array([rmse(outcome) for outcome in outcomes])
+        scores = [outcome.score for outcome in outcomes]
+        errors: dict[str, list[Any]] = {
+            "rmse": [rmse(outcome) for outcome in outcomes],
+            "median_error": [score and score.median for score in scores],
+            "rmse_without_holes": [score and score.apart and score.apart.rmse for score in scores],
+        }
         known = [consistency(outcome) for outcome in outcomes]
         return {
             "rank": np.arange(1, len(outcomes) + 1),
             "estimator": np.array(self.ranking),
-            **{f"{name}_rmse": errors[:, i] for i, name in enumerate(scored)},
-            **self._score_columns(scored),
+            **{
+                f"{name}_{suffix}": np.array(rows)[:, i]
+                for suffix, rows in errors.items()
+                if all(row is not None for row in rows)
+                for i, name in enumerate(scored)
+            },
             **self._predicted_columns(),
             **{key.lower(): np.array([row[key] for row in known]) for key in ("NIS", "NEES")},
             "microseconds": np.array([outcome.microseconds for outcome in outcomes]),
         }
-
-    def _score_columns(self, scored: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Medians of the errors, and their root mean squares without the holes of the log."""
-        scores = [outcome.score for outcome in self.outcomes.values()]
-        columns: dict[str, np.ndarray] = {}
-        for suffix, parts in (
-            ("median_error", [score and score.median for score in scores]),
-            ("rmse_without_holes", [score and score.apart and score.apart.rmse for score in scores]),
-        ):
-            if all(part is not None for part in parts):
-                values: Any = np.array(parts)
-                columns |= {f"{name}_{suffix}": values[:, i] for i, name in enumerate(scored)}
-        return columns
 
     @property
     def ranking_without_holes(self) -> tuple[str, ...] | None:
@@ -216,8 +213,6 @@ class CompareResult(AbstractTable):
         return f"{len(self.outcomes)} estimators on {len(loaded.record.t)} rows; best: {best}, RMSE {error}"
 
     def __str__(self) -> str:
-        from covariant.report import table
-
         what = self.loaded.kind.what if self.loaded.reference else "prediction"
         notable = any(engine_is_notable(each.engine, self.asked_engine) for each in self.outcomes.values())
         lines = [
@@ -250,7 +245,7 @@ class CompareResult(AbstractTable):
             best=len(self._equals),
             hidden=tuple(name for name in self.ranking if name not in drawn),
         )
-        return write_report(path, page)
+        return write_report(page, path)
 
     @property
     def _badness(self) -> dict[str, float]:
@@ -368,11 +363,8 @@ def without_holes(
     if loaded.holes is None or loaded.reference is None:
         return None
     if predicted is not None:
-        return (
-            None
-            if predicted.apart is None
-            else tuple(rank(outcomes, loaded, predicted._replace(errors=predicted.apart)))
-        )
+        errors = predicted.apart
+        return None if errors is None else tuple(rank(outcomes, loaded, predicted._replace(errors=errors)))
     apart = {name: outcome.score and outcome.score.apart for name, outcome in outcomes.items()}
     if any(score is None for score in apart.values()):
         return None
@@ -402,14 +394,11 @@ def badness(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | Non
     else:
         scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
 
-    def of(name: str) -> float:
-        errors = rmse(outcomes[name]) if predicted is None else predicted.errors[name]
-        relative = errors / np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
-        total = float(np.sqrt(np.mean(relative**2)))
-        # NaN compares as neither smaller nor larger, which would leave the order undefined.
-        return total if np.isfinite(total) else float("inf")
-
-    return {name: of(name) for name in outcomes}
+    size = np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
+    errors = {name: rmse(each) for name, each in outcomes.items()} if predicted is None else predicted.errors
+    totals = {name: float(np.sqrt(np.mean((errors[name] / size) ** 2))) for name in outcomes}
+    # NaN compares as neither smaller nor larger, which would leave the order undefined.
+    return {name: total if np.isfinite(total) else math.inf for name, total in totals.items()}
 
 
 def rmse(outcome: Outcome) -> np.ndarray:

@@ -57,8 +57,7 @@ def describe_model(
     facts: dict[str, Any] = {"model": name, "name": file.name}
     facts |= {"coordinates": list(file.model.coordinates), "units": list(file.model.units)}
     facts |= {"velocities": list(file.model.velocities), "inputs": len(file.columns.u)}
-    facts |= {"commands": _commands(file)}
-    facts |= {"placeholders": placeholders(model, overrides)}
+    facts |= {"commands": _commands(file), "placeholders": placeholders(model, overrides)}
     robot, box = _robot(model, overrides), None
     if robot is not None:
         facts |= _of_robot(robot)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from covariant._names import unknown as unknown_name
+from covariant._names import refuse_unknown
 from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
@@ -73,7 +73,9 @@ def estimate(
         >>> result.velocity.shape
         (1001, 1)
     """
-    gains = _gains(observer, alpha, beta)
+    if observer is not None:
+        refuse_unknown("observer", observer, (*ESTIMATORS, *STATE_ESTIMATORS))
+    gains = gain_pair(alpha, beta)
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score, missing_inputs=True)
@@ -85,11 +87,3 @@ def estimate(
     if outcome.failed:
         raise InputError(f"{job.log_name}: {outcome.failure}, or lower the gains")
     return EstimateResult(job, loaded, observer, notes, outcome, engine, determined(chosen, loaded, outcome))
-
-
-def _gains(observer: str | None, alpha: float | None, beta: float | None) -> tuple[float, float] | None:
-    """The gains, where they are given; raises `ValueError` for an unknown observer and for gains that make no sense."""
-    names = (*ESTIMATORS, *STATE_ESTIMATORS)
-    if observer is not None and observer not in names:
-        raise InputError(unknown_name("observer", observer, names))
-    return gain_pair(alpha, beta)

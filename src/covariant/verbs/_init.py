@@ -114,17 +114,18 @@ class InitResult(AbstractResult):
             The texts by the names of their files, the model file last.
         """
         log, module = Path(self.log).name, _module_name(stem)
+        files = {}
         if self.joints is not None:
             path = servo_draft.path_from(Path(folder), self.joints.path) if self.joints.path else f"{stem}.urdf"
             machine = servo_draft.robot_lines(self.draft, self.joints, path)
             machine += servo_draft.servo_lines(self.draft, self.joints)
-            robot = {} if self.joints.path else {path: servo_draft.loose_joints(self.draft, self.joints)}
-            return robot | {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
-        if not any(self.draft.lengths):
+            files = {} if self.joints.path else {path: servo_draft.loose_joints(self.draft, self.joints)}
+        elif any(self.draft.lengths):
+            machine = _python_system_lines(self.draft, module)
+            files = {f"{module}.py": _equations(self.draft)}
+        else:
             machine = _turning_body() if self.draft.quaternion else _chain(self.draft)
-            return {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
-        model = _model_file(log, self.draft, _python_system_lines(self.draft, module), self.remarks)
-        return {f"{module}.py": _equations(self.draft), f"{stem}.toml": model}
+        return files | {f"{stem}.toml": _model_file(log, self.draft, machine, self.remarks)}
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -170,14 +171,13 @@ class InitResult(AbstractResult):
     def _next_of_servos(self) -> list[str]:
         """What was guessed of the joints of servos, and what to do next."""
         assert self.joints is not None
+        lines = [self.joints.guess] if self.joints.guess else []
         if not self.joints.path:
-            return [
+            lines = [
                 "each joint moves by itself, without weight, as in the .urdf file beside the model file; for a robot, "
-                "give its file by `overrides=['parameters.path=\"arm.urdf\"']`",
-                "then fit the servos: covariant fit MODEL LOG --parameters servo -o FITTED",
+                "give its file by `overrides=['parameters.path=\"arm.urdf\"']`"
             ]
-        guess = [self.joints.guess] if self.joints.guess else []
-        return [*guess, "then fit the servos: covariant fit MODEL LOG --parameters servo -o FITTED"]
+        return [*lines, "then fit the servos: covariant fit MODEL LOG --parameters servo -o FITTED"]
 
     def written_files(self, path: str | Path) -> list[Path]:
         path = Path(path)
@@ -216,9 +216,13 @@ def _module_name(stem: str) -> str:
     return f"_{name}" if name[0].isdigit() else name
 
 
-def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[str] = ()) -> str:
+def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[str]) -> str:
     """The text of the model file; `machine` are the lines of the system and its parameters."""
     _, others = guess.unused
+    motion = [
+        "# motion_acceleration = 20.0  # rad/s^2, of the motion itself, and how long it persists [s]",
+        "# motion_time = 0.5",
+    ]
     lines = [
         f"# Drafted from the log {name}: {guess.rows} rows at {guess.rate:.4g} Hz. The columns are guessed from their",
         "# names and their content. Numbers with a comment `placeholder` are places to put yours, not measurements:",
@@ -231,8 +235,8 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         "[columns]",
         f"t = {servo_draft.quoted(guess.t)}",
         *_measured(guess),
-        f"u = {_names(guess.u)}" + ("" if guess.u else "  # no input was found"),
-        *([f"v = {_names(guess.v)}  # only compared with, never used"] if guess.v else []),
+        f"u = {servo_draft.quoted(guess.u)}" + ("" if guess.u else "  # no input was found"),
+        *([f"v = {servo_draft.quoted(guess.v)}  # only compared with, never used"] if guess.v else []),
         *servo_draft.register_lines(guess),
         *([f"# left out: {', '.join(others)}"] if others else []),
         *_units(guess),
@@ -246,14 +250,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         "# not tell before the model fits: set it after `covariant fit`, then take the marks of comments away.",
         f"# acceleration = 2.0  # {_both(guess, 'm/s^2', 'rad/s^2')}",
         "# correlation_time = 0.01  # s, over which it persists",
-        *(
-            [
-                "# motion_acceleration = 20.0  # rad/s^2, of the motion itself, and how long it persists [s]",
-                "# motion_time = 0.5",
-            ]
-            if guess.quaternion
-            else []
-        ),
+        *(motion if guess.quaternion else []),
         "",
     ]
     return "\n".join(lines)
@@ -265,12 +262,12 @@ def _measured(guess: Draft) -> list[str]:
         return [
             "# The squares of these sum to 1 in every row.",
             *(f"# {line[0].upper()}{line[1:]}." for line in _order_guess(guess)),
-            f"quaternion_wxyz = {_names(guess.quaternion)}",
+            f"quaternion_wxyz = {servo_draft.quoted(guess.quaternion)}",
         ]
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
     called = [guess.entries[q] for q in guess.q if q in guess.entries]
     names = f"; the data set calls them {', '.join(called)}" if called else ""
-    return [f"q = {_names(guess.q)}  # in this log {spans}{names}"]
+    return [f"q = {servo_draft.quoted(guess.q)}  # in this log {spans}{names}"]
 
 
 def _order_guess(guess: Draft) -> list[str]:
@@ -306,7 +303,7 @@ def _chain(guess: Draft) -> list[str]:
         'zero = "hanging"  # or "upright": where the angles are 0',
         "gravity = 9.81",
         _guess_line("mass", 1.0, n, "kg"),
-        f"length = {_list(0.3, n)}  {between}m, from joint to joint; that of the last link does not matter",
+        f"length = {[0.3] * n}  {between}m, from joint to joint; that of the last link does not matter",
         _guess_line("com", 0.15, n, "m, from joint to centre of mass"),
         _guess_line("inertia", 0.01, n, "kg m^2, about the centre of mass"),
         _guess_line("viscous", 0.01, n, "N m s/rad, friction in each joint"),
@@ -322,7 +319,7 @@ def _chain(guess: Draft) -> list[str]:
 
 def _guess_line(key: str, value: float, n: int, what: str) -> str:
     """The line of a parameter of n entries, or of one number where n is 0, whose value is a guess."""
-    return f"{key} = {_list(value, n) if n else value}  {marked([value] * max(n, 1))}; {what}"
+    return f"{key} = {[value] * n if n else value}  {marked([value] * max(n, 1))}; {what}"
 
 
 def _python_system_lines(guess: Draft, module: str) -> list[str]:
@@ -408,15 +405,7 @@ def _units(guess: Draft) -> list[str]:
         return []
     lines = ["", "[units]"]
     for field, texts in guess.units.items():
-        written = servo_draft.quoted(texts[0]) if len(set(texts)) == 1 else _names(texts)
+        written = servo_draft.quoted(texts[0]) if len(set(texts)) == 1 else servo_draft.quoted(texts)
         why = "guessed from the numbers: `covariant check` looks closer" if field in guess.guessed else "as stated"
         lines.append(f"{field} = {written}  # {why}")
     return lines
-
-
-def _list(value: float, n: int) -> str:
-    return str([value] * n)
-
-
-def _names(names: Sequence[str]) -> str:
-    return "[" + ", ".join(map(servo_draft.quoted, names)) + "]"

@@ -106,7 +106,9 @@ def design_metric(
     system = system_in_coordinates(name, file)
     axes = _grid(name, system, grid, region)
     u = None if input is None else jnp.asarray(numbers("input", input, numbered("u", system.inputs)))
-    equation = _equation(system, axes, rate, window, process_cov, measurement_cov, u)
+    process = _diagonal("process-cov", process_cov, system.coordinates)
+    measurement = _diagonal("measurement-cov", measurement_cov, system.outputs)
+    equation = Equation(rate if window is None else _rate(system, axes, window, u), process, measurement)
     box = None if domain is None else _domain(system, bounds("domain", domain, system.coordinates))
     if isinstance(scheduler, str):
         _check_scheduler(scheduler)
@@ -234,23 +236,8 @@ def _counts(grid: int | Sequence[int], names: Sequence[str]) -> tuple[int, ...]:
     return counts if len(counts) == len(names) else counts * len(names)
 
 
-def _equation(
-    model: StateSpace,
-    grid: Grid,
-    rate: float,
-    window: float | None,
-    process_cov: Amounts | None,
-    measurement_cov: Amounts | None,
-    u: Float[Array, "m"] | None,
-) -> Equation:
-    diagonals = [
-        None if variances is None else jnp.diag(jnp.asarray(numbers(argument, variances, names, positive=True)))
-        for argument, variances, names in (
-            ("process-cov", process_cov, model.coordinates),
-            ("measurement-cov", measurement_cov, model.outputs),
-        )
-    ]
-    return Equation(rate if window is None else _rate(model, grid, window, u), *diagonals)
+def _diagonal(argument: str, variances: Amounts | None, names: Sequence[str]) -> Float[Array, "n n"] | None:
+    return None if variances is None else jnp.diag(jnp.asarray(numbers(argument, variances, names, positive=True)))
 
 
 def _rate(model: StateSpace, grid: Grid, longest: float, u: Float[Array, "m"] | None) -> float:

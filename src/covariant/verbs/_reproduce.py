@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from covariant._names import unknown
+from covariant._names import refuse_unknown
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
-from scalargraph.errors import InputError
 
 PAPERS = {
     "aghannan-rouchon": "aghannan_rouchon",
@@ -40,8 +39,7 @@ def reproduce_paper(paper: str, *, progress: Progress = notebook_line) -> "Repro
             ...
         scalargraph.errors.InputError: unknown paper 'kalman'. Known: aghannan-rouchon, maithripala, ...
     """
-    if paper not in PAPERS:
-        raise InputError(unknown("paper", paper, PAPERS))
+    refuse_unknown("paper", paper, PAPERS)
     progress("reading the paper's models", 0.0)
     module = importlib.import_module(f"covariant.papers.{PAPERS[paper]}")
     begun = 0

@@ -11,7 +11,7 @@ from covariant import logs
 from covariant.calibration import estimators
 from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
-from covariant.verbs.base.estimates import EstimateResult, choose_observer, error_lines, hole_lines
+from covariant.verbs.base.estimates import EstimateResult, choose_observer, error_lines, head_lines, hole_lines
 from covariant.verbs.base.inputs import ColumnNames, Job, load, refuse_delays
 from covariant.verbs.base.outcome import KEPT, deviations, rounded, scored, with_units
 from covariant.verbs.base.pages import AbstractEstimates, estimate_report
@@ -183,9 +183,8 @@ class SmoothResult(AbstractEstimates):
     @property
     def summary(self) -> dict[str, Any]:
         what = self.smoothed.loaded.kind.what
-        filter_summary = {
-            key: value for key, value in self.filtered.summary.items() if key in (f"{what}_rmse", "nis", "nees")
-        }
+        numbers = self.filtered.summary
+        filter_summary = {key: numbers[key] for key in (f"{what}_rmse", "nis", "nees") if key in numbers}
         std, filter_std = (
             {f"{what}_std": rounded(np.median(np.asarray(each.velocity_std), axis=0))}
             for each in (self.smoothed, self.filtered)
@@ -208,14 +207,7 @@ class SmoothResult(AbstractEstimates):
     def __str__(self) -> str:
         result, loaded = self.summary, self.smoothed.loaded
         what, units = loaded.kind.what, loaded.kind.estimates.units
-        origin = [f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []
-        lines = [
-            f"{result['log']}: {result['rows']} rows, {result['observer']} observer, {self._extent}",
-            *origin,
-            result["design"],
-            *error_lines(result, loaded),
-            *hole_lines(result, loaded),
-        ]
+        lines = head_lines(result, loaded, f", {self._extent}")
         if f"{what}_rmse" in result:
             lines.append(f"{what} RMSE of the filter: {with_units(result['filter'][f'{what}_rmse'], units)}")
         stds = (with_units(each[f"{what}_std"], units) for each in (result, result["filter"]))

@@ -150,7 +150,7 @@ class TuneResult(AbstractResult):
             ValueError: For another suffix, or a folder that does not exist.
             ImportError: Without matplotlib or plotly; nothing is written then.
         """
-        from covariant.verbs.base.pages import write_report
+        from covariant.report import write_report
         from covariant.verbs.base.tune_to_logs import tuned_page
 
         check_output(Path(path), ".html")
@@ -167,7 +167,7 @@ class TuneResult(AbstractResult):
             warnings=self.warnings,
             code="\n".join(_lines(self.summary)).replace("\n[", "\n\n["),
         )
-        return write_report(Path(path), page)
+        return write_report(page, Path(path))
 
     def __str__(self) -> str:
         from covariant.report import table
@@ -242,12 +242,7 @@ def _rows(result: dict[str, Any]) -> list[dict[str, str | float]]:
             row[f"{name} one step ahead [{unit}]"] = judged["one_step"][i]
             row[f"{result['velocities'][i]}, gains [{unit}/s]"] = judged["gains_error"][i]
             row[f"{result['velocities'][i]}, Kalman [{unit}/s]"] = judged["kalman_error"][i]
-        rows.append(
-            row
-            | {
-                "log-likelihood": judged["likelihood"][0],
-                "NIS": judged["nis"][0],
-                "correlation": max(judged["correlation"], key=abs),
-            }
-        )
+        row["log-likelihood"], row["NIS"] = judged["likelihood"][0], judged["nis"][0]
+        row["correlation"] = max(judged["correlation"], key=abs)
+        rows.append(row)
     return rows

@@ -60,7 +60,6 @@ from ._rows import (
     stretch as stretch,
 )
 from ._servo_excitation import (
-    ExpectedOfCommands as ExpectedOfCommands,
     command_excitation as command_excitation,
     motion_periods as motion_periods,
     of_coordinates as of_coordinates,

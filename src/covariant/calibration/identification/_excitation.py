@@ -129,29 +129,31 @@ class ExcitationPlan(NamedTuple):
     seed: int = 0
 
 
+class DesignedMotion(NamedTuple):
+    """A motion, which starts and ends each period at rest.
+
+    Attributes:
+        motion: The motion.
+        expected: What a log of it is expected to show.
+        used: Largest positions, velocities and torques (3, n) as fractions of the limits.
+    """
+
+    motion: FourierMotion
+    expected: ExpectedErrors
+    used: Float[np.ndarray, "3 n"]
+
+
 class Excitation(NamedTuple):
     """A motion whose log determines parameters of a robot, and a simple reference motion to compare it with.
 
     Attributes:
-        motion: The motion, which starts and ends each period at rest.
+        designed: The motion.
         reference: One sine for each joint, as large as its limits of position and velocity allow, and all scaled
             together to the limits of torque.
-        expected: What a log of the motion is expected to show.
-        expected_reference: The same for the reference.
-        used, used_reference: Largest positions, velocities and torques (3, n) as fractions of the limits.
-
-    Example:
-        >>> from covariant.calibration.identification import Excitation
-        >>> Excitation._fields[:2]
-        ('motion', 'reference')
     """
 
-    motion: FourierMotion
-    reference: FourierMotion
-    expected: ExpectedErrors
-    expected_reference: ExpectedErrors
-    used: Float[np.ndarray, "3 n"]
-    used_reference: Float[np.ndarray, "3 n"]
+    designed: DesignedMotion
+    reference: DesignedMotion
 
 
 def design_excitation(
@@ -211,22 +213,15 @@ def design_excitation(
         if problem.used(motion.scaled(0.0), problem.limits, FINE).max() >= 1:  # its middle is no place to hold
             motion = problem.motion(start)
         motion = problem.enlarged(motion, LARGEST)
-        found.append((problem.expected(motion), motion))
-    expected, motion = min(found, key=lambda pair: pair[0].size)
-    still = problem.used(motion, limits)[1] < STILL
+        found.append(problem.judge(motion, limits))
+    designed = min(found, key=lambda each: each.expected.size)
+    still = designed.used[1] < STILL
     if still.any():
         joint = int(np.argmax(still))
         raise InputError(
             f"effort: weight and friction leave no torque to move joint {limits.names[joint]!r}; give a larger effort"
         )
-    return Excitation(
-        motion,
-        reference,
-        expected,
-        problem.expected(reference),
-        problem.used(motion, limits),
-        problem.used(reference, limits),
-    )
+    return Excitation(designed, problem.judge(reference, limits))
 
 
 class _Point(NamedTuple):
@@ -324,6 +319,10 @@ class _Problem(NamedTuple):
     def coordinates(self, motion: FourierMotion) -> np.ndarray:
         means = (motion.centre - self.limits.middle) / self.limits.room
         return np.concatenate([means, (self.basis.T @ motion.coefficients / self.amplitude).ravel()])
+
+    def judge(self, motion: FourierMotion, limits: JointLimits) -> DesignedMotion:
+        """A motion with its expected errors and the parts of limits that it uses."""
+        return DesignedMotion(motion, self.expected(motion), self.used(motion, limits))
 
     def expected(self, motion: FourierMotion) -> ExpectedErrors:
         return expected_errors(self.family, self.derivatives, motion, self.sensing, self.plan.duration, self.half)

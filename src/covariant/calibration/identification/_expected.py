@@ -66,14 +66,12 @@ class FitWindow(NamedTuple):
     Attributes:
         half: Half width [s].
         duration: Length of the log [s].
-        weight: Information of a second, in that of one residual torque.
         accelerations: Variances (n,) of residual accelerations.
         torque: Variances (n,) of residual torques beyond these.
     """
 
     half: float
     duration: float
-    weight: float
     accelerations: Float[np.ndarray, "n"]
     torque: Float[np.ndarray, "n"]
 
@@ -83,7 +81,7 @@ class FitWindow(NamedTuple):
         lags = self.half / KERNEL * np.arange(-KERNEL, KERNEL + 1)
         pace = 2 * np.pi * frequency * np.arange(points // 2 + 1)
         transfer = np.cos(pace[:, None] * lags) @ kernel / kernel.sum()
-        weight = self.weight * self.duration / points
+        weight = self.duration / self.half / points
         return tuple(jnp.asarray(each) for each in (transfer, weight, self.accelerations, self.torque))
 
 
@@ -95,21 +93,38 @@ class ExpectedErrors(NamedTuple):
         determined: Whether a fit of the log would say of each number (p,) that it is determined.
         combinations: What it would determine of numbers that it cannot tell apart.
         condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
-        window: The window of the fit that makes the errors smallest.
         size: Logarithm of the size of the errors: that of the determinant of their covariance, over 2 p.
+        window: The window of the fit that makes the errors smallest; None for a fit of commands, which has no window.
 
     Example:
         >>> from covariant.calibration import ExpectedErrors
         >>> ExpectedErrors._fields
-        ('errors', 'determined', 'combinations', 'condition', 'window', 'size')
+        ('errors', 'determined', 'combinations', 'condition', 'size', 'window')
     """
 
     errors: Float[np.ndarray, "p"]
     determined: Bool[np.ndarray, "p"]
     combinations: Combinations
     condition: float
-    window: FitWindow
     size: float
+    window: Any = None
+
+    @classmethod
+    def of(
+        cls,
+        family: RobotFamily,
+        sizes: Float[np.ndarray, "p"],
+        information: Float[np.ndarray, "p p"],
+        covariance: Float[np.ndarray, "p p"],
+        window: FitWindow | None = None,
+    ) -> "ExpectedErrors":
+        """Evaluate the information, without the prior, and the covariance, with it, of numbers in usual sizes (p,)."""
+        outer = np.outer(sizes, sizes)
+        known = Determined.of(family, np.zeros(len(sizes)), sizes, information / outer, covariance * outer)
+        values, rank = np.linalg.eigvalsh(information)[::-1], known.combinations.rank
+        condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
+        size = float(np.linalg.slogdet(covariance * outer)[1]) / (2 * len(sizes))
+        return cls(known.standard_errors, known.determined, known.combinations, condition, size, window)
 
 
 def expected_errors(
@@ -129,7 +144,6 @@ def expected_errors(
             f"duration: a fit needs a log of {shortest:.3g} s, and this one has {duration:.3g} s; "
             "give a longer duration, or a shorter [reference] half"
         )
-    x = np.zeros(len(family.names))
     model: Any = family.file.model
     count = int(np.ceil(FINE / half / motion.frequency))
     step = 1 / motion.frequency / count
@@ -138,27 +152,15 @@ def expected_errors(
     sizes, speed = usual_sizes(family, torque[:, 0], torque[:, 1], v, a)
     u = inverse_inputs(model).apply(torque[:, 0], q, v)
     repeats = round(duration * motion.frequency)
-    rows = _Rows(
-        np.tile(derivatives(q, v, a, u) * sizes, (repeats, 1, 1)),
-        np.tile(in_batches(_inertia, model, q), (repeats, 1, 1)),
-        np.tile(np.abs(v) < sticking_speeds(family, speed), (repeats, 1)),
-        step,
-    )
+    period = derivatives(q, v, a, u) * sizes, in_batches(_inertia, model, q), np.abs(v) < sticking_speeds(family, speed)
+    rows = _Rows(*(np.concatenate([each] * repeats) for each in period), step=step)
     tried = []
     for factor in WINDOWS:
         points = max(round(factor * half / step), 3)
         if factor > 1 and points * step * FEWEST_BLOCKS * BLOCK > duration:
             break
-        information, covariance, window = rows.covariance(points, sensing)
-        tried.append((float(np.linalg.slogdet(covariance)[1]), information, covariance, window))
-    _, information, covariance, window = min(tried, key=lambda each: each[0])
-    outer = np.outer(sizes, sizes)
-    known = Determined.of(family, x, sizes, information / outer, covariance * outer)
-    values = np.linalg.eigvalsh(information)[::-1]
-    rank = known.combinations.rank
-    condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
-    size = float(np.linalg.slogdet(covariance * outer)[1]) / (2 * len(sizes))
-    return ExpectedErrors(known.standard_errors, known.determined, known.combinations, condition, window, size)
+        tried.append(rows.covariance(points, sensing))
+    return ExpectedErrors.of(family, sizes, *min(tried, key=lambda each: np.linalg.slogdet(each[1])[1]))
 
 
 def _inertia(model: Any, q: Array) -> Array:
@@ -188,12 +190,11 @@ class _Rows(NamedTuple):
         window = FitWindow(
             half,
             step * len(self.slopes),
-            1 / half,
             sensing.noise**2 * spacing * step * np.sum(curvature**2),
             sensing.torque_noise**2 * spacing * np.sum(kernel**2) / step,
         )
         variance = np.mean(self.inertia**2 @ window.accelerations, axis=0) + window.torque
-        weighed = z * (used / variance)[:, :, None] * (step * window.weight)
+        weighed = z * (used / variance)[:, :, None] * (step / half)
         information = np.einsum("kjp,kjq->pq", weighed, z, optimize=True)
         padding = ((points, points), (0, 0), (0, 0))
         of_positions = np.pad(np.einsum("kji,kjp->kip", self.inertia, weighed, optimize=True), padding)

@@ -58,27 +58,19 @@ class Torques(NamedTuple):
     @classmethod
     def of(cls, family: RobotFamily) -> "Torques":
         """The functions of a family."""
-        numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
-        unravel = ravel_pytree(numbers)[1]
-
-        @jax.jit  # traced once for all functions of the model
-        def arrays(x: Array) -> Array:
-            return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
-
-        def model(x: Array) -> MechanicalSystem:
-            return eqx.combine(unravel(arrays(x)), static)
+        arrays, model = flattened(family)
 
         def rows(function: Callable[..., Array]) -> Callable[..., np.ndarray]:
-            return at_rows(lambda x, *row: function(model(x), *row))
+            return at_rows(lambda x, *row: function(model(arrays(x)), *row))
 
         # Torques are fewer than numbers: reverse mode from each torque.
-        derivatives = at_rows(lambda x, *row: jax.jacrev(lambda x: _torque(model(x), *row))(x))
+        derivatives = at_rows(lambda x, *row: jax.jacrev(lambda x: _torque(model(arrays(x)), *row))(x))
 
         @jax.jit
         def with_slopes(flat: Array, slopes: Array, *columns: Array) -> tuple[Array, Array]:
             def one(row: Array, n: int) -> tuple[Array, Array]:
                 def torques(part: Array) -> Array:
-                    return _torque(eqx.combine(unravel(part), static), *jnp.split(row, [n, 2 * n, 3 * n]))
+                    return _torque(model(part), *jnp.split(row, [n, 2 * n, 3 * n]))
 
                 # Forward mode to the numbers, and then to the row; reverse mode twice takes much longer to compile.
                 derivative = jax.vmap(lambda d: jax.jvp(torques, (flat,), (d,))[1], in_axes=1, out_axes=1)(slopes)
@@ -95,6 +87,18 @@ class Torques(NamedTuple):
             return lambda *columns: with_slopes(flat, to_arrays, *columns)
 
         return cls(rows, derivatives, slopes)
+
+
+def flattened(family: RobotFamily) -> tuple[Callable[..., Array], Callable[[Array], Any]]:
+    """The arrays of the robot as one vector, by the coordinates x; and the robot by that vector."""
+    numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
+    unravel = ravel_pytree(numbers)[1]
+
+    @jax.jit  # traced once for all functions of the robot
+    def arrays(x: Array) -> Array:
+        return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
+
+    return arrays, lambda flat: eqx.combine(unravel(flat), static)
 
 
 def at_rows(function: Callable[..., Array]) -> Callable[..., np.ndarray]:

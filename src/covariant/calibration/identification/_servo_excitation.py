@@ -9,21 +9,18 @@ with respect to the open numbers, divided by the noise of the encoders.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from covariant.calibration._least_squares import PRIOR
 from covariant.calibration.identification._excitation import Excitation, ExcitationPlan, JointLimits
-from covariant.calibration.identification._expected import Sensing
+from covariant.calibration.identification._expected import ExpectedErrors, Sensing
 from covariant.calibration.identification._fourier import FourierMotion
-from covariant.calibration.identification._robot_combinations import Combinations
 from covariant.calibration.identification._robot_torques import (
-    Determined,
     efforts,
+    flattened,
     in_batches,
     inverse_inputs,
     usual_sizes,
@@ -60,6 +57,7 @@ class Commanded(NamedTuple):
         q, v: Positions and velocities (T, n).
         torque: Torques (T, n) of the servos within their limits.
         used: Largest positions, velocities and torques (3, n) as fractions of the limits.
+        expected: What a log of them is expected to show; None until that is computed.
     """
 
     inputs: Float[np.ndarray, "T m"]
@@ -67,27 +65,7 @@ class Commanded(NamedTuple):
     v: Float[np.ndarray, "T n"]
     torque: Float[np.ndarray, "T n"]
     used: Float[np.ndarray, "3 n"]
-
-
-class ExpectedOfCommands(NamedTuple):
-    """Expected errors and information of a fit of open numbers to a log of commands.
-
-    Attributes:
-        errors: Standard errors (p,) of the numbers, NaN where the log would not determine a number by itself.
-        determined: Whether a fit of the log would report each number (p,) as determined.
-        combinations: Combinations that it would determine of numbers that it cannot distinguish.
-        condition: Condition number of the regressor, scaled to usual sizes, over the directions that are determined.
-
-    Example:
-        >>> from covariant.calibration import ExpectedOfCommands
-        >>> ExpectedOfCommands._fields
-        ('errors', 'determined', 'combinations', 'condition')
-    """
-
-    errors: Float[np.ndarray, "p"]
-    determined: np.ndarray
-    combinations: Combinations
-    condition: float
+    expected: ExpectedErrors | None = None
 
 
 class CommandedExcitation(NamedTuple):
@@ -95,8 +73,6 @@ class CommandedExcitation(NamedTuple):
 
     designed: Commanded
     reference: Commanded
-    expected: ExpectedOfCommands
-    expected_reference: ExpectedOfCommands
 
 
 def of_coordinates(servos: Servos, values: Any) -> Float[np.ndarray, "n"]:
@@ -122,10 +98,10 @@ def command_excitation(
     own_limit = of_coordinates(simulation.servos, simulation.servos.limit)
     limited = np.array([name in asked for name in limits.names]) & (own_limit <= limits.effort)
     moving = motion_periods(plan) / plan.frequency
-    designed = _commanded(simulation, limits, plan, t, found.motion, moving, limited)
-    reference = _commanded(simulation, limits, plan, t, found.reference, plan.duration, np.zeros_like(limited))
-    expected = [_expected(family, simulation, each, sensing, plan) for each in (designed, reference)]
-    return CommandedExcitation(designed, reference, *expected)
+    designed = _commanded(simulation, limits, plan, t, found.designed.motion, moving, limited)
+    reference = _commanded(simulation, limits, plan, t, found.reference.motion, plan.duration, np.zeros_like(limited))
+    both = (each._replace(expected=_expected(family, simulation, each, sensing)) for each in (designed, reference))
+    return CommandedExcitation(*both)
 
 
 def _commanded(
@@ -169,18 +145,11 @@ class _Simulation(NamedTuple):
     flat: np.ndarray
     positions_at: Callable[..., Any]
     slopes_at: Callable[..., Array]
-    substeps: int
-    rate: float
 
     @classmethod
     def of(cls, family: RobotFamily, rate: float) -> "_Simulation":
         x = np.zeros(len(family.names))
-        numbers, static = eqx.partition(family.make(x), eqx.is_inexact_array)
-        unravel = ravel_pytree(numbers)[1]
-
-        def arrays(x: Array) -> Array:
-            return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
-
+        arrays, robot = flattened(family)
         model: Any = family.make(x)
         servos = servos_in(model)
         assert servos is not None
@@ -191,9 +160,9 @@ class _Simulation(NamedTuple):
 
         @jax.jit
         def positions(flat: Array, inputs: Array, start: Array) -> tuple[Array, Array, Array]:
-            return _simulated(eqx.combine(unravel(flat), static), inputs, start, step, substeps)
+            return _simulated(robot(flat), inputs, start, step, substeps)
 
-        flat, to_arrays = np.asarray(jax.jit(arrays)(x)), np.asarray(jax.jit(jax.jacfwd(arrays))(x))
+        flat, to_arrays = np.asarray(arrays(x)), np.asarray(jax.jit(jax.jacfwd(arrays))(x))
 
         @jax.jit
         def slopes(inputs: Array, start: Array) -> Array:
@@ -202,7 +171,7 @@ class _Simulation(NamedTuple):
 
             return jax.vmap(one_direction, in_axes=1, out_axes=2)(jnp.asarray(to_arrays))
 
-        return cls(model, servos, flat, positions, slopes, substeps, rate)
+        return cls(model, servos, flat, positions, slopes)
 
     def run(self, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, velocities and torques (T, n) at the rows."""
@@ -321,9 +290,7 @@ def _simulated(
     return jax.lax.scan(simulate_row, (start, jnp.zeros_like(start)), u)[1]
 
 
-def _expected(
-    family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing, plan: ExcitationPlan
-) -> ExpectedOfCommands:
+def _expected(family: RobotFamily, simulation: _Simulation, commanded: Commanded, sensing: Sensing) -> ExpectedErrors:
     """Standard errors of a fit that predicts the positions of the whole log from its commands."""
     forgotten = int(np.ceil(SKIPPED_TIME * sensing.rate))
     rows = simulation.derivatives(commanded.inputs)[forgotten:] / sensing.noise[:, None]
@@ -332,8 +299,4 @@ def _expected(
     scaled = rows * sizes
     information = np.einsum("tjp,tjq->pq", scaled, scaled)
     covariance = np.linalg.inv(information + np.eye(len(sizes)) / PRIOR**2)
-    outer = np.outer(sizes, sizes)
-    known = Determined.of(family, np.zeros(len(sizes)), sizes, information / outer, covariance * outer)
-    values, rank = np.linalg.eigvalsh(information)[::-1], known.combinations.rank
-    condition = float(np.sqrt(values[0] / values[rank - 1])) if rank else np.inf
-    return ExpectedOfCommands(known.standard_errors, known.determined, known.combinations, condition)
+    return ExpectedErrors.of(family, sizes, information, covariance)

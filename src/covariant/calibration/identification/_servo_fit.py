@@ -159,14 +159,15 @@ class _Search(NamedTuple):
         logs = tuple(log for log, each in zip(logs, windows, strict=True) if each)
         rows = tuple(np.stack(each) for each in padded)
         motion = [np.concatenate([getattr(log, name) for log in logs]) for name in ("q", "v", "a")]
-        body = logs[0].evaluate(np.zeros(len(family.names)), motion[0], motion[1])
-        armature = np.asarray(logs[0].drive(np.zeros(len(family.names))).armature)
-        inertia = body.inertia + np.diag(armature)
+        first = np.zeros(len(family.names))
+        body, drive = logs[0].evaluate(first, motion[0], motion[1]), logs[0].drive(first)
+        inertia = body.inertia + np.diag(np.asarray(drive.armature))
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
-        servos = logs[0].drive(np.zeros(len(family.names))).servos
-        directions, commanded = np.asarray(servos.rows), np.asarray(servos.commands)
+        directions, commanded = np.asarray(drive.servos.rows), np.asarray(drive.servos.commands)
         errors = np.concatenate([log.u for log in logs]) @ commanded.T - motion[0] @ directions.T
-        servo_torques = (errors - np.asarray(servos.zero)) * np.asarray(servos.stiffness) @ np.abs(directions)
+        servo_torques = (
+            (errors - np.asarray(drive.servos.zero)) * np.asarray(drive.servos.stiffness) @ np.abs(directions)
+        )
         sizes, _ = usual_sizes(family, servo_torques, torque, *motion[1:])
         # If the file states a stiffness, a speed or a limit, that value is its usual size.
         has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])

@@ -9,19 +9,16 @@ Numerica 12, for leapfrog; Moreau 1988, Unilateral contact and dry friction, for
 solved by projected Gauss–Seidel sweeps.
 """
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from covariant import scoring
-from covariant.calibration.identification._robot_torques import batched
+from covariant.calibration.identification._robot_torques import batched, flattened
 from covariant.calibration.identification._rows import filled
 from covariant.models import RobotFamily
 from covariant.models.robots import Servos, dry_friction
@@ -177,7 +174,8 @@ class ServoLog(NamedTuple):
             for one in steps
         ]
         bodies = [RigidBody(*(part[first] for part in each)) for each in (body, *changes)]
-        return np.asarray(_simulate(_stacked(drives), weights, delays, cut, bodies[0], tuple(bodies[1:]), SWEEPS))
+        stacked = jax.tree.map(lambda *parts: jnp.stack(parts), *drives)
+        return np.asarray(_simulate(stacked, weights, delays, cut, bodies[0], tuple(bodies[1:])))
 
     def _commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
         """Mean inputs and rates around these times, with their derivatives with respect to the delay: (…, 4, m)."""
@@ -222,17 +220,11 @@ def _compiled(family: RobotFamily) -> _Compiled:
     """Functions of x for the drive and for the rigid body along a path, compiled once for a family."""
     if id(family) in _CACHE:
         return _CACHE[id(family)][1]
-    numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
-    unravel = ravel_pytree(numbers)[1]
-
-    def arrays(x: Array) -> Array:
-        return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
-
-    at = jax.jit(arrays)
+    at, robot = flattened(family)
 
     @jax.jit
     def along(flat: Array, q: Array, v: Array) -> tuple[Array, ...]:
-        model: Any = eqx.combine(unravel(flat), static)
+        model = robot(flat)
 
         def one(q: Array, v: Array) -> tuple[Array, ...]:
             weight = jax.grad(model.potential)
@@ -252,19 +244,12 @@ def _compiled(family: RobotFamily) -> _Compiled:
         inertia, coriolis, slope, bend = np.split(every, np.cumsum([n * n, n, n]), axis=1)
         return RigidBody(inertia.reshape(-1, n, n), coriolis, slope, bend.reshape(-1, n, n))
 
-    def drive(x: Any) -> Drive:
-        return Drive.of(eqx.combine(unravel(at(x)), static))
-
     _CACHE.clear()
-    _CACHE[id(family)] = family, (drive, evaluate)
+    _CACHE[id(family)] = family, (lambda x: Drive.of(robot(at(x))), evaluate)
     return _CACHE[id(family)][1]
 
 
-def _stacked(drives: Sequence[Drive]) -> Drive:
-    return jax.tree.map(lambda *parts: jnp.stack(parts), *drives)
-
-
-@functools.partial(jax.jit, static_argnums=6)
+@jax.jit
 def _simulate(
     drives: Drive,
     weights: Float[Array, "P r"],
@@ -272,7 +257,6 @@ def _simulate(
     cut: Cut,
     body: RigidBody,
     changes: tuple[RigidBody, ...],
-    sweeps: int,
 ) -> Float[Array, "P W R1 n"]:
     """Positions at all rows of all windows, for each of P drives."""
 
@@ -287,7 +271,7 @@ def _simulate(
             def substep(state: Any, inputs: Array) -> Any:
                 mean, slope, rate, bend = inputs
                 u = mean + late * slope + drive.servos.lead * (rate + late * bend)
-                return _advance(drive, body, path, u, h, state, sweeps), None
+                return _advance(drive, body, path, u, h, state), None
 
             state = jax.lax.scan(substep, state, inputs)[0]
             return state, state[0]
@@ -301,7 +285,7 @@ def _simulate(
     return jax.vmap(over_windows, in_axes=(0, 0, None, None, None))(drives, weights, cut, body, changes)
 
 
-def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: Any, sweeps: int) -> Any:
+def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: Any) -> Any:
     """One leapfrog step: positions at its ends, velocities at its middle, damping at the mean velocity."""
     q, v, last = state
     servos = drive.servos
@@ -326,7 +310,7 @@ def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: An
     diagonal = jnp.diagonal(inertia)
     effective_inertia = diagonal + h / 2 * (viscous - braking)
     w = v + last
-    for _ in range(sweeps):
+    for _ in range(SWEEPS):
         for j in range(v.shape[0]):
             net_impulse = impulse[j] - (inertia[j] @ w - diagonal[j] * w[j])
             friction_impulse = jnp.clip(

@@ -11,6 +11,7 @@ Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampl
 blocks.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -90,30 +91,29 @@ def best_innovations(
 ) -> tuple[float, float, Float[np.ndarray, "n"]]:
     """Natural frequency [rad/s] and damping ratio with the least innovations, and the size (n,) of these."""
     rate, parts = logs[0].rate, [log.first_part for log in logs]
-    pairs = list(zip(logs, parts, strict=True))
-    measured = np.concatenate([_usable(model, part)[log.tuned[: len(part.t)]] for log, part in pairs])
+    missing = [np.asarray(jax.vmap(model.manifold.missing)(jnp.asarray(part.y))) for part in parts]
+    measured = ~np.concatenate([rows[log.tuned[: len(rows)]] for rows, log in zip(missing, logs, strict=True)])
 
-    def usable(results):
+    def squares(results):
         residuals = [np.asarray(done.info.innovation) for done in results]
-        return np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(residuals, logs, strict=True)])
+        r = np.concatenate([r[log.tuned[: len(r)]] for r, log in zip(residuals, logs, strict=True)])
+        return np.array([mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)])
 
-    def innovations(z):
-        return usable(runs([_observer(model, z, rate)], parts))
-
-    def total(r):
+    def total(results):
         with np.errstate(all="ignore"):
-            mean = [mean_square(column[mask]) for column, mask in zip(r.T, measured.T, strict=True)]
-            value = float(np.sum(np.log(mean)))
+            value = float(np.sum(np.log(squares(results))))
         return value if np.isfinite(value) else FAILED
+
+    def along(z):
+        return runs([_observer(model, z, rate)], parts)
 
     starts = [np.array([w, np.log(USUAL)]) for w in np.linspace(np.log(0.02), np.log(2.0), 8)]
     tried = [runs([_observer(model, z, rate) for z in starts], [part]) for part in parts]  # by part, then by start
-    start = starts[int(np.argmin([total(usable(results)) for results in zip(*tried, strict=True)]))]
-    best, least = _descend(lambda z: total(innovations(z)), start, 60)
+    start = starts[int(np.argmin([total(results) for results in zip(*tried, strict=True)]))]
+    best, least = _descend(lambda z: total(along(z)), start, 60)
     if least >= FAILED:
         raise InputError("no gains give a finite estimate; check units and signs by `covariant check`")
-    sizes = [np.sqrt(mean_square(column[mask])) for column, mask in zip(innovations(best).T, measured.T, strict=True)]
-    return float(np.exp(best[0])) * rate, float(np.exp(best[1])), np.array(sizes)
+    return float(np.exp(best[0])) * rate, float(np.exp(best[1])), np.sqrt(squares(along(best)))
 
 
 def candidates(
@@ -199,14 +199,6 @@ class Judge(NamedTuple):
         return np.where(np.isfinite(both), both, FAILED).T
 
 
-class GainSearch(NamedTuple):
-    """The gains that were taken, all candidates, and the range of ω [rad/s] of gains that are as good."""
-
-    best: Candidate
-    judged: tuple[Candidate, ...]
-    same: tuple[float, float]
-
-
 def best_gains(
     model: MechanicalSystem,
     logs: list[TuningLog],
@@ -214,8 +206,11 @@ def best_gains(
     judges: list[Judge],
     runs: Runs,
     force: bool,
-) -> GainSearch:
-    """Search for gains on the first part of the logs, with those that learn a `force`, and judge on held-out rows."""
+) -> tuple[tuple[Candidate, ...], Candidate, tuple[float, float]]:
+    """Search for gains on the first part of the logs, with those that learn a `force`, and judge on held-out rows.
+
+    Returns all candidates, the one to take, and the range of ω [rad/s] of gains that are as good.
+    """
     parts = [log.first_part for log in logs]
     tuned, held_out = [log.tuned for log in logs], [log.held_out for log in logs]
 
@@ -247,21 +242,16 @@ def best_gains(
         ratios = ratios**0.5
         for k in range(2):
             w, z, r = min(tried, key=lambda each, k=k: tried[each][k])
-            search([
-                (
-                    _within(w * ratios[0] ** i, bounds),
-                    _within(z * ratios[1] ** j, DAMPINGS),
-                    float(r * ratios[2] ** m),
-                )
-                for i in (-1, 0, 1) for j in (-1, 0, 1) for m in ((-1, 0, 1) if r else (0,))
-            ])  # fmt: skip
+            steps = itertools.product((-1, 0, 1), (-1, 0, 1), (-1, 0, 1) if r else (0,))
+            near = (np.array([w, z, r]) * ratios**step for step in steps)
+            search([(_within(w, bounds), _within(z, DAMPINGS), float(r)) for w, z, r in near])
     by_later, by_smoother = (min(tried, key=lambda each, k=k: tried[each][k]) for k in range(2))
     everything = proposed | {"later rows": by_later, "smoothed velocities": by_smoother}
     squares = distances(list(everything.values()), [log.record for log in logs], held_out)
-    judged, best = chosen(everything, squares, SLACK if force else 1.0)
+    judged = chosen(everything, squares, SLACK if force else 1.0)
     least = min(each[1] for each in tried.values())
     same = [w for (w, _, _), each in tried.items() if each[1] <= SAME**2 * least]
-    return GainSearch(best, judged, (min(same), max(same)))
+    return *judged, (min(same), max(same))
 
 
 def chosen(
@@ -301,10 +291,6 @@ def clearly_positive(differences: Sequence[Float[np.ndarray, "_"]]) -> bool:
 
 def _observer(model: MechanicalSystem, z: np.ndarray, rate: float):
     return constant_gains(model, float(np.exp(z[0])) * rate, float(np.exp(z[1])))
-
-
-def _usable(model: MechanicalSystem, record) -> Bool[np.ndarray, "T n"]:
-    return ~np.asarray(jax.vmap(model.manifold.missing)(jnp.asarray(record.y)))
 
 
 def _descend(cost: Callable[[np.ndarray], float], start: np.ndarray, most: int) -> tuple[np.ndarray, float]:

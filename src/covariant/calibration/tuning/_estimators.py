@@ -252,11 +252,6 @@ class _TorqueNoise(Functional):
         return self.acceleration + root @ root.T
 
 
-def _gains(entry: Entry, known: _Known) -> tuple:
-    chosen = observer_gains(known.sheet, known.rate)
-    return chosen.alpha, chosen.beta
-
-
 def _gains_and_force(entry: Entry, known: _Known) -> tuple:
     chosen = observer_gains(known.sheet, known.rate, known.space)
     return chosen.alpha, chosen.beta, chosen.force_rate
@@ -281,17 +276,12 @@ def _ticks(entry: Entry, known: _Known) -> tuple:
     return *_noise(entry, known), sheet.quantum, slow, sheet.sensors, sheet.inputs
 
 
-def _bandwidth(entry: Entry, known: _Known) -> tuple:
-    kind: Any = entry.observer
-    return (filter_bandwidth(known.sheet, known.rate, known.trial, kind),)
-
-
-TUNINGS: dict[str, Callable[[Entry, _Known], tuple]] = {
-    "gains": _gains,
+TUNINGS: dict[str, Callable[[Any, _Known], tuple]] = {
+    "gains": lambda entry, known: observer_gains(known.sheet, known.rate)[:2],
     "gains and force": _gains_and_force,
     "noise": _noise,
     "noise or ticks": _ticks,
-    "bandwidth": _bandwidth,
+    "bandwidth": lambda entry, known: (filter_bandwidth(known.sheet, known.rate, known.trial, entry.observer),),
     "window": lambda entry, known: polynomial(known.sheet, known.rate, known.trial),
     "motion": lambda entry, known: joint_noise(known.sheet, known.rate, known.trial),
     "jerk": lambda entry, known: (jerk_bound(known.sheet, known.trial),),

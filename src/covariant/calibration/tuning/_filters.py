@@ -194,16 +194,13 @@ def linear_filter_error(weights: np.ndarray, sheet: DataSheet, rate: float) -> f
     The weights annihilate constants and return slopes, so what remains of a motion is its acceleration a(t − r),
     weighted by `h(r) = Σ_{s_i > r} w_i (s_i − r)`; a has exponential correlation.
     """
+    from scipy.linalg import matmul_toeplitz
+
     ages = np.arange(len(weights)) / rate
     # With tail sums W = Σ w and moments Σ w s over s_i ≥ r, h(r) = Σ w_i s_i − r Σ w_i.
     tail = np.cumsum(weights[::-1])[::-1]
     moment = np.cumsum((weights * ages)[::-1])[::-1]
     lag = (moment - tail * ages) / rate
     lag[0] /= 2  # trapezoid rule over r; h ends at 0 on the other side
-    decay = np.exp(-1 / (rate * sheet.motion_time))
-    carried, lagged = 0.0, 0.0
-    for value in lag:  # Σ_ij lag_i lag_j decay^|i−j| in one pass
-        lagged += value * (value + 2 * decay * carried)
-        # carried = Σ_j lag_j decay^(i−j) over those so far: all cross terms of the next in one product.
-        carried = value + decay * carried
+    lagged = lag @ matmul_toeplitz(np.exp(-ages / sheet.motion_time), lag)
     return float(np.sqrt(sheet.measurement_std**2 * weights @ weights + sheet.motion_std**2 * max(lagged, 0.0)))

@@ -5,12 +5,12 @@ unmodelled acceleration of density S_a, so the best isotropic gains are those of
 """
 
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from covariant._domains import POSITIVE, NotNegative, Positive, check_numbers
 from covariant._typing import Number
-from scalargraph.errors import InputError
 
 
 class Gains(NamedTuple):
@@ -48,16 +48,17 @@ class Gains(NamedTuple):
         )
 
 
+@check_numbers
 def gains(
-    measurement_std: float,
-    rate: float,
-    acceleration_std: float,
-    correlation_time: float | None = None,
-    damping: float = math.sqrt(0.5),
-    natural_frequency: float | None = None,
-    force_std: float = 0.0,
-    force_time: float | None = None,
-    force_rate: float | None = None,
+    measurement_std: Positive,
+    rate: Positive,
+    acceleration_std: Positive,
+    correlation_time: Positive | None = None,
+    damping: Positive = math.sqrt(0.5),
+    natural_frequency: Positive | None = None,
+    force_std: NotNegative = 0.0,
+    force_time: Positive | None = None,
+    force_rate: NotNegative | None = None,
 ) -> Gains:
     """Gains α = 2ζω, β = ω² with ω = (S_a/S_m)^¼, for the noise of a sensor and the error of a model.
 
@@ -99,21 +100,6 @@ def gains(
     """
     # Independent at each sample: S_a = 2 std² time is then std² / rate, as for the measurement.
     time = 1 / (2 * rate) if correlation_time is None else correlation_time
-    numbers = {
-        "measurement_std": measurement_std,
-        "rate": rate,
-        "acceleration_std": acceleration_std,
-        "correlation_time": time,
-        "damping": damping,
-    }
-    optional = {"natural_frequency": natural_frequency, "force_time": force_time}
-    numbers |= {name: value for name, value in optional.items() if value is not None}
-    for name, value in numbers.items():
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"gains: {name} must be a positive number; got {value}")
-    for name, value in {"force_std": force_std, "force_rate": force_rate or 0.0}.items():
-        if not (math.isfinite(value) and value >= 0):
-            raise InputError(f"gains: {name} must be a number ≥ 0; got {value}")
     measurement_density = measurement_std**2 / rate
     acceleration_density = 2 * acceleration_std**2 * time
     forgetting = 0.0 if force_time is None else 1 / force_time
@@ -200,8 +186,13 @@ def predict_errors(alpha: Number, beta: Number, measurement_density: float, acce
     return Gains(alpha, beta, math.sqrt(position), math.sqrt(velocity))
 
 
+@check_numbers
 def predict_sampled_errors(
-    alpha: Number, beta: Number, rate: float, measurement_std: float, acceleration_density: float = 0.0
+    alpha: Annotated[Number, POSITIVE],
+    beta: Annotated[Number, POSITIVE],
+    rate: Positive,
+    measurement_std: float,
+    acceleration_density: float = 0.0,
 ) -> Gains:
     """Stationary errors just after a sample, of an observer that takes `rate` samples a second.
 
@@ -229,9 +220,6 @@ def predict_sampled_errors(
         True
     """
     alpha, beta = float(alpha), float(beta)
-    for name, value in {"alpha": alpha, "beta": beta, "rate": rate}.items():
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"predict_sampled_errors: {name} must be a positive number; got {value}")
     dt = 1 / rate
     # The poles of λ² + αλ + β, sampled: both errors decay as in continuous time.
     pole1, pole2 = np.exp(np.roots([1.0, alpha, beta]) * dt)

@@ -46,11 +46,10 @@ STEPS, FIRST_STEPS = 30, 8
 
 
 class RunErrors(NamedTuple):
-    """A log, velocities (T, n) of a run over it, Runge–Kutta steps in each sample, and a linear model of its errors."""
+    """A log, velocities (T, n) of a run over it, and a linear model of its errors."""
 
     log: TuningLog
     v: Float[np.ndarray, "T n"]
-    substeps: int
     system: ErrorModel
 
     @classmethod
@@ -59,10 +58,9 @@ class RunErrors(NamedTuple):
         t, u, y = (jnp.asarray(each) for each in log.record[:3])
         sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
         fixed = with_fixed_substeps(constant_gains(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
-        substeps = fixed.substeps or 1
         rows = stretch(t, y, u, Motion(q, v))
-        linear = error_model(Unknowns.none(model), jnp.zeros(0), rows.start, rows, jnp.asarray(substeps))
-        return cls(log, np.asarray(v), substeps, linear)
+        linear = error_model(Unknowns.none(model), jnp.zeros(0), rows.start, rows, jnp.asarray(fixed.substeps or 1))
+        return cls(log, np.asarray(v), linear)
 
     def filtered(self, noise: NoiseLevels, speed: jax.Array) -> Filtered:
         """The Kalman filter on the errors."""

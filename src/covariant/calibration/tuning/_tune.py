@@ -188,11 +188,11 @@ def tune(
     filtered = [each.filtered(likeliest, speed) for each in errors]
     proposed |= candidates(likeliest, [each.system for each in errors], filtered, rate)
     judges = [Judge.of(each, likeliest, speed) for each in errors]
-    found = best_gains(model, logs, proposed, judges, runner, bool(np.any(likeliest.force)))
-    best, gains_kept = found.best, False
+    judged, best, same = best_gains(model, logs, proposed, judges, runner, bool(np.any(likeliest.force)))
+    gains_kept = False
     gained = followed(model, logs, (best.natural_frequency, best.damping, best.force_rate), runner)
     if old is not None and best.source != "model file" and _worse(logs, *(_velocities(e) for e in (gained, old[0]))):
-        best, gains_kept, gained = next(each for each in found.judged if each.source == "model file"), True, old[0]
+        best, gains_kept, gained = next(each for each in judged if each.source == "model file"), True, old[0]
     after = _held_out_errors(errors, gained, noise, speed)
     progress("filters without a model")
     free = _best_model_free(model, logs, noise, before)
@@ -205,10 +205,10 @@ def tune(
         after,
         free,
         sum(int(log.tuned.sum()) for log in logs),
-        found.judged,
+        judged,
         best.source,
         best.force_rate,
-        found.same,
+        same,
         gains_kept,
         kept,
         known,
@@ -261,26 +261,16 @@ def _held_out_errors(errors: list[RunErrors], gained: list[Any], noise: NoiseLev
         rows, present = log.held_out, np.asarray(each.system.present)
         white = np.asarray(result.innovation) / np.where(present, result.spread, 1.0)
         off = each.corrected(result.error) - log.velocity
-        parts.append(
-            (
-                r[rows],
-                np.asarray(gains_v)[rows] - log.velocity[rows],
-                off[rows],
-                log.velocity[rows],
-                np.asarray(result.loss)[rows],
-                white[rows],
-                present[rows],
-                _neighbours(white[rows], present[rows]),
-            )
-        )
-    r, gains, kalman, v, loss, white, present = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:7])
+        columns = (r, np.asarray(gains_v) - log.velocity, off, log.velocity, np.asarray(result.loss), white, present)
+        parts.append([column[rows] for column in columns])
+    products = np.sum([_neighbours(*part[-2:]) for part in parts], axis=0)
+    r, gains, kalman, v, loss, white, present = (np.concatenate(each) for each in zip(*parts, strict=True))
     count = present.sum()
 
     def rms(x):
         return np.sqrt(np.mean(x**2, axis=0))
 
     relative = np.array([relative_error(v + off, v) for off in (gains, kalman)])
-    products = np.sum([each[-1] for each in parts], axis=0)
     return HeldOut(
         np.sqrt(np.sum(r**2, axis=0) / present.sum(axis=0)),
         rms(gains),

@@ -124,8 +124,7 @@ def constant_gains(
 
 def by_jax(observers: Sequence[IntrinsicForce], records: Sequence[Record]) -> list[Run]:
     """Run each observer over each record, one by one."""
-    pairs = [(observer, record) for observer in observers for record in records]
-    return [run(observer, record, ("innovation",)) for observer, record in pairs]
+    return [run(observer, record, ("innovation",)) for observer in observers for record in records]
 
 
 def followed(

@@ -62,10 +62,7 @@ def among_logs(given: Sequence[LogRow]) -> Among:
     idle = [k for k in known if rows[k].row.get("verdict") == IDLE]
     sound = [k for k in known if not rows[k].row.get("wrong") and rows[k].row.get("rows", math.inf) >= FEWEST_ROWS]
     odd = _odd(rows, sound)
-    by_row: dict[int, list[str]] = defaultdict(list)
-    for name, (_, places) in odd.items():
-        for k in places:
-            by_row[order[k]].append(name)
+    by_row = _grouped((order[k], name) for name, (_, places) in odd.items() for k in places)
     sentences = (
         *_failures(rows, failed),
         *_findings(rows, known),
@@ -73,7 +70,7 @@ def among_logs(given: Sequence[LogRow]) -> Among:
         *(sentence for sentence, _ in odd.values()),
         *_numbers([rows[k] for k in known]),
     )
-    return Among(sentences, dict(by_row))
+    return Among(sentences, by_row)
 
 
 def _in_time(rows: Sequence[LogRow]) -> list[int]:
@@ -98,11 +95,12 @@ def _natural(name: str) -> list[tuple[int, int, str]]:
 
 def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
     """Why logs failed, once where the reasons differ in numbers alone."""
-    kinds: dict[str, list[int]] = defaultdict(list)
-    for k in failed:
-        name, row = rows[k]
-        reason = row["failed"].replace(name, "").replace(Path(name).name, "")
-        kinds[re.sub(r"\S*/\S*|(?<![A-Za-z_])\d[\d.e+-]*", "#", reason)].append(k)
+
+    def reason(name: str, row: dict[str, Any]) -> str:
+        text = row["failed"].replace(name, "").replace(Path(name).name, "")
+        return re.sub(r"\S*/\S*|(?<![A-Za-z_])\d[\d.e+-]*", "#", text)
+
+    kinds = _grouped((reason(*rows[k]), k) for k in failed)
     by_count = sorted(kinds.values(), key=lambda places: -len(places))
     for places in by_count[: 2 * LISTED]:
         name, row = rows[places[0]]
@@ -114,10 +112,8 @@ def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:
 
 def _findings(rows: Sequence[LogRow], known: Sequence[int]) -> Iterator[str]:
     """What `check` finds wrong, with the logs it is found in."""
-    by_finding: dict[str, list[int]] = defaultdict(list)
-    for k in known:
-        for finding in filter(None, rows[k].row.get("wrong", "").split("; ")):
-            by_finding[finding].append(k)
+    findings = ((finding, k) for k in known for finding in rows[k].row.get("wrong", "").split("; ") if finding)
+    by_finding = _grouped(findings)
     for finding, places in sorted(by_finding.items(), key=lambda pair: -len(pair[1])):
         yield f"WRONG {finding} in {len(places)} of {len(known)} logs: {_where(rows, places, known)}"
 
@@ -129,10 +125,15 @@ def machine_of(name: str) -> str:
 
 def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
     """Logs by their folder, which is one for each machine."""
-    machines: dict[str, list[int]] = defaultdict(list)
-    for k in places:
-        machines[machine_of(rows[k].name)].append(k)
-    return machines
+    return _grouped((machine_of(rows[k].name), k) for k in places)
+
+
+def _grouped(pairs: Iterable[tuple[Any, Any]]) -> dict[Any, list[Any]]:
+    """Values by their keys."""
+    groups: dict[Any, list[Any]] = defaultdict(list)
+    for key, value in pairs:
+        groups[key].append(value)
+    return dict(groups)
 
 
 def _where(rows: Sequence[LogRow], places: Sequence[int], compared: Sequence[int]) -> str:

@@ -46,10 +46,7 @@ def numbers(
         >>> numbers("velocity", 2.0, ("shoulder", "elbow"), positive=True, one=True)
         array([2., 2.])
     """
-    try:
-        values = np.atleast_1d(np.asarray(given, float))
-    except (TypeError, ValueError):
-        raise InputError(f"{argument}: {given!r} is not a list of numbers") from None
+    values = _values(argument, given)
     counts = (1, len(names)) if one else (len(names),)
     fits = values.ndim == 1 and len(values) in counts
     # `initial`: a model without inputs has no number here, and an empty array has no minimum.
@@ -63,10 +60,7 @@ def numbers(
 
 def finite(argument: str, given: Amounts | None) -> None:
     """Check that an argument is finite numbers, of any count, or None."""
-    try:
-        values = np.atleast_1d(np.asarray(0.0 if given is None else given, float))
-    except (TypeError, ValueError):
-        raise InputError(f"{argument}: {given!r} is not a list of numbers") from None
+    values = _values(argument, 0.0 if given is None else given)
     if not np.isfinite(values).all():
         raise InputError(f"{argument} must be finite numbers; got {_format_values(values)}")
 
@@ -113,6 +107,13 @@ def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[floa
     if not (0 < alpha < math.inf and 0 < beta < math.inf):
         raise InputError(f"`alpha` and `beta` must be positive numbers; got {alpha:g} and {beta:g}")
     return float(alpha), float(beta)
+
+
+def _values(argument: str, given: Amounts) -> Float[np.ndarray, "..."]:
+    try:
+        return np.atleast_1d(np.asarray(given, float))
+    except (TypeError, ValueError):
+        raise InputError(f"{argument}: {given!r} is not a list of numbers") from None
 
 
 def _format_values(values: Float[np.ndarray, "..."]) -> str:

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from covariant.observers import REGISTRY
 from covariant.signals import StepCode
-from covariant.verbs.base.inputs import Job, Loaded
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded
 from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.outcome import MARGIN, Outcome, force_names, known
 
@@ -27,8 +26,7 @@ def narrow_bands(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> t
     An innovation is within its 95 % band in all but 5 % of the rows, whichever rows they are, where model and noise are
     right. Called narrow is a band that holds fewer than `TOO_FEW`, and fewer than chance allows once in 1000 logs.
     """
-    informed = any(entry.name == observer and entry.knows_model for entry in REGISTRY)
-    if not (informed and loaded.file.mechanical):
+    if not (observer in INFORMED and loaded.file.mechanical):
         return ()
     info = outcome.run.info
     return tuple(text for text in (_larger(job, info, outcome), *_narrow(loaded, info, outcome)) if text)

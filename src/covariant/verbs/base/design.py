@@ -111,12 +111,8 @@ class Design(NamedTuple):
         gate, kind = self.observer, kind_of(self.file)
         if not isinstance(gate, Gated):
             own: Gate | None = gate.gate
-            return (
-                kind.without_gate
-                if own is None
-                else f"Its gate refuses what is {own.deviations:g} standard deviations off.",
-                "",
-            )
+            refused = "" if own is None else f"Its gate refuses what is {own.deviations:g} standard deviations off."
+            return refused or kind.without_gate, ""
         noise, speed = (_with_units(getattr(gate, key), units) for key, units in self._gate_units.items())
         text = f"Its gate refuses outliers, by the noise {noise} and the usual speed {speed}."
         if self.log is not None:
@@ -160,9 +156,8 @@ def design(
                 f"{known}"
             )
         observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
-        return Design(
-            file, name, observer, f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s².", sheet, log
-        )
+        notes = f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s²."
+        return Design(file, name, observer, notes, sheet, log)
     if rate is None:
         sheet()  # first names the numbers that the model file lacks, if any
         raise InputError("gains are designed for a sampling rate; give `sampling` [Hz], or `alpha` and `beta`")

@@ -9,7 +9,6 @@ from covariant import logs, models
 from covariant.calibration import (
     ExcitationPlan,
     ExpectedErrors,
-    ExpectedOfCommands,
     JointLimits,
     Sensing,
     command_excitation,
@@ -84,10 +83,10 @@ def designed_excitation(
     try:
         if servos is None:
             found: Any = design_excitation(family, limits, sensing, plan, file.reference_half, report)
-            q, v, third = found.motion.at(t)
+            q, v, third = found.designed.motion.at(t)
             u, motors = motor_inputs(machine, q, v, third)
-            halves = {"reference": found.expected_reference.window.half, "designed": found.expected.window.half}
-            kind = {"motors": motors.tolist(), "window": {key: 2 * half for key, half in halves.items()}}
+            windows = {key: 2 * each.expected.window.half for key, each in found._asdict().items()}
+            kind = {"motors": motors.tolist(), "window": windows}
         else:
             moving = motion_periods(plan) / plan.frequency
             motion = design_excitation(
@@ -102,17 +101,12 @@ def designed_excitation(
     details = {
         "model": model,
         "rows": len(t),
-        "duration": plan.duration,
         "rate": rate,
-        "frequency": plan.frequency,
-        "harmonics": plan.harmonics,
         "periods": round(plan.duration * plan.frequency),
-        "margin": plan.margin,
-        "starts": plan.starts,
-        "seed": plan.seed,
+        **plan._asdict(),
         **kind,
         "joints": _joints(file, limits, sensing, found),
-        **_expected_errors(family, found.expected, found.expected_reference),
+        **_expected_errors(family, found.designed.expected, found.reference.expected),
     }
     return file.columns, columns, units, details
 
@@ -163,18 +157,17 @@ def _largest(argument: str, given: Amounts | None, names: Sequence[str], of_file
 
 def _refuse_missing(model: str, limits: JointLimits) -> None:
     """Raise `ValueError` for limits that neither the file nor an argument has; some files have 0 for none."""
-    unknown = {
-        "region": ~(np.isfinite(limits.room) & (limits.room > 0)),
-        "velocity": ~(np.isfinite(limits.velocity) & (limits.velocity > 0)),
-        "effort": ~(np.isfinite(limits.effort) & (limits.effort > 0)),
+    needed = {
+        "region": ("ends of its positions", limits.room),
+        "velocity": ("largest speed", limits.velocity),
+        "effort": ("largest torque", limits.effort),
     }
-    for argument, missing in unknown.items():
-        names = [name for name, each in zip(limits.names, missing, strict=True) if each]
+    for argument, (what, sizes) in needed.items():
+        names = [name for name, size in zip(limits.names, sizes, strict=True) if not 0 < size < np.inf]
         if names:
             example = ",".join(f"{name}=LOW:HIGH" for name in names) if argument == "region" else "NUMBER"
-            what = {"region": "ends of its positions", "velocity": "largest speed", "effort": "largest torque"}
             raise InputError(
-                f"{model}: joint {names[0]!r} has no {what[argument]} in its file"
+                f"{model}: joint {names[0]!r} has no {what} in its file"
                 + (" that is read from MJCF" if str(model).endswith(".xml") and argument != "region" else "")
                 + (f", and neither have {', '.join(names[1:])}" if names[1:] else "")
                 + f"; give `{argument}` {example}"
@@ -225,7 +218,7 @@ def _columns(
 def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Any) -> list[dict[str, Any]]:
     """What of its limits each joint uses."""
     commanded, rows = robots.servos_in(file.model) is not None, []
-    used, reference = (found.designed.used, found.reference.used) if commanded else (found.used, found.used_reference)
+    used, reference = found.designed.used, found.reference.used
     for i, (name, unit) in enumerate(zip(limits.names, file.model.units, strict=True)):
         force = "N m" if unit == "rad" else "N"
         sizes = (limits.room[i], limits.velocity[i], limits.effort[i])
@@ -246,9 +239,7 @@ def _joints(file: ModelFile, limits: JointLimits, sensing: Sensing, found: Any) 
     return rows
 
 
-def _expected_errors(
-    family: RobotFamily, after: ExpectedErrors | ExpectedOfCommands, before: ExpectedErrors | ExpectedOfCommands
-) -> dict[str, Any]:
+def _expected_errors(family: RobotFamily, after: ExpectedErrors, before: ExpectedErrors) -> dict[str, Any]:
     """Standard errors to expect, and what is not determined."""
     unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
     sentences = [f"no log of this motion shows {', '.join(unknown)} alone"] if unknown else []
@@ -273,13 +264,9 @@ def _expected_errors(
         "combinations": list(after.combinations.determined),
         "redundant": list(after.combinations.absorbed),
         "rank": {"reference": before.combinations.rank, "designed": after.combinations.rank},
-        "condition": {"reference": _condition(before), "designed": _condition(after)},
+        "condition": {"reference": _number_or_none(before.condition), "designed": _number_or_none(after.condition)},
     }
 
 
-def _number_or_none(error: float) -> float | None:
-    return None if np.isnan(error) else float(error)
-
-
-def _condition(expected: ExpectedErrors | ExpectedOfCommands) -> float | None:
-    return float(expected.condition) if np.isfinite(expected.condition) else None
+def _number_or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

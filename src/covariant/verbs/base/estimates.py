@@ -13,14 +13,14 @@ import numpy as np
 from covariant import logs
 from covariant.engine import EngineName
 from covariant.models.robots import servos_in
-from covariant.observers import REGISTRY, AbstractObserver
+from covariant.observers import AbstractObserver
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.verbs.base.bands import narrow_bands
 from covariant.verbs.base.design import design, tells_noise, widens
 from covariant.verbs.base.determined import Determinacy
 from covariant.verbs.base.holes import LONGEST_SHOWN
-from covariant.verbs.base.inputs import Job, Loaded, last_known
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known
 from covariant.verbs.base.outcome import (
     Outcome,
     Pushes,
@@ -39,9 +39,6 @@ from covariant.verbs.base.pages import AbstractEstimates, accuracy, estimate_rep
 from covariant.verbs.base.refusals import LISTED, Refusal, refusals, refused_text
 from covariant.verbs.base.sensors import SensorCount, sensor_counts
 from covariant.verbs.base.without_model import WithoutModel, without_model
-
-INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
-"""Observers that predict with the model."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,15 +140,11 @@ class EstimateResult(AbstractEstimates):
             return {}
         q, v = estimate[:, : len(loaded.model.coordinates)], self.outcome.velocity
         u = last_known(np.asarray(loaded.record.u, float))  # as in the estimate
-        values = jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(u))
+        columns = np.asarray(jax.jit(jax.vmap(servos.torque))(jnp.asarray(q), jnp.asarray(v), jnp.asarray(u))).T
         places = np.argmax(np.abs(np.asarray(servos.commands)), axis=1)
-        return {
-            f"torque_{servos.input_names[i].removeprefix('cmd_')}": (
-                "N m" if servos.input_units[i] == "rad" else "N",
-                column,
-            )
-            for i, column in zip(places, np.asarray(values).T, strict=True)
-        }
+        names = (f"torque_{servos.input_names[i].removeprefix('cmd_')}" for i in places)
+        units = ("N m" if servos.input_units[i] == "rad" else "N" for i in places)
+        return dict(zip(names, zip(units, columns, strict=True), strict=True))
 
     def _columns(self, positions: tuple[str, ...], velocities: tuple[str, ...]) -> dict[str, np.ndarray]:
         """The columns: t, the configuration as the log has it, the velocities, and what else is estimated.
@@ -204,10 +197,7 @@ class EstimateResult(AbstractEstimates):
             **({} if loaded.holes is None else {"holes": loaded.holes.table}),
         }
         if self.sensors:
-            result["sensors"] = {
-                name: {"readings": each.readings, "refused": each.refused, "nis": plain(each.nis)}
-                for name, each in self.sensors.items()
-            }
+            result["sensors"] = {name: each._asdict() | {"nis": plain(each.nis)} for name, each in self.sensors.items()}
         if self.refused:
             result["refused"] = [each.data for each in self.refused[:LISTED]]
         if self.pushes is not None:
@@ -273,21 +263,12 @@ class EstimateResult(AbstractEstimates):
 
     def __str__(self) -> str:
         result = self.summary
-        lines = [
-            f"{result['log']}: {result['rows']} rows, {result['observer']} observer",
-            *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
-            result["design"],
-            *error_lines(result, self.loaded),
-            *hole_lines(result, self.loaded),
-            *(
-                f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} per component"
-                for name, each in self.sensors.items()
-            ),
+        lines = head_lines(result, self.loaded)
+        lines += [
+            f"{name}: {each.readings} readings, {each.refused} refused, NIS {each.nis:.3g} per component"
+            for name, each in self.sensors.items()
         ]
-        free = self.without_model
-        lines += [] if free is None or free.is_better else [free.sentence(self.observer_name)]
-        lines += [] if self.pushes is None else [str(self.pushes)]
-        lines += [str(each) for each in self.determined]
+        lines += self._findings
         if "logged_velocity_rmse" in result:
             speeds = with_units(result["logged_velocity_rmse"], self.loaded.kind.estimates.units)
             lines.append(f"the same for the velocity in the log: {speeds}")
@@ -295,18 +276,22 @@ class EstimateResult(AbstractEstimates):
             lines.append(f"engine: {result['engine']}")
         return "\n".join([*lines, *self.warnings])
 
+    @property
+    def _findings(self) -> list[str]:
+        """Sentences on the filter without a model, on pushes, and on what the log determines."""
+        free, pushed = self.without_model, self.pushes
+        known = [] if free is None or free.is_better else [free.sentence(self.observer_name)]
+        return [*known, *([] if pushed is None else [str(pushed)]), *map(str, self.determined)]
+
     def _page(self) -> Any:
-        result, free = self.summary, self.without_model
+        result = self.summary
         errors = (line for line in error_lines(result, self.loaded) if "RMSE" not in line)  # these are in the table
-        notes = (*errors, *hole_lines(result, self.loaded))
-        notes += () if free is None or free.is_better else (free.sentence(self.observer_name),)
-        notes += () if self.pushes is None else (str(self.pushes),)
         return estimate_report(
             f"{self.loaded.kind.title} of {self.job.title}",
             self.job,
             self.loaded,
             {self.observer_name: self.outcome},
-            (*notes, *map(str, self.determined)),
+            (*errors, *hole_lines(result, self.loaded), *self._findings),
             {"observer": self.observer_name, "design": " ".join(self.design)},
             rows=accuracy(self.loaded, self.outcome),
             headline=self._verdict,
@@ -343,6 +328,17 @@ def choose_observer(
         return designed.observer, (f"{designed.notes}{loaded.note}{unused}",)
     unknown = "" if tells_noise(loaded.file) else " No measurement is refused: the model file tells no noise."
     return designed.observer, (designed.notes + unknown,)
+
+
+def head_lines(result: Mapping[str, Any], loaded: Loaded, extent: str = "") -> list[str]:
+    """Log, rows and observer, the design, and the sentences on errors and holes."""
+    return [
+        f"{result['log']}: {result['rows']} rows, {result['observer']} observer{extent}",
+        *([f"t counts from {result['t_counts_from']}"] if "t_counts_from" in result else []),
+        result["design"],
+        *error_lines(result, loaded),
+        *hole_lines(result, loaded),
+    ]
 
 
 def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:

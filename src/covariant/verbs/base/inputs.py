@@ -16,7 +16,6 @@ from covariant.verbs.base.arguments import ColumnNames as ColumnNames
 from covariant.verbs.base.holes import Holes, holes_of
 from covariant.verbs.base.kind import AbstractKind, Labels, numbered as numbered
 from covariant.verbs.base.kinds import kind_of
-from covariant.verbs.base.outputs import check_output as check_output
 from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
 from covariant.verbs.base.sensors import FileSensor, file_sensors, reading_delays, readings
 from covariant.verbs.base.sheet import data_sheet as data_sheet
@@ -28,6 +27,10 @@ MOST_REVERSALS, QUICK = 0.05, 5
 """Largest fraction of changes that undo one within so few samples, as noise makes them and a motion seldom does."""
 OFF_TICK = 0.1
 """How far differences of positions may be from whole ticks, as a fraction of one: logs hold few digits."""
+
+
+INFORMED = frozenset(entry.name for entry in REGISTRY if entry.knows_model)
+"""Names of the observers that know the model."""
 
 
 class Job(NamedTuple):
@@ -275,12 +278,11 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
             f"{loaded.file.name}: readings that are late are made up for in mechanical models and bases on legs only"
         )
     rate = densest_rate(np.asarray(loaded.record.t), longest)
-    informed = {entry.name for entry in REGISTRY if entry.knows_model}
     wrapped = dict(observers)
     for name, observer in observers.items():
         y = np.asarray(loaded.record_for(observer).y)[0]
         delay = reading_delays(observer, loaded.file.delay, loaded.sensors, y)
-        if name in informed and np.any(delay):
+        if name in INFORMED and np.any(delay):
             wrapped[name] = Delayed(observer, delay, rate)
     return wrapped
 

@@ -120,11 +120,6 @@ class AbstractKind(abc.ABC):
         """Units of the innovations, "" where they are not known."""
 
     @property
-    def chart(self) -> tuple[str, ...]:
-        """Names of the coordinates in which a region is told; on a group of exponential coordinates."""
-        return self.axes.names
-
-    @property
     def noise_axes(self) -> tuple[str, ...]:
         """Names of the components of a measurement's noise."""
         return self.file.columns.q

@@ -88,20 +88,16 @@ class AbstractMechanical(AbstractKind):
 
     def unused(self, observer: AbstractObserver, name: str, sensors: bool) -> str:
         file, text = self.file, ""
-        asked = [
-            what
-            for what, stated in (
-                (
-                    "the external force of [uncertainty]",
-                    None if name == WITH_FORCE else file.external_force or file.external_force_std,
-                ),
-                ("the bias of [measurement]", file.bias),
-                ("the parameters of [uncertainty]", file.family),
-                ("the forces of [wrench]", file.wrenches or None),
-                ("what [sensors] read", sensors or None),
-            )
-            if stated is not None
-        ]
+        stated = {
+            "the external force of [uncertainty]": file.external_force or file.external_force_std,
+            "the bias of [measurement]": file.bias,
+            "the parameters of [uncertainty]": file.family,
+            "the forces of [wrench]": file.wrenches or None,
+            "what [sensors] read": sensors or None,
+        }
+        if name == WITH_FORCE:
+            del stated["the external force of [uncertainty]"]
+        asked = [what for what, value in stated.items() if value is not None]
         filters = observer.slow_names or observer.sensors
         if asked and (name == WITH_FORCE or not filters):
             text = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
@@ -239,10 +235,6 @@ class OnGroup(AbstractMechanical):
     """A mechanical system on a Lie group, whose configuration is made of matrices."""
 
     has_ticks = False
-
-    @property
-    def chart(self) -> tuple[str, ...]:
-        return numbered("x", self.file.dimension)
 
     @property
     def noise_axes(self) -> tuple[str, ...]:

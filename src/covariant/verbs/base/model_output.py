@@ -68,8 +68,7 @@ def check_model_output(model: object, path: str | Path | None, overwrite: bool =
     beside = path.with_suffix(".urdf")
     if urdf and beside.exists():
         _refuse_source(beside, _robot_file(spec))
-        if not overwrite:
-            raise InputError(f"{beside}: there is such a file already; write to another file, or say `overwrite=True`")
+        check_output(beside, ".urdf", overwrite=overwrite)
 
 
 def _robot_file(spec: str) -> Path | None:

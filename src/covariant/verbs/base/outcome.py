@@ -12,11 +12,11 @@ import numpy as np
 
 from covariant.engine import EngineName as Engine, run_log
 from covariant.models import ModelFile
-from covariant.observers import REGISTRY, AbstractObserver
+from covariant.observers import AbstractObserver
 from covariant.observers.base import Diagnostics
 from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
-from covariant.verbs.base.inputs import Job, Loaded, numbered
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, numbered
 from covariant.verbs.base.model_text import advice
 
 KEPT = (
@@ -307,8 +307,7 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
     The NIS of a right model with right noise, summed over N measured numbers, is χ²-distributed with N degrees of
     freedom. Said is what exceeds `MARGIN` times its 99.9 % quantile.
     """
-    informed = any(entry.name == observer and entry.knows_model for entry in REGISTRY)
-    if not (informed and loaded.file.mechanical and math.isfinite(outcome.nis)):
+    if not (observer in INFORMED and loaded.file.mechanical and math.isfinite(outcome.nis)):
         return None
     limit = MARGIN * mean_quantile(int(counted(outcome.run.info, loaded)[1]))
     if outcome.nis < SMALL and loaded.file.quantum is None:
@@ -335,9 +334,8 @@ def inconsistent(loaded: Loaded, observer: str, outcome: Outcome) -> str | None:
     score, reference = outcome.score, loaded.reference
     if score is None or reference is None or loaded.log.truth is None or not math.isfinite(score.nees):
         return None
-    informed = any(entry.name == observer and entry.knows_model for entry in REGISTRY)
     # A filter that knows no model has the usual motion as its noise, so that it is cautious on a calm one.
-    if (SMALL if informed else 0.0) <= score.nees <= LARGE:
+    if (SMALL if observer in INFORMED else 0.0) <= score.nees <= LARGE:
         return None
     size = "small" if score.nees > 1 else "large"
     text = (

@@ -13,7 +13,7 @@ import numpy as np
 
 import covariant
 from covariant.models import Motion
-from covariant.report import Along, EstimateReport, write_article, write_report as write_page_and_figures
+from covariant.report import Along, EstimateReport, write_article, write_report
 from covariant.signals import StepCode
 from covariant.verbs.base.inputs import Job, Loaded
 from covariant.verbs.base.outcome import Outcome, deviations, known, pushes, slow_units
@@ -130,16 +130,12 @@ def _along(loaded: Loaded, outcome: Outcome) -> Along | None:
 def _pushed(loaded: Loaded, outcome: Outcome, t: np.ndarray) -> np.ndarray | None:
     """Begin and end [s] of the stretches in which something pushes."""
     pushed = pushes(loaded.file, outcome)
-    if pushed is None:
+    if pushed is None or not pushed.rows.any():
         return None
     edges = np.diff(np.concatenate([[0], pushed.rows.astype(int), [0]]))
     begin, end = t[np.flatnonzero(edges > 0)], t[np.flatnonzero(edges < 0) - 1]
     apart = begin[1:] - end[:-1] > (t[-1] - t[0]) / FINEST
-    return (
-        np.stack([begin[np.concatenate([[True], apart])], end[np.concatenate([apart, [True]])]], axis=1)
-        if len(begin)
-        else None
-    )
+    return np.stack([begin[np.concatenate([[True], apart])], end[np.concatenate([apart, [True]])]], axis=1)
 
 
 def _facts(job: Job, loaded: Loaded, more: Mapping[str, str]) -> dict[str, str]:
@@ -197,19 +193,6 @@ def lag(t: np.ndarray, estimate: np.ndarray, reference: np.ndarray, rows: np.nda
     return np.where(power > 0, -np.sum(error * slope, axis=0) / np.where(power > 0, power, 1.0), np.nan)
 
 
-def write_report(path: Path, report: EstimateReport) -> list[Path]:
-    """Write an interactive page, and PNG figures beside it, all or none.
-
-    Args:
-        path: The page to write (.html).
-        report: What it shows.
-
-    Returns:
-        The paths of all files, the page first.
-    """
-    return write_page_and_figures(report, path)
-
-
 def write_result_page(
     path: Path,
     title: str,
@@ -256,7 +239,7 @@ class AbstractEstimates(AbstractTable):
         """The `EstimateResult` whose measurements, results and configurations are drawn."""
 
     def _write_page(self, path: Path) -> list[Path]:
-        return write_report(path, self._page())
+        return write_report(self._page(), path)
 
     def _figure(self) -> "Figure":
         from covariant.report import figure

@@ -47,7 +47,7 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
     codes = np.asarray(result.codes)
     changes = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]])
     results = {float(t[k]): StepCode(int(codes[k])).name.lower().replace("_", " ") for k in changes}
-    rows = _rows_of_frames(t)
+    rows = np.unique(np.floor((t - t[0]) / FRAME_SECONDS), return_index=True)[1]  # the first one of each frame
     write_rerun(path, title, t, curves, results, _bodies(result, rows), t[rows])
 
 
@@ -59,11 +59,6 @@ def _quantity(name: str, kind: Any, slow: tuple[str, ...]) -> str:
     if name in kind.estimates.names:
         return kind.what
     return "position" if name in kind.positions.names else "force" if name in slow else "other"
-
-
-def _rows_of_frames(t: np.ndarray) -> np.ndarray:
-    """First rows of the frames of the moving robot."""
-    return np.unique(np.floor((t - t[0]) / FRAME_SECONDS), return_index=True)[1]
 
 
 def _bodies(result: Any, rows: np.ndarray) -> list[MovingBody]:

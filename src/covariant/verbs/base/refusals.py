@@ -62,9 +62,8 @@ def refusals(loaded: Loaded, outcome: Outcome) -> list[Refusal]:
         return []
     t, y = np.asarray(outcome.run.t), np.asarray(loaded.record.y)
     # The component that is farthest off, relative to what it is in rows that were used.
-    used = (
-        np.sqrt(np.mean(innovation[codes < StepCode.OUTLIER] ** 2, axis=0)) if (codes < StepCode.OUTLIER).any() else 1.0
-    )
+    ordinary = codes < StepCode.OUTLIER
+    used = np.sqrt(np.mean(innovation[ordinary] ** 2, axis=0)) if ordinary.any() else 1.0
     worst = np.argmax(np.abs(innovation) / np.maximum(used, np.finfo(float).tiny), axis=1)
     columns, units = loaded.kind.noise_axes, loaded.kind.innovation_units
     has_readings = y.shape == innovation.shape

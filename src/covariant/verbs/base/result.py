@@ -29,10 +29,6 @@ _TABLES = (
 """Notebooks align all cells to the right, and sentences too."""
 
 
-def _warning_html(warning: str) -> str:
-    return f'<p style="color:#b45309;margin:0">⚠ {html.escape(warning)}</p>'
-
-
 def _html(text: str) -> str:
     """The printed text in HTML: its tables as tables, its lines as lines, and everything else escaped."""
     try:
@@ -95,7 +91,8 @@ class AbstractResult(abc.ABC):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: headline, warnings, the tables of the page or else the text, and the figure."""
-        parts = [f"<p><b>{html.escape(self.headline)}</b></p>", *map(_warning_html, self.warnings)]
+        warnings = (f'<p style="color:#b45309;margin:0">⚠ {html.escape(each)}</p>' for each in self.warnings)
+        parts = [f"<p><b>{html.escape(self.headline)}</b></p>", *warnings]
         blocks = self._blocks
         if blocks:
             from covariant.report import block_html

@@ -117,20 +117,14 @@ def with_joints(draft: Draft, joints: Joints) -> Draft:
     if "u" in units:
         texts = units["u"]
         units["u"] = (*(texts[i] for i in driven), *texts[len(used) : len(used) + len(switches)])
-    q = each(draft.q)
+    fields = {key: each(getattr(draft, key)) for key in ("q", "v", "lengths", "quantum", "noise", "period", "servos")}
     return draft._replace(
-        q=q,
+        **fields,
         u=(*(draft.u[i] for i in driven), *switches),
-        v=each(draft.v),
-        lengths=each(draft.lengths),
-        quantum=each(draft.quantum),
-        noise=each(draft.noise),
         span=draft.span[list(order)],
         units=units,
-        period=each(draft.period),
-        servos=each(draft.servos),
         switches=switches,
-        left_out=(*draft.left_out, *(name for name in draft.q if name not in q)),
+        left_out=(*draft.left_out, *(name for name in draft.q if name not in fields["q"])),
     )
 
 
@@ -145,7 +139,7 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
             "# here, its joints in the order of columns.q, or draft anew with --set 'parameters.path=\"arm.urdf\"'",
         ]
     if joints.guess:
-        lines += [f"# {line}" for line in _wrapped(joints.guess)]
+        lines += [f"# {line}" for line in textwrap.wrap(f"{joints.guess[0].upper()}{joints.guess[1:]}.", 108)]
     driven = [name for name, servo in zip(joints.names, draft.servos, strict=True) if servo is not None]
     if len(driven) < len(joints.names):
         lines.append(f"actuated = [{', '.join(map(quoted, driven))}]  # the others have no command")
@@ -246,9 +240,5 @@ def _key(name: str) -> str:
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
 
-def quoted(text: str) -> str:
+def quoted(text: str | Sequence[str]) -> str:
     return json.dumps(text, ensure_ascii=False)
-
-
-def _wrapped(text: str) -> Sequence[str]:
-    return textwrap.wrap(text[0].upper() + text[1:] + ".", 108)

@@ -14,11 +14,8 @@ from scalargraph.errors import InputError
 
 def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
     """Collect the data sheet for a design from a model file."""
-    missing = [
-        key
-        for value, key in ((file.typical_std, "measurement.std"), (file.acceleration_std, "uncertainty.acceleration"))
-        if value is None
-    ]
+    needed = {"measurement.std": file.typical_std, "uncertainty.acceleration": file.acceleration_std}
+    missing = [key for key, value in needed.items() if value is None]
     if missing:
         raise InputError(f"{file.name}: gains need {' and '.join(missing)}; {_remedy(file, missing, record)}")
     known = {

@@ -91,13 +91,12 @@ def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarra
     selections, holes = [rows], loaded.holes
     if holes is not None and (rows & ~holes.concerned).sum() >= 4 * horizon:
         selections.append(rows & ~holes.concerned)
-    errors = []
-    for selection in selections:
-        errors.append({})
-        for name, outcome in outcomes.items():
-            motion = loaded.model.motion(outcome.run.estimate)
-            found = errors_ahead(loaded.model, record, Motion(motion.q, motion.v), selection, horizon)
-            errors[-1][name] = known_rms(found, (0, 1))
+
+    def predicted(outcome: Outcome, selection: np.ndarray) -> np.ndarray:
+        motion = loaded.model.motion(outcome.run.estimate)
+        return known_rms(errors_ahead(loaded.model, record, Motion(motion.q, motion.v), selection, horizon), (0, 1))
+
+    errors = ({name: predicted(each, selection) for name, each in outcomes.items()} for selection in selections)
     return Ahead(horizon, horizon / loaded.rate, *errors)
 
 
@@ -107,9 +106,7 @@ def _without_inputs(record: Record, horizon: int) -> Record:
     absent = ~np.isfinite(u).all(1)
     if not absent.any():
         return record
-    count = np.concatenate([[0], np.cumsum(absent)])
-    k = np.arange(len(u))
-    led = count[k] > count[np.maximum(k - horizon, 0)]
     y = np.array(record.y, float)
-    y[led] = np.nan
+    # The kernel begins with zero, since an input acts from its row to the next ones.
+    y[np.convolve(absent, np.concatenate([[0.0], np.ones(horizon)]))[: len(u)] > 0] = np.nan
     return record._replace(u=np.nan_to_num(u), y=y)

@@ -8,16 +8,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.calibration import DataSheet, HeldOut, Tuning, tune, tuned_estimators, usual_speeds
+from covariant.calibration import DataSheet, Tuning, tune, tuned_estimators, usual_speeds
 from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver
 from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.verbs.base.aligned import aligned
+from covariant.verbs.base.design import tells_noise
 from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
 from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
-from covariant.verbs.base.outcome import drive, rounded
+from covariant.verbs.base.outcome import drive, plain, rounded
 from covariant.verbs.base.pages import estimate_report
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
@@ -65,9 +66,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
     loaded, delay = [aligned(job).loaded for job in jobs], models.load(jobs[0].model, jobs[0].overrides).delay
     check_read_once(sources)  # from here on no file of the model is read
     file = loaded[0].file
-    before = None
-    if file.typical_std is not None and file.acceleration_std is not None:
-        before = data_sheet(file)
+    before = data_sheet(file) if tells_noise(file) else None
     # No reading is better than the rounding to its ticks.
     known = None if file.quantum is None else np.broadcast_to(np.asarray(file.measurement_std), file.dimension)
     records, velocities = [one.record for one in loaded], [one.reference.v for one in loaded if one.reference]
@@ -101,11 +100,7 @@ def tuned_page(title: str, job: Job, tuned: Tuned, notes: tuple[str, ...], **mor
     sheet = tuned.before or DataSheet(typical, float(tuning.noise.acceleration))
     # Behind the gate that `estimate` has: an outlier is drawn as what it does there.
     sheet = sheet._replace(speed=usual_speeds(loaded.model, loaded.record))
-    chosen = {
-        "natural_frequency": tuning.natural_frequency,
-        "damping": tuning.damping,
-        "force_rate": tuning.force_rate,
-    }
+    chosen = {key: getattr(tuning, key) for key in ("natural_frequency", "damping", "force_rate")}
     sheets = {"after": sheet._replace(**chosen)}
     if tuned.before is not None:
         sheets = {"before": sheet, **sheets}
@@ -205,10 +200,12 @@ def _details(
         "velocities": list(loaded[0].model.sought.names or (f"d{name}/dt" for name in names)),
         "units": [unit.removesuffix("/s") for unit in units],
         "held_out": {
-            when: None if judged is None else _round_errors(judged)
+            when: None
+            if judged is None
+            else {key: rounded(np.atleast_1d(each)) for key, each in judged._asdict().items()}
             for when, judged in (("before", tuning.before), ("after", tuning.after))
         },
-        "model_free": None if free is None else {"estimator": free[0], "relative": rounded(np.array([free[1]]))[0]},
+        "model_free": None if free is None else {"estimator": free[0], "relative": plain(free[1])},
         "gains": {
             "from": tuning.source,
             "same": None if tuning.same is None else [_short(each) for each in tuning.same],
@@ -263,10 +260,6 @@ def notes(found: Tuning, units: Sequence[str]) -> list[str]:
                 f"{estimate[worst]:.2g} of the Kalman filter, so errors against it are largely its own."
             )
     return said
-
-
-def _round_errors(judged: HeldOut) -> dict[str, Any]:
-    return {name: (rounded(np.atleast_1d(value))) for name, value in judged._asdict().items()}
 
 
 def _percent(share: float) -> str:
