@@ -130,7 +130,7 @@ def _linearised(unknowns: StateUnknowns, z: Array, run: Motion, rows: Rows, step
 def unknowns_of(family: Family, rows: Rows) -> Unknowns:
     """The unknowns of a family, whose states are known along rows if it is one of a `StateSpace`."""
     found = Unknowns.of(family)
-    if not isinstance(family.file.model, StateSpace):
+    if family.file.mechanical:
         return found
     x, within = np.asarray(rows.start.v)[: int(rows.used)], ~np.asarray(rows.fresh)[1 : int(rows.used)]
     changes = OVER * np.sqrt(np.mean(np.diff(x, axis=0)[within] ** 2, axis=0))
@@ -152,7 +152,7 @@ def rows_of(
     """
     model: Any = family.file.model
     rows = gather(model.manifold, records, slopes, machines, most)
-    if not isinstance(model, StateSpace):
+    if family.file.mechanical:
         return rows
     first, speed = family.file.initial_state, float(np.sqrt(np.mean(np.asarray(rows.start.v) ** 2)))
     begin = jnp.broadcast_to(jnp.asarray(0.0 if first is None else first), len(model.coordinates))

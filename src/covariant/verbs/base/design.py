@@ -23,7 +23,7 @@ from covariant.certificates import any_configuration
 from covariant.models import ModelFile, input_count
 from covariant.observers import AbstractObserver, Gate, Gated, chooses_substeps, with_fixed_substeps
 from covariant.verbs.base.arguments import Amounts
-from covariant.verbs.base.inputs import Loaded
+from covariant.verbs.base.inputs import Loaded, tells_noise
 from covariant.verbs.base.kinds import WITH_FORCE, kind_of
 from covariant.verbs.base.sensors import FileSensor, file_sensors, with_readings
 from covariant.verbs.base.sheet import data_sheet
@@ -182,11 +182,6 @@ def runs_otherwise(file: ModelFile, observer: str) -> str:
     if default_observer(file) != WITH_FORCE or observer == WITH_FORCE:
         return ""
     return f" Of this file `estimate` and `export` run {WITH_FORCE} unless they are asked for `observer={observer!r}`."
-
-
-def tells_noise(file: ModelFile) -> bool:
-    """Whether a model file has the numbers of a data sheet, which a gate needs."""
-    return file.measurement_std is not None and file.acceleration_std is not None
 
 
 def log_sensors(file: ModelFile, log: Loaded | None) -> tuple[FileSensor, ...]:

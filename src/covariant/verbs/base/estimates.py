@@ -17,10 +17,10 @@ from covariant.observers import AbstractObserver
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.verbs.base.bands import narrow_bands
-from covariant.verbs.base.design import design, tells_noise, widens
+from covariant.verbs.base.design import design, widens
 from covariant.verbs.base.determined import Determinacy
 from covariant.verbs.base.holes import LONGEST_SHOWN
-from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known, tells_noise
 from covariant.verbs.base.outcome import (
     Outcome,
     Pushes,

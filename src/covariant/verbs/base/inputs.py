@@ -18,7 +18,7 @@ from covariant.verbs.base.kind import AbstractKind, Labels, numbered as numbered
 from covariant.verbs.base.kinds import kind_of
 from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
 from covariant.verbs.base.sensors import FileSensor, file_sensors, reading_delays, readings
-from covariant.verbs.base.sheet import data_sheet as data_sheet
+from covariant.verbs.base.sheet import data_sheet as data_sheet, tells_noise as tells_noise
 from scalargraph.errors import InputError
 
 FEWEST_MOVES = 50

@@ -12,6 +12,11 @@ from covariant.signals import Record
 from scalargraph.errors import InputError
 
 
+def tells_noise(file: ModelFile) -> bool:
+    """Whether a model file has the numbers of a data sheet, which a gate needs."""
+    return file.measurement_std is not None and file.acceleration_std is not None
+
+
 def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
     """Collect the data sheet for a design from a model file."""
     needed = {"measurement.std": file.typical_std, "uncertainty.acceleration": file.acceleration_std}

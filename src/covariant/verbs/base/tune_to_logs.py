@@ -14,8 +14,7 @@ from covariant.observers import AbstractObserver
 from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.verbs.base.aligned import aligned
-from covariant.verbs.base.design import tells_noise
-from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
+from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, tells_noise, with_sensor_delays
 from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.outcome import drive, plain, rounded

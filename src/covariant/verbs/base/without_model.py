@@ -9,8 +9,8 @@ from covariant.calibration import even_velocity
 from covariant.observers import REGISTRY, AbstractLinearFilter
 from covariant.scoring import scored_window, unwrap
 from covariant.signals import Record
-from covariant.verbs.base.design import log_sheet, tells_noise
-from covariant.verbs.base.inputs import Job, Loaded, ReferenceVelocity
+from covariant.verbs.base.design import log_sheet
+from covariant.verbs.base.inputs import Job, Loaded, ReferenceVelocity, tells_noise
 from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.outcome import drive
 from covariant.verbs.base.trial import trial_part
