@@ -14,7 +14,6 @@ from covariant.observers import AbstractObserver
 from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.verbs.base.aligned import aligned
-from covariant.verbs.base.design import tells_noise
 from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, with_sensor_delays
 from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
@@ -66,7 +65,8 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
     loaded, delay = [aligned(job).loaded for job in jobs], models.load(jobs[0].model, jobs[0].overrides).delay
     check_read_once(sources)  # from here on no file of the model is read
     file = loaded[0].file
-    before = data_sheet(file) if tells_noise(file) else None
+    stated = file.measurement_std is not None and file.acceleration_std is not None
+    before = data_sheet(file) if stated else None
     # No reading is better than the rounding to its ticks.
     known = None if file.quantum is None else np.broadcast_to(np.asarray(file.measurement_std), file.dimension)
     records, velocities = [one.record for one in loaded], [one.reference.v for one in loaded if one.reference]
