@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -29,7 +27,7 @@ from covariant.calibration.diagnosis._case import (
     smoothed,
 )
 from covariant.calibration.diagnosis._finding import Finding, later_line
-from covariant.calibration.diagnosis._missing_torques import by_joints, friction_columns
+from covariant.calibration.diagnosis._missing_torques import by_joints, friction_columns, weights
 from covariant.calibration.diagnosis._smooth import Smooth, held_inputs
 from covariant.calibration.diagnosis._suspicion import (
     BLOCKS,
@@ -51,6 +49,8 @@ TRIED, EVALUATIONS = 16, 40
 """Values of a number of a curve that are tried first, and evaluations of the search from the best of them."""
 SHIFTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 """Rows by which inputs may act later or earlier than logged."""
+RICHER = 0.7
+"""What the richest curve leaves at most where it chooses, relative to the line, for any curve to be looked for."""
 NUDGE = 1e-3
 """Change of a number of a curve for the derivative in it, relative to the range of the input."""
 KNOWN = 1e-6
@@ -135,40 +135,43 @@ def misread_input(file: ModelFile, fitted: ModelFile, record: Record) -> Finding
         'offset of an input'
     """
     case = case_without_outliers(fitted, busiest(record, MOST_ROWS))[0] if in_coordinates(file) else None
-    best = None if case is None else best_window(case)
-    if case is None or best is None:
+    balance = None if case is None else Balance.of(case)
+    if case is None or balance is None:
         return None
-    for each, most in ((case, np.inf), (case._replace(file=file, model=file.model), best[1].misfit / 2)):
-        found = input_curve(each, signs=True) or late_inputs(each) if most > THRESHOLDS["curve"].least else None
+    first = case._replace(file=file, model=file.model)
+    for each, most in ((case, np.inf), (first, balance.before.misfit / 2)):
+        balance = Balance.of(each) if most > THRESHOLDS["curve"].least else None
+        found = None if balance is None else input_curve(balance, signs=True) or late_inputs(balance)
         if found is not None and found[1].numbers["unexplained_after"] < most:
             return found[1]
     return None
 
 
-def input_curve(case: Case, signs: bool) -> tuple[Suspicion, Finding] | None:
+def input_curve(balance: "Balance", signs: bool) -> tuple[Suspicion, Finding] | None:
     """The suspicion that an input acts by a curve, and the finding on it; None if all act as logged.
 
     With `signs` an input with the other sign is such a curve too.
     """
-    moving = np.flatnonzero(np.ptp(np.asarray(case.record.u), axis=0) > 0)
-    balance, accepted = Balance.of(case) if len(moving) else None, []
-    for rest in map(balance.beside_others, moving.tolist()) if balance else ():
+    accepted = []
+    for rest in map(balance.beside_others, balance.moving):
+        as_it_is, richest = (rest.unexplained(left) for left in (rest.residual(Curve()), rest.richest()))
+        if Comparison.of(as_it_is, richest).choosing > RICHER * as_it_is.share(~HELD_OUT, as_it_is.known):
+            continue
         one = rest.choose(rest.residual(Curve()), lambda rest=rest: _suspicions(rest, signs))
         accepted += [one] if one is not None else []
     return min(accepted, key=lambda one: one[1].numbers["unexplained_after"], default=None)
 
 
-def late_inputs(case: Case) -> tuple[Suspicion, Finding] | None:
+def late_inputs(balance: "Balance") -> tuple[Suspicion, Finding] | None:
     """The suspicion that all inputs act some rows later or earlier, and the finding on it; None if they are in time."""
-    moving, names = np.ptp(np.asarray(case.record.u), axis=0).any(), ", ".join(case.names.u)
-    balance = Balance.of(case) if moving else None
-    if balance is None:
+    if not balance.moving:
         return None
+    case, names = balance.case, ", ".join(balance.case.names.u)
     rest, u = balance.beside([]), np.asarray(case.record.u)
 
     def left(rows: int) -> Float[np.ndarray, "N"]:
         later = u[np.clip(np.arange(len(u)) - rows, 0, len(u) - 1)]
-        return rest.residual_of(np.stack([balance.by_input(later[:, j], j) for j in range(balance.inputs)], axis=1))
+        return rest.residual_of(np.stack([balance.by_input(later[:, j], j) for j in range(u.shape[1])], axis=1))
 
     def suspect() -> Iterator[tuple[Suspicion, Float[np.ndarray, "N"]]]:
         for rows in (side * k for k in SHIFTS if k <= len(u) / 8 for side in (1, -1)):
@@ -212,14 +215,14 @@ class Balance(NamedTuple):
         idle = accelerations(case.model, log._replace(u=none))
         effects = [accelerations(case.model, log._replace(u=none + unit)) - idle for unit in np.eye(log.u.shape[1])]
         made = cls(case, log, before, effects, np.empty((0, 0)))
-        weight = by_joints(case.model, log, np.asarray(jax.vmap(jax.grad(case.model.potential))(jnp.asarray(log.q))))
+        weight = by_joints(case.model, log, np.asarray(weights(case.model, log.q)))
         columns = [*(averaged(log, each) for each in (idle, *weight)), *friction_columns(case.model, log)]
         return made._replace(columns=np.stack([made.sized(each) for each in columns], axis=1))
 
     @property
-    def inputs(self) -> int:
-        """Number of inputs."""
-        return len(self.effects)
+    def moving(self) -> list[int]:
+        """Indices of the inputs that change."""
+        return np.flatnonzero(np.ptp(np.asarray(self.case.record.u), axis=0) > 0).tolist()
 
     @property
     def size(self) -> Float[np.ndarray, "n"]:
@@ -246,7 +249,7 @@ class Balance(NamedTuple):
 
     def beside_others(self, j: int) -> "Rest":
         """What is left to the curve of input j beside these numbers and any curves of the other inputs."""
-        return self.beside([self.by_corners(k) for k in range(self.inputs) if k != j], j)
+        return self.beside([self.by_corners(k) for k in range(len(self.effects)) if k != j], j)
 
     def beside(self, others: list[Float[np.ndarray, "N c"]], j: int = -1) -> "Rest":
         """What is left beside these numbers and multiples of other columns."""

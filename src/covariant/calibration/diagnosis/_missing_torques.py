@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant._typing import MatrixField, Vector
 from covariant.calibration.diagnosis._case import Case, Residual, averaged, input_effects, residual
@@ -112,6 +112,12 @@ def _suspicion(
         numbers={f"{kind} of {names.q[joint]}": value for kind, joint, value in missing},
         expected=regression.left(needed),
     )
+
+
+@eqx.filter_jit
+def weights(model: MechanicalSystem, q: Float[np.ndarray, "K n"]) -> Float[Array, "K n"]:
+    """Torques (K, n) that hold the weight of a model, and its springs."""
+    return jax.vmap(jax.grad(model.potential))(q)
 
 
 def by_joints(model: MechanicalSystem, log: Smooth, torque: Float[np.ndarray, "K n"]) -> list[np.ndarray]:

@@ -22,11 +22,11 @@ NUDGE = 1e-4
 """Movement of a zero [unit of the position] for the derivative in it."""
 
 
-def moving_zero(case: Case) -> tuple[Suspicion, Finding] | None:
+def moving_zero(balance: Balance) -> tuple[Suspicion, Finding] | None:
     """The suspicion that the zero of a position moves, and the finding on it; None if all stay."""
-    balance = Balance.of(case)
-    rest = None if balance is None else balance.beside([balance.by_corners(j)[:, :2] for j in range(balance.inputs)])
-    found = None if rest is None else rest.choose(rest.measured, lambda: _suspicions(rest))
+    case, of_inputs = balance.case, range(len(balance.effects))
+    rest = balance.beside([balance.by_corners(j)[:, :2] for j in of_inputs])
+    found = rest.choose(rest.measured, lambda: _suspicions(rest))
     if found is None:
         return None
     stated = np.broadcast_to(case.file.bias_drift, len(case.names.q))[case.names.q.index(found[0].where)] > 0

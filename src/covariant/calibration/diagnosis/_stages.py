@@ -24,7 +24,7 @@ from covariant.calibration.diagnosis._clock import set_forward, stamps
 from covariant.calibration.diagnosis._columns import COLUMNS
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Finding, Rows
-from covariant.calibration.diagnosis._input_curves import input_curve
+from covariant.calibration.diagnosis._input_curves import Balance, input_curve
 from covariant.calibration.diagnosis._jumps import (
     moved_zeros,
     period_findings,
@@ -319,8 +319,8 @@ def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding]
 def _correct_curves(case: Case) -> tuple[list[Finding], Case]:
     """Findings on inputs that act by a curve and on zeros that move, and the case without these."""
     findings = []
-    while len(findings) < MOST_CHANGES:
-        found = [one for one in (input_curve(case, signs=False), moving_zero(case)) if one is not None]
+    while len(findings) < MOST_CHANGES and (balance := Balance.of(case)) is not None:
+        found = [one for one in (input_curve(balance, signs=False), moving_zero(balance)) if one is not None]
         if not found:
             break
         shares = [one[1].numbers["unexplained_after"] for one in found]
