@@ -89,7 +89,7 @@ def held_friction() -> dict:
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        ({"sign": -1.0}, 'logged with the other sign: .* u = "-1"'),
+        ({"sign": -1.0}, 'logged with the other sign; .* u = "-1"'),
         ({"late": 0.03}, r"about 0\.03 s later .* delay = 0\.03"),
     ],
 )

@@ -66,7 +66,7 @@ def test_a_reversed_input_of_one_machine_is_named_and_mended(arms, tmp_path, mon
     paths, overrides = with_fault(arms, -1.0, 0)
     misread = fit("pendulum_chain", paths, "inertia,viscous", each="viscous", overrides=overrides, anyway=True)
     assert not misread.better
-    assert re.match(r'The input u in the logs of arm2 .* \[units\] u = "-1" in overrides', misread.details["suspicion"])
+    assert re.match(r'In the logs of arm2 u .* \[units\] u = "-1".* in overrides', misread.details["suspicion"])
     mended = [each | ({"units.u": "-1"} if "arm2" in path else {}) for each, path in zip(overrides, paths, strict=True)]
     right = fit("pendulum_chain", paths, "inertia,viscous", each="viscous", overrides=mended)
     assert right.better
@@ -78,7 +78,7 @@ def test_late_positions_of_one_machine_are_named(arms, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     paths, overrides = with_fault(arms, 1.0, 4)
     late = fit("pendulum_chain", paths, "inertia,viscous", each="viscous", overrides=overrides, anyway=True)
-    assert re.match(r"Positions in the logs of arm2 seem to follow u by about 0\.08 s", late.details["suspicion"])
+    assert re.match(r"In the logs of arm2 positions seem to follow u by about 0\.08 s", late.details["suspicion"])
     assert not late.better
 
 

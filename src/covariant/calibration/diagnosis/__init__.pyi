@@ -5,12 +5,12 @@ from ._case import (
     case_without_outliers as case_without_outliers,
     clearly as clearly,
     in_coordinates as in_coordinates,
-    names_of as names_of,
 )
 from ._clock import mended_clock as mended_clock
 from ._columns import units as units
 from ._diagnose import diagnose as diagnose
 from ._finding import Diagnosis as Diagnosis, Finding as Finding, later_line as later_line
+from ._input_curves import misread_input as misread_input
 from ._jumps import periods as periods
 from ._misfit import misfit as misfit
 from ._readings import (

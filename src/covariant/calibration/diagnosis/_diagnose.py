@@ -32,6 +32,7 @@ WEIGHTS = (
     *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
     *("clock", "nothing moves", "several senders"),
     *("unit of", "period", "swapped", "sign of", "axes of", "sensor", "zero of"),
+    *("lost counts", "offset", "limit", "dead band"),
     *("gravity", "model", "friction", "rotor inertia", "too little motion"),
     *("delay", "row shift", "scale of", "inputs between"),
     *("uncertainty", "noise", "interpolated", "ticks", "repeated", "outliers", "a position", "bias of"),

@@ -97,6 +97,12 @@ class Rows(NamedTuple):
         shown = ", ".join(self.named(int(k)) for k in places[:MOST_NAMED])
         return f"{shown} and {len(places) - MOST_NAMED} more" if len(places) > MOST_NAMED else shown
 
+    def listed_runs(self, places: np.ndarray) -> str:
+        """Text that names the first `MOST_NAMED` runs of neighbouring rows, and how many more there are."""
+        runs = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
+        texts = [self.named(int(run[0])) + f" to {self.named(int(run[-1]))}" * (len(run) > 1) for run in runs]
+        return ", ".join(texts[:MOST_NAMED]) + f" and {len(texts) - MOST_NAMED} more" * (len(texts) > MOST_NAMED)
+
 
 class Names(NamedTuple):
     """Columns and units of a log.
@@ -121,7 +127,7 @@ class Names(NamedTuple):
 
     def after(self, orders: Mapping[str, Sequence[int]], factors: Mapping[str, np.ndarray]) -> "Names":
         """Names and units after the columns of some fields are reordered, and then multiplied by factors."""
-        declared = {field: tuple(self._stated(field, i) for i in order) for field, order in orders.items()}
+        declared = {field: tuple(self.stated_unit(field, i) for i in order) for field, order in orders.items()}
         columns = {field: tuple(getattr(self, field)[i] for i in orders[field]) for field in ("q", "u")}
         reordered = self._replace(**columns, stated=declared)
         changed = {field: reordered.in_units(field, by) for field, by in factors.items() if (by != 1).any()}
@@ -136,7 +142,9 @@ class Names(NamedTuple):
     def in_units(self, field: str, factors: Sequence[float] | np.ndarray) -> tuple[str, ...]:
         """Units to state for the columns of a field, so that their numbers are multiplied by these factors."""
         kinds = [self._kind(field, i) for i in range(len(factors))]
-        return tuple(_unit_text(self._stated(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors))
+        return tuple(
+            _unit_text(self.stated_unit(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors)
+        )
 
     def _kind(self, field: str, place: int) -> str:
         """Unit of a column in the model; "1" where it states none."""
@@ -144,7 +152,8 @@ class Names(NamedTuple):
             return self.inputs[place] if place < len(self.inputs) else "1"
         return {"t": "s"}.get(field) or ("rad" if self.angles[place] else self.units[place] or "1")
 
-    def _stated(self, field: str, place: int) -> str:
+    def stated_unit(self, field: str, place: int) -> str:
+        """Unit in which a column of a field was read."""
         declared = self.stated.get(field, ())
         return declared[place if len(declared) > 1 else 0] if declared else self._kind(field, place)
 

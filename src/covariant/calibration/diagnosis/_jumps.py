@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._case import Case
 from covariant.calibration.diagnosis._finding import Finding, Names, Rows, stated_time
-from covariant.calibration.diagnosis._readings import FEWEST, local_std, prediction_errors
+from covariant.calibration.diagnosis._readings import FEWEST, local_std, prediction_errors, sudden_steps
 from covariant.calibration.diagnosis._suspicion import Suspicion
 from covariant.calibration.diagnosis._thresholds import (
     ALL_JUMPS,
@@ -25,8 +25,6 @@ from covariant.calibration.diagnosis._thresholds import (
 )
 from covariant.scoring import unwrap
 
-NEIGHBOURS = 5
-"""Number of neighbouring steps whose median is the motion in a step."""
 MOST_TOGETHER = 6
 """Rows between two readings of one sender up to which readings of the other one count as in turn with them."""
 HYPOTHESES = 8
@@ -69,10 +67,7 @@ def _period(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], tick: float) -
     # Readings run from one end to the other; what switches between two values is nowhere between them.
     if np.mean(np.abs(y - (y.max() + y.min()) / 2) < span / 4) < BETWEEN_ENDS:
         return 0.0
-    windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(steps / np.diff(t), NEIGHBOURS // 2, mode="edge"), NEIGHBOURS
-    )
-    jumps = steps - np.median(windows, axis=1) * np.diff(t)
+    jumps = sudden_steps(t, y)
     usual = max(1.4826 * float(np.median(np.abs(jumps))), tick)
     large = np.flatnonzero(np.abs(jumps) > max(WHOLE_RANGE / 2 * span, FAR * usual))
     if len(large) < FEWEST_WRAPS:

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from covariant._typing import MatrixField, Vector
 from covariant.calibration.diagnosis._case import Case, Residual, averaged, input_effects, residual
@@ -114,6 +114,24 @@ def _suspicion(
     )
 
 
+@eqx.filter_jit
+def weights(model: MechanicalSystem, q: Float[np.ndarray, "K n"]) -> Float[Array, "K n"]:
+    """Torques (K, n) that hold the weight of a model, and its springs."""
+    return jax.vmap(jax.grad(model.potential))(q)
+
+
+def by_joints(model: MechanicalSystem, log: Smooth, torque: Float[np.ndarray, "K n"]) -> list[np.ndarray]:
+    """Accelerations (K, n) by the torque of each joint alone."""
+    raised = np.asarray(_accelerations_by_torque(model, log.q, torque))
+    return [raised[:, i] for i in range(log.q.shape[1])]
+
+
+def friction_columns(model: MechanicalSystem, log: Smooth) -> list[Float[np.ndarray, "K n"]]:
+    """Averaged accelerations by a unit of viscous friction in each joint, and by one of Coulomb friction."""
+    torques = (-log.v, -np.tanh(log.v / _speeds(log)))
+    return [averaged(log, each) for torque in torques for each in by_joints(model, log, torque)]
+
+
 def without_gravity(model: MechanicalSystem) -> MechanicalSystem | None:
     """The model without gravity; None where its potential names no gravity, or has none."""
     potential: Any = model.potential
@@ -180,14 +198,10 @@ class _Regression(NamedTuple):
     def of(cls, model: MechanicalSystem, log: Smooth, before: Residual) -> "_Regression":
         held_out = HELD_OUT[blocks_of(int(before.used.sum()))]
         made = cls(np.empty((0, 0, 0)), np.empty((0, 0)), held_out, before)
-        torques = (-log.v, -np.tanh(log.v / _speeds(log)), -log.a)
-        columns = []
-        for kind, torque in zip(KINDS, torques, strict=True):
-            raised = np.asarray(_accelerations_by_torque(model, log.q, torque))  # (K, n, n): of each joint alone
-            # Measured accelerations are averages already.
-            smooth = (lambda values: values) if kind == "rotor inertia" else (lambda values: averaged(log, values))
-            columns += [made.sized(smooth(raised[:, i])) for i in range(log.q.shape[1])]
-        return made._replace(columns=np.array(columns), residual=made.sized(before.measured - before.modelled))
+        # Measured accelerations are averages already.
+        columns = [*friction_columns(model, log), *by_joints(model, log, -log.a)]
+        columns = np.array([made.sized(each) for each in columns])
+        return made._replace(columns=columns, residual=made.sized(before.measured - before.modelled))
 
     def weightless(self, after: Residual) -> "_Regression | None":
         """The same for residuals of the model without gravity; None where the log has some of its gravity."""

@@ -37,6 +37,12 @@ TOGETHER = 5
 """Number of neighbouring speeds of which the median is taken: one wrong measurement spoils two."""
 NEIGHBOURS = (4, 6, 8, 10)
 """Numbers of neighbours that predict a reading: the fewest whose errors are noise, and not motion between the rows."""
+BESIDE = 7
+"""Steps from reading to reading of which the median is the motion."""
+LONGEST_BURST, MOST_JUMPS, SAME_MOTION, FAST = 50, 0.1, 0.1, 4.0
+"""Most rows of a run of wrong readings, the fraction of steps that jump from which there are no such runs, the
+difference of the motions before and after it as a fraction of its jumps, and the usual step relative to the noise from
+which jumps are compared with it."""
 USUAL = 0.99
 """Quantile of these medians: high, since a log may stand still for a long time."""
 
@@ -86,8 +92,12 @@ def outliers(
     y = np.array(y, float)
     wrong, sizes = np.zeros(y.shape, bool), np.zeros(y.shape[1])
     for i, known in enumerate(np.broadcast_to(ticks, y.shape[1])):
-        remaining, error, floor = np.flatnonzero(np.isfinite(y[:, i])), np.zeros(1), np.zeros(1)
-        column = unwrap(y[:, i : i + 1], (0,) if i in circles else ())[:, 0]
+        around = (0,) if i in circles else ()
+        seen = np.flatnonzero(np.isfinite(y[:, i]))
+        wrong[seen, i] = _bursts(t[seen], unwrap(y[seen, i : i + 1], around)[:, 0], known, 2 * np.pi * len(around))
+        # Wrong readings may be half a turn apart, so that the readings after them are on another turn.
+        column = unwrap(np.where(wrong, np.nan, y)[:, i : i + 1], around)[:, 0]
+        remaining, error, floor = np.flatnonzero(np.isfinite(column)), np.zeros(1), np.zeros(1)
         for _ in range(ROUNDS):
             if len(remaining) < FEWEST:
                 break
@@ -114,7 +124,7 @@ def outliers(
             wrong[_readmit_rows(t, column, remaining, removed, scale), i] = False
             places = np.flatnonzero(wrong[:, i])
             sizes[i] = (
-                np.median(np.abs(column[places] - np.interp(t[places], t[remaining], column[remaining])))
+                np.median(np.abs(y[places, i] - np.interp(t[places], t[remaining], y[remaining, i])))
                 if len(places)
                 else 0.0
             )
@@ -143,6 +153,40 @@ def _errors(t, y, neighbours, at, value) -> np.ndarray:
                 weights[:, k] *= offsets[:, other] / (offsets[:, other] - offsets[:, k])
     # The variance of an error is that of the measurement and of its weighted neighbours.
     return (value - np.sum(weights * y[neighbours], axis=1)) / np.sqrt(1 + np.sum(weights**2, axis=1))
+
+
+def sudden_steps(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T1"]:
+    """Steps from reading to reading beyond the motion, which is the median of the neighbouring steps."""
+    steps, passed = np.diff(y), np.diff(t)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(steps / passed, BESIDE // 2, mode="edge"), BESIDE)
+    return steps - np.median(windows, axis=1) * passed
+
+
+def _bursts(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], tick: float, turn: float) -> Bool[np.ndarray, "T"]:
+    """Runs of readings to which neither the motion before nor that after leads, while each leads to the other.
+
+    A single reading is predicted by its neighbours; of a run they are wrong as well.
+    """
+    wrong = np.zeros(len(y), bool)
+    if len(y) < FEWEST:
+        return wrong
+    sudden = sudden_steps(t, y)
+    motion = float(np.quantile(np.abs(np.diff(y)), 0.9))
+    least = max(tick or Register.of(y).tick, motion / FAST, np.finfo(float).tiny)
+    usual = np.maximum(local_std(sudden, np.arange(len(sudden))), least)
+    jumps = np.flatnonzero(np.abs(sudden) > FAR * usual)
+    jumps = jumps[(jumps >= 2) & (jumps < len(y) - 3)] if len(jumps) < MOST_JUMPS * len(y) else jumps[:0]
+    for k in jumps:
+        for j in jumps[(jumps > k + 1) & (jumps <= k + LONGEST_BURST)]:
+            # Rows k + 1 to j are the run: readings against the motion with the mean of the speeds beside it.
+            speed = np.mean([(y[b] - y[a]) / (t[b] - t[a]) for a, b in ((k - 2, k), (j + 1, j + 3))])
+            off = y[k + 1 : j + 2] - y[k] - speed * (t[k + 1 : j + 2] - t[k])
+            off = np.abs(off - turn * np.rint(off / turn) if turn else off)
+            size = min(abs(sudden[k]), abs(sudden[j]))
+            if not wrong[k] and off[-1] < max(SAME_MOTION * size, FAR * usual[k]) < size / 2:
+                wrong[k + 1 : j + 1] = off[:-1] > size / 2
+                break
+    return wrong
 
 
 def _readmit_rows(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:
@@ -194,7 +238,7 @@ def outlier_findings(
         line = "nothing to change: estimates refuse such cells; empty them where they are known to be wrong"
         if many:
             line = "look for what disturbs the sensor; estimates refuse such cells, and scores leave them out"
-        evidence = f"{cells}, {by}: {rows.listed(places)}"
+        evidence = f"{cells}, {by}: {rows.listed_runs(places)}"
         numbers = {"cells": len(places), "share": share, "size": float(size)}
         findings.append(Finding("outliers", name, evidence, line, many, numbers))
     return findings

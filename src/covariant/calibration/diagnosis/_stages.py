@@ -24,6 +24,7 @@ from covariant.calibration.diagnosis._clock import set_forward, stamps
 from covariant.calibration.diagnosis._columns import COLUMNS
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Finding, Rows
+from covariant.calibration.diagnosis._input_curves import Balance, input_curve
 from covariant.calibration.diagnosis._jumps import (
     moved_zeros,
     period_findings,
@@ -33,6 +34,7 @@ from covariant.calibration.diagnosis._jumps import (
     without_full_turns,
 )
 from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
+from covariant.calibration.diagnosis._moving_zeros import moving_zero
 from covariant.calibration.diagnosis._on_group import group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
 from covariant.calibration.diagnosis._readings import known_ticks, missing_cells, readings, still_findings
@@ -219,6 +221,7 @@ def look_at_servos(log: Examination) -> bool:
 def look_at_columns(log: Examination) -> bool:
     """Units, order and signs of columns, and then the readings in the units of the model."""
     y, ticks = log.y, log.as_read.ticks
+    curves, log.case = _correct_curves(log.case)
     corrections, changes, log.case = _correct_columns(log.case)
     for each in corrections:
         log.as_read = each.apply(log.as_read) if each.what.startswith("unit of") else log.as_read
@@ -232,7 +235,7 @@ def look_at_columns(log: Examination) -> bool:
         _, log.repeated = find_repeats(changed, ticks, case.names.q, log.rows)
     noise = np.maximum(np.nan_to_num(readings(log.record._replace(y=changed), case.model.circles).std), ticks)
     forward = set_forward(log.rows.t, unwrap(changed, case.model.circles), noise, log.rows)
-    log.findings += [*forward, *log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *changes]
+    log.findings += [*forward, *log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *curves, *changes]
     # In another unit of time the readings have other rates too: they are judged once it is right.
     log.sensors = () if any(each.what == "unit of time" for each in changes) else log.sensors
     log.checks += ("sensors beside the positions",) if log.sensors else ()
@@ -311,6 +314,21 @@ def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding]
         if (accepted := judge(around, [suspicion], clearly_unexplained)) is not None:
             return accepted
     return None
+
+
+def _correct_curves(case: Case) -> tuple[list[Finding], Case]:
+    """Findings on inputs that act by a curve and on zeros that move, and the case without these."""
+    findings = []
+    while len(findings) < MOST_CHANGES and (balance := Balance.of(case)) is not None:
+        found = [one for one in (input_curve(balance, signs=False), moving_zero(balance)) if one is not None]
+        if not found:
+            break
+        shares = [one[1].numbers["unexplained_after"] for one in found]
+        # An offset of an input and a zero of a position look alike: the input is the simpler one.
+        suspicion, finding = found[int(shares[0] > THRESHOLDS["curve"].alike * min(shares))]
+        case = suspicion.apply(case)
+        findings.append(finding)
+    return findings, case
 
 
 def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:

@@ -175,7 +175,8 @@ def choose(
     if not comparison.passes(chosen.threshold):
         return None
     # A suspicion of another kind that explains as much contains this one, and is no rival.
-    rivals = [each.words.removeprefix("with ") for each, _ in alike[1:] if each.threshold == chosen.threshold]
+    others = (each for each, _ in alike[1:] if each.threshold == chosen.threshold and each.words != chosen.words)
+    rivals = [each.words.removeprefix("with ") for each in others]
     return chosen, chosen.finding(comparison, rivals, subject)
 
 

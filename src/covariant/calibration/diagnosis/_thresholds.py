@@ -39,6 +39,10 @@ THRESHOLDS = {
     "rotors": Threshold(0.01, 1 / 2, 0.15),
     # A column and torques together, where neither explains the log alone.
     "columns and torques": Threshold(0.15, 1 / 5, 0.15),
+    # Curves of an input, beside all that a model may have wrong: so a curve explains nothing that these do.
+    "curve": Threshold(2e-4, 1 / 2, 0.15, sure=3.0, alike=1.5),
+    # Zeros that move, of which many paths are tried, beside a model whose numbers may be wrong.
+    "moving zero": Threshold(1e-3, 1 / 4, 0.05, alike=1.5),
     # Delays by whole rows, and the course of inputs between rows, are small faults. 1 % of the size of the
     # accelerations.
     "rows": Threshold(1e-4, 1 / 2),
@@ -77,6 +81,8 @@ COMMON_ERRORS, COMMON_ROWS, COMMON_GAIN = 5.0, 1.5, LONG_GAIN
 """A delay of all coordinates against the inputs, and by which fraction the unexplained squares fall."""
 SCALE_ERRORS, SCALE_OFF, SCALE_GAIN = 5.0, 0.25, 0.5
 """A scale of an input: its deviation from 1, and the fraction by which it reduces the squares once others are right."""
+CURVE_ERRORS = 5.0
+"""Size of an offset, a limit or a dead band of an input, in standard errors, from which it may be one."""
 WHOLE_ROW = 0.2
 """Distance of a delay from a whole number of rows up to which its message says so, in rows."""
 NEEDED = 1.25

@@ -40,7 +40,6 @@ from ._predict import (
     rows_ahead as rows_ahead,
     worse_coordinates as worse_coordinates,
 )
-from ._rivals import Rival as Rival, better_reading as better_reading
 from ._robot_combinations import Combinations as Combinations
 from ._robot_fit import RobotFit as RobotFit, fit_robot as fit_robot
 from ._robot_likelihood import (

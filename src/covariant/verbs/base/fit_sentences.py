@@ -7,9 +7,8 @@ from jaxtyping import Float
 
 from covariant import scoring
 from covariant.calibration import Fit, RobotFit
-from covariant.calibration.diagnosis import later_line, names_of
-from covariant.calibration.identification import Rival
-from covariant.models import ModelFile, RobotFamily
+from covariant.calibration.diagnosis import Finding
+from covariant.models import RobotFamily
 from covariant.verbs.base.aligned import Aligned
 from covariant.verbs.base.fit_logs import BETWEEN
 
@@ -44,27 +43,14 @@ class Gain(NamedTuple):
         return abs(self.of_linear) > CLEAR * self.standard_error
 
 
-def rival_sentence(rival: Rival, file: ModelFile, held_out: str, step: float, machine: str = "") -> str:
-    """What another reading of the logs explains, or of those of one machine, with the line of the model file that says
-    so; `step` is of its rows."""
-    names, time = ", ".join(map(str, file.columns.u)), abs(rival.rows) * step
-    logs = f" in the logs of {machine}" if machine else ""
+def misread_sentence(finding: Finding, log: str, machine: str) -> str:
+    """What is wrong with the inputs of a log, or of the logs of one machine, with the line that mends it."""
     # The model file is that of all machines.
-    place = "overrides for these logs (from Python)" if machine else "the model file"
-    fit, predicted = ("a fit to these alone", f"those of {machine}") if machine else ("the same fit", held_out)
-    if rival.column >= 0:
-        column = file.columns.u[rival.column]
-        factors = np.where(np.arange(len(file.columns.u)) == rival.column, -1.0, 1.0)
-        claim = f"The input {column}{logs} seems to be logged with the other sign"
-        line = f"{names_of(file).line('u', factors)} in {place}, or by the signs of its positions"
-    elif rival.rows > 0:
-        claim = f"Positions{logs} seem to follow {names} by about {time:.2g} s later than the model file says"
-        line = later_line(file, time) + (f", in {place}" if machine else "")
-    else:
-        claim = f"The stamps of {names}{logs} seem to be about {time:.2g} s later than they act"
-        line = f"taking {time:.2g} s off them"
-    less = f"{fit} then predicts {predicted} with {rival.growth:.2g} times the errors"
-    return f"{claim}: {less}. Mend it by {line}, and fit again; `covariant check` looks closer"
+    place = " in overrides for these logs (from Python)" if machine and finding.line.startswith("[") else ""
+    where = f"the logs of {machine}" if machine else log
+    return (
+        f"In {where} {finding.evidence}. Mend it: {finding.line}{place}, and fit again; `covariant check` looks closer"
+    )
 
 
 def unlike_servos(family: RobotFamily, best: RobotFit, log: Aligned, left: Float[np.ndarray, "n"]) -> str:

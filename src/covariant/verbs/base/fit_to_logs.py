@@ -13,6 +13,7 @@ from covariant import models, scoring
 from covariant._linalg import known_rms
 from covariant._names import refuse_unknown
 from covariant.calibration import Fit, PredictionErrors, RobotFit, fit_robot, relations
+from covariant.calibration.diagnosis import misread_input
 from covariant.calibration.identification import (
     FITTED,
     MOST_ROWS,
@@ -21,7 +22,6 @@ from covariant.calibration.identification import (
     Solved,
     Unknowns,
     again,
-    better_reading,
     block_losses,
     error_growth,
     fit_servos,
@@ -45,8 +45,8 @@ from covariant.verbs.base.fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_o
 from covariant.verbs.base.fit_sentences import (
     Gain,
     input_details,
+    misread_sentence,
     number_rows,
-    rival_sentence,
     robot_details,
     servo_details,
     unlike_servos,
@@ -188,8 +188,19 @@ class _Problem:
 
     def suspicion(self, best: Any, part: _Part) -> str:
         """A sentence on another reading of the logs that explains them better than the fit; or ""."""
-        del best, part
+        del part
+        if not self.family.file.mechanical:  # no accelerations are known
+            return ""
+        for log, name, machine in zip(self.logs.logs, self.logs.names, self.logs.machines, strict=True):
+            # Of these logs the inputs are late in place of the positions.
+            file = log.loaded.file._replace(input_delay=log.late)
+            if (finding := misread_input(file, self.fitted(best, machine, file), log.raw)) is not None:
+                return misread_sentence(finding, name, self.machines[machine])
         return ""
+
+    def fitted(self, best: Any, machine: int, file: models.ModelFile) -> models.ModelFile:
+        """The model file with the fitted numbers of a machine."""
+        raise NotImplementedError
 
     def gain(self, fits: dict[str, Any]) -> Gain:
         """What linear inputs explain better than held ones."""
@@ -223,16 +234,9 @@ class _PredictionProblem(_Problem):
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
         return profile(best if part is None else again(best, part.rows)).fit
 
-    def suspicion(self, best: Solved, part: _Part) -> str:
-        """A sentence on a reversed input or late positions, where they explain the logs better than the fit; or ""."""
-        rival = better_reading(best, part.rows, part.judged, self.logs.length)
-        if rival is None:
-            return ""
-        misread = max(rival.machine, 0)
-        log = self.logs.logs[self.logs.machines.index(misread)]
-        step = float(np.median(np.diff(np.asarray(log.raw.t))))
-        machine = self.machines[misread] if rival.machine >= 0 else ""
-        return rival_sentence(rival, log.loaded.file, self.logs.held_out, step, machine)
+    def fitted(self, best: Solved, machine: int, file: models.ModelFile) -> models.ModelFile:
+        model, lag = self.family.make(best.fit.values[self.family.parts[machine]])
+        return file._replace(model=model, input_lag=float(lag))
 
     def gain(self, fits: dict[str, Solved]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
@@ -294,6 +298,9 @@ class _RobotProblem(_Problem):
         """The fit, once more to all rows of a part where it was found good there."""
         known = best.likeliest and not best.kept
         return likeliest_robot(self.unknowns, best, part.rows) if part is not None and known else best
+
+    def fitted(self, best: RobotFit, machine: int, file: models.ModelFile) -> models.ModelFile:
+        return file._replace(model=self.family.make(best.coordinates[self.family.parts[machine]]))
 
     def errors(self, best: RobotFit | None, part: _Part) -> PredictionErrors:
         """Root mean squares over the machines, of the first values where there is no fit."""
