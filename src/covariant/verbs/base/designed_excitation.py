@@ -93,7 +93,7 @@ def designed_excitation(
                 family, limits, sensing, plan._replace(duration=moving), file.reference_half, report
             )
             found = command_excitation(family, limits, sensing, plan, motion)
-            u, q, v, third, _ = found.designed
+            u, q, v, third, *_ = found.designed
             kind = {"torques": _third_names(file), "moving": moving}
     except InputError as error:
         raise InputError(f"{model}: {error}") from error
