@@ -1,6 +1,5 @@
 """Certificates of all first errors: simulated starts keep to them, the checker accepts them, mutants are refused."""
 
-import dataclasses
 import json
 
 import jax
@@ -15,8 +14,6 @@ from covariant.certificates.everywhere import _coupling
 from covariant.certificates.theory import _distance_certificate
 from covariant.models import Lagrangian
 from covariant.observers import MeasuredCoefficients
-from covariant.signals import StepCode
-from covariant.simulation import hold, simulate
 from scalargraph.proofs import digest
 
 RECIPE = models.recipe("pendulum_chain")
@@ -28,74 +25,6 @@ LOST = 1
 @pytest.fixture(scope="module")
 def proved():
     return certify_globally(ARM, velocity=1.0, interval=(STEP, STEP), lost=LOST, recipe=RECIPE)
-
-
-@pytest.fixture(scope="module")
-def swing():
-    """A free swing of two links, at less than 1 rad/s: stamps, positions, velocities, and the change of accelerations
-    within a sample, per second."""
-    t = jnp.asarray(np.arange(ROWS) * STEP)
-    still = jnp.zeros((ROWS, 2))
-    x = np.asarray(simulate(ARM, jnp.array([0.15, 0.1, 0.3, -0.2]), t, hold(t, still)).x)
-    q, v = np.split(x, 2, axis=1)
-    assert np.abs(v).max() < 0.99
-    accelerations = np.asarray(jax.vmap(lambda q, v: models.acceleration(ARM, 0.0, q, v, jnp.zeros(2)))(q, v))
-    return q, v, 1.05 * np.abs(np.diff(accelerations, axis=0)).max(0) / STEP
-
-
-def follow(observer, q, v, first, lost):
-    """Errors (K, n) of position and velocity after each measurement, with their times, and result codes."""
-    state = observer.init(jnp.asarray(q[0]))
-    state = state._replace(q=state.q + first[0], v=jnp.asarray(v[0]) + first[1])
-    state = state._replace(held=observer.clip(state.v))
-
-    def step(state, row):
-        state, info = observer.step(state, jnp.zeros(2), row, STEP)
-        return state, (state.q, state.v, info.result)
-
-    y = np.where(lost[:, None], np.nan, q)[1:]
-    _, (q_, v_, codes) = jax.jit(lambda s: jax.lax.scan(step, s, jnp.asarray(y)))(state)
-    seen = ~lost[1:]
-    times = STEP * np.arange(1, len(q))
-    return times[seen], (np.asarray(q_) - q[1:])[seen], (np.asarray(v_) - v[1:])[seen], np.asarray(codes)[seen]
-
-
-def norms(document, e, zeta):
-    x = np.stack([document.omega * e, zeta], axis=-1)
-    return np.sqrt((np.einsum("...ia,iab,...ib->...i", x, document.metrics, x) / document.weights**2).sum(-1))
-
-
-@pytest.mark.core(3)
-@pytest.mark.parametrize("some_lost", [False, True])
-def test_no_start_converges_slower_than_is_claimed(proved, swing, some_lost):
-    """Up to π rad and 20 rad/s off, with samples lost one at a time."""
-    (q, v, jerk), document = swing, proved.document
-    assert proved.statement.proved
-    rng = np.random.default_rng(0)
-    lost = np.zeros(ROWS, bool)
-    lost[3::3] = some_lost
-    rest = document._replace(jerk=jerk).radius()
-    for _ in range(6):
-        first = rng.uniform(-1, 1, (2, 2)) * [[np.pi], [20.0]]
-        t, e, zeta, _ = follow(proved.observer, q, v, first, lost)
-        bound = np.exp(-document.rate * t) * norms(document, *first) + rest
-        found = norms(document, e, zeta)
-        assert (found <= bound).all()
-        assert found[-1] < 0.01 * found[0]
-        assert (np.abs(zeta) <= document.reach[1] * bound[:, None]).all()
-
-
-def test_a_machine_that_is_too_fast_is_reported(proved, swing):
-    """The clip says after each sample that a velocity exceeds the bound, which is the premise."""
-    q, v, _ = swing
-    slow = dataclasses.replace(proved.observer, speed=jnp.array([0.3, 0.3]))
-    codes = {
-        speed: follow(each, q, v, np.zeros((2, 2)), np.zeros(ROWS, bool))[3]
-        for speed, each in ((1.0, proved.observer), (0.3, slow))
-    }
-    assert not (codes[1.0] == StepCode.ASTRAY).any()
-    fast = (np.abs(v[1:]) > 0.33).any(1)
-    assert (codes[0.3][fast] == StepCode.ASTRAY).mean() > 0.95
 
 
 def test_turns_of_circles_are_counted(proved):
