@@ -99,7 +99,7 @@ def test_what_is_computed_is_saved_and_printed_although_the_page_cannot_be_drawn
     def fail(*_):
         raise InputError("no ink")
 
-    monkeypatch.setattr("covariant.verbs.base.pages.write_page_and_figures", fail)
+    monkeypatch.setattr("covariant.verbs.base.pages.write_report", fail)
     words = ("estimate", MODEL, log, *SET, "-o", tmp_path / "a.csv", "--report", tmp_path / "page.html")
     code, out, error = leave(*words, *(["--json"] if form == "json" else []))
     assert (code, "no ink" in error, "innovation" in out) == (2, True, True)
