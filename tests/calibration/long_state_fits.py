@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import expm
 from test_state_fits import family, log, tank
 
+import covariant
 from covariant import models, scoring
 from covariant.calibration import fit
 from covariant.calibration._least_squares import Point
@@ -87,3 +88,17 @@ def test_a_search_ends_where_the_loss_is_least_though_the_numbers_change_the_gai
 
     slope = np.array([(loss(solved.point.z + row) - loss(solved.point.z - row)) / (2 * row.max()) for row in off])
     assert slope @ inverse @ slope < 0.3**2
+
+
+def test_an_input_of_the_other_sign_is_said_and_nothing_is_written():
+    """Rates that nobody knows would make up for it."""
+    record = log(1)
+    first = {"parameters.outflow": 0.9, "measurement.std": 5e-3, "inputs.between": "held"}
+    right, wrong = (
+        covariant.fit("test_state_fits:tank", record._replace(u=sign * record.u), "outflow", overrides=first)
+        for sign in (1, -1)
+    )
+    assert right.better
+    assert right.summary["suspicion"] == ""
+    assert not wrong.better
+    assert "[units] u" in wrong.summary["suspicion"]

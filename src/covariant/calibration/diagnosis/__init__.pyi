@@ -5,6 +5,7 @@ from ._case import (
     case_without_outliers as case_without_outliers,
     clearly as clearly,
     in_coordinates as in_coordinates,
+    names_of as names_of,
 )
 from ._clock import mended_clock as mended_clock
 from ._columns import units as units

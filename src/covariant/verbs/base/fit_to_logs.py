@@ -13,7 +13,7 @@ from covariant import models, scoring
 from covariant._linalg import known_rms
 from covariant._names import refuse_unknown
 from covariant.calibration import Fit, PredictionErrors, RobotFit, fit_robot, relations
-from covariant.calibration.diagnosis import misread_input
+from covariant.calibration.diagnosis import misread_input, names_of
 from covariant.calibration.identification import (
     FITTED,
     MOST_ROWS,
@@ -60,8 +60,8 @@ from scalargraph.errors import InputError
 
 DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
-CLEARLY_WORSE = 1.05
-"""Growth of held-out errors that is no chance."""
+CLEARLY_WORSE, LESS = 1.05, 0.8
+"""Growth of held-out errors that is no chance, and by which another reading is believed."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
 
@@ -189,8 +189,6 @@ class _Problem:
     def suspicion(self, best: Any, part: _Part) -> str:
         """A sentence on another reading of the logs that explains them better than the fit; or ""."""
         del part
-        if not self.family.file.mechanical:  # no accelerations are known
-            return ""
         for log, name, machine in zip(self.logs.logs, self.logs.names, self.logs.machines, strict=True):
             # Of these logs the inputs are late in place of the positions.
             file = log.loaded.file._replace(input_delay=log.late)
@@ -233,6 +231,19 @@ class _PredictionProblem(_Problem):
     def ended(self, best: Solved, part: _Part | None) -> Fit:
         """The fit after profiles of the likelihood: once more to all rows of a part, where it was found good there."""
         return profile(best if part is None else again(best, part.rows)).fit
+
+    def suspicion(self, best: Solved, part: _Part) -> str:
+        """A sentence on inputs that are misread; where no accelerations are compared, on one of the other sign."""
+        file, inputs = self.logs.logs[0].loaded.file, np.asarray(part.rows.inputs)
+        if file.mechanical and file.model.manifold.commuting:
+            return super().suspicion(best, part)
+        # A fit that needs no force has read its inputs right.
+        for signs in () if best.quiet else 1.0 - 2.0 * np.eye(inputs.shape[1]):
+            read = part._replace(rows=part.rows._replace(inputs=inputs * signs))
+            other = search(self.family, read.rows.only(~read.judged), start=best.fit.values, least=best.least)
+            if error_growth(self.errors(best, part), self.errors(other, read)) < LESS:
+                return f"An input seems to be logged with the other sign. Mend it: {names_of(file).line('u', signs)}"
+        return ""
 
     def fitted(self, best: Solved, machine: int, file: models.ModelFile) -> models.ModelFile:
         model, lag = self.family.make(best.fit.values[self.family.parts[machine]])
