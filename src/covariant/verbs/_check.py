@@ -1,9 +1,10 @@
 """`check`: what is wrong with a log, or with the model file for it, before anybody estimates from it."""
 
 import json
+import os
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -91,8 +92,31 @@ def _diagnose(job: Job) -> tuple[Loaded, Diagnosis]:
     if loaded.file.input_between == "held":  # what acted between two rows that are used counts in their interval
         record = acting_inputs(loaded.log.all_rows, rows=record)
     rows = (loaded.log.first_row, loaded.log.every)
-    diagnosis = diagnose(loaded.file, record, quantum, *rows, sensors, loaded.log.v)
+    family = None if file.input_kind == "command" else _family_of_guesses(job)
+    diagnosis = diagnose(loaded.file, record, quantum, *rows, sensors, loaded.log.v, family)
     return loaded, diagnosis._replace(findings=(*clock, *diagnosis.findings))
+
+
+def _family_of_guesses(job: Job) -> Callable[[], Any] | None:
+    """Function that makes the family of a model with its numbers open; None for a model in memory, or without any."""
+    if not isinstance(job.model, str | PathLike):
+        return None
+    spec = os.fspath(job.model)
+    content = models.document(spec, job.overrides)
+    parameters = content.get("parameters", {})
+    if content.get("system") == "robot":
+        names = [key for key in ("friction", "armature") if key in parameters]
+        return (lambda: models.robot_family(spec, names, job.overrides)) if names else None
+    names = [name for key, value in parameters.items() for name in _nonzero(key, value)]
+    return (lambda: models.family(spec, names, job.overrides)) if names else None
+
+
+def _nonzero(name: str, value: Any) -> list[str]:
+    """Names of the numbers within a value of [parameters] that are not zero."""
+    if isinstance(value, dict | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        return [inner for key, each in items for inner in _nonzero(f"{name}[{key}]", each)]
+    return [name] if isinstance(value, int | float) and not isinstance(value, bool) and value else []
 
 
 _SETTING = re.compile(r"""\[(\w+|servo\.[\w-]+)\] (\w+) = ("[^"]*"|\[[^]]*\]|[-+\w.]+)""")

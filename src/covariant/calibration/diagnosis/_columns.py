@@ -136,8 +136,10 @@ def _prefixed(names: Names, factor: float) -> str | None:
 def input_signs(
     case: Case, which: Iterable[int] | None = None, what: str = "an input", threshold: str = "columns"
 ) -> Iterator[Suspicion]:
-    """Inputs, all or those of some columns, with the other sign."""
+    """Inputs with the other sign: each of some columns, by default of all, or all together."""
     signs = list(_one_by_one(case.names.u, -1.0))
+    if which is None and len(signs) > 1:
+        signs.append((", ".join(case.names.u), np.full(len(signs), -1.0)))
     for name, factors in signs if which is None else [signs[j] for j in which]:
         change, line = _none(case)._replace(inputs=factors), case.names.line("u", factors)
         yield Suspicion(f"sign of {what}", name, f"with {name} with the other sign", line, change.apply, threshold)

@@ -13,7 +13,8 @@ Suspicions are judged against each other on rows held out, in an order where tha
 5. What is left when no suspicion explains it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +32,16 @@ WEIGHTS = (
     *OF_COMMANDS,
     *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
     *("clock", "nothing moves", "several senders"),
+    *("interpolated", "repeated", "outliers"),
     *("unit of", "period", "swapped", "sign of", "axes of", "sensor", "zero of"),
     *("lost counts", "offset", "limit", "dead band"),
-    *("gravity", "model", "friction", "rotor inertia", "too little motion"),
+    *("gravity", "friction", "rotor inertia", "too little motion"),
     *("delay", "row shift", "scale of", "inputs between"),
-    *("uncertainty", "noise", "interpolated", "ticks", "repeated", "outliers", "a position", "bias of"),
+    *("noise", "ticks", "a position", "bias of"),
+    *("numbers", "model", "uncertainty"),
 )
-"""How findings begin, in the order of what they invalidate: a wrong unit or order makes all numbers below it wrong."""
+"""How findings begin, in the order in which they have to be mended: a wrong unit or order makes all numbers below it
+wrong, and numbers of the model are fitted to a log that is right."""
 
 
 def diagnose(
@@ -48,6 +52,7 @@ def diagnose(
     every: int = 1,
     sensors: Sequence[Beside] = (),
     v: np.ndarray | None = None,
+    family: Callable[[], Any] | None = None,
 ) -> Diagnosis:
     """Compare a log with a model, and report what is wrong with the log, or with the model file for it.
 
@@ -67,6 +72,8 @@ def diagnose(
         sensors: Sensors beside the positions with their readings in the rows of the record, which are judged by what
             the positions predict of them; of a machine that is not in coordinates they are not.
         v: Velocities (T, n) of the log, which are compared with the slopes of the positions.
+        family: Function that makes the `Family` or `RobotFamily` of the model with its guesses open, which is called
+            if the model leaves much of the log; None where all numbers are known.
 
     Returns:
         The findings, sorted by what they invalidate: those first that make others meaningless. A log that fits has none
@@ -85,7 +92,7 @@ def diagnose(
     quantum = file.quantum if quantum is None else quantum
     if v is not None and in_coordinates(file):
         sensors = (*sensors, Beside.of_velocities(names_of(file), file.columns.v, v))
-    log = Examination(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors)
+    log = Examination(file, record, quantum, Rows(np.asarray(record.t), first_row, every), sensors, family)
     for stage in STAGES:
         if stage(log):
             break

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.calibration.diagnosis._finding import Finding, Rows
-from covariant.calibration.diagnosis._thresholds import FAR, FROZEN, IMPLAUSIBLE
+from covariant.calibration.diagnosis._thresholds import FAR, HELD_ROWS, IMPLAUSIBLE
 from covariant.models import MechanicalSystem
 from covariant.signals import Record
 
@@ -71,9 +71,9 @@ def _frozen(same: np.ndarray, steps: np.ndarray, complete: np.ndarray, rows: Row
         before, after = sizes[max(begins[k] - 3, 0) : begins[k]], sizes[ends[k] : ends[k] + 1]
         return bool((len(before) and np.median(before) > usual / 3) or (len(after) and after[0] > FAR * usual))
 
-    frozen = [k for k in range(len(begins)) if ends[k] - begins[k] > FAR * often and stops(k)]
+    frozen = [k for k in range(len(begins)) if ends[k] - begins[k] > max(FAR * often, HELD_ROWS) and stops(k)]
     total = int(sum(ends[k] - begins[k] for k in frozen))
-    if total <= FROZEN * count:
+    if not frozen:
         return []
     longest = max(frozen, key=lambda k: ends[k] - begins[k])
     run, first = int(ends[longest] - begins[longest]), rows.named(int(complete[begins[longest] + 1]))

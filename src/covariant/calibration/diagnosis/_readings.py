@@ -33,6 +33,10 @@ ALIKE = 0.05
 """Relative difference up to which the numbers of coordinates of one unit are reported as one."""
 ROUNDING = 1e-9
 """Differences of readings, relative to the largest of them, up to which they are rounding errors and no change."""
+UNEVEN = 10.0
+"""Largest noise around a reading relative to the usual one."""
+AMID = 6
+"""Rows on either side of one of which half are outliers, from which it belongs to their run."""
 TOGETHER = 5
 """Number of neighbouring speeds of which the median is taken: one wrong measurement spoils two."""
 NEIGHBOURS = (4, 6, 8, 10)
@@ -107,7 +111,9 @@ def outliers(
             floor = np.maximum(floor, COARSE * _local_range(column[remaining]))
             size = np.zeros(len(remaining))
             candidates = np.flatnonzero(np.abs(error) > FAR * floor)  # few: only they need the local deviation
-            scale = np.maximum(floor[candidates], local_std(error, candidates))
+            # In a long burst most neighbours are wrong too, but no noise is so many times as large as elsewhere.
+            most = UNEVEN * max(float(np.median(np.abs(error))), float(np.median(floor)))
+            scale = np.maximum(floor[candidates], np.minimum(local_std(error, candidates), most))
             size[candidates] = np.where(
                 np.abs(error[candidates]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[candidates]), 0.0
             )
@@ -117,7 +123,9 @@ def outliers(
                 break
             wrong[remaining[bad], i] = True
             remaining = remaining[~bad]
-        removed = np.flatnonzero(wrong[:, i])
+        while (amid := _amid(wrong[:, i]) & ~wrong[:, i]).any():
+            wrong[:, i] |= amid
+        remaining, removed = remaining[~wrong[remaining, i]], np.flatnonzero(wrong[:, i])
         if len(removed):
             sampled = np.arange(0, len(error), max(1, len(error) // SAMPLED))
             scale = float(np.median(np.maximum(floor[sampled], local_std(error, sampled))))
@@ -187,6 +195,13 @@ def _bursts(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], tick: float, t
                 wrong[k + 1 : j + 1] = off[:-1] > size / 2
                 break
     return wrong
+
+
+def _amid(wrong: Bool[np.ndarray, "T"]) -> Bool[np.ndarray, "T"]:
+    """Rows most of whose neighbours are wrong on both sides: by chance a reading of a burst fits among the others."""
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(wrong, AMID), 2 * AMID + 1)
+    before, after = around[:, :AMID].sum(axis=1), around[:, AMID + 1 :].sum(axis=1)
+    return (before + after >= AMID) & (np.minimum(before, after) > 0)
 
 
 def _readmit_rows(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float) -> np.ndarray:

@@ -115,7 +115,7 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
     span may look like.
     """
     t, y = rows.t, read
-    spans: dict[tuple[int, int], bool] = {}  # whether no rest looks like it
+    spans: dict[tuple[int, int], str] = {}  # thresholds
     white = None
     for i, column in enumerate(y.T):
         seen = np.flatnonzero(np.isfinite(column))
@@ -130,10 +130,11 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
             longer = [lengths[k] >= HELD_TIMES * beside.max(initial=1) for beside, _ in sides]
             at_once = any(long and _abrupt(away, smallest) for long, (_, away) in zip(longer, sides, strict=True))
             # A reading with noise is never the same twice, at rest neither.
-            sure = at_once or (case.ticks[i] == 0 and bool(white[i]))
+            noisy = case.ticks[i] == 0 and bool(white[i])
             if at_once or all(longer):
                 span = int(seen[begin]), int(seen[end])
-                spans[span] = spans.get(span, False) or sure
+                found = "frozen" if noisy else "part of the log" if at_once else "rest"
+                spans[span] = min(spans.get(span, found), found)  # in the order of the alphabet
     for begin, end in sorted(spans, key=lambda span: span[0] - span[1])[:MOST_RUNS]:
         # Columns of one sender stop together, with a row more or less where one of them turned.
         parts = [column[begin + 1 : end][np.isfinite(column[begin + 1 : end])] for column in y.T]
@@ -150,8 +151,8 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
             line = f"start = {stated_time(t[end + 1])} keeps the rows after that; or {line}"
         numbers = {"rows": end - begin + 1, "begin": float(t[begin]), "end": float(t[end])}
         apply = without_rows(list(held), float(t[begin]), float(t[end]))
-        threshold = "part of the log" if spans[begin, end] else "rest"
-        yield Suspicion("repeated rows", where, "without these readings", line, apply, threshold, claim, numbers)
+        words = "without these readings"
+        yield Suspicion("repeated rows", where, words, line, apply, spans[begin, end], claim, numbers)
 
 
 def _abrupt(x: Float[np.ndarray, "k"], smallest: float) -> bool:

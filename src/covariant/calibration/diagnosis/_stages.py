@@ -24,6 +24,7 @@ from covariant.calibration.diagnosis._clock import set_forward, stamps
 from covariant.calibration.diagnosis._columns import COLUMNS
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Finding, Rows
+from covariant.calibration.diagnosis._guesses import other_numbers
 from covariant.calibration.diagnosis._input_curves import Balance, input_curve
 from covariant.calibration.diagnosis._jumps import (
     moved_zeros,
@@ -90,6 +91,7 @@ class Examination:
         quantum: Ticks that the model file states, or None.
         rows: Stamps, and where the rows are in the file.
         sensors: Sensors beside the positions.
+        family: Function that makes the family of the model whose numbers may be guesses; None where none may.
         findings: Findings of the stages so far.
         checks: Names of the checks that were made.
         case: The log without outliers, as it is compared with the model.
@@ -103,6 +105,7 @@ class Examination:
     quantum: float | tuple[float, ...] | None
     rows: Rows
     sensors: Sequence[Beside]
+    family: Callable[[], Any] | None = None
     findings: list[Finding] = field(default_factory=list)
     checks: tuple[str, ...] = ("clock", "missing rows", "irregular stamps", "missing measurements")
     case: Case = field(init=False)
@@ -221,8 +224,10 @@ def look_at_servos(log: Examination) -> bool:
 def look_at_columns(log: Examination) -> bool:
     """Units, order and signs of columns, and then the readings in the units of the model."""
     y, ticks = log.y, log.as_read.ticks
+    corrections, changes, log.case = _correct_guesses(log.case, log.family)
     curves, log.case = _correct_curves(log.case)
-    corrections, changes, log.case = _correct_columns(log.case)
+    further, columns, log.case = _correct_columns(log.case)
+    corrections, changes = corrections + further, changes + columns
     for each in corrections:
         log.as_read = each.apply(log.as_read) if each.what.startswith("unit of") else log.as_read
     case, changed = log.case, np.asarray(log.as_read.record.y)
@@ -314,6 +319,19 @@ def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding]
         if (accepted := judge(around, [suspicion], clearly_unexplained)) is not None:
             return accepted
     return None
+
+
+def _correct_guesses(case: Case, family: Callable[[], Any] | None) -> tuple[list[Suspicion], list[Finding], Case]:
+    """The same beside other numbers of the model: at most one finding, on a change of columns or on the numbers."""
+    short = case._replace(record=busiest(case.record, FEW_ROWS))
+    changes = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
+    found = None if family is None else other_numbers(short, family, changes)
+    if found is None:
+        return [], [], case
+    model, change, finding = found
+    case = case if change is None else change.apply(case)
+    accepted = [] if change is None else [change]
+    return accepted, [finding], case._replace(model=model, file=case.file._replace(model=model))
 
 
 def _correct_curves(case: Case) -> tuple[list[Finding], Case]:

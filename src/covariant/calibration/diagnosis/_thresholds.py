@@ -33,6 +33,9 @@ THRESHOLDS = {
     # A log with a wrong unit, order or sign fits badly, and a corrected one fits well. Many corrections are tried, so
     # both are required. The first of several that explain the log is reported, and the others are named as rivals.
     "columns": Threshold(0.15, 1 / 3, 0.5, alike=1.5),
+    # Other numbers than a model file has, alone or with another unit, order or sign of columns; faults that are looked
+    # for later may be left.
+    "guesses": Threshold(0.05, 1 / 3, 0.3, alike=1.5),
     # Friction and gravity: 10 % of the size of the accelerations. A wrong mass or centre of mass leaves more than 15 %.
     "torques": Threshold(0.01, 1 / 2, 0.15, alike=1.5),
     # Rotors, which a wrong mass resembles, only where friction and gravity explain less.
@@ -56,6 +59,8 @@ THRESHOLDS = {
     "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5, alike=1.5),
     # Readings of a part of the log, which may be short: they look wrong by themselves, and the model says so as well.
     "part of the log": Threshold(1e-3, 1 / 2, 0.5, sure=-np.inf),
+    # Readings with noise that are all the same: no motion looks like it, whatever the model.
+    "frozen": Threshold(0.0, np.inf, sure=-np.inf),
     # The same of readings that look like those of a joint at rest, as by friction that the model lacks.
     "rest": Threshold(0.15, 1 / 10, 0.02, sure=-np.inf),
     # Torques and delays or scales together.
@@ -155,13 +160,13 @@ EDGE_JITTER = 0.15
 """Least deviation of the steps in time, as a fraction of the usual one, if rows come when a tick changes."""
 IMPLAUSIBLE = (1e-6, 30.0)
 """Steps in time [s] below and above which stamps of a machine that moves are not in seconds."""
-FROZEN = 0.1
-"""Least fraction of the rows in which an attitude that moves otherwise has one value."""
 
 WEIGHTLESS = 0.15
 """Largest multiple of the gravity of the model in torques that are called free of it."""
 EXPLAINED = 0.02
 """Unexplained share up to which a suspicion about a column needs no other beside it."""
+GUESS = np.log(30.0)
+"""Logarithm of the largest factor by which a number of the model may be off before it is no guess."""
 PLAIN_SCALE = 0.1
 """Relative difference between a fitted scale and a prefix of a unit up to which the prefix is named."""
 MOST_ROWS = 10_000
