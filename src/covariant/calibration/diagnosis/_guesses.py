@@ -27,6 +27,8 @@ not determine stays where it is."""
 ROUNDS, FALL, STEP, DAMPED = 25, 1e-3, 1.5, 1e6
 """Most steps of a fit, the relative fall of its cost at which it ends, its longest step in a logarithm, and the damping
 at which no step helps."""
+MOVED = 0.05
+"""Change of a logarithm from which a fit of the number is advised."""
 NAMED = 3
 """Largest number of guesses that evidence names: those that move most."""
 
@@ -74,13 +76,13 @@ class _Tried(NamedTuple):
 
 
 def other_numbers(
-    case: Case, family: Callable[[], Any], changes: Iterable[Suspicion]
+    case: Case, family: Callable[[], Any], changes: Iterable[Suspicion], threshold: str = "guesses"
 ) -> tuple[MechanicalSystem, Suspicion | None, Finding] | None:
     """The model with numbers that explain a case, the change of columns that they need, and the finding on either.
 
     None where the model explains most of the log, or no numbers do.
     """
-    as_it_is, limit = compared(case), THRESHOLDS["guesses"]
+    as_it_is, limit = compared(case), THRESHOLDS[threshold]
     if as_it_is is None or not as_it_is.told.any() or as_it_is.misfit < limit.least:
         return None
     guesses = Guesses.of(family())
@@ -92,7 +94,7 @@ def other_numbers(
         if found is None:
             continue
         one = _Tried(change, found[0], Comparison.of(now, Unexplained.of(found[1])))
-        tried += [one] if one.comparison.passes("guesses") else []
+        tried += [one] if one.comparison.passes(threshold) else []
         if change is None and tried and one.farthest < GUESS and one.comparison.choosing < EXPLAINED:
             break
     if not tried:
@@ -107,7 +109,7 @@ def other_numbers(
     words = guesses.words(best.x)
     if best.change is None:
         moved = dict.fromkeys(
-            name.partition("[")[0] for name, x in zip(guesses.names, best.x, strict=True) if abs(x) > limit.least
+            name.partition("[")[0] for name, x in zip(guesses.names, best.x, strict=True) if abs(x) > MOVED
         )
         line = f"covariant fit MODEL LOG --parameters {','.join(moved)}"
         suspicion = Suspicion("numbers of the model", "", f"with {words}", line, lambda case: case)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.calibration.diagnosis._finding import Finding, Rows
-from covariant.calibration.diagnosis._thresholds import FAR, HELD_ROWS, IMPLAUSIBLE
+from covariant.calibration.diagnosis._thresholds import FAR, HELD_ROWS, PLAUSIBLE
 from covariant.models import MechanicalSystem
 from covariant.signals import Record
 
@@ -23,17 +23,19 @@ def group_findings(model: MechanicalSystem, record: Record, line: str, rows: Row
         return []
     steps = np.abs(np.asarray(_displacements(model, jnp.asarray(y[complete]))))
     same = (np.diff(y[complete].reshape(len(complete), -1), axis=0) == 0).all(axis=1)
-    return [*_clock(np.asarray(record.t)[complete], steps, line), *_frozen(same, steps, complete, rows)]
+    return [*clock_findings(np.asarray(record.t)[complete], steps, line), *_frozen(same, steps, complete, rows)]
 
 
 def _displacements(model: MechanicalSystem, y):
     return jax.jit(jax.vmap(model.manifold.local))(y[:-1], y[1:])
 
 
-def _clock(t: np.ndarray, steps: np.ndarray, line: str) -> list[Finding]:
+def clock_findings(
+    t: np.ndarray, steps: np.ndarray, line: str, plausible: tuple[float, float] = PLAUSIBLE
+) -> list[Finding]:
     """A finding on steps in time that no machine has, with the unit in which time and rates are usual ones."""
     step = float(np.median(np.diff(t)))
-    if IMPLAUSIBLE[0] <= step <= IMPLAUSIBLE[1]:
+    if plausible[0] <= step <= plausible[1]:
         return []
     moved = np.median(np.max(steps, axis=1))
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from covariant.calibration.diagnosis._case import Case
-from covariant.calibration.diagnosis._columns import COUNTS, Change, input_signs, swapped_inputs
+from covariant.calibration.diagnosis._columns import ANGLES, COUNTS, Change, input_signs, swapped_inputs
 from covariant.calibration.diagnosis._servo_errors import JointServos, Prepared, errors
 from covariant.calibration.diagnosis._suspicion import Suspicion
 
@@ -46,6 +46,20 @@ def _command_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -
         yield Suspicion("unit of a command", where, f"with {where} in {unit}", line, change.apply, "servo")
 
 
+def _angle_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
+    """Positions and commands alike in degrees or turns, of which the weight of the links tells."""
+    names, column, angles = case.names, JointServos.of(case).column, case.names.angles
+    for unit in ("degrees", "turns") if off.any() else ():
+        position, inputs = np.where(angles, ANGLES[unit], 1.0), np.ones(len(names.u))
+        inputs[column] = position[JointServos.of(case).joint]
+        change = Change.none(len(names.q), len(names.u))._replace(position=position, inputs=inputs)
+        line, words = (
+            f"{names.line('q', position)}; {names.line('u', inputs)}",
+            f"with positions and commands in {unit}",
+        )
+        yield Suspicion("unit of positions", "", words, line, change.apply, "servo")
+
+
 def _command_signs(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> Iterator[Suspicion]:
     return input_signs(case, JointServos.of(case).column[off], "a command", "servo")
 
@@ -75,5 +89,5 @@ def _wrapped_commands(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]
         )
 
 
-COMMANDS = (_command_units, _command_signs, _swapped_commands, _wrapped_commands)
+COMMANDS = (_command_units, _angle_units, _command_signs, _swapped_commands, _wrapped_commands)
 """Suspicions about columns of commands, in order of preference."""

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from covariant.calibration.diagnosis._jumps import (
 )
 from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
 from covariant.calibration.diagnosis._moving_zeros import moving_zero
-from covariant.calibration.diagnosis._on_group import group_findings
+from covariant.calibration.diagnosis._on_group import clock_findings, group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
 from covariant.calibration.diagnosis._readings import known_ticks, missing_cells, readings, still_findings
 from covariant.calibration.diagnosis._repeats import find_repeats, made_rows, stuck
@@ -53,7 +53,14 @@ from covariant.calibration.diagnosis._suspicion import (
     judge,
     unexplained_at,
 )
-from covariant.calibration.diagnosis._thresholds import BARELY, EXPLAINED, FEW_ROWS, MOST_ROWS, THRESHOLDS
+from covariant.calibration.diagnosis._thresholds import (
+    BARELY,
+    EXPLAINED,
+    FEW_ROWS,
+    MOST_ROWS,
+    PLAUSIBLE_OF_SERVOS,
+    THRESHOLDS,
+)
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
 from covariant.calibration.diagnosis._unexplained import constant_inputs, unexplained
 from covariant.models import ModelFile
@@ -72,6 +79,8 @@ AROUND_PART, FEWEST_AROUND = 3, 150
 either side, and on at least so many rows."""
 MOST_CHANGES = 3
 """Suspicions about columns that are accepted one after another."""
+BETTER = 0.5
+"""What other numbers of the model leave at most, relative to what a fault leaves, to be the cause instead of it."""
 COMPARED = (
     *("units", "order and signs of columns", "scales of inputs", "delays"),
     *("friction and rotor inertia", "accelerations"),
@@ -214,6 +223,8 @@ def look_at_servos(log: Examination) -> bool:
         return False
     ticks = log.case.ticks
     on_servos, case = servo_findings(log.case)
+    steps, line = np.abs(np.nan_to_num(np.diff(log.y, axis=0))), log.file.columns.t
+    log.findings += clock_findings(log.rows.t, steps, line, PLAUSIBLE_OF_SERVOS)
     log.findings += [*log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *on_servos]
     log.findings += [*_sensors(case, log.quantum, log.edges), *sensor_checks(case, log.rows.t, log.sensors)]
     log.checks += ("sensors beside the positions",) if log.sensors else ()
@@ -256,6 +267,29 @@ def compare_accelerations(log: Examination) -> bool:
         log.findings.append(standstill(case.record, case.model.circles, case.names, case.ticks))
         return True
     log.checks += COMPARED
+    found = _beyond_columns(log, case, best, constant)
+    if any(each.wrong for each in found.findings) and log.family is not None:
+        short = case._replace(record=busiest(case.record, FEW_ROWS))
+        other = other_numbers(short, log.family, (), "guesses or a fault")
+        if other is not None and other[2].numbers["unexplained_after"] < BETTER * found.left:
+            # Guesses that are off look like delays, scales and friction, which leave more.
+            case = case._replace(model=other[0], file=case.file._replace(model=other[0]))
+            wrong = other[2].numbers["unexplained"] > THRESHOLDS["guesses"].least
+            log.findings.append(other[2]._replace(wrong=wrong))
+            found = _beyond_columns(log, case, best_window(case) or best, constant)
+    log.findings += found.findings
+    return True
+
+
+class _Found(NamedTuple):
+    """Findings on what accelerations tell, and the unexplained share that they leave."""
+
+    findings: list[Finding]
+    left: float
+
+
+def _beyond_columns(log: Examination, case: Case, best: tuple[float, Residual], constant: str) -> _Found:
+    """Findings on torques that the model lacks, delays, scales, rows and noise."""
     lacking, case, timing = _torques_or_timing(case, *best)
     delays = timing.findings(case, best[0])
     if lacking and not timing.explains_most(case, best[0]):
@@ -265,10 +299,11 @@ def compare_accelerations(log: Examination) -> bool:
     # Readings of a column that is rows late are those of a sensor only in their own rows.
     shift = [sum(int(each.numbers["rows"]) for each in small if each.where == name) for name in case.names.q]
     moved = case.with_readings(moved_rows(np.asarray(case.record.y), timing.rows + np.array(shift)))
-    left = [] if small else unexplained(case, smoothed_residual(in_time, best[0]), best[0], constant)
+    after = smoothed_residual(in_time, best[0])
+    left = [] if small else unexplained(case, after, best[0], constant)
     beside = sensor_checks(case, log.rows.t, log.sensors, timing.delay - timing.delay.min())
-    log.findings += [*_sensors(moved, log.quantum, log.edges), *beside, *lacking, *delays, *small, *left]
-    return True
+    share = min([after.misfit, *(each.numbers["unexplained_after"] for each in small)])
+    return _Found([*_sensors(moved, log.quantum, log.edges), *beside, *lacking, *delays, *small, *left], share)
 
 
 STAGES: tuple[Stage, ...] = (

@@ -36,6 +36,8 @@ THRESHOLDS = {
     # Other numbers than a model file has, alone or with another unit, order or sign of columns; faults that are looked
     # for later may be left.
     "guesses": Threshold(0.05, 1 / 3, 0.3, alike=1.5),
+    # Other numbers in place of a delay, a scale or friction.
+    "guesses or a fault": Threshold(1e-3, 1 / 3, 0.3, alike=1.5),
     # Friction and gravity: 10 % of the size of the accelerations. A wrong mass or centre of mass leaves more than 15 %.
     "torques": Threshold(0.01, 1 / 2, 0.15, alike=1.5),
     # Rotors, which a wrong mass resembles, only where friction and gravity explain less.
@@ -158,8 +160,8 @@ ONE_TICK = 0.95
 """Fraction of changes by one tick from which every row is an edge of the encoder."""
 EDGE_JITTER = 0.15
 """Least deviation of the steps in time, as a fraction of the usual one, if rows come when a tick changes."""
-IMPLAUSIBLE = (1e-6, 30.0)
-"""Steps in time [s] below and above which stamps of a machine that moves are not in seconds."""
+PLAUSIBLE, PLAUSIBLE_OF_SERVOS = (1e-6, 30.0), (1e-6, 1.0)
+"""Steps in time [s] below and above which stamps of a machine that moves, or of servos, are not in seconds."""
 
 WEIGHTLESS = 0.15
 """Largest multiple of the gravity of the model in torques that are called free of it."""
