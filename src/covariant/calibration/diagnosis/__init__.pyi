@@ -11,9 +11,9 @@ from ._clock import mended_clock as mended_clock
 from ._columns import units as units
 from ._diagnose import diagnose as diagnose
 from ._finding import Diagnosis as Diagnosis, Finding as Finding, later_line as later_line
-from ._input_curves import misread_input as misread_input
 from ._jumps import periods as periods
 from ._misfit import misfit as misfit
+from ._misread import misread_input as misread_input
 from ._readings import (
     ROUNDING as ROUNDING,
     one_or_each as one_or_each,

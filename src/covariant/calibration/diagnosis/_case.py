@@ -132,13 +132,23 @@ def _accelerations(model: MechanicalSystem, n: int, m: int) -> Callable:
 
 
 class Case(NamedTuple):
-    """A record in coordinates, without outliers, the model to compare it with, and the ticks of its encoders."""
+    """A record in coordinates, without outliers, and what it is compared with.
+
+    Attributes:
+        file, model: The model, and its data sheet.
+        names: Columns and units.
+        record: The record.
+        ticks: Ticks (n,) of its encoders.
+        effects: Function from a smoothed log to the accelerations (K, n) by each number of the model that may be wrong;
+            None where they are not known.
+    """
 
     file: ModelFile
     model: MechanicalSystem
     names: Names
     record: Record
     ticks: np.ndarray
+    effects: Callable[[Smooth], list[np.ndarray]] | None = None
 
     @property
     def spacing(self) -> float:

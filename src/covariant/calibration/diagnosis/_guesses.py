@@ -5,7 +5,7 @@ the log with each change of its columns. Where several explain it, the one for w
 the cause: in another unit of an input all masses would be a thousand times as large.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,11 +16,14 @@ from jaxtyping import Float
 
 from covariant.calibration.diagnosis._case import Case, Residual, averaged, clearly, compared
 from covariant.calibration.diagnosis._finding import Finding
+from covariant.calibration.diagnosis._input_curves import corner_parts
 from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import HELD_OUT, Comparison, Suspicion, Unexplained, blocks_of
 from covariant.calibration.diagnosis._thresholds import EXPLAINED, GUESS, THRESHOLDS
 from covariant.models import Family, MechanicalSystem, acceleration
 
+NUMBERS = "numbers of the model"
+"""Name of the finding on them."""
 PRICE = 1e-4
 """What a change by a factor of e costs, as a fraction of the squares of the accelerations: a number that the log does
 not determine stays where it is."""
@@ -72,13 +75,20 @@ class _Tried(NamedTuple):
 
     @property
     def farthest(self) -> float:
+        """The largest move of a guess."""
         return float(np.abs(self.x).max())
+
+    @property
+    def plain(self) -> bool:
+        """Whether it explains all of the log by guesses that may be off so far."""
+        return self.farthest < GUESS and self.comparison.choosing < EXPLAINED
 
 
 def other_numbers(
     case: Case, family: Callable[[], Any], changes: Iterable[Suspicion], threshold: str = "guesses"
-) -> tuple[MechanicalSystem, Suspicion | None, Finding] | None:
-    """The model with numbers that explain a case, the change of columns that they need, and the finding on either.
+) -> tuple[Callable[[Case], Case], Suspicion | None, Finding] | None:
+    """Numbers that explain a case, as a function from a case to that with them, the change of columns that they need,
+    and the finding on either.
 
     None where the model explains most of the log, or no numbers do.
     """
@@ -86,17 +96,20 @@ def other_numbers(
     if as_it_is is None or not as_it_is.told.any() or as_it_is.misfit < limit.least:
         return None
     guesses = Guesses.of(family())
-    accelerate, now, tried = _with_slopes(guesses), Unexplained.of(as_it_is), list[_Tried]()
-    for change in (None, *changes):
-        changed = case if change is None else change.apply(case)
-        log = clearly(changed)
-        found = None if log is None else _fit(guesses, accelerate, log)
-        if found is None:
-            continue
-        one = _Tried(change, found[0], Comparison.of(now, Unexplained.of(found[1])))
-        tried += [one] if one.comparison.passes(threshold) else []
-        if change is None and tried and one.farthest < GUESS and one.comparison.choosing < EXPLAINED:
-            break
+    accelerate, now = _with_slopes(guesses), Unexplained.of(as_it_is)
+
+    def attempt(change: Suspicion | None, curves: bool = False) -> Iterator[_Tried]:
+        log = clearly(case if change is None else change.apply(case))
+        found = None if log is None else _fit(guesses, accelerate, log, curves)
+        if found is not None:
+            one = _Tried(change, found[0], Comparison.of(now, Unexplained.of(found[1])))
+            yield from [one] if one.comparison.passes(threshold) else []
+
+    tried = list(attempt(None))
+    if not any(one.plain for one in tried):
+        tried += [one for change in changes for one in attempt(change)]
+    if not any(one.plain for one in tried):
+        tried += attempt(None, curves=True)
     if not tried:
         return None
     least = max(limit.alike * min(one.comparison.choosing for one in tried), EXPLAINED)
@@ -108,14 +121,21 @@ def other_numbers(
         return None
     words = guesses.words(best.x)
     if best.change is None:
-        moved = dict.fromkeys(
-            name.partition("[")[0] for name, x in zip(guesses.names, best.x, strict=True) if abs(x) > MOVED
-        )
-        line = f"covariant fit MODEL LOG --parameters {','.join(moved)}"
-        suspicion = Suspicion("numbers of the model", "", f"with {words}", line, lambda case: case)
+        moved = (name for name, x in zip(guesses.names, best.x, strict=True) if abs(x) > MOVED)
+        names = dict.fromkeys(name.partition("[")[0] for name in moved)
+        line = f"covariant fit MODEL LOG --parameters {','.join(names)}"
+        suspicion = Suspicion(NUMBERS, "", f"with {words}", line, lambda case: case)
     else:
         suspicion = best.change._replace(words=f"{best.change.words} and {words}")
-    return guesses.at(best.x), best.change, suspicion.finding(best.comparison)
+    model = guesses.at(best.x)
+
+    def effects(log: Smooth) -> list[np.ndarray]:
+        return list(np.moveaxis(np.asarray(accelerate(best.x, log.t, log.q, log.v, log.u)[1]), -1, 0))
+
+    def apply(case: Case) -> Case:
+        return case._replace(model=model, file=case.file._replace(model=model), effects=effects)
+
+    return apply, best.change, suspicion.finding(best.comparison)
 
 
 def _with_slopes(guesses: Guesses) -> Callable:
@@ -130,22 +150,46 @@ def _with_slopes(guesses: Guesses) -> Callable:
     return eqx.filter_jit(jax.vmap(one, (None, 0, 0, 0, 0)))
 
 
-def _fit(guesses: Guesses, accelerate: Callable, log: Smooth) -> tuple[Float[np.ndarray, "p"], Residual] | None:
+def _fit(
+    guesses: Guesses, accelerate: Callable, log: Smooth, curves: bool
+) -> tuple[Float[np.ndarray, "p"], Residual] | None:
     """Logarithms (p,) by which guesses move, and what the model then leaves of a smoothed log, by Levenberg and
-    Marquardt's method on the blocks that choose; None for a log without accelerations."""
+    Marquardt's method on the blocks that choose; None for a log without accelerations. With `curves` each input acts by
+    any curve, which is eliminated in each step."""
     none = np.zeros_like(log.a)
     told = Residual(log.a, none, log.used & np.isfinite(log.a).all(axis=1), log.a_noise)
     if not told.told.any():
         return None
     size = np.sqrt(2 * told.scale)
     chosen = ~HELD_OUT[blocks_of(int(told.used.sum()))]
+    idle = np.zeros_like(log.u)
+    parts = [corner_parts(column) for column in log.u.T] if curves else []
+
+    def some(values: np.ndarray) -> np.ndarray:
+        return (values / size.reshape(-1, *np.ones(values.ndim - 2, int)))[told.used][chosen][:, told.told].reshape(
+            -1, *values.shape[2:]
+        )
 
     def at(x):
-        modelled, slopes = map(np.asarray, accelerate(x, log.t, log.q, log.v, log.u))
+        modelled, slopes = map(np.asarray, accelerate(x, log.t, log.q, log.v, idle if curves else log.u))
+        units = [
+            np.asarray(accelerate(x, log.t, log.q, log.v, idle + one)[0])
+            for one in np.eye(log.u.shape[1])[: len(parts)]
+        ]
+        acting = [
+            averaged(log, part[:, None] * (unit - modelled))
+            for unit, each in zip(units, parts, strict=True)
+            for part in each
+        ]
         modelled = averaged(log, modelled)
-        columns = np.stack([averaged(log, each) for each in np.moveaxis(slopes, -1, 0)], axis=-1)
-        left, columns = (log.a - modelled) / size, columns / size[:, None]
-        left, columns = (each[told.used][chosen][:, told.told].reshape(-1, *each.shape[2:]) for each in (left, columns))
+        columns = some(np.stack([averaged(log, each) for each in np.moveaxis(slopes, -1, 0)], axis=-1))
+        left = some(log.a - modelled)
+        if acting:
+            by_curves = np.stack(acting, axis=-1)
+            basis = some(by_curves)
+            multiples = np.linalg.lstsq(basis, np.column_stack([left, columns]), rcond=1e-9)[0]
+            left, columns = left - basis @ multiples[:, 0], columns - basis @ multiples[:, 1:]
+            modelled = modelled + by_curves @ multiples[:, 0]
         cost = np.mean(left**2) + PRICE * np.sum(x**2)
         normal = columns.T @ columns / len(left) + PRICE * np.eye(len(x))
         finite = np.isfinite(cost) and np.isfinite(normal).all()

@@ -21,9 +21,6 @@ from covariant.calibration.diagnosis._case import (
     acting,
     averaged,
     best_window,
-    busiest,
-    case_without_outliers,
-    in_coordinates,
     smoothed,
 )
 from covariant.calibration.diagnosis._finding import Finding, later_line
@@ -38,10 +35,8 @@ from covariant.calibration.diagnosis._suspicion import (
     blocks_of,
     choose,
 )
-from covariant.calibration.diagnosis._thresholds import CURVE_ERRORS, MOST_ROWS, THRESHOLDS
+from covariant.calibration.diagnosis._thresholds import CURVE_ERRORS, THRESHOLDS
 from covariant.logs import unit_factor
-from covariant.models import ModelFile
-from covariant.signals import Record
 
 CORNERS = np.linspace(0.0, 1.0, 9)[1:-1]
 """Quantiles of an input at which its richest curve has a corner."""
@@ -109,44 +104,6 @@ MEMBERS = {
 """Numbers of the curves by the name of their finding, from simple to rich."""
 
 
-def misread_input(file: ModelFile, fitted: ModelFile, record: Record) -> Finding | None:
-    """The finding on an input that acts by another curve than logged, with the other sign, or at another time.
-
-    Numbers that are fitted to such a log make up for it as far as they can, so the first ones are asked too where the
-    fitted ones leave more of the accelerations than these do once the log is mended.
-
-    Args:
-        file: The model and its data sheet, with first values.
-        fitted: The same with fitted ones.
-        record: The log as it was read.
-
-    Returns:
-        The finding, whose line mends the log; None where all inputs act as logged, or the model is not in coordinates.
-
-    Example:
-        >>> import covariant
-        >>> from covariant.calibration.diagnosis import misread_input
-        >>> from covariant.models import load
-        >>> log = covariant.simulate("oscillator", duration=20.0, rate=100.0, amplitude=2.0, noise=1e-4).record
-        >>> spring = load("oscillator")
-        >>> misread_input(spring, spring, log) is None
-        True
-        >>> misread_input(spring, spring, log._replace(u=log.u + 0.5)).what
-        'offset of an input'
-    """
-    case = case_without_outliers(fitted, busiest(record, MOST_ROWS))[0] if in_coordinates(file) else None
-    balance = None if case is None else Balance.of(case)
-    if case is None or balance is None:
-        return None
-    first = case._replace(file=file, model=file.model)
-    for each, most in ((case, np.inf), (first, balance.before.misfit / 2)):
-        balance = Balance.of(each) if most > THRESHOLDS["curve"].least else None
-        found = None if balance is None else input_curve(balance, signs=True) or late_inputs(balance)
-        if found is not None and found[1].numbers["unexplained_after"] < most:
-            return found[1]
-    return None
-
-
 def input_curve(balance: "Balance", signs: bool) -> tuple[Suspicion, Finding] | None:
     """The suspicion that an input acts by a curve, and the finding on it; None if all act as logged.
 
@@ -187,6 +144,11 @@ def late_inputs(balance: "Balance") -> tuple[Suspicion, Finding] | None:
     return rest.choose(left(0), suspect)
 
 
+def corner_parts(u: Float[np.ndarray, "T"]) -> list[Float[np.ndarray, "T"]]:
+    """The parts of which any curve of an input consists: a constant, a line, and its corners."""
+    return [np.ones_like(u), u, *(np.maximum(u - corner, 0.0) for corner in np.unique(np.quantile(u, CORNERS)))]
+
+
 class Balance(NamedTuple):
     """What explains the accelerations of a log: at N points and coordinates that are compared, in usual sizes.
 
@@ -217,6 +179,8 @@ class Balance(NamedTuple):
         made = cls(case, log, before, effects, np.empty((0, 0)))
         weight = by_joints(case.model, log, np.asarray(weights(case.model, log.q)))
         columns = [*(averaged(log, each) for each in (idle, *weight)), *friction_columns(case.model, log)]
+        if case.effects is not None and before.misfit > THRESHOLDS["guesses"].least:
+            columns += case.effects(log)
         return made._replace(columns=np.stack([made.sized(each) for each in columns], axis=1))
 
     @property
@@ -242,10 +206,8 @@ class Balance(NamedTuple):
         return self.sized(averaged(self.log, held * self.effects[j]))
 
     def by_corners(self, j: int) -> Float[np.ndarray, "N c"]:
-        """Accelerations by the parts of which any curve of input j consists: a constant, a line, and its corners."""
-        u = np.asarray(self.case.record.u)[:, j]
-        parts = [np.ones_like(u), u, *(np.maximum(u - corner, 0.0) for corner in np.unique(np.quantile(u, CORNERS)))]
-        return np.stack([self.by_input(part, j) for part in parts], axis=1)
+        """Accelerations by the parts of which any curve of input j consists."""
+        return np.stack([self.by_input(part, j) for part in corner_parts(np.asarray(self.case.record.u)[:, j])], axis=1)
 
     def beside_others(self, j: int) -> "Rest":
         """What is left to the curve of input j beside these numbers and any curves of the other inputs."""

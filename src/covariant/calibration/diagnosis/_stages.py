@@ -24,7 +24,7 @@ from covariant.calibration.diagnosis._clock import set_forward, stamps
 from covariant.calibration.diagnosis._columns import COLUMNS
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Finding, Rows
-from covariant.calibration.diagnosis._guesses import other_numbers
+from covariant.calibration.diagnosis._guesses import NUMBERS, other_numbers
 from covariant.calibration.diagnosis._input_curves import Balance, input_curve
 from covariant.calibration.diagnosis._jumps import (
     moved_zeros,
@@ -235,8 +235,12 @@ def look_at_servos(log: Examination) -> bool:
 def look_at_columns(log: Examination) -> bool:
     """Units, order and signs of columns, and then the readings in the units of the model."""
     y, ticks = log.y, log.as_read.ticks
+    first = log.case
     corrections, changes, log.case = _correct_guesses(log.case, log.family)
     curves, log.case = _correct_curves(log.case)
+    if curves and changes:  # beside any curve the inputs, and with them the numbers, may be too large together
+        _, numbers, log.case = _correct_guesses(log.case._replace(model=first.model, file=first.file), log.family)
+        changes = [each for each in changes if each.what != NUMBERS] + numbers
     further, columns, log.case = _correct_columns(log.case)
     corrections, changes = corrections + further, changes + columns
     for each in corrections:
@@ -273,8 +277,9 @@ def compare_accelerations(log: Examination) -> bool:
         other = other_numbers(short, log.family, (), "guesses or a fault")
         if other is not None and other[2].numbers["unexplained_after"] < BETTER * found.left:
             # Guesses that are off look like delays, scales and friction, which leave more.
-            case = case._replace(model=other[0], file=case.file._replace(model=other[0]))
+            case = other[0](case)
             wrong = other[2].numbers["unexplained"] > THRESHOLDS["guesses"].least
+            log.drop(NUMBERS)
             log.findings.append(other[2]._replace(wrong=wrong))
             found = _beyond_columns(log, case, best_window(case) or best, constant)
     log.findings += found.findings
@@ -363,10 +368,9 @@ def _correct_guesses(case: Case, family: Callable[[], Any] | None) -> tuple[list
     found = None if family is None else other_numbers(short, family, changes)
     if found is None:
         return [], [], case
-    model, change, finding = found
+    fitted, change, finding = found
     case = case if change is None else change.apply(case)
-    accepted = [] if change is None else [change]
-    return accepted, [finding], case._replace(model=model, file=case.file._replace(model=model))
+    return [] if change is None else [change], [finding], fitted(case)
 
 
 def _correct_curves(case: Case) -> tuple[list[Finding], Case]:

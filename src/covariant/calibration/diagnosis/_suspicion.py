@@ -182,8 +182,9 @@ def choose(
 
 def _alike(suspicion: Suspicion, comparison: Comparison, least: float) -> float:
     """Largest share with which a suspicion explains as much as the best one, whose share may be negative by chance."""
-    multiple = THRESHOLDS[suspicion.threshold].alike
-    return max(least + (multiple - 1) * abs(least), comparison.floor if multiple > 1 else least)
+    limit = THRESHOLDS[suspicion.threshold]
+    floor = comparison.floor if limit.alike > 1 else least
+    return max(least + (limit.alike - 1) * abs(least), floor, limit.rest * (comparison.before - least))
 
 
 def clearly_unexplained(case: Case) -> Unexplained | None:

@@ -20,6 +20,7 @@ class Threshold(NamedTuple):
         sure: Standard errors of the signed ranks of its falls in all blocks (if it falls in all of 30: 4.8).
         alike: An earlier, simpler suspicion of the list is preferred if its share is at most this multiple of the least
             one.
+        rest: The same if it is at most this fraction of what the best one explains.
     """
 
     least: float
@@ -27,6 +28,7 @@ class Threshold(NamedTuple):
     most: float = np.inf
     sure: float = 4.0
     alike: float = 1.0
+    rest: float = 0.0
 
 
 THRESHOLDS = {
@@ -45,7 +47,7 @@ THRESHOLDS = {
     # A column and torques together, where neither explains the log alone.
     "columns and torques": Threshold(0.15, 1 / 5, 0.15),
     # Curves of an input, beside all that a model may have wrong: so a curve explains nothing that these do.
-    "curve": Threshold(2e-4, 1 / 2, 0.15, sure=3.0, alike=1.5),
+    "curve": Threshold(2e-4, 1 / 2, 0.15, sure=3.0, alike=1.5, rest=0.01),
     # Zeros that move, of which many paths are tried, beside a model whose numbers may be wrong.
     "moving zero": Threshold(1e-3, 1 / 4, 0.05, alike=1.5),
     # Delays by whole rows, and the course of inputs between rows, are small faults. 1 % of the size of the

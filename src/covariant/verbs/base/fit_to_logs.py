@@ -192,7 +192,10 @@ class _Problem:
         for log, name, machine in zip(self.logs.logs, self.logs.names, self.logs.machines, strict=True):
             # Of these logs the inputs are late in place of the positions.
             file = log.loaded.file._replace(input_delay=log.late)
-            if (finding := misread_input(file, self.fitted(best, machine, file), log.raw)) is not None:
+            alone = len(self.machines) == 1 and file.input_kind != "command"
+            fitted = self.fitted(best, machine, file)
+            finding = misread_input(file, fitted, log.raw, self.family if alone else None)
+            if finding is not None:
                 return misread_sentence(finding, name, self.machines[machine])
         return ""
 
