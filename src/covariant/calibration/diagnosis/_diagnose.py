@@ -29,16 +29,16 @@ from covariant.signals import Record
 HIDING = ("nothing moves", "several senders", "too little motion")
 """Findings on logs that show no accelerations."""
 WEIGHTS = (
-    *OF_COMMANDS,
-    *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
     *("clock", "nothing moves", "several senders"),
     *("interpolated", "repeated", "outliers"),
+    *OF_COMMANDS,
+    *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
     *("unit of", "period", "swapped", "sign of", "axes of", "sensor", "zero of"),
     *("lost counts", "offset", "limit", "dead band"),
     *("gravity", "friction", "rotor inertia", "too little motion"),
     *("delay", "row shift", "scale of", "inputs between"),
-    *("noise", "ticks", "a position", "bias of"),
-    *("numbers", "model", "uncertainty"),
+    *("ticks", "a position", "bias of"),
+    *("numbers", "model", "uncertainty", "noise"),
 )
 """How findings begin, in the order in which they have to be mended: a wrong unit or order makes all numbers below it
 wrong, and numbers of the model are fitted to a log that is right."""

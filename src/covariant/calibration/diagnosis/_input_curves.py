@@ -126,8 +126,11 @@ def late_inputs(balance: "Balance") -> tuple[Suspicion, Finding] | None:
     case, names = balance.case, ", ".join(balance.case.names.u)
     rest, u = balance.beside([]), np.asarray(case.record.u)
 
+    def shifted(rows: int) -> Float[np.ndarray, "T m"]:
+        return u[np.clip(np.arange(len(u)) - rows, 0, len(u) - 1)]
+
     def left(rows: int) -> Float[np.ndarray, "N"]:
-        later = u[np.clip(np.arange(len(u)) - rows, 0, len(u) - 1)]
+        later = shifted(rows)
         return rest.residual_of(np.stack([balance.by_input(later[:, j], j) for j in range(u.shape[1])], axis=1))
 
     def suspect() -> Iterator[tuple[Suspicion, Float[np.ndarray, "N"]]]:
@@ -139,7 +142,9 @@ def late_inputs(balance: "Balance") -> tuple[Suspicion, Finding] | None:
                 claim = f"the stamps of {names} seem to be about {-time:.2g} s later than they act"
                 line = f"take {-time:.2g} s off them"
             what, numbers = "delay against the inputs", {"delay": time, "rows": rows}
-            yield Suspicion(what, "", WORDS_OF_ALL, line, lambda case: case, "rows", claim, numbers), left(rows)
+            change = shifted(rows)
+            apply = lambda case, change=change: case.with_inputs(change)  # noqa: E731  bound to these rows
+            yield Suspicion(what, "", WORDS_OF_ALL, line, apply, "rows", claim, numbers), left(rows)
 
     return rest.choose(left(0), suspect)
 

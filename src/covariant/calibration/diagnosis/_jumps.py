@@ -18,9 +18,11 @@ from covariant.calibration.diagnosis._thresholds import (
     BETWEEN_ENDS,
     FAR,
     FEWEST_WRAPS,
+    GAP,
     MINORITY,
     OFF_ZERO,
     SAME_JUMP,
+    SUDDEN,
     WHOLE_RANGE,
 )
 from covariant.scoring import unwrap
@@ -139,8 +141,10 @@ def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Itera
         for k in large[np.argsort(-np.abs(jumps[large]))[:MOST_ZEROS]]:
             between = np.nan_to_num(np.abs(np.diff(read[seen[k] : seen[k + 1] + 1, i])))
             row = int(seen[k] + 1 + np.argmax(between))
-            found.append((-float(abs(jumps[k]) / usual), i, row, float(jumps[k])))
-    for _, i, row, jump in sorted(found)[:MOST_ZEROS]:
+            others = np.delete(np.abs(steps - jumps * (np.abs(jumps) > OFF_ZERO * usual)), k)
+            certain = t[row] - t[row - 1] < GAP * np.median(passed) and abs(jumps[k]) > SUDDEN * others.max()
+            found.append((-float(abs(jumps[k]) / usual), i, row, float(jumps[k]), bool(certain)))
+    for _, i, row, jump, certain in sorted(found)[:MOST_ZEROS]:
         name, unit, time = case.names.q[i], case.names.units[i], float(t[row])
         size = f"{jump:.3g} {unit}".rstrip()
         claim = f"{name} jumps by {size} at {rows.named(row)}, and goes on from there"
@@ -156,7 +160,8 @@ def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Itera
 
         numbers = {"jump": jump, "begin": time, "end": time}
         words = "without this jump"
-        yield Suspicion("zero of a position", name, words, line, apply, "part of the log", claim, numbers)
+        threshold = "certain" if certain else "part of the log"
+        yield Suspicion("zero of a position", name, words, line, apply, threshold, claim, numbers)
 
 
 def second_sender(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> Bool[np.ndarray, "T"] | None:

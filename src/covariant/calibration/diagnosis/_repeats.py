@@ -133,7 +133,7 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
             noisy = case.ticks[i] == 0 and bool(white[i])
             if at_once or all(longer):
                 span = int(seen[begin]), int(seen[end])
-                found = "frozen" if noisy else "part of the log" if at_once else "rest"
+                found = "certain" if noisy else "part of the log" if at_once else "rest"
                 spans[span] = min(spans.get(span, found), found)  # in the order of the alphabet
     for begin, end in sorted(spans, key=lambda span: span[0] - span[1])[:MOST_RUNS]:
         # Columns of one sender stop together, with a row more or less where one of them turned.

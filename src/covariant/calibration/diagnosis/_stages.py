@@ -25,7 +25,7 @@ from covariant.calibration.diagnosis._columns import COLUMNS
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Finding, Rows
 from covariant.calibration.diagnosis._guesses import NUMBERS, other_numbers
-from covariant.calibration.diagnosis._input_curves import Balance, input_curve
+from covariant.calibration.diagnosis._input_curves import Balance, input_curve, late_inputs
 from covariant.calibration.diagnosis._jumps import (
     moved_zeros,
     period_findings,
@@ -295,6 +295,7 @@ class _Found(NamedTuple):
 
 def _beyond_columns(log: Examination, case: Case, best: tuple[float, Residual], constant: str) -> _Found:
     """Findings on torques that the model lacks, delays, scales, rows and noise."""
+    as_it_is = case
     lacking, case, timing = _torques_or_timing(case, *best)
     delays = timing.findings(case, best[0])
     if lacking and not timing.explains_most(case, best[0]):
@@ -308,6 +309,11 @@ def _beyond_columns(log: Examination, case: Case, best: tuple[float, Residual], 
     left = [] if small else unexplained(case, after, best[0], constant)
     beside = sensor_checks(case, log.rows.t, log.sensors, timing.delay - timing.delay.min())
     share = min([after.misfit, *(each.numbers["unexplained_after"] for each in small)])
+    if any(each.wrong for each in delays):
+        whole = _rows_and_inputs(as_it_is, best[0], rows=True)
+        if whole and whole[0].numbers["unexplained_after"] <= THRESHOLDS["torques"].alike * share:
+            # One shift by whole rows is simpler than several delays and scales.
+            return _Found([*_sensors(as_it_is, log.quantum, log.edges), *beside, *whole], share)
     return _Found([*_sensors(moved, log.quantum, log.edges), *beside, *lacking, *delays, *small, *left], share)
 
 
@@ -378,6 +384,8 @@ def _correct_curves(case: Case) -> tuple[list[Finding], Case]:
     findings = []
     while len(findings) < MOST_CHANGES and (balance := Balance.of(case)) is not None:
         found = [one for one in (input_curve(balance, signs=False), moving_zero(balance)) if one is not None]
+        if not found and case.effects is not None and LATE[1] not in {each.what for each in findings}:
+            found = [one for one in [late_inputs(balance)] if one is not None]
         if not found:
             break
         shares = [one[1].numbers["unexplained_after"] for one in found]

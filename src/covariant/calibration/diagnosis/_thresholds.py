@@ -63,8 +63,9 @@ THRESHOLDS = {
     "servo change": Threshold(4e-3, 1 / 2, 0.3, sure=2.5, alike=1.5),
     # Readings of a part of the log, which may be short: they look wrong by themselves, and the model says so as well.
     "part of the log": Threshold(1e-3, 1 / 2, 0.5, sure=-np.inf),
-    # Readings with noise that are all the same: no motion looks like it, whatever the model.
-    "frozen": Threshold(0.0, np.inf, sure=-np.inf),
+    # Readings with noise that are all the same, or a single step beyond all speeds: no motion looks like it, whatever
+    # the model.
+    "certain": Threshold(0.0, np.inf, sure=-np.inf),
     # The same of readings that look like those of a joint at rest, as by friction that the model lacks.
     "rest": Threshold(0.15, 1 / 10, 0.02, sure=-np.inf),
     # Torques and delays or scales together.
@@ -144,6 +145,8 @@ CLEAR = 10.0
 OFF_ZERO = 8.0
 """Jump of a position after which it goes on as before, as a multiple of the usual error, from which its zero may have
 moved."""
+SUDDEN = 3.0
+"""The same as a multiple of the largest step of the motion, from which it has moved whatever the model says."""
 FEWEST_WRAPS = 2
 """Fewest jumps of one size that show a period."""
 SAME_JUMP = 0.03
