@@ -141,8 +141,9 @@ def moved_zeros(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Itera
         for k in large[np.argsort(-np.abs(jumps[large]))[:MOST_ZEROS]]:
             between = np.nan_to_num(np.abs(np.diff(read[seen[k] : seen[k + 1] + 1, i])))
             row = int(seen[k] + 1 + np.argmax(between))
-            others = np.delete(np.abs(steps - jumps * (np.abs(jumps) > OFF_ZERO * usual)), k)
-            certain = t[row] - t[row - 1] < GAP * np.median(passed) and abs(jumps[k]) > SUDDEN * others.max()
+            largest = np.delete(np.abs(steps - jumps * (np.abs(jumps) > OFF_ZERO * usual)), k).max()
+            at_once = between.max() > abs(jumps[k]) / 2 and t[row] - t[row - 1] < GAP * np.median(passed)
+            certain = at_once and abs(jumps[k]) > SUDDEN * largest
             found.append((-float(abs(jumps[k]) / usual), i, row, float(jumps[k]), bool(certain)))
     for _, i, row, jump, certain in sorted(found)[:MOST_ZEROS]:
         name, unit, time = case.names.q[i], case.names.units[i], float(t[row])

@@ -342,7 +342,7 @@ def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspic
         if not judged:
             break
         # An encoder that recovers jumps, and a turning point beside a jump can look stuck.
-        accepted = min(judged, key=lambda one: one[1].numbers["unexplained_after"])
+        accepted = min(judged, key=_certainly_stuck)
         found.append(accepted)
         case = accepted[0].apply(case)
         read = np.asarray(accepted[0].apply(case.with_readings(read)).record.y)
@@ -351,6 +351,13 @@ def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspic
     return [
         (each, one if k == 0 else one._replace(line=one.line.split("; or ")[-1])) for k, (each, one) in enumerate(found)
     ]
+
+
+def _certainly_stuck(accepted: tuple[Suspicion, Finding]) -> tuple[bool, float]:
+    """Sort key of faulty parts of a log: a span that no motion looks like first, then what leaves least."""
+    suspicion, finding = accepted
+    certain = suspicion.what == "repeated rows" and suspicion.threshold == "certain"
+    return not certain, finding.numbers["unexplained_after"]
 
 
 def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding] | None:
