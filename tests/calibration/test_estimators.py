@@ -13,13 +13,13 @@ from covariant.calibration import (
     DataSheet,
     Trial,
     estimators,
-    filter_bandwidth,
     gains,
     observer_gains,
     tuned_estimators,
 )
 from covariant.calibration.tuning._filters import (
     LONGEST_WINDOW,
+    filter_bandwidth,
     filter_error,
     filtered,
     jerk_bound,

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
-from covariant.calibration import estimators
+from covariant.calibration import Trial, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
@@ -32,7 +33,8 @@ from covariant.verbs.base.outputs import write_table
 from covariant.verbs.base.pages import estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
-from covariant.verbs.base.trial import Ahead, ahead, trial_part
+from covariant.verbs.base.trial import Ahead, ahead, judging_reference, trial_part
+from covariant.verbs.base.without_model import beside_filters
 
 
 def compare(
@@ -77,7 +79,9 @@ def compare(
     progress("reading the log")
     loaded = load(job, missing_inputs=True)
     progress("tuning")
-    observers, note, tuned_on = line_up(loaded)
+    reference = judging_reference(loaded)
+    trial, tuned_on = trial_part(loaded, reference)
+    observers, note = line_up(loaded, trial, tuned_on)
     outcomes: dict[str, Outcome] = {}
     for place, (name, observer) in enumerate(observers.items()):
         progress(name, place / len(observers))
@@ -87,7 +91,12 @@ def compare(
     progress("predicting")
     predicted = ahead(outcomes, loaded, tuned_on)
     ranked = {name: outcomes[name] for name in rank(outcomes, loaded, predicted)}
-    return CompareResult(job, loaded, note, ranked, engine, predicted)
+    informed = next((name for name in ranked if name in INFORMED), None)
+    sentence = ""
+    if informed is not None and loaded.kind.has_model_free_filters:
+        beside = beside_filters(loaded, ranked[informed].velocity, reference, trial, tuned_on, observers)
+        sentence = beside if isinstance(beside, str) else beside.sentence(informed)
+    return CompareResult(job, loaded, note, ranked, engine, predicted, sentence)
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,6 +110,8 @@ class CompareResult(AbstractTable):
         outcomes: Run and score of each estimator by name, in order of error.
         asked_engine: The engine that was asked for.
         predicted: Errors of predicted positions that they are ranked by; None where they are ranked by others.
+        without_model: A sentence that judges the best of them with the model beside the best filter without one, as
+            `estimate` does; "" where none of them fits.
 
     Example:
         >>> import covariant
@@ -119,6 +130,7 @@ class CompareResult(AbstractTable):
     outcomes: dict[str, Outcome]
     asked_engine: EngineName
     predicted: Ahead | None = None
+    without_model: str = ""
 
     written = (".csv",)
 
@@ -220,6 +232,7 @@ class CompareResult(AbstractTable):
             "",
             table(self._rows()),
             f"Ranked by {ranked_by(self.loaded, self.predicted)}.",
+            *[self.without_model] * bool(self.without_model),
             rows_that_count(self.loaded),
             self.design,
             *self.warnings,
@@ -232,7 +245,7 @@ class CompareResult(AbstractTable):
         ranked = f"Ranked by {ranked_by(self.loaded, self.predicted)}."
         drawn, rest = self._drawn_first, len(self.outcomes)
         ranked += f" Drawn are {', '.join(drawn)}; a click on a label shows another." if rest > len(drawn) else ""
-        notes = (ranked, self.design, rows_that_count(self.loaded))
+        notes = (ranked, self.without_model, self.design, rows_that_count(self.loaded))
         page = estimate_report(
             title,
             self.job,
@@ -315,11 +328,12 @@ class CompareResult(AbstractTable):
         )
 
 
-def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarray]:
+def line_up(
+    loaded: Loaded, trial: Trial | None, tuned_on: Bool[np.ndarray, "T"]
+) -> tuple[dict[str, AbstractObserver], str]:
     """Tune all observers that fit a model."""
     kind, sheet = loaded.kind, functools.cache(lambda: log_sheet(loaded.file, loaded))
     note = kind.note(sheet, loaded.rate) + loaded.note
-    trial, tuned_on = trial_part(loaded)
     if trial is not None:
         begin, end = np.asarray(loaded.record.t)[tuned_on][[0, -1]] - np.asarray(loaded.record.t)[0]
         note += (
@@ -328,7 +342,7 @@ def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarra
         )
     note += kind.gates
     tuned = kind.tuned(sheet, loaded.rate, estimators(loaded.model), trial)
-    return with_sensor_delays(tuned, loaded), note, tuned_on
+    return with_sensor_delays(tuned, loaded), note
 
 
 def ranked_by(loaded: Loaded, predicted: Ahead | None) -> str:
