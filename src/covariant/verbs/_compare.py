@@ -93,7 +93,7 @@ def compare(
     ranked = {name: outcomes[name] for name in rank(outcomes, loaded, predicted)}
     informed = next((name for name in ranked if name in INFORMED), None)
     sentence = ""
-    if informed is not None and loaded.kind.has_model_free_filters:
+    if informed is not None and any(name not in INFORMED for name in ranked):
         beside = beside_filters(loaded, ranked[informed].velocity, reference, trial, tuned_on, observers)
         sentence = beside if isinstance(beside, str) else beside.sentence(informed)
     return CompareResult(job, loaded, note, ranked, engine, predicted, sentence)

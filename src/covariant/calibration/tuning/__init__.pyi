@@ -18,7 +18,7 @@ from ._gains import (
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
 )
-from ._judge import Verdict as Verdict
+from ._judge import ErrorRatio as ErrorRatio
 from ._missing_inputs import missing_inputs as missing_inputs
 from ._stored_observer import stored_observer as stored_observer
 from ._suggest import Suggestion as Suggestion, suggest_noise as suggest_noise

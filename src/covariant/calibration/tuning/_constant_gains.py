@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.identification import ErrorModel, Filtered, NoiseLevels, mean_square
 from covariant.calibration.tuning._gains import gains, predict_sampled_errors
-from covariant.calibration.tuning._judge import Verdict
+from covariant.calibration.tuning._judge import ErrorRatio
 from covariant.calibration.tuning._noise_search import RunErrors, later_errors, smoothed_errors
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, constant_gains
 from covariant.models import MechanicalSystem
@@ -278,7 +278,7 @@ def _ties(squares: Sequence, among: Sequence[int], means: np.ndarray, judge: int
     limit = slack**2 * means[best, judge]
 
     def told(k: int) -> bool:
-        return Verdict.of(*([each[:, judge] for each in squares[which]] for which in (k, best))).is_worse
+        return ErrorRatio.of(*([each[:, judge] for each in squares[which]] for which in (k, best))).is_worse
 
     return [k for k in among if means[k, judge] <= limit or not told(k)]
 

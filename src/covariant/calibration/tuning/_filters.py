@@ -5,6 +5,7 @@ the jerk. A linear filter is judged by its weights, without a run; others are ru
 """
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,10 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
+from covariant.calibration.tuning._gains import gains
 from covariant.observers import (
     AbstractLinearFilter,
-    AbstractObserver,
     FilteredDerivative,
+    IntrinsicForce,
     JointKalman,
     Levant,
     SavitzkyGolay,
@@ -24,6 +26,8 @@ from covariant.observers import (
 
 LONGEST_WINDOW = 120
 """Longest window [samples] of a polynomial filter."""
+LOOPS = (0.02, 1.5, 18)
+"""Least and largest bandwidth of a loop on a group, in radians a sample, and how many are tried."""
 COARSE = 8
 """Steps of a first search: the error falls and rises once as a filter becomes faster."""
 
@@ -64,26 +68,39 @@ def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
     typical = sheet.motion_std / sheet.motion_time
     if trial is None:
         return typical
-    bounds = typical * np.geomspace(1e-3, 1e3, 61)
+    return _best_by_runs(Levant, typical * np.geomspace(1e-3, 1e3, 61), trial)
+
+
+def loop_bandwidth(sheet: DataSheet, rate: float, trial: Trial | None, kind: Callable[[Any], IntrinsicForce]) -> float:
+    """Bandwidth [rad/s] of a loop on a group: that for the motion of the data sheet, or the best one on a trial."""
+    if trial is None:
+        return gains(sheet.measurement_std, rate, sheet.motion_std, sheet.motion_time).beta ** 0.5
+    return _best_by_runs(kind, np.geomspace(*LOOPS) * rate, trial)
+
+
+def _best_by_runs(kind: Callable[[Any], Any], numbers: np.ndarray, trial: Trial) -> float:
+    """The number whose filter has the least velocity error on a trial when it is run."""
     y, late = trial.y.copy(), _late(trial.t)
-    y[0] = [column[np.isfinite(column)][0] for column in y.T]  # from where it starts
-    velocities = _run_filters(Levant, *map(jnp.asarray, (bounds, np.diff(trial.t), y)))
+    first = y.reshape(len(y), -1).T
+    y[0] = np.reshape([column[np.isfinite(column)][0] for column in first], y.shape[1:])  # from where it starts
+    velocities = _run_filters(kind, *map(jnp.asarray, (numbers, np.diff(trial.t), y)))
     errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(velocities)]
-    return float(bounds[np.argmin(errors)])
+    return float(numbers[np.nanargmin(errors)])
 
 
 @eqx.filter_jit
-def _run_filters(
-    kind: Callable[[Array], AbstractObserver], numbers: Array, dt: Array, y: Array
-) -> Float[Array, "k T n"]:
-    """Velocities of the filters that each number parametrises, along positions y (T, n) with steps dt (T − 1,)."""
+def _run_filters(kind: Callable[[Array], Any], numbers: Array, dt: Array, y: Array) -> Float[Array, "k T n"]:
+    """Velocities of the filters that each number parametrises, along positions y (T, *n) with steps dt (T − 1,)."""
 
     def follow(number):
         observer = kind(number)
+        model = getattr(observer, "model", None)
+        u = jnp.zeros(0 if model is None else model.inputs)
 
         def step(state, sample):
-            state, _ = observer.step(state, jnp.zeros(0), *sample)
-            return state, jnp.split(observer.estimate(state), 2)[1]
+            state, _ = observer.step(state, u, *sample)
+            estimate = observer.estimate(state)
+            return state, jnp.split(estimate, 2)[1] if model is None else model.motion(estimate).v
 
         return jax.lax.scan(step, observer.init(y[0]), (y[1:], dt))[1]
 

@@ -2,7 +2,7 @@
 
 The ratio is that of root mean squares over the judged rows. Errors of neighbouring rows are alike, so the rows are
 divided into blocks, and it is the blocks that scatter. Each block gets a random weight, as if it were met more or less
-often later on, and the interval holds 80 % of the ratios of the weighted errors. No weight is zero: a burst of errors
+often later on, and the interval holds 75 % of the ratios of the weighted errors. No weight is zero: a burst of errors
 in a single block, which resampling would miss in a third of its draws, widens the interval to one side only.
 
 Source: Rubin 1981, The Bayesian bootstrap, Annals of Statistics 9(1).
@@ -16,11 +16,11 @@ from jaxtyping import Float
 
 BLOCKS, SHORTEST, FEWEST = 20, 3, 5
 """Number of blocks of all rows together, the least number of rows of one, and that of blocks."""
-DRAWS, TAIL = 4000, 0.1
+DRAWS, TAIL = 4000, 0.125
 """Number of drawn sets of weights, and the part of their ratios that is left out at each end."""
 
 
-class Verdict(NamedTuple):
+class ErrorRatio(NamedTuple):
     """Errors of two velocity estimates on the same rows, and the interval of their ratio.
 
     Attributes:
@@ -31,10 +31,10 @@ class Verdict(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import Verdict
+        >>> from covariant.calibration import ErrorRatio
         >>> random = np.random.default_rng(0)
         >>> exact, coarse = (scale * random.normal(size=1000) ** 2 for scale in (1.0, 9.0))
-        >>> verdict = Verdict.of([exact], [coarse])
+        >>> verdict = ErrorRatio.of([exact], [coarse])
         >>> verdict.is_better, verdict.is_worse, bool(verdict.low < 1 / 3 < verdict.high)
         (True, False, True)
     """
@@ -45,7 +45,7 @@ class Verdict(NamedTuple):
     high: float
 
     @classmethod
-    def of(cls, squares: Sequence[Float[np.ndarray, "_"]], others: Sequence[Float[np.ndarray, "_"]]) -> "Verdict":
+    def of(cls, squares: Sequence[Float[np.ndarray, "_"]], others: Sequence[Float[np.ndarray, "_"]]) -> "ErrorRatio":
         """Judge the squared errors of two estimates in the same rows of each of several logs.
 
         Args:
@@ -53,7 +53,7 @@ class Verdict(NamedTuple):
             others: Those of the second one.
 
         Returns:
-            The verdict. Of fewer than `FEWEST` blocks the interval is everything.
+            The errors and the interval. Of fewer than `FEWEST` blocks the interval is everything.
         """
         count = sum(map(len, squares))
         size = max(SHORTEST, -(-count // BLOCKS))

@@ -29,7 +29,7 @@ from covariant.calibration.tuning._constant_gains import (
 from covariant.calibration.tuning._data_sheet import DataSheet
 from covariant.calibration.tuning._estimators import observer_gains
 from covariant.calibration.tuning._filters import relative_error
-from covariant.calibration.tuning._judge import Verdict
+from covariant.calibration.tuning._judge import ErrorRatio
 from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, refuse_noise_free, tuning_logs
 from covariant.models import MechanicalSystem
@@ -222,7 +222,7 @@ def _worse(logs: list[TuningLog], new: list[np.ndarray], old: list[np.ndarray]) 
         ]
         for vs in (new, old)
     )
-    return Verdict.of(new, old).is_worse
+    return ErrorRatio.of(new, old).is_worse
 
 
 def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:

@@ -117,7 +117,7 @@ class EstimateResult(AbstractEstimates):
 
     @functools.cached_property
     def without_model(self) -> WithoutModel | str:
-        """What the best filter without a model makes of the log; "" for such a filter, or a line on why none is run."""
+        """What the best filter without a model makes of the log; "" for such a filter, or why there is none."""
         return without_model(self.loaded, self.velocity) if self.observer_name in INFORMED else ""
 
     @property

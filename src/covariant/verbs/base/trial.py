@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant._linalg import known_rms
-from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
+from covariant.calibration import Trial, errors_ahead, observer_gains, rows_ahead
 from covariant.models import Motion
 from covariant.scoring import local_polynomials, scored_window, unwrap
 from covariant.signals import Record
@@ -64,7 +64,7 @@ def judging_reference(loaded: Loaded) -> ReferenceVelocity:
     kind = loaded.kind
     seen = kind.without_outliers(part.t, kind.complete(np.asarray(part.y)))
     # The entries of an attitude are as smooth as angles are.
-    best = best_polynomials(part.t, unwrap(seen.reshape(len(part.t), -1), loaded.model.circles))
+    best = best_polynomials(part.t, _flat(seen) if seen.ndim > 2 else unwrap(seen, loaded.model.circles))
     stated = loaded.file.reference_half, int(loaded.file.reference_order)
     half, order = best or stated
     best = kind_of(loaded.file._replace(reference_half=half, reference_order=order))
@@ -107,20 +107,24 @@ def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | No
     """
     t = np.asarray(loaded.record.t)
     none = np.zeros(len(t), bool)
-    if not loaded.kind.has_model_free_filters:
+    if not loaded.file.mechanical:
         return None, none
-    y = np.asarray(loaded.record.y)
-    wrong = outliers(t, y, loaded.model.circles)[0]
-    known = np.asarray(np.isfinite(reference.v).all(axis=1))
-    faulty = np.asarray(wrong.any(axis=1) | ~np.isfinite(y).any(axis=1))
+    known, y = np.asarray(np.isfinite(reference.v).all(axis=1)), np.asarray(loaded.record.y)
+    seen = loaded.kind.without_outliers(t, y)
+    faulty = np.asarray(~_flat(np.isfinite(seen) | ~np.isfinite(y)).all(axis=1) | ~_flat(np.isfinite(y)).any(axis=1))
     # Unwrapped before the cut: across rows that are left out a full turn would go unnoticed.
-    y = unwrap(np.where(wrong, np.nan, y), loaded.model.circles)
+    y = unwrap(seen, loaded.model.circles) if seen.ndim == 2 else seen
     for span, least in ((moving_part(t, reference.v, known, faulty), SHORTEST_TRIAL), (known, FEWEST)):
         part = span & known
         part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
-        if np.isfinite(y[part]).sum(axis=0).min() >= least:
+        if _flat(np.isfinite(y[part])).sum(axis=0).min() >= least:
             return Trial(t[part], y[part], reference.v[part]), span
     return None, none
+
+
+def _flat(y: np.ndarray) -> np.ndarray:
+    """The entries of every measurement side by side."""
+    return y.reshape(len(y), -1)
 
 
 def moving_part(

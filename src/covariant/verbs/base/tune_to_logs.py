@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.calibration import DataSheet, Tuning, Verdict, estimators, tune, tuned_estimators, usual_speeds
+from covariant.calibration import DataSheet, ErrorRatio, Tuning, estimators, tune, tuned_estimators, usual_speeds
 from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver
 from covariant.report import EstimateReport
@@ -148,8 +148,8 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         observers = [design(file, name, rate=one.rate, log=one._replace(file=file)).observer for one in loaded]
         return [drive(each, one._replace(file=file)).velocity for each, one in zip(observers, loaded, strict=True)]
 
-    def judge(new: list[np.ndarray], old: list[np.ndarray]) -> Verdict:
-        return Verdict.of(*([_squares(*each) for each in zip(loaded, both, strict=True)] for both in (new, old)))
+    def judge(new: list[np.ndarray], old: list[np.ndarray]) -> ErrorRatio:
+        return ErrorRatio.of(*([_squares(*each) for each in zip(loaded, both, strict=True)] for both in (new, old)))
 
     tables = _tables(file, tuning, rate)
     new, known = _tuned_file(file, tables), {}

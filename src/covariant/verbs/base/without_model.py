@@ -6,14 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from covariant.calibration import Trial, Verdict, filter_error
+from covariant.calibration import ErrorRatio, Trial, filter_error
 from covariant.observers import REGISTRY, AbstractLinearFilter
 from covariant.verbs.base.design import log_sheet
-from covariant.verbs.base.inputs import Job, Loaded, ReferenceVelocity, tells_noise
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, ReferenceVelocity, tells_noise
 from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.outcome import drive, plain
 from covariant.verbs.base.trial import judging_reference, trial_part
 
+CHEAP = ("bandwidth", "window", "motion", "loop")
+"""What filters without a model are tuned by that cost little: those of coordinates are linear."""
 FEWEST = 50
 """Rows without holes that suffice to judge by; where there are fewer, those in holes count too."""
 
@@ -32,7 +34,7 @@ class WithoutModel(NamedTuple):
     """
 
     filter: str
-    verdict: Verdict
+    verdict: ErrorRatio
     label: str
     velocity: Float[np.ndarray, "T n"]
     judged: Bool[np.ndarray, "T"]
@@ -85,14 +87,14 @@ def without_model(
     Rows count that tuned no filter and lie in no hole, of those that are `among` (by default all); where there are too
     few of them, those in holes count too, and then those that tuned the filter.
     """
-    if not loaded.kind.has_model_free_filters:
+    names = [entry.name for entry in REGISTRY if entry.tuned_by in CHEAP and entry.fits(loaded.model)]
+    if not names:
         return "no filter without a model fits, so that nothing says whether the model helps"
     if not tells_noise(loaded.file):
         return "the model file tells no noise, so that no filter without a model can be tuned beside it"
     reference = judging_reference(loaded)
     trial, tuned_on = trial_part(loaded, reference)
     sheet = log_sheet(loaded.file, loaded)
-    names = [entry.name for entry in REGISTRY if issubclass(entry.observer, AbstractLinearFilter)]
     filters: dict[str, Any] = {} if trial is None else loaded.kind.tuned(lambda: sheet, loaded.rate, names, trial)
     return beside_filters(loaded, velocity, reference, trial, tuned_on, filters, among)
 
@@ -110,13 +112,13 @@ def beside_filters(
     if trial is None:
         return f"{len(velocity)} rows are too few to judge whether the model helps"
     sheet = log_sheet(loaded.file, loaded)
-    linear = {name: getattr(each, "observer", each) for name, each in filters.items()}
+    free = {name: getattr(each, "observer", each) for name, each in filters.items() if name not in INFORMED}
     errors = {
         name: filter_error(each.weights(loaded.rate), sheet, loaded.rate, trial)
-        for name, each in linear.items()
+        for name, each in free.items()
         if isinstance(each, AbstractLinearFilter)
     }
-    best = min(errors, key=errors.__getitem__)
+    best = min(errors, key=errors.__getitem__) if errors else next(iter(free))
     # Found by its weights, the filter is judged by what it makes of the readings as they are, behind its gate.
     free = drive(filters[best], loaded).velocity
     known = np.isfinite(np.concatenate([reference.v, velocity, free], axis=1)).all(axis=1)
@@ -128,7 +130,7 @@ def beside_filters(
     if not size.all():
         return "a coordinate stands still, so that no error is a part of its velocity"
     squares = (np.mean(((each - reference.v)[judged] / size) ** 2, axis=1) for each in (velocity, free))
-    return WithoutModel(best, Verdict.of(*([each] for each in squares)), reference.label, free, judged, tuned_on)
+    return WithoutModel(best, ErrorRatio.of(*([each] for each in squares)), reference.label, free, judged, tuned_on)
 
 
 TINY = np.finfo(float).tiny
