@@ -176,8 +176,8 @@ class IntrinsicForce(AbstractMechanicalObserver):
         age = jnp.zeros_like(state.t) if state.age is None else state.age
 
         def remembered(after: Scalar) -> Vector:
-            # The time in which a force is learnt is that after which it is forgotten. At usual steps nothing is, so that
-            # a force that lasts leaves no error.
+            # The time in which a force is learnt is that after which it is forgotten. At usual steps none is, so that a
+            # force that lasts leaves no error.
             late, later = (jnp.maximum(1.0, self.force_rate * (age + each)) for each in (0.0, after))
             return jnp.exp(late - later) * state.force
 
