@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
 from covariant.calibration.tuning._gains import gains
+from covariant.calibration.tuning._judge import relative_squares
 from covariant.observers import (
     AbstractLinearFilter,
     FilteredDerivative,
@@ -85,7 +86,7 @@ def _best_by_runs(kind: Callable[[Any], Any], numbers: np.ndarray, trial: Trial)
     y[0] = np.reshape([column[np.isfinite(column)][0] for column in first], y.shape[1:])  # from where it starts
     velocities = _run_filters(kind, *map(jnp.asarray, (numbers, np.diff(trial.t), y)))
     errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(velocities)]
-    return float(numbers[np.nanargmin(errors)])
+    return float(numbers[np.argmin(errors)])
 
 
 @eqx.filter_jit
@@ -163,9 +164,7 @@ def even_velocity(
 
 def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n"]) -> float:
     """Error of velocities (T, n) as a fraction of the reference's, RMS over the coordinates; 1 for an estimate of 0."""
-    # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
-    size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
-    return float(np.sqrt(np.mean(np.mean((found - true) ** 2, axis=0) / size)))
+    return float(np.sqrt(np.mean(relative_squares(found, true))))
 
 
 def _late(t: np.ndarray) -> np.ndarray:

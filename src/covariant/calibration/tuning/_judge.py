@@ -71,6 +71,27 @@ class ErrorRatio(NamedTuple):
         ratios = np.sqrt((weights @ first + tiny) / (weights @ second + tiny))
         return cls(error, other, *map(float, np.quantile(ratios, (TAIL, 1 - TAIL))))
 
+    @classmethod
+    def of_velocities(
+        cls,
+        velocities: Sequence[Float[np.ndarray, "_ n"]],
+        others: Sequence[Float[np.ndarray, "_ n"]],
+        true: Sequence[Float[np.ndarray, "_ n"]],
+    ) -> "ErrorRatio":
+        """Judge velocities in the same rows of each of several logs, their errors as parts of the velocity.
+
+        Args:
+            velocities: Velocities (R, n) of the first estimate, by log.
+            others: Those of the second one.
+            true: The true velocities, or those of a reference.
+
+        Returns:
+            The errors, root mean square over the coordinates too, and the interval.
+        """
+        return cls.of(
+            *([relative_squares(*pair) for pair in zip(each, true, strict=True)] for each in (velocities, others))
+        )
+
     @property
     def is_better(self) -> bool:
         """Whether the first estimate is clearly better."""
@@ -80,3 +101,10 @@ class ErrorRatio(NamedTuple):
     def is_worse(self) -> bool:
         """Whether the first estimate is clearly worse."""
         return self.low > 1
+
+
+def relative_squares(v: Float[np.ndarray, "R n"], true: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "R"]:
+    """Squared errors of velocities as parts of the velocity, means over the coordinates; infinite where not finite."""
+    # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
+    size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
+    return np.nan_to_num(np.mean((v - true) ** 2 / size, axis=1), nan=np.inf)

@@ -214,15 +214,9 @@ def _filtered_velocities(errors: list[RunErrors], noise: NoiseLevels, speed: Arr
 
 def _worse(logs: list[TuningLog], new: list[np.ndarray], old: list[np.ndarray]) -> bool:
     """Whether velocities are clearly farther from the reference than others on held-out rows."""
-    size = [np.sqrt(np.mean(log.velocity[log.held_out] ** 2, axis=0)) for log in logs]
-    new, old = (
-        [
-            np.mean(((v - log.velocity)[log.held_out] / each) ** 2, axis=1)
-            for v, log, each in zip(vs, logs, size, strict=True)
-        ]
-        for vs in (new, old)
-    )
-    return ErrorRatio.of(new, old).is_worse
+    reference = [log.velocity for log in logs]
+    parts = ([v[log.held_out] for v, log in zip(each, logs, strict=True)] for each in (new, old, reference))
+    return ErrorRatio.of_velocities(*parts).is_worse
 
 
 def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from covariant._linalg import known_rms
 from covariant.calibration import Trial, errors_ahead, observer_gains, rows_ahead
 from covariant.models import Motion
-from covariant.scoring import local_polynomials, scored_window, unwrap
+from covariant.scoring import find_holes, local_polynomials, scored_window, unwrap
 from covariant.signals import Record
 from covariant.verbs.base.design import log_sheet
 from covariant.verbs.base.inputs import Loaded, ReferenceVelocity
@@ -72,6 +72,9 @@ def judging_reference(loaded: Loaded) -> ReferenceVelocity:
     found = best.slopes(log._replace(record=part, whole=log.all_rows))
     if found is not None:
         v[middle], label = found
+    # In a hole, also one that outliers leave, and at its edges polynomials are no measure.
+    for begin, end in find_holes(part.t, np.asarray(_flat(np.isfinite(seen)).all(axis=1))):
+        v[(t > begin - half / 4) & (t < end + half / 4)] = np.nan
     return ReferenceVelocity(v, label, scored_window(t))
 
 

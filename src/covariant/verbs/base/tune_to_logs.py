@@ -143,13 +143,16 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
     """
     file, rate = loaded[0].file, loaded[0].rate
     filters = [name for name in KALMAN if name in estimators(file.model)]
+    rows, true = [_held_out(one) for one in loaded], [one.reference.v for one in loaded if one.reference]
 
     def velocities(file: models.ModelFile, name: str) -> list[np.ndarray]:
         observers = [design(file, name, rate=one.rate, log=one._replace(file=file)).observer for one in loaded]
         return [drive(each, one._replace(file=file)).velocity for each, one in zip(observers, loaded, strict=True)]
 
     def judge(new: list[np.ndarray], old: list[np.ndarray]) -> ErrorRatio:
-        return ErrorRatio.of(*([_squares(*each) for each in zip(loaded, both, strict=True)] for both in (new, old)))
+        return ErrorRatio.of_velocities(
+            *([v[at] for v, at in zip(each, rows, strict=True)] for each in (new, old, true))
+        )
 
     tables = _tables(file, tuning, rate)
     new, known = _tuned_file(file, tables), {}
@@ -180,13 +183,6 @@ def _held_out(one: Loaded) -> np.ndarray:
     late = reference.scored & (t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(reference.v).all(axis=1)
     clear = late if one.holes is None else late & ~one.holes.concerned
     return clear if clear.sum() >= FEWEST else late
-
-
-def _squares(one: Loaded, v: np.ndarray) -> np.ndarray:
-    """Squared errors (R,) of velocities (T, n) as parts of the velocity, on held-out rows."""
-    rows = _held_out(one)
-    true = one.reference.v[rows]  # pyright: ignore[reportOptionalMemberAccess]
-    return np.nan_to_num(np.mean((v[rows] - true) ** 2 / np.mean(true**2, axis=0), axis=1), nan=np.inf)
 
 
 def _tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:

@@ -16,6 +16,8 @@ from covariant.verbs.base.trial import judging_reference, trial_part
 
 CHEAP = ("bandwidth", "window", "motion", "loop")
 """What filters without a model are tuned by that cost little: those of coordinates are linear."""
+GATED = 1.5
+"""Ratio of a filter's error on its trial to that by its weights, from which its gate is in the way."""
 FEWEST = 50
 """Rows without holes that suffice to judge by; where there are fewer, those in holes count too."""
 
@@ -118,19 +120,27 @@ def beside_filters(
         for name, each in free.items()
         if isinstance(each, AbstractLinearFilter)
     }
-    best = min(errors, key=errors.__getitem__) if errors else next(iter(free))
-    # Found by its weights, the filter is judged by what it makes of the readings as they are, behind its gate.
-    free = drive(filters[best], loaded).velocity
-    known = np.isfinite(np.concatenate([reference.v, velocity, free], axis=1)).all(axis=1)
+    # By its weights the best one is found; judged is what it does with the readings as they are, behind its gate, which
+    # may refuse what is none of its outliers: then the next one is tried.
+    runs: dict[str, Any] = {}
+    actual: dict[str, float] = {}
+    trying = tuned_on & reference.scored & np.isfinite(reference.v).all(axis=1)
+    for name in sorted(errors, key=errors.__getitem__) or free:
+        runs[name] = drive(filters[name], loaded).velocity
+        one = [runs[name][trying]]
+        actual[name] = ErrorRatio.of_velocities(one, one, [reference.v[trying]]).error
+        if not actual[name] > GATED * errors.get(name, np.inf):
+            break
+    best = min(actual, key=actual.__getitem__)
+    known = np.isfinite(np.concatenate([reference.v, velocity, runs[best]], axis=1)).all(axis=1)
     counts = known & reference.scored & (True if among is None else among)
     apart = counts & ~tuned_on
     clear = apart if loaded.holes is None else apart & ~loaded.holes.concerned
     judged = next((rows for rows in (clear, apart, counts) if rows.sum() >= FEWEST), counts)
-    size = np.sqrt(np.mean(reference.v[judged] ** 2, axis=0)) if judged.any() else np.zeros(1)
-    if not size.all():
+    if not reference.v[judged].any(axis=0).all():
         return "a coordinate stands still, so that no error is a part of its velocity"
-    squares = (np.mean(((each - reference.v)[judged] / size) ** 2, axis=1) for each in (velocity, free))
-    return WithoutModel(best, ErrorRatio.of(*([each] for each in squares)), reference.label, free, judged, tuned_on)
+    ratio = ErrorRatio.of_velocities(*([each[judged]] for each in (velocity, runs[best], reference.v)))
+    return WithoutModel(best, ratio, reference.label, runs[best], judged, tuned_on)
 
 
 TINY = np.finfo(float).tiny
