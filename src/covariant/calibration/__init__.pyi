@@ -21,14 +21,12 @@ from .identification import (
     command_excitation as command_excitation,
     design_excitation as design_excitation,
     draft as draft,
-    errors_ahead as errors_ahead,
     fit as fit,
     fit_robot as fit_robot,
     motion_periods as motion_periods,
     motor_inputs as motor_inputs,
     of_coordinates as of_coordinates,
     relations as relations,
-    rows_ahead as rows_ahead,
 )
 from .tuning import (
     ESTIMATORS as ESTIMATORS,

@@ -6,7 +6,7 @@ An observer is registered only here. `calibration.estimators` and `tuned_estimat
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -128,9 +128,9 @@ def tracking_loop(model: MechanicalSystem, bandwidth: float | Scalar) -> Intrins
 
     It follows a free body of the inertia 1, and takes what it does not explain for a force that lasts.
     """
-    n = len(model.velocities)
+    n, group = len(model.velocities), cast(AbstractGroup, model.manifold)
     names = {"velocities": model.velocities, "units": model.velocity_units, "inputs": input_count(model, n)}
-    free = GroupSystem(model.manifold, jnp.eye(n), force=_NoForce(n), **names)
+    free = GroupSystem(group, jnp.eye(n), force=_NoForce(n), **names)
     return IntrinsicForce(free, bandwidth, jnp.square(bandwidth), bandwidth)  # α = 2ζω for ζ = ½
 
 

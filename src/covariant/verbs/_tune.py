@@ -161,8 +161,8 @@ class TuneResult(AbstractResult):
             title,
             self.jobs[-1],
             self.tuned,
-            (*_why(self.summary), *self.summary["notes"]),
-            rows=tuple(_rows_by_worth(self.summary)),
+            tuple(self.summary["notes"]),
+            rows=tuple(_rows(self.summary)),
             headline=self.headline,
             warnings=self.warnings,
             code="\n".join(_lines(self.summary)).replace("\n[", "\n\n["),
@@ -193,31 +193,6 @@ def _lines(result: dict[str, Any]) -> list[str]:
     for table, numbers in result["lines"].items():
         lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in numbers.items())]
     return lines
-
-
-DECIDES = "distance to a smoother [% of velocity]"
-
-
-def _rows_by_worth(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """The rows of the printed table for a page: first what gains are chosen by, then what noise is chosen by."""
-    distances = {each["source"]: 100 * each["smoothed"] for each in result["gains"]["candidates"]}
-    sources = {"before": "model file", "after": result["gains"]["from"]}
-    first = ("", DECIDES, "log-likelihood", "NIS")
-    rows = [row | {DECIDES: distances.get(sources[str(row[""])])} for row in _rows(result)]
-    return [{key: row[key] for key in (*first, *(key for key in row if key not in first))} for row in rows]
-
-
-def _why(result: dict[str, Any]) -> tuple[str, ...]:
-    """A sentence on gains that were taken although others have a smaller distance; none where they have the least."""
-    distances = {each["source"]: 100 * each["smoothed"] for each in result["gains"]["candidates"]}
-    taken = result["gains"]["from"]
-    if taken not in distances or distances[taken] <= min(distances.values()):
-        return ()
-    least = min(distances, key=lambda name: distances[name])
-    return (
-        f"The gains that were taken ({taken}, {distances[taken]:.3g} %) are as good as those of the least distance "
-        f"({least}, {distances[least]:.3g} %) up to the scatter of the logs; of equals, designed ones are taken.",
-    )
 
 
 def _rows(result: dict[str, Any]) -> list[dict[str, str | float]]:

@@ -20,6 +20,10 @@ DRAWS, TAIL = 4000, 0.125
 """Number of drawn sets of weights, and the part of their ratios that is left out at each end."""
 
 
+Velocities = Sequence[Float[np.ndarray, "_ n"]]
+"""Velocities (R, n) in the judged rows of each log."""
+
+
 class ErrorRatio(NamedTuple):
     """Errors of two velocity estimates on the same rows, and the interval of their ratio.
 
@@ -72,12 +76,7 @@ class ErrorRatio(NamedTuple):
         return cls(error, other, *map(float, np.quantile(ratios, (TAIL, 1 - TAIL))))
 
     @classmethod
-    def of_velocities(
-        cls,
-        velocities: Sequence[Float[np.ndarray, "_ n"]],
-        others: Sequence[Float[np.ndarray, "_ n"]],
-        true: Sequence[Float[np.ndarray, "_ n"]],
-    ) -> "ErrorRatio":
+    def of_velocities(cls, velocities: Velocities, others: Velocities, true: Velocities) -> "ErrorRatio":
         """Judge velocities in the same rows of each of several logs, their errors as parts of the velocity.
 
         Args:

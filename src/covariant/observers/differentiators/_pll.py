@@ -4,8 +4,6 @@ Source: Gardner 2005, Phaselock Techniques, the type-II loop of second order and
 Kalata 1984 for their samples.
 """
 
-from typing import Literal
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -54,7 +52,7 @@ class PLL(AbstractTrackingLoop, AbstractLinearFilter):
     bandwidth: Scalar = eqx.field(converter=as_gain)
     damping: Scalar = eqx.field(default=0.5**0.5, converter=as_gain)
 
-    order: Literal[2, 3] = eqx.field(default=2, static=True)
+    order: int = eqx.field(default=2, static=True)
 
     def __check_init__(self):
         check_positive("PLL", bandwidth=self.bandwidth, damping=self.damping)

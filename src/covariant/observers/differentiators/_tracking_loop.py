@@ -64,7 +64,7 @@ class AbstractTrackingLoop(AbstractObserver):
         (3, [[1.0], [0.0], [0.0]])
     """
 
-    order: eqx.AbstractVar[int]
+    order = 2  # not a field: of some loops it is one, and of others a constant
     circles: tuple[int, ...] = eqx.field(default=(), static=True, kw_only=True)
 
     @abc.abstractmethod

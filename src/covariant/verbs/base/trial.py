@@ -1,19 +1,14 @@
-"""What rivals are tuned on and ranked by: a part of a log that moves and has no faults, and predictions of the rest."""
-
-from typing import NamedTuple
+"""What rivals are tuned on and judged by: a part of a log that moves and has no faults, and slopes of its positions."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant._linalg import known_rms
-from covariant.calibration import Trial, errors_ahead, observer_gains, rows_ahead
-from covariant.models import Motion
+from covariant.calibration import Trial
 from covariant.scoring import find_holes, local_polynomials, scored_window, unwrap
 from covariant.signals import Record
-from covariant.verbs.base.design import log_sheet
 from covariant.verbs.base.inputs import Loaded, ReferenceVelocity
 from covariant.verbs.base.kinds import kind_of
-from covariant.verbs.base.outcome import Outcome
 
 SHORTEST_TRIAL, FEWEST = 100, 30
 """Rows that a third of a log must have, so that filters are tuned on it alone, and that all of a shorter one must."""
@@ -34,22 +29,6 @@ ORDERS, NARROWEST = (3, 5), (3, 5)
 the second one are wider by (49/16)^⅓, which is about `WIDER`."""
 
 
-class Ahead(NamedTuple):
-    """Errors of positions that are predicted from the estimates of each estimator, on rows that tuned nothing.
-
-    Attributes:
-        horizon: Number of rows.
-        time: The same [s].
-        errors: Root mean square errors (n,) by estimator; infinite where a prediction is not finite.
-        apart: The same without predictions in and after holes of the log; None where it has none.
-    """
-
-    horizon: int
-    time: float
-    errors: dict[str, np.ndarray]
-    apart: dict[str, np.ndarray] | None = None
-
-
 def judging_reference(loaded: Loaded) -> ReferenceVelocity:
     """What velocities of a log are judged by: the true ones, or slopes of its positions in windows of the best width.
 
@@ -60,20 +39,17 @@ def judging_reference(loaded: Loaded) -> ReferenceVelocity:
     log, t = loaded.log, np.asarray(loaded.record.t)
     # Of a long log only the rows in its middle: slopes of a million rows take seconds.
     middle = slice(max(0, (len(t) - MOST) // 2), (len(t) + MOST) // 2)
-    part = Record(*(np.asarray(column)[middle] for column in log.record[:3]))
-    kind = loaded.kind
-    seen = kind.without_outliers(part.t, kind.complete(np.asarray(part.y)))
+    part, kind = Record(*(np.asarray(column)[middle] for column in log.record[:3])), loaded.kind
+    at = np.asarray(part.t)
+    seen = kind.without_outliers(at, kind.complete(np.asarray(part.y)))
     # The entries of an attitude are as smooth as angles are.
-    best = best_polynomials(part.t, _flat(seen) if seen.ndim > 2 else unwrap(seen, loaded.model.circles))
-    stated = loaded.file.reference_half, int(loaded.file.reference_order)
-    half, order = best or stated
+    best = best_polynomials(at, _flat(seen) if seen.ndim > 2 else unwrap(seen, loaded.model.circles))
+    half, order = best or (loaded.file.reference_half, loaded.file.reference_order)
     best = kind_of(loaded.file._replace(reference_half=half, reference_order=order))
-    v, label = np.full((len(t), loaded.file.dimension), np.nan), ""
-    found = best.slopes(log._replace(record=part, whole=log.all_rows))
-    if found is not None:
-        v[middle], label = found
+    v = np.full((len(t), loaded.file.dimension), np.nan)
+    v[middle], label = best.slopes(log._replace(record=part, whole=log.all_rows)) or (np.nan, "")
     # In a hole, also one that outliers leave, and at its edges polynomials are no measure.
-    for begin, end in find_holes(part.t, np.asarray(_flat(np.isfinite(seen)).all(axis=1))):
+    for begin, end in find_holes(at, np.asarray(_flat(np.isfinite(seen)).all(axis=1))):
         v[(t > begin - half / 4) & (t < end + half / 4)] = np.nan
     return ReferenceVelocity(v, label, scored_window(t))
 
@@ -109,12 +85,11 @@ def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | No
     of a short log all rows.
     """
     t = np.asarray(loaded.record.t)
-    none = np.zeros(len(t), bool)
     if not loaded.file.mechanical:
-        return None, none
+        return None, np.zeros(len(t), bool)
     known, y = np.asarray(np.isfinite(reference.v).all(axis=1)), np.asarray(loaded.record.y)
     seen = loaded.kind.without_outliers(t, y)
-    faulty = np.asarray(~_flat(np.isfinite(seen) | ~np.isfinite(y)).all(axis=1) | ~_flat(np.isfinite(y)).any(axis=1))
+    faulty = np.asarray(~_flat(np.isfinite(seen)).all(axis=1))
     # Unwrapped before the cut: across rows that are left out a full turn would go unnoticed.
     y = unwrap(seen, loaded.model.circles) if seen.ndim == 2 else seen
     for span, least in ((moving_part(t, reference.v, known, faulty), SHORTEST_TRIAL), (known, FEWEST)):
@@ -122,7 +97,7 @@ def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | No
         part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
         if _flat(np.isfinite(y[part])).sum(axis=0).min() >= least:
             return Trial(t[part], y[part], reference.v[part]), span
-    return None, none
+    return None, np.zeros(len(t), bool)
 
 
 def _flat(y: np.ndarray) -> np.ndarray:
@@ -142,38 +117,3 @@ def moving_part(
     parts = [(t >= begin) & (t <= begin + third) for begin in np.linspace(t[0], t[-1] - third, PARTS)]
     moving = [part for part in parts if motion[part & known].size and motion[part & known].mean() >= MOVING]
     return min(moving or parts, key=lambda part: int(faulty[part].sum()))
-
-
-def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarray, "T"]) -> Ahead | None:
-    """Predict positions by the model from the estimates of each estimator, on rows on which none was tuned."""
-    if loaded.reference is None or loaded.log.truth is not None or np.any(loaded.file.delay):
-        return None
-    t = np.asarray(loaded.record.t)
-    horizon = rows_ahead(loaded.rate, observer_gains(log_sheet(loaded.file, loaded), loaded.rate).beta ** 0.5)
-    rows = scored_window(t) & ~tuned_on
-    if rows.sum() < 4 * horizon:
-        return None
-    y = loaded.kind.without_outliers(t, np.asarray(loaded.record.y))
-    record = _without_inputs(loaded.record._replace(y=y), horizon)
-    selections, holes = [rows], loaded.holes
-    if holes is not None and (rows & ~holes.concerned).sum() >= 4 * horizon:
-        selections.append(rows & ~holes.concerned)
-
-    def predicted(outcome: Outcome, selection: np.ndarray) -> np.ndarray:
-        motion = loaded.model.motion(outcome.run.estimate)
-        return known_rms(errors_ahead(loaded.model, record, Motion(motion.q, motion.v), selection, horizon), (0, 1))
-
-    errors = ({name: predicted(each, selection) for name, each in outcomes.items()} for selection in selections)
-    return Ahead(horizon, horizon / loaded.rate, *errors)
-
-
-def _without_inputs(record: Record, horizon: int) -> Record:
-    """A record whose measurements are missing where one of the `horizon` inputs that lead to them is."""
-    u = np.asarray(record.u)
-    absent = ~np.isfinite(u).all(1)
-    if not absent.any():
-        return record
-    y = np.array(record.y, float)
-    # The kernel begins with zero, since an input acts from its row to the next ones.
-    y[np.convolve(absent, np.concatenate([[0.0], np.ones(horizon)]))[: len(u)] > 0] = np.nan
-    return record._replace(u=np.nan_to_num(u), y=y)

@@ -28,8 +28,6 @@ from scalargraph.errors import InputError
 
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""
-WORSE = 1.2
-"""Ratio of the velocity errors of Kalman filter and constant gains from which a warning says the filter is worse."""
 COARSER = 1.5
 """Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
 SEARCHED = 60
@@ -188,12 +186,10 @@ def _held_out(one: Loaded) -> np.ndarray:
 def _tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:
     """The model file with the tuned numbers."""
     pairs = {f"{table}.{key}": value for table, numbers in tables.items() for key, value in numbers.items()}
-    gone = {}
     if "uncertainty" in tables:
-        gone = dict.fromkeys(("torque_std", "external_force", "external_force_std", "external_force_time"))
-    if "measurement" in tables:
-        gone["quantum"] = None
-    return models.load(file._replace(force_rate=None, **gone), pairs)
+        file = file._replace(torque_std=None, external_force=None, external_force_std=None, external_force_time=None)
+    file = file._replace(force_rate=None, quantum=None if "measurement" in tables else file.quantum)
+    return models.load(file, pairs)
 
 
 class _Runs:
@@ -339,23 +335,13 @@ def notes(confirmed: Confirmed) -> list[str]:
     return said
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
-
-
 def warning(
     confirmed: Confirmed, as_logged: np.ndarray | bool = True, remedy: str = "run `covariant fit`"
 ) -> str | None:
     """Warn in one line of a model that is no better than none, or does not explain the innovations."""
     found, default, beside = confirmed.tuning, confirmed.tables["design"]["observer"], confirmed.beside
-    gains, kalman = found.after.relative
     if not isinstance(beside, str) and beside.verdict.is_worse:
         return f"the model does not help here: {beside.sentence(default)}; {remedy}"
-    if kalman > WORSE * gains:
-        return (
-            f"the noise is not white: the velocity error of the most likely Kalman filter is {_percent(kalman)} and "
-            f"that of constant gains {_percent(gains)}"
-        )
     worst = float(np.max(np.abs(found.after.correlation) * as_logged))
     if worst > NOT_WHITE:
         return f"the innovations are not white (correlation {worst:.2f}), so the model is wrong somewhere; {remedy}"

@@ -51,11 +51,9 @@ class WithoutModel(NamedTuple):
     def ruling(self) -> str:
         """Which of the two is better and by how much, in words."""
         error, other, low, high = self.verdict
-        if self.verdict.is_better:
-            return f"the model helps, the error without it is {_times(other / error, 1 / high, 1 / max(low, TINY))}"
-        if self.verdict.is_worse:
-            return f"the filter is better, the error with the model is {_times(error / other, low, high)}"
-        return f"this log cannot tell which is better, the error with the model is {_times(error / other, low, high)}"
+        told = "the filter is better" if self.verdict.is_worse else "this log cannot tell which is better"
+        words = "the model helps" if self.verdict.is_better else told
+        return f"{words}, the error with the model is {error / other:.3g} times as large ({low:.3g} to {high:.3g})"
 
     def sentence(self, observer: str) -> str:
         """Both errors in one line."""
@@ -124,7 +122,8 @@ def beside_filters(
     # may refuse what is none of its outliers: then the next one is tried.
     runs: dict[str, Any] = {}
     actual: dict[str, float] = {}
-    trying = tuned_on & reference.scored & np.isfinite(reference.v).all(axis=1)
+    trying = tuned_on & np.isfinite(reference.v).all(axis=1)
+    trying &= reference.scored if np.any(trying & reference.scored) else True
     for name in sorted(errors, key=errors.__getitem__) or free:
         runs[name] = drive(filters[name], loaded).velocity
         one = [runs[name][trying]]
@@ -141,11 +140,3 @@ def beside_filters(
         return "a coordinate stands still, so that no error is a part of its velocity"
     ratio = ErrorRatio.of_velocities(*([each[judged]] for each in (velocity, runs[best], reference.v)))
     return WithoutModel(best, ratio, reference.label, runs[best], judged, tuned_on)
-
-
-TINY = np.finfo(float).tiny
-
-
-def _times(ratio: float, low: float, high: float) -> str:
-    """A ratio with its interval."""
-    return f"{ratio:.3g} times as large ({low:.3g} to {high:.3g})"
