@@ -90,7 +90,7 @@ def test_a_comparison_is_a_table_in_order_of_error(log, tmp_path):
     relative = np.linalg.norm(table[["v1_rmse", "v2_rmse"]].to_numpy() / size, axis=1)
     assert (np.diff(relative) >= 0).all()
     result.save(tmp_path / "table.csv")
-    head = "rank,estimator,v1_rmse,v2_rmse,nis,nees,microseconds\n1,"
+    head = "rank,estimator,v1_rmse,v2_rmse,v1_median_error,v2_median_error,nis,nees,microseconds\n1,"
     assert (tmp_path / "table.csv").read_text().startswith(head)
     assert set(result.outcomes) == {row["estimator"] for row in result.summary["ranking"]}
 
