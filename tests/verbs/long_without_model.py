@@ -1,12 +1,16 @@
 """An estimate says what the best filter without a model would have left, and warns where that is less."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import covariant
-from covariant import observers
+from covariant import logs, models, observers
 from covariant.calibration.tuning._filters import even_velocity
+from covariant.geometry.lie import SO3
 from covariant.signals import Record
+from covariant.simulation import simulate
 from covariant.verbs.base.without_model import WithoutModel, without_model
 
 NOISE = {"measurement.std": 1e-3, "uncertainty.acceleration": 0.3}
@@ -96,3 +100,21 @@ def test_a_line_says_why_nothing_can_be_judged(log):
     assert "too few to judge" in str(short)
     assert free.without_model == ""
     assert "tells no noise" in str(quiet)
+
+
+@pytest.mark.parametrize(("moments", "better"), [((4e-3, 7e-3, 1e-2), True), ((4e-3, 2e-2, 1e-2), False)])
+def test_attitudes_have_a_sentence_too(moments, better):
+    """A body that tumbles in the air; the model has its moments of inertia, or wrong ones."""
+    t, random = np.arange(0, 6, 0.01), np.random.default_rng(0)
+    start = models.Motion(SO3.exp(jnp.asarray(random.normal(size=3))), jnp.array([0.5, 9.0, 0.3]))
+    true = simulate(models.free_body((4e-3, 7e-3, 1e-2)), start, jnp.asarray(t))
+    noise = jax.vmap(SO3.exp)(jnp.asarray(random.normal(0, 2e-3, (len(t), 3))))
+    columns = logs.Columns(quaternion_wxyz=("qw", "qx", "qy", "qz"))
+    file = models.ModelFile("racquet", models.free_body(moments), columns, measurement_std=2e-3, acceleration_std=1.0)
+    result = covariant.estimate(file, Record(t, np.zeros((len(t), 3)), np.asarray(true.y @ noise)), anyway=True)
+    found, v = result.without_model, np.asarray(true.x.v)
+    assert isinstance(found, WithoutModel)
+    assert found.filter == "tracking-loop"
+    own, free = (np.mean((each - v)[found.judged] ** 2) for each in (result.velocity, found.velocity))
+    assert (own < free) == better
+    assert found.verdict.is_better if better else found.verdict.is_worse
