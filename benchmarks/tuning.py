@@ -17,7 +17,7 @@ from covariant.observers import Intrinsic, run
 from covariant.scoring import scored_window
 from covariant.verbs.base.aligned import aligned
 from covariant.verbs.base.inputs import Job, data_sheet
-from covariant.verbs.base.tune_to_logs import warning
+from covariant.verbs.base.tune_to_logs import confirm, warning
 
 DATA = Path(os.environ["COVARIANT_DATA"])
 DOUBLE = ("multiarm_double", ["multiarm_pendulum/double.csv"], 20.0)
@@ -44,10 +44,11 @@ def case(name: str, logs: list[str], until: float | None, every: int, factor: fl
     records, velocities = [each.record for each in loaded], [each.reference.v for each in loaded]
     before = data_sheet(one.file)
     found = tune(one.model, records, velocities, std=known, before=before)
-    free, after = found.model_free, found.after.relative
+    judged = confirm(loaded, found)
+    free, after = judged.beside.verdict.other, found.after.relative
     if factor != 1:
-        parts = after / free[1]
-        words = f"{free[1]:.4f} ({free[0]}) | {parts[0]:.2f} | {parts[1]:.2f} | {warning(found)}"
+        parts = after / free
+        words = f"{free:.4f} ({judged.beside.filter}) | {parts[0]:.2f} | {parts[1]:.2f} | {warning(judged)}"
         print(f"| {name} | {one.rate:.0f} | {words} |", flush=True)
         return
     masks = [scored_window(r.t) & (r.t >= r.t[0] + 2 / 3 * (r.t[-1] - r.t[0])) for r in records]
@@ -68,7 +69,7 @@ def case(name: str, logs: list[str], until: float | None, every: int, factor: fl
     was, is_now = error(ruled) / best.fun, error(tuned) / best.fun
     print(f"| {name} | {one.rate:.0f} | {best.fun:.5f} | {np.exp(best.x[0]):.0f}, {np.exp(best.x[1]):.2f} | {was:.3f} |"
           f" {found.natural_frequency:.0f}, {found.damping:.2f} | {is_now:.3f} | {after[1] / best.fun:.3f} |"
-          f" {free[1] / best.fun:.1f} |", flush=True)  # fmt: skip
+          f" {free / best.fun:.1f} |", flush=True)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -37,6 +37,7 @@ NUMBERS = {
     "window": "window, order",
     "motion": "motion, noise",
     "jerk": "jerk",
+    "loop": "bandwidth",
     "state noise": "covariances, first estimate",
 }
 PAPERS = ("aghannan-rouchon", "maithripala", "sanfelice-praly", "jouffroy-fossen")

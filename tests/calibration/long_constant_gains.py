@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from test_constant_gains import RECORD, TRUE, T, _gains, stationary
 
-from covariant.calibration import errors_ahead, predict_sampled_errors
+from covariant.calibration import predict_sampled_errors
 from covariant.calibration.identification import NoiseLevels, Unknowns, mean_square, stretch
 from covariant.calibration.identification._error_model import ErrorModel, error_model, from_later, kalman, smoothed
 from covariant.calibration.tuning._constant_gains import as_poles
@@ -27,29 +27,6 @@ def test_the_gain_of_the_error_filter_is_that_of_the_stationary_design():
     k1, k2 = stationary(1e-3, 0.09, 50.0)
     best = predict_sampled_errors(*_gains(as_poles(k1, k2, 50.0)), 50.0, 1e-3, 0.09)
     assert float(filtered.velocity_std[-1, 0]) == pytest.approx(best.velocity_std, rel=1e-4)
-
-
-def test_predictions_leave_out_what_is_missing_and_beyond_gaps_and_report_what_fails():
-    y = RECORD.y.copy()
-    y[150] = np.nan
-    t = np.where(T > 5.0, T + 1.0, T)
-    errors = errors_ahead(oscillator(), Record(t, RECORD.u, y), TRUE, np.ones(400, bool), 3)
-    assert np.isnan(errors[149, 0])
-    assert np.isfinite(errors[149, 1])
-    border = int(np.argmax(T > 5.0))
-    assert np.isnan(errors[border - 1]).all()
-    assert np.isfinite(errors[border]).all()
-    failed = errors_ahead(oscillator(), RECORD, Motion(TRUE.q, TRUE.v * jnp.nan), T > 2.0, 3)
-    assert all(np.isinf(mean_square(column.ravel())) for column in np.moveaxis(failed, -1, 0))
-    with pytest.raises(ValueError, match="no row is followed by 9 others"):
-        errors_ahead(oscillator(), RECORD, TRUE, T < 0.0, 9)
-
-
-def test_the_reference_run_predicts_as_well_as_its_motion_allows():
-    done = run(Intrinsic(oscillator(), 8.0, 30.0), RECORD)
-    motion = oscillator().motion(done.estimate)
-    errors = errors_ahead(oscillator(), RECORD, Motion(motion.q, motion.v), T > 4.0, 4)
-    assert np.sqrt(mean_square(errors[np.isfinite(errors)])) < 1e-5
 
 
 def plainly_smoothed(system, noise, start):

@@ -3,8 +3,8 @@
 import pytest
 from test_estimators import FLAT, RATE, SHEET, trial, trial_error, ungated
 
-from covariant.calibration import filter_bandwidth, observer_gains, tuned_estimators
-from covariant.calibration.tuning._filters import jerk_bound, joint_noise, polynomial
+from covariant.calibration import observer_gains, tuned_estimators
+from covariant.calibration.tuning._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
 from covariant.observers import PLL, FilteredDerivative, HighGain, JointKalman, Levant, SavitzkyGolay, run
 
 

@@ -1,16 +1,16 @@
-"""Candidates for constant gains, the prediction of measurements that judges them, and forces that are forgotten."""
+"""Candidates for constant gains, which of them is taken, and forces that are forgotten."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from covariant.calibration import errors_ahead, predict_sampled_errors
+from covariant.calibration import predict_sampled_errors
 from covariant.calibration.identification._error_model import (
     forgotten,
 )
 from covariant.calibration.tuning._constant_gains import as_poles, chosen, sampled_design
-from covariant.models import Motion, oscillator
+from covariant.models import Motion
 from covariant.observers import external_force
 from covariant.observers.base._sampled import sampled_gains
 from covariant.observers.sensors._slow import SlowStates
@@ -51,12 +51,6 @@ def test_the_sampled_design_is_the_stationary_kalman_filter(std, density, rate):
 
 def _gains(poles):
     return 2 * poles[0] * poles[1], poles[0] ** 2
-
-
-def test_predictions_show_the_error_of_the_velocity():
-    off = Motion(TRUE.q, TRUE.v + 0.1)
-    errors = errors_ahead(oscillator(), RECORD, off, T > 2.0, 5)
-    np.testing.assert_allclose(errors[:, :, 0], np.broadcast_to(-0.1 * np.sin(T[1:6]), errors.shape[:2]), atol=1e-8)
 
 
 def taken(slack=1.0, **errors):

@@ -13,13 +13,13 @@ from covariant.calibration import (
     DataSheet,
     Trial,
     estimators,
-    filter_bandwidth,
     gains,
     observer_gains,
     tuned_estimators,
 )
 from covariant.calibration.tuning._filters import (
     LONGEST_WINDOW,
+    filter_bandwidth,
     filter_error,
     filtered,
     jerk_bound,
@@ -147,7 +147,7 @@ def test_all_estimators_come_from_one_data_sheet():
     np.testing.assert_allclose(kalman.initial_velocity_cov, np.eye(1), rtol=1e-12)
     assert eqx.tree_equal(estimators["filtered-derivative"], FilteredDerivative(filter_bandwidth(SHEET, RATE)))
     assert eqx.tree_equal(estimators["savitzky-golay"], SavitzkyGolay(*polynomial(SHEET, RATE)))
-    assert len(estimators) == 16
+    assert len(estimators) == 17
 
 
 def test_an_acceleration_new_at_each_sample_is_white_over_one():
@@ -176,7 +176,7 @@ def test_a_model_is_offered_the_estimators_that_fit_it():
     top, vehicle = heavy_top((0.1, 0.2, 0.6)), underwater_vehicle()
     assert estimators(FLAT) == tuple(tuned_estimators(FLAT, AXES, SHEET, RATE))
     gains = ("intrinsic", "intrinsic2", "intrinsic-force", "geodesic", "lagrangian-metric", "copy")
-    anywhere = (*gains, "intrinsic-kalman", "ekf", "ukf")
+    anywhere = (*gains, "intrinsic-kalman", "ekf", "ukf", "tracking-loop")
     assert estimators(top) == (*anywhere, "salcudean") == tuple(tuned_estimators(top, 3, SHEET, RATE))
     assert estimators(vehicle) == anywhere == tuple(tuned_estimators(vehicle, 6, SHEET, RATE))
     assert {*estimators(FLAT), *estimators(top)} == set(ESTIMATORS)

@@ -139,11 +139,11 @@ def test_people_are_told_why_compiled_c_did_not_do_the_work(arguments, monkeypat
 def test_compare_ranks_all_estimators():
     result = command("compare", "model.toml", "log.csv", "--truth", "true_v1", "-o", "table.csv")
     names = [row["estimator"] for row in result["ranking"]]
-    assert len(names) == len(set(names)) == 14
+    assert len(names) == len(set(names)) == 17
     errors = [row["velocity_rmse"][0] for row in result["ranking"]]
     assert errors == sorted(errors)
-    model_free = {"filtered-derivative", "pll", "high-gain", "levant", "savitzky-golay", "joint-kalman"}
-    assert set(names[-6:]) == model_free
+    model_free = {"filtered-derivative", "pll", "pll3", "high-gain", "levant", "savitzky-golay", "joint-kalman"}
+    assert set(names[-7:]) == model_free
     table = [line.split(",") for line in Path("table.csv").read_text().splitlines()]
     assert table[0] == ["rank", "estimator", "v1_rmse", "nis", "nees", "microseconds"]
     knows = {row["estimator"] for row in result["ranking"] if row["nis"] is not None}

@@ -65,8 +65,10 @@ def test_the_file_that_is_written_has_the_noise_of_the_log_and_its_comments():
     assert after["likelihood"][0] > before["likelihood"][0] + 2
     assert after["gains_error"][0] < before["gains_error"][0]
     assert result["warning"] is None
-    assert result["model_free"]["relative"] > min(after["relative"])
-    file = models.load("tuned.toml")
+    file, estimated = models.load("tuned.toml"), command("estimate", "tuned.toml", "log.csv", "-o", "estimate.csv")
+    assert result["without_model"]["high"] < 1
+    assert estimated["observer"] == file.observer == result["lines"]["design"]["observer"]
+    assert estimated["without_model"]["filter"] == result["without_model"]["filter"]
     assert file.measurement_std == pytest.approx(2e-4, rel=0.15)
     assert file.external_force is None, "there is none, so it is taken out"
     assert file.natural_frequency == result["lines"]["design"]["natural_frequency"]
@@ -108,6 +110,6 @@ def test_every_joint_gets_the_noise_that_was_found(tmp_path):
     (tmp_path / "two.toml").write_text('system = "pendulum_chain"\n[columns]\nq = ["q1", "q2"]\n')
     noise = NoiseLevels(jnp.array(2.0), jnp.array([1e-3, 3e-3]), jnp.array(0.0))
     held_out = HeldOut(*[1.0] * len(HeldOut._fields))
-    found = Tuning(20.0, 0.7, noise, None, held_out, None, 100)
+    found = Tuning(20.0, 0.7, noise, None, held_out, 100)
     file = models.load(str(tmp_path / "two.toml"))
     assert _tables(file, found, 200.0)["measurement"] == {"std": [0.001, 0.003]}

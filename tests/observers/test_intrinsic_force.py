@@ -10,7 +10,10 @@ from scipy.linalg import expm
 from covariant import models
 from covariant._integrate import rk8
 from covariant.certificates import error_system
-from covariant.observers import IntrinsicForce
+from covariant.geometry.lie import SO3
+from covariant.observers import IntrinsicForce, run
+from covariant.signals import Record
+from covariant.simulation import simulate
 
 
 def matrix(alpha, beta, rate):
@@ -93,3 +96,39 @@ def test_no_certificate_is_about_it():
     observer = IntrinsicForce(DOUBLE, ALPHA, BETA, RATE)
     with pytest.raises(TypeError, match=r"certificates are about .*; got IntrinsicForce"):
         error_system(observer, np.eye(2))
+
+
+def test_a_force_is_forgotten_with_the_time_in_which_it_was_learnt_and_not_before():
+    """At steps up to 1/ρ it stays; of a hole one step or many give the same, with steps of the integration that are."""
+    observer = IntrinsicForce(SPRING, ALPHA, BETA, RATE, substeps=400)
+    start = observer.init(jnp.array([0.3]))._replace(force=jnp.array([2.0]))
+    u = jnp.zeros(1)
+    assert observer.predict(start, u, 1 / RATE).force[0] == 2.0
+    once = observer.predict(start, u, 1.0)
+    np.testing.assert_allclose(once.force, 2.0 * np.exp(1 - RATE), rtol=1e-12)
+    parts = start
+    for dt in (0.1, 0.1, 0.3, 0.5):
+        parts = observer.predict(parts, u, dt)
+    np.testing.assert_allclose(parts.force, once.force, rtol=1e-12)
+    np.testing.assert_allclose([*parts.q, *parts.v], [*once.q, *once.v], atol=1e-5)
+
+
+def test_through_a_hole_a_body_that_spins_does_not_carry_the_force_it_had_learnt():
+    """At 30 rad/s, with moments of inertia that are wrong: what is missing turns with the body."""
+    model, t, rng = models.free_body((1.0, 1.2, 1.4)), np.arange(0, 2.65, 0.005), np.random.default_rng(0)
+    begin = models.Motion(jnp.eye(3), jnp.array([3.0, 30.0, 4.0]))
+    true = simulate(models.free_body((1.0, 1.15, 1.5)), begin, jnp.asarray(t))
+    noise = jax.vmap(SO3.exp)(jnp.asarray(rng.normal(0, 2e-3, (len(t), 3))))
+    hole, u = (t > 2) & (t < 2.5), np.zeros((len(t), 3))
+    y = np.where(hole[:, None, None], np.nan, np.asarray(true.y @ noise))
+    observer = IntrinsicForce(model, 84.0, 3600.0, 20.0)
+    done = run(observer, Record(t, u, y), ("slow",))
+    last = int(np.flatnonzero(hole)[0]) - 1
+    carried = eqx.tree_at(lambda m: m.force, model, lambda t, q, u: done.info.slow[last] + u)
+    coasting = models.Motion(*(jnp.asarray(each)[last] for each in (done.estimate.q, done.estimate.v)))
+    unchanged = simulate(carried, coasting, jnp.asarray(t[last:][: hole.sum() + 1]))
+
+    def error(v):
+        return np.sqrt(np.mean((np.asarray(v) - np.asarray(true.x.v)[hole]) ** 2))
+
+    assert error(np.asarray(done.estimate.v)[hole]) < 0.85 * error(unchanged.x.v[1:])

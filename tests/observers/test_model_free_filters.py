@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 from scipy import linalg, signal
 
-from covariant.observers import PLL, FilteredDerivative, HighGain, JointKalman, Levant, SavitzkyGolay, run
+from covariant.models import free_body
+from covariant.observers import (
+    PLL,
+    REGISTRY,
+    FilteredDerivative,
+    HighGain,
+    JointKalman,
+    Levant,
+    SavitzkyGolay,
+    run,
+)
 from covariant.observers.differentiators._levant import MARGIN
 from covariant.observers.differentiators._tracking_loop import sampled
 from covariant.observers.filters._joint_kalman import singer
@@ -18,10 +28,13 @@ LINEAR = {
     "filtered derivative": FilteredDerivative(40.0, (0,)),
     "savitzky-golay": SavitzkyGolay(9, 2, (0,)),
     "pll": PLL(40.0, circles=(0,)),
+    "pll3": PLL(40.0, 0.5, 3, circles=(0,)),
     "high-gain": HighGain(60.0, circles=(0,)),
     "joint kalman": JointKalman(20.0, 0.1, 1e-3, (0,), gate=None),
 }
-LOOPS = {name: LINEAR[name] for name in ("pll", "high-gain", "joint kalman")} | {"levant": Levant(200.0, circles=(0,))}
+LOOPS = {name: LINEAR[name] for name in ("pll", "pll3", "high-gain", "joint kalman")} | {
+    "levant": Levant(200.0, circles=(0,))
+}
 EVEN = np.arange(ROWS) / RATE
 IRREGULAR = np.cumsum(np.random.default_rng(4).uniform(2e-3, 8e-3, ROWS))
 
@@ -50,6 +63,7 @@ def test_weights_are_the_response_to_an_impulse(name):
 LAWS = {
     "pll": (PLL(40.0), [[-2 * 0.5**0.5 * 40, 1], [-(40**2), 0]]),
     "pll, overdamped": (PLL(40.0, 1.3), [[-2 * 1.3 * 40, 1], [-(40**2), 0]]),
+    "third order": (PLL(40.0, 0.6, 3), [[-88, 1, 0], [-(40**2) - 48 * 40, 0, 1], [-(40**3), 0, 0]]),
     "high-gain": (HighGain(60.0), [[-180, 1, 0], [-3 * 60**2, 0, 1], [-(60**3), 0, 0]]),
 }
 
@@ -72,7 +86,7 @@ def test_sampled_loops_have_the_poles_of_the_continuous_law_and_tend_to_it(name)
 def test_what_they_assume_of_the_motion_leaves_no_error(name):
     """A ramp; a parabola too where accelerations are followed and do not fade. At irregular stamps."""
     t, late = IRREGULAR, slice(-50, None)
-    curve = 3.0 if name in ("high-gain", "levant") else 0.0
+    curve = 3.0 if name in ("pll3", "high-gain", "levant") else 0.0
     truth = np.stack([1 + 2 * t + curve * t**2, -t], axis=1)
     slope = np.stack([2 + 2 * curve * t, -1 + 0 * t], axis=1)
     q, v = states(LOOPS[name], t, truth)
@@ -264,3 +278,24 @@ def test_a_filtered_derivative_finds_a_ramp_at_its_own_pace_whatever_the_stamps(
 def test_a_window_must_be_longer_than_the_order(window, order):
     with pytest.raises(ValueError, match=f"window {window} must exceed order {order}"):
         SavitzkyGolay(window, order)
+
+
+def test_a_third_order_loop_with_equal_poles_is_the_high_gain_differentiator():
+    dt = jnp.array([2e-3, 0.05])
+    same = PLL(60.0, 1.0, 3).gains(dt, dt), HighGain(60.0).gains(dt, dt)
+    np.testing.assert_allclose(*same, rtol=1e-9)
+
+
+def test_about_one_axis_the_loop_on_a_group_is_that_of_the_angle():
+    """A turn that accelerates and passes half a turn, with noise, holes and irregular stamps."""
+    t = IRREGULAR
+    angle = 0.3 + 2 * t + 3 * t**2 + 1e-2 * np.random.default_rng(2).normal(size=len(t))
+    angle[50:55] = np.nan
+    c, s, o = np.cos(angle), np.sin(angle), 0 * angle
+    attitudes = np.stack([np.stack(row, -1) for row in ((c, -s, o), (s, c, o), (o, o, 1 + o))], axis=1)
+    entry = next(each for each in REGISTRY if each.name == "tracking-loop")
+    loop = entry.construct(free_body((0.9, 1.0, 1.2)), 30.0)
+    turned = run(loop, Record(t, np.ones((len(t), 3)), attitudes))  # inputs of the model, which it does not know
+    _, v = states(PLL(30.0, 0.5, 3, circles=(0,)), t, angle[:, None])
+    np.testing.assert_allclose(np.asarray(turned.estimate.v)[:, 2], v[:, 0], rtol=0, atol=1e-8)
+    assert not np.asarray(turned.estimate.v)[:, :2].any()

@@ -201,12 +201,11 @@ def test_bands_marks_pushes_and_forces_are_drawn(make):
     np.testing.assert_allclose([np.nanmin(band), np.nanmax(band)], [0.3, 0.7], rtol=1e-4)
 
 
-def test_hidden_curves_wait_for_a_click_and_pale_columns_are_grey(make):
-    report = make(1, labels=("one", "two"))._replace(hidden=("two",), pale=("RMS [rad/s]",))
+def test_hidden_curves_wait_for_a_click(make):
+    report = make(1, labels=("one", "two"))._replace(hidden=("two",))
     page = Page(_html.page(report))
     pressed = {attrs["data-label"]: attrs["aria-pressed"] for attrs in page.all("button")}
     assert (pressed["one"], pressed["two"]) == ("true", "false")
-    assert page.all("th")[1]["class"] == "number pale"
 
 
 def test_lines_to_copy_and_facts_are_text(make):

@@ -85,11 +85,12 @@ def test_a_comparison_is_a_table_in_order_of_error(log, tmp_path):
     result = covariant.compare(MODEL, log, overrides=NOISE, until=1.0)
     table = result.to_pandas()
     assert [*table["estimator"]] == [*result.ranking]
-    predicted = table[["predicted1_rmse", "predicted2_rmse"]].to_numpy()  # the log has no truth
-    relative = np.linalg.norm(predicted / predicted.min(axis=0), axis=1)
+    reference = result.loaded.reference
+    size = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
+    relative = np.linalg.norm(table[["v1_rmse", "v2_rmse"]].to_numpy() / size, axis=1)
     assert (np.diff(relative) >= 0).all()
     result.save(tmp_path / "table.csv")
-    head = "rank,estimator,v1_rmse,v2_rmse,predicted1_rmse,predicted2_rmse,nis,nees,microseconds\n1,"
+    head = "rank,estimator,v1_rmse,v2_rmse,v1_median_error,v2_median_error,nis,nees,microseconds\n1,"
     assert (tmp_path / "table.csv").read_text().startswith(head)
     assert set(result.outcomes) == {row["estimator"] for row in result.summary["ranking"]}
 

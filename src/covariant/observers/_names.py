@@ -13,10 +13,12 @@ OBSERVER_NAMES = (
     "ukf",
     "filtered-derivative",
     "pll",
+    "pll3",
     "high-gain",
     "levant",
     "savitzky-golay",
     "joint-kalman",
+    "tracking-loop",
     "salcudean",
 )
 """Names of the first entries of `REGISTRY`, for mechanical systems, in the order of the registry."""

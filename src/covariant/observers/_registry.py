@@ -6,13 +6,15 @@ An observer is registered only here. `calibration.estimators` and `tuned_estimat
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, cast
 
 import jax.numpy as jnp
+from jaxtyping import Array
 
-from covariant._typing import Matrix, Vector
-from covariant.geometry.lie import SO3
-from covariant.models import MechanicalSystem, StateSpace
+from covariant._functional import Functional
+from covariant._typing import Matrix, Scalar, Vector
+from covariant.geometry.lie import SO3, AbstractGroup
+from covariant.models import GroupSystem, MechanicalSystem, StateSpace, input_count
 from covariant.models.robots import Legs
 from covariant.observers.base import AbstractObserver, Covariance
 from covariant.observers.constant_gain import (
@@ -67,6 +69,11 @@ def without_contacts(model: MechanicalSystem | StateSpace) -> bool:
     return without_loops(model) and model.feet is None
 
 
+def on_a_group(model: MechanicalSystem | StateSpace) -> bool:
+    """Mechanical systems on a Lie group."""
+    return mechanical(model) and isinstance(model.manifold, AbstractGroup)
+
+
 def rotations(model: MechanicalSystem | StateSpace) -> bool:
     """Rigid bodies on SO(3)."""
     return mechanical(model) and model.manifold == SO3
@@ -107,6 +114,26 @@ def intrinsic_kalman(
     )
 
 
+class _NoForce(Functional):
+    """No generalised force (n,), whatever the inputs are."""
+
+    n: int
+
+    def __call__(self, t: Scalar, q: Array, u: Vector) -> Vector:
+        return jnp.zeros(self.n, q.dtype)
+
+
+def tracking_loop(model: MechanicalSystem, bandwidth: float | Scalar) -> IntrinsicForce:
+    """Phase-locked loop of third order on the group of a model: that of `PLL`, with errors by the logarithm.
+
+    It follows a free body of the inertia 1, and takes what it does not explain for a force that lasts.
+    """
+    n, group = len(model.velocities), cast(AbstractGroup, model.manifold)
+    names = {"velocities": model.velocities, "units": model.velocity_units, "inputs": input_count(model, n)}
+    free = GroupSystem(group, jnp.eye(n), force=_NoForce(n), **names)
+    return IntrinsicForce(free, bandwidth, jnp.square(bandwidth), bandwidth)  # α = 2ζω for ζ = ½
+
+
 class Entry(NamedTuple):
     """An observer with the data needed to construct it for a model.
 
@@ -123,7 +150,7 @@ class Entry(NamedTuple):
             For filters without a model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
             [samples] and the degree of a polynomial; "motion" are the standard deviation [rad/s²] and the correlation
             time [s] of the accelerations, and the standard deviation of a sample; "jerk" is a bound on the jerk
-            [rad/s³].
+            [rad/s³]; "loop" is the bandwidth [rad/s] of a loop on a group.
             For a state-space model, "state noise" is its `StateNoise`.
         about: Short description of the observer.
         when: When to choose it.
@@ -148,7 +175,16 @@ class Entry(NamedTuple):
     observer: type[AbstractObserver]
     make: Callable[..., AbstractObserver]
     tuned_by: Literal[
-        "gains", "gains and force", "noise", "noise or ticks", "bandwidth", "window", "motion", "jerk", "state noise"
+        "gains",
+        "gains and force",
+        "noise",
+        "noise or ticks",
+        "bandwidth",
+        "window",
+        "motion",
+        "jerk",
+        "loop",
+        "state noise",
     ]
     about: str
     when: str
@@ -177,7 +213,7 @@ class Entry(NamedTuple):
     @property
     def knows_model(self) -> bool:
         """Whether the observer predicts with the model, instead of using positions alone."""
-        return self.tuned_by not in ("bandwidth", "window", "motion", "jerk")
+        return self.tuned_by not in ("bandwidth", "window", "motion", "jerk", "loop")
 
 
 REGISTRY = (
@@ -299,6 +335,16 @@ REGISTRY = (
         fits=coordinates,
     ),
     Entry(
+        name="pll3",
+        observer=PLL,
+        make=lambda model, bandwidth: PLL(bandwidth, 0.5, 3, circles=model.circles),
+        tuned_by="bandwidth",
+        about="`PLL(order=3)`: the α-β-γ tracking loop, which follows accelerations; knows no model",
+        when="there is no model, and accelerations last",
+        source="Gardner 2005; Kalata 1984",
+        fits=coordinates,
+    ),
+    Entry(
         name="high-gain",
         observer=HighGain,
         make=lambda model, bandwidth: HighGain(bandwidth, circles=model.circles),
@@ -337,6 +383,16 @@ REGISTRY = (
         when="there is no model, but an idea of the motion: the best linear filter for it",
         source="Singer 1970; Bar-Shalom, Li & Kirubarajan 2001",
         fits=coordinates,
+    ),
+    Entry(
+        name="tracking-loop",
+        observer=IntrinsicForce,
+        make=tracking_loop,
+        tuned_by="loop",
+        about="phase-locked loop of third order for poses and attitudes, by the logarithm; knows no model",
+        when="there is no model of a body",
+        source="Gardner 2005, in a parallel frame as by Aghannan & Rouchon 2003, (5)",
+        fits=on_a_group,
     ),
     Entry(
         name="salcudean",

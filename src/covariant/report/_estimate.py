@@ -80,7 +80,6 @@ class EstimateReport(NamedTuple):
         code: Lines to copy, such as those of a model file.
         table: Columns (T,) by name, which the page offers as a CSV file; empty for none.
         hidden: Labels of curves that are shown only after a click.
-        pale: Headings of less informative columns of the table, such as errors against a noisy reference.
 
     Example:
         >>> import numpy as np
@@ -127,7 +126,6 @@ class EstimateReport(NamedTuple):
     code: str = ""
     table: Mapping[str, np.ndarray] = MappingProxyType({})
     hidden: tuple[str, ...] = ()
-    pale: tuple[str, ...] = ()
 
     def check(self) -> "EstimateReport":
         """Check the shapes and labels of the report.

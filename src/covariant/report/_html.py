@@ -74,7 +74,7 @@ def page(report: EstimateReport) -> str:
         "STYLE": template("covariant.report", "page.css"),
         "VERDICT": verdict_html(report.headline, report.warnings),
         "FACTS": facts_html(report.facts) + _code(report),
-        "TABLE": table_html(report.rows, report.best, report.pale),
+        "TABLE": table_html(report.rows, report.best),
         "DETAILS": _details(report, panels),
         "LEGEND": _legend(_used(styled, panels), report.hidden),
         "COLUMNS": len(report.coordinates),
@@ -230,15 +230,12 @@ def _notes(report: EstimateReport, panels: dict[str, Quantity]) -> str:
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
 
 
-def table_html(rows: Sequence[Mapping[str, object]], best: int = 0, pale: Sequence[str] = ()) -> str:
-    """Format a table in HTML; the first `best` rows are marked as the best, and `pale` columns are grey."""
+def table_html(rows: Sequence[Mapping[str, object]], best: int = 0) -> str:
+    """Format a table in HTML; the first `best` rows are marked as the best."""
     if not rows:
         return ""
     header, body, numeric = cells(rows)
-    kinds = [
-        " ".join(["number"] * right + ["pale"] * (name in pale)) for name, right in zip(header, numeric, strict=True)
-    ]
-    side = [f' class="{kind}"' if kind else "" for kind in kinds]
+    side = [' class="number"' if right else "" for right in numeric]
 
     def line(tag: str, texts: list[str]) -> str:
         return "".join(f"<{tag}{at}>{escape(text)}</{tag[:2]}>" for text, at in zip(texts, side, strict=True))

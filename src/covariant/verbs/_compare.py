@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
-from covariant.calibration import estimators
+from covariant.calibration import Trial, estimators
 from covariant.engine import EngineName
 from covariant.models import Overrides
 from covariant.observers import AbstractObserver
@@ -32,7 +33,8 @@ from covariant.verbs.base.outputs import write_table
 from covariant.verbs.base.pages import estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
-from covariant.verbs.base.trial import Ahead, ahead, trial_part
+from covariant.verbs.base.trial import judging_reference, trial_part
+from covariant.verbs.base.without_model import beside_filters
 
 
 def compare(
@@ -51,16 +53,15 @@ def compare(
     """Run all estimators that fit a model on a log, tuned from the same data sheet, and rank them.
 
     Use it to choose an observer for a machine. A ranking on the true velocities is the more reliable one; without them
-    the estimators are ranked by how well the model predicts later positions from their estimates. The ranking is that
-    of one motion and one data sheet: call `tune` first where the noise is not known.
+    the estimators are ranked by slopes of the positions, in the windows that predict left-out rows best. The ranking is
+    that of one motion and one data sheet: call `tune` first where the noise is not known.
 
     Args:
         model, log, overrides, every, start, until, columns, anyway, engine, progress: As for `estimate`. Noise of the
             model file, or of `overrides`, is the data sheet.
 
     Returns:
-        The estimators in order of their errors: against the true velocities where the log has them, else of positions
-        that the model predicts from the estimates, some rows ahead, on rows on which none was tuned.
+        The estimators in order of their errors, on rows on which none was tuned.
 
     Raises:
         MisfitError: Where the model explains nothing of the motion in the log.
@@ -77,17 +78,26 @@ def compare(
     progress("reading the log")
     loaded = load(job, missing_inputs=True)
     progress("tuning")
-    observers, note, tuned_on = line_up(loaded)
+    reference, trial, tuned_on = loaded.reference, None, np.zeros(len(loaded.record.t), bool)
+    if reference is not None:
+        reference = judging_reference(loaded)
+        trial, tuned_on = trial_part(loaded, reference)
+        apart = reference.scored & np.isfinite(reference.v).all(axis=1) & ~tuned_on
+        loaded = loaded._replace(reference=reference._replace(scored=apart if apart.any() else reference.scored))
+    observers, note = line_up(loaded, trial, tuned_on)
     outcomes: dict[str, Outcome] = {}
     for place, (name, observer) in enumerate(observers.items()):
         progress(name, place / len(observers))
         outcomes[name] = drive(observer, loaded, engine)
     progress("timing")
     outcomes = timed(outcomes, observers, loaded)
-    progress("predicting")
-    predicted = ahead(outcomes, loaded, tuned_on)
-    ranked = {name: outcomes[name] for name in rank(outcomes, loaded, predicted)}
-    return CompareResult(job, loaded, note, ranked, engine, predicted)
+    ranked = {name: outcomes[name] for name in rank(outcomes, loaded)}
+    informed = next((name for name in ranked if name in INFORMED), None)
+    sentence = ""
+    if informed is not None and reference is not None and any(name not in INFORMED for name in ranked):
+        beside = beside_filters(loaded, ranked[informed].velocity, reference, trial, tuned_on, observers)
+        sentence = beside if isinstance(beside, str) else beside.sentence(informed)
+    return CompareResult(job, loaded, note, ranked, engine, sentence)
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,7 +110,8 @@ class CompareResult(AbstractTable):
         design: Sentences on how all of them are tuned.
         outcomes: Run and score of each estimator by name, in order of error.
         asked_engine: The engine that was asked for.
-        predicted: Errors of predicted positions that they are ranked by; None where they are ranked by others.
+        without_model: A sentence that judges the best of them with the model beside the best filter without one, as
+            `estimate` does; "" where none of them fits.
 
     Example:
         >>> import covariant
@@ -118,7 +129,7 @@ class CompareResult(AbstractTable):
     design: str
     outcomes: dict[str, Outcome]
     asked_engine: EngineName
-    predicted: Ahead | None = None
+    without_model: str = ""
 
     written = (".csv",)
 
@@ -154,7 +165,6 @@ class CompareResult(AbstractTable):
                 if all(row is not None for row in rows)
                 for i, name in enumerate(scored)
             },
-            **self._predicted_columns(),
             **{key.lower(): np.array([row[key] for row in known]) for key in ("NIS", "NEES")},
             "microseconds": np.array([outcome.microseconds for outcome in outcomes]),
         }
@@ -162,7 +172,7 @@ class CompareResult(AbstractTable):
     @property
     def ranking_without_holes(self) -> tuple[str, ...] | None:
         """The names in order of the errors without the rows in and after holes; None where the log has no holes."""
-        return without_holes(self.outcomes, self.loaded, self.predicted)
+        return without_holes(self.outcomes, self.loaded)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -179,12 +189,6 @@ class CompareResult(AbstractTable):
         lines += hole_doubts(self.loaded, self.outcomes)
         return (*lines, *(f"{name}: {doubt}" for name, doubt in doubts.items() if doubt is not None))
 
-    def _predicted_columns(self) -> dict[str, np.ndarray]:
-        if self.predicted is None:
-            return {}
-        errors = np.array([self.predicted.errors[name] for name in self.ranking])
-        return {f"predicted{i + 1}_rmse": column for i, column in enumerate(errors.T)}
-
     @property
     def summary(self) -> dict[str, Any]:
         what = self.loaded.kind.what
@@ -192,18 +196,14 @@ class CompareResult(AbstractTable):
             "model": self.job.model_name,
             "log": self.job.log_name,
             "scored_against": scored_against(self.loaded),
-            "ranked_by": ranked_by(self.loaded, self.predicted),
             "design": self.design,
             **({} if self.loaded.holes is None else {"holes": self.loaded.holes.table}),
             **({} if self.ranking_without_holes is None else {"without_holes": list(self.ranking_without_holes)}),
             "ranking": [
-                {"estimator": name, "engine": outcome.engine, **summary(outcome, what), **self._prediction(name)}
+                {"estimator": name, "engine": outcome.engine, **summary(outcome, what)}
                 for name, outcome in self.outcomes.items()
             ],
         }
-
-    def _prediction(self, name: str) -> dict[str, Any]:
-        return {} if self.predicted is None else {"predicted_rmse": rounded(self.predicted.errors[name])}
 
     @property
     def headline(self) -> str:
@@ -219,7 +219,7 @@ class CompareResult(AbstractTable):
             f"{self.job.log_name}, {what} errors against the {scored_against(self.loaded)}",
             "",
             table(self._rows()),
-            f"Ranked by {ranked_by(self.loaded, self.predicted)}.",
+            *[self.without_model] * bool(self.without_model),
             rows_that_count(self.loaded),
             self.design,
             *self.warnings,
@@ -229,10 +229,9 @@ class CompareResult(AbstractTable):
 
     def _write_page(self, path: Path) -> list[Path]:
         title = f"Estimators compared: {Path(self.job.model_name).stem}, {Path(self.job.log_name).name}"
-        ranked = f"Ranked by {ranked_by(self.loaded, self.predicted)}."
         drawn, rest = self._drawn_first, len(self.outcomes)
-        ranked += f" Drawn are {', '.join(drawn)}; a click on a label shows another." if rest > len(drawn) else ""
-        notes = (ranked, self.design, rows_that_count(self.loaded))
+        ranked = f"Drawn are {', '.join(drawn)}; a click on a label shows another." if rest > len(drawn) else ""
+        notes = (ranked, self.without_model, self.design, rows_that_count(self.loaded))
         page = estimate_report(
             title,
             self.job,
@@ -249,7 +248,7 @@ class CompareResult(AbstractTable):
 
     @property
     def _badness(self) -> dict[str, float]:
-        return badness(self.outcomes, self.loaded, self.predicted)
+        return badness(self.outcomes, self.loaded)
 
     @property
     def _equals(self) -> tuple[str, ...]:
@@ -266,17 +265,14 @@ class CompareResult(AbstractTable):
 
     @property
     def _verdict(self) -> str:
-        """Who is best, who is as good, and how far the best one without the model is behind."""
+        """Who is best, who is as good, and how far those with the model differ."""
         total, equals = self._badness, self._equals
         text = f"{', '.join(equals)} {'are equally good' if len(equals) > 1 else 'is best'}"
         text += f" (within {100 * (EQUAL - 1):.0f} %)" * (len(equals) > 1)
-        free = next((name for name in self.ranking if name not in INFORMED), None)
         informed = [total[name] for name in self.ranking if name in INFORMED and np.isfinite(total[name])]
         if len(informed) > len(equals):
             text += f"; the {len(informed)} with the model differ by {max(informed) / min(informed) - 1:.0%}"
-        if free is None or free in equals or self.ranking[0] not in INFORMED:
-            return f"{text}; {len(self.outcomes)} estimators"
-        return f"{text}; {free}, the best without it, has {total[free] / total[self.ranking[0]]:.2g} times the error"
+        return f"{text}; {len(self.outcomes)} estimators"
 
     def _rows_by_knowledge(self) -> tuple[dict[str, Any], ...]:
         """The rows of the table, with what each estimator knows."""
@@ -290,13 +286,6 @@ class CompareResult(AbstractTable):
             return {}
         return self.loaded.kind.rates.called("RMSE {} without holes").cells(outcome.score.apart.rmse)
 
-    def _predicted_cells(self, name: str) -> dict[str, float]:
-        if self.predicted is None:
-            return {}
-        kind = self.loaded.kind
-        labels = Labels(kind.axes.names, kind.innovation_units).called("predicted {}")
-        return labels.cells(self.predicted.errors[name])
-
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
         loaded, kind = self.loaded, self.loaded.kind
@@ -307,7 +296,6 @@ class CompareResult(AbstractTable):
                 "estimator": name,
                 **labels.cells(rmse(outcome)),
                 **self._cells_without_holes(outcome),
-                **self._predicted_cells(name),
                 **consistency(outcome),
                 "µs a sample": round(outcome.microseconds, 1),
             }
@@ -315,30 +303,21 @@ class CompareResult(AbstractTable):
         )
 
 
-def line_up(loaded: Loaded) -> tuple[dict[str, AbstractObserver], str, np.ndarray]:
+def line_up(
+    loaded: Loaded, trial: Trial | None, tuned_on: Bool[np.ndarray, "T"]
+) -> tuple[dict[str, AbstractObserver], str]:
     """Tune all observers that fit a model."""
     kind, sheet = loaded.kind, functools.cache(lambda: log_sheet(loaded.file, loaded))
     note = kind.note(sheet, loaded.rate) + loaded.note
-    trial, tuned_on = trial_part(loaded)
     if trial is not None:
         begin, end = np.asarray(loaded.record.t)[tuned_on][[0, -1]] - np.asarray(loaded.record.t)[0]
         note += (
             f" Filters that know no model are those that are best from {begin:.3g} to {end:.3g} s of this very log, "
-            "the first third of its length that moves, with the fewest faults."
+            "the first third that moves with the fewest faults, or all of a short log."
         )
     note += kind.gates
     tuned = kind.tuned(sheet, loaded.rate, estimators(loaded.model), trial)
-    return with_sensor_delays(tuned, loaded), note, tuned_on
-
-
-def ranked_by(loaded: Loaded, predicted: Ahead | None) -> str:
-    """Say what the order of the estimators is by."""
-    if predicted is None:
-        return f"errors against the {scored_against(loaded)}"
-    return (
-        f"the prediction of positions up to {predicted.horizon} rows ({1e3 * predicted.time:.3g} ms) ahead from the "
-        "estimates, on rows that no filter was tuned on, for the log has no true velocities"
-    )
+    return with_sensor_delays(tuned, loaded), note
 
 
 def scored_against(loaded: Loaded) -> str:
@@ -356,17 +335,10 @@ def rows_that_count(loaded: Loaded) -> str:
     return f"Errors are those of {len(at)} of {len(t)} rows, from {t[at[0]]:.4g} to {t[at[-1]]:.4g} s."
 
 
-def without_holes(
-    outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None
-) -> tuple[str, ...] | None:
+def without_holes(outcomes: dict[str, Outcome], loaded: Loaded) -> tuple[str, ...] | None:
     """Order of the estimators without the rows in and after holes; None where the log has none, or nothing else."""
-    if loaded.holes is None or loaded.reference is None:
-        return None
-    if predicted is not None:
-        errors = predicted.apart
-        return None if errors is None else tuple(rank(outcomes, loaded, predicted._replace(errors=errors)))
     apart = {name: outcome.score and outcome.score.apart for name, outcome in outcomes.items()}
-    if any(score is None for score in apart.values()):
+    if loaded.holes is None or any(score is None for score in apart.values()):
         return None
     return tuple(rank({name: outcome._replace(score=apart[name]) for name, outcome in outcomes.items()}, loaded))
 
@@ -377,26 +349,21 @@ DRAWN = 4
 """Curves that a page of a comparison shows at first."""
 
 
-def rank(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> list[str]:
+def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
     """Order estimators by error, diverged ones last."""
-    total = badness(outcomes, loaded, predicted)
+    total = badness(outcomes, loaded)
     return sorted(outcomes, key=lambda name: total[name])
 
 
-def badness(outcomes: dict[str, Outcome], loaded: Loaded, predicted: Ahead | None = None) -> dict[str, float]:
+def badness(outcomes: dict[str, Outcome], loaded: Loaded) -> dict[str, float]:
     """Errors relative to the motion, as one number for each estimator; ∞ where it diverged."""
     reference = loaded.reference
-    if predicted is not None:
-        finite = np.array([np.where(np.isfinite(e), e, np.inf) for e in predicted.errors.values()])
-        scale = np.min(finite, axis=0)
-    elif reference is None:
+    if reference is None:
         scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
     else:
         scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
-
     size = np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
-    errors = {name: rmse(each) for name, each in outcomes.items()} if predicted is None else predicted.errors
-    totals = {name: float(np.sqrt(np.mean((errors[name] / size) ** 2))) for name in outcomes}
+    totals = {name: float(np.sqrt(np.mean((rmse(each) / size) ** 2))) for name, each in outcomes.items()}
     # NaN compares as neither smaller nor larger, which would leave the order undefined.
     return {name: total if np.isfinite(total) else math.inf for name, total in totals.items()}
 

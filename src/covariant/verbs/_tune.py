@@ -1,5 +1,6 @@
 """`tune`: noise and gains from logs, judged on rows that were not used, as lines for the model file."""
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +55,7 @@ def tune(
         >>> log = covariant.simulate("oscillator", duration=8.0, rate=50.0, q0=1.0, noise=1e-3).record
         >>> result = covariant.tune("oscillator", log)
         >>> sorted(result.lines["design"])
-        ['damping', 'natural_frequency']
+        ['damping', 'natural_frequency', 'observer']
     """
     logs, sources = as_logs(log), read_sources(model)
     # What computes is loaded after the arguments are checked.
@@ -160,9 +161,8 @@ class TuneResult(AbstractResult):
             title,
             self.jobs[-1],
             self.tuned,
-            (*_why(self.summary), *self.summary["notes"]),
-            rows=tuple(_rows_by_worth(self.summary)),
-            pale=_noisy_columns(self.summary, self.tuning.reference_noise),
+            tuple(self.summary["notes"]),
+            rows=tuple(_rows(self.summary)),
             headline=self.headline,
             warnings=self.warnings,
             code="\n".join(_lines(self.summary)).replace("\n[", "\n\n["),
@@ -179,13 +179,10 @@ class TuneResult(AbstractResult):
             "",
             table(tuple(_rows(result))),
         ]
-        free = result["model_free"]
-        if free is not None:
-            gains, kalman = result["held_out"]["after"]["relative"]
-            lines.append(
-                f"Velocity errors as parts of the velocity: constant gains {gains:.3g}, Kalman filter {kalman:.3g}; "
-                f"without a model {free['relative']:.3g} ({free['estimator']})."
-            )
+        gains, kalman = result["held_out"]["after"]["relative"]
+        lines.append(
+            f"Velocity errors as parts of the velocity: constant gains {gains:.3g}, Kalman filter {kalman:.3g}."
+        )
         engine = () if self.asked_engine == "auto" else (f"engine: {result['engine']}",)
         return "\n".join([*lines, *result["notes"], *self.warnings, "", *_lines(result), *engine])
 
@@ -194,42 +191,8 @@ def _lines(result: dict[str, Any]) -> list[str]:
     """The lines for the model file."""
     lines = []
     for table, numbers in result["lines"].items():
-        lines += [f"[{table}]", *(f"{key} = {value}" for key, value in numbers.items())]
+        lines += [f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in numbers.items())]
     return lines
-
-
-DECIDES = "distance to a smoother [% of velocity]"
-
-
-def _rows_by_worth(result: dict[str, Any]) -> list[dict[str, Any]]:
-    """The rows of the printed table for a page: first what gains are chosen by, then what noise is chosen by."""
-    distances = {each["source"]: 100 * each["smoothed"] for each in result["gains"]["candidates"]}
-    sources = {"before": "model file", "after": result["gains"]["from"]}
-    first = ("", DECIDES, "log-likelihood", "NIS")
-    rows = [row | {DECIDES: distances.get(sources[str(row[""])])} for row in _rows(result)]
-    return [{key: row[key] for key in (*first, *(key for key in row if key not in first))} for row in rows]
-
-
-def _why(result: dict[str, Any]) -> tuple[str, ...]:
-    """A sentence on gains that were taken although others have a smaller distance; none where they have the least."""
-    distances = {each["source"]: 100 * each["smoothed"] for each in result["gains"]["candidates"]}
-    taken = result["gains"]["from"]
-    if taken not in distances or distances[taken] <= min(distances.values()):
-        return ()
-    least = min(distances, key=lambda name: distances[name])
-    return (
-        f"The gains that were taken ({taken}, {distances[taken]:.3g} %) are as good as those of the least distance "
-        f"({least}, {distances[least]:.3g} %) up to the scatter of the logs; of equals, designed ones are taken.",
-    )
-
-
-def _noisy_columns(result: dict[str, Any], noise: Any) -> tuple[str, ...]:
-    """Columns of velocity errors against a reference that is noisier than the estimates."""
-    if noise is None:
-        return ()
-    columns = zip(result["velocities"], result["units"], *noise, strict=True)
-    noisy = [(name, unit) for name, unit, reference, estimate in columns if reference > estimate]
-    return tuple(f"{name}, {by} [{unit}/s]" for name, unit in noisy for by in ("gains", "Kalman"))
 
 
 def _rows(result: dict[str, Any]) -> list[dict[str, str | float]]:

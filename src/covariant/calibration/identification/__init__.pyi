@@ -34,10 +34,8 @@ from ._likelihood import (
 from ._predict import (
     PredictionErrors as PredictionErrors,
     error_growth as error_growth,
-    errors_ahead as errors_ahead,
     mean_square as mean_square,
     predicts_worse as predicts_worse,
-    rows_ahead as rows_ahead,
     worse_coordinates as worse_coordinates,
 )
 from ._robot_combinations import Combinations as Combinations

@@ -1,13 +1,7 @@
-"""Predictions of a model over windows of a log, or some rows ahead of estimates, and their errors.
+"""Predictions of a model over windows of a log, and their errors."""
 
-A good velocity estimate predicts later positions well. A later measurement has no part in the estimate. The error of
-its prediction is thus that of the estimate, propagated to that time, plus an independent error of the sensor. So
-prediction errors judge estimates without a reference.
-"""
+from typing import NamedTuple
 
-from typing import Any, NamedTuple
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,20 +9,13 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from covariant._typing import Number
-from covariant.calibration.identification._rows import LONGEST_GAP, Rows
-from covariant.models import MechanicalSystem, Motion, advance, friction
-from covariant.signals import Record
+from covariant.calibration.identification._rows import Rows
+from covariant.models import MechanicalSystem, friction
 from scalargraph import evaluate_batch
-from scalargraph.errors import InputError
 
 LONGEST_STEP = 0.01
 """Longest Runge–Kutta step [s] of a prediction."""
 MOST_SUBSTEPS = 100
-HORIZON, LONGEST_HORIZON = 1.5, 50
-"""Horizon of predictions, in units of 1/ω of the observer, and its largest number of rows. Over a much shorter time the
-position alone decides, over a longer one the error of the model."""
-MOST_STARTS = 1000
-"""Largest number of rows of a log from which the motion is predicted."""
 WORST_GROWTH, WORST_COORDINATE = 1.01, 1.05
 """A fit is worse whose held-out errors are larger than so many times those before, over all coordinates or in one: 1 %
 is no difference."""
@@ -73,20 +60,6 @@ def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -
         return current, current
 
     return jax.lax.scan(step, jnp.zeros_like(inputs[0]), (inputs, steps))[1]
-
-
-def follow(
-    model: MechanicalSystem, t: Float[Array, "L1"], u: Float[Array, "L m"], start: Motion, substeps: int
-) -> Motion:
-    """Predict the motion at given stamps, each input constant over its step."""
-
-    def step(motion, row):
-        begin, end, input_ = row
-        after = advance(model, begin, motion, input_, end - begin, substeps)
-        return after, after
-
-    after = jax.lax.scan(step, start, (t[:-1], t[1:], u))[1]
-    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), start, after)
 
 
 def needed_substeps(model: MechanicalSystem, rows: Rows) -> int:
@@ -140,95 +113,6 @@ def _growths(before: PredictionErrors, after: PredictionErrors) -> Float[np.ndar
     old, new = np.asarray(before.position), np.asarray(after.position)
     # A coordinate without any error before the fit does not count.
     return new / np.where(old > 0, old, np.inf)
-
-
-def rows_ahead(rate: float, frequency: float) -> int:
-    """Number of rows over which predictions show the quality of an estimated velocity.
-
-    Args:
-        rate: Sampling rate [Hz].
-        frequency: Natural frequency ω [rad/s] of the observer, or of one like it.
-
-    Returns:
-        The rows in `HORIZON`/ω, at least 2 and at most `LONGEST_HORIZON`.
-
-    Example:
-        >>> from covariant.calibration import rows_ahead
-        >>> rows_ahead(rate=200.0, frequency=30.0)
-        10
-    """
-    return int(np.clip(np.ceil(HORIZON * rate / frequency), 2, LONGEST_HORIZON))
-
-
-def errors_ahead(
-    model: MechanicalSystem,
-    record: Record,
-    motion: Motion,
-    rows: Bool[np.ndarray, "T"],
-    horizon: int,
-    substeps: int | None = None,
-) -> Float[np.ndarray, "K h n"]:
-    """Errors of measurements predicted from estimates, one to h rows ahead.
-
-    Args:
-        model: The mechanical system that predicts.
-        record: The log, of T rows.
-        motion: Estimated configurations and velocities (T, n) after each row.
-        rows: Mask (T,) of the rows whose measurements are predicted, from at most `MOST_STARTS` rows at even distances.
-        horizon: Number h of rows.
-        substeps: Runge–Kutta steps in each sample; by default none is longer than 10 ms.
-
-    Returns:
-        Measured minus predicted configurations (K, h, n) in the frame; NaN where missing, or beyond a gap,
-        and infinite where the estimate or the prediction is not finite.
-
-    Raises:
-        ValueError: No row is followed by h others of the selection.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> import numpy as np
-        >>> from covariant.calibration import errors_ahead
-        >>> from covariant.models import Motion, oscillator
-        >>> from covariant.signals import Record
-        >>> t = np.arange(0.0, 4.0, 0.02)
-        >>> record = Record(t, np.zeros((200, 1)), np.cos(t)[:, None])
-        >>> true = Motion(jnp.cos(t)[:, None], -jnp.sin(t)[:, None])
-        >>> errors = errors_ahead(oscillator(), record, true, t > 2.0, horizon=5)
-        >>> errors.shape[1:], bool(np.abs(errors).max() < 1e-8)
-        ((5, 1), True)
-    """
-    t = np.asarray(record.t)
-    starts = np.flatnonzero(rows[horizon:])  # those whose last target is in the selection
-    starts = starts[rows[starts + 1]]
-    if not len(starts):
-        raise InputError(f"errors_ahead: no row is followed by {horizon} others among the {rows.sum()} selected")
-    starts = starts[:: -(-len(starts) // MOST_STARTS)]
-    usual = float(np.median(np.diff(t)))
-    steps = substeps or int(np.clip(np.ceil(usual / LONGEST_STEP - 1e-9), 1, MOST_SUBSTEPS))
-    data = [jnp.asarray(np.asarray(each)) for each in (t, record.u, record.y)]
-    errors = np.asarray(
-        _errors_ahead(model, data, jax.tree.map(jnp.asarray, motion), jnp.asarray(starts), horizon, steps)
-    )
-    gaps = np.cumsum(np.concatenate([[0], np.diff(t) > LONGEST_GAP * usual]))
-    broken = gaps[starts[:, None] + 1 + np.arange(horizon)] > gaps[starts, None]
-    return np.where(broken[..., None], np.nan, errors)
-
-
-@eqx.filter_jit
-def _errors_ahead(
-    model: MechanicalSystem, data: Any, motion: Motion, starts: Array, horizon: int, substeps: int
-) -> Array:
-    t, u, y = data
-
-    def ahead(k):
-        rows = k + jnp.arange(horizon + 1)
-        motions = follow(model, t[rows], u[rows[:-1]], Motion(motion.q[k], motion.v[k]), substeps)
-        seen = ~jax.vmap(model.manifold.missing)(y[rows[1:]])
-        errors = jax.vmap(model.manifold.towards)(motions.q[1:], y[rows[1:]])
-        return jnp.where(seen, jnp.where(jnp.isfinite(errors), errors, jnp.inf), jnp.nan)
-
-    return jax.vmap(ahead)(starts)
 
 
 def mean_square(r: np.ndarray) -> float:

@@ -11,13 +11,14 @@ from ._estimators import (
     tuned_state_estimators as tuned_state_estimators,
     with_gains as with_gains,
 )
-from ._filters import even_velocity as even_velocity, filter_bandwidth as filter_bandwidth
+from ._filters import filter_error as filter_error
 from ._gains import (
     Gains as Gains,
     gains as gains,
     predict_errors as predict_errors,
     predict_sampled_errors as predict_sampled_errors,
 )
+from ._judge import ErrorRatio as ErrorRatio
 from ._missing_inputs import missing_inputs as missing_inputs
 from ._stored_observer import stored_observer as stored_observer
 from ._suggest import Suggestion as Suggestion, suggest_noise as suggest_noise

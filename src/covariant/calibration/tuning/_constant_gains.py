@@ -6,9 +6,7 @@ observer has not seen: one from the rows after each only, whose error is indepen
 right in the mean even where sizes of the noise are wrong; and the smoother's, which has less scatter. No reference
 velocity takes part: where the estimate is better than the reference, comparing with it misleads.
 
-Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampled filter; Bayley & Hammersley 1946, The
-"effective" number of independent observations in an autocorrelated time series, JRSS Supplement 8(2), for means of
-blocks.
+Source: Kalata 1984, The tracking index, IEEE TAES 20(2), for gains of the sampled filter.
 """
 
 import itertools
@@ -22,6 +20,7 @@ from jaxtyping import Bool, Float
 
 from covariant.calibration.identification import ErrorModel, Filtered, NoiseLevels, mean_square
 from covariant.calibration.tuning._gains import gains, predict_sampled_errors
+from covariant.calibration.tuning._judge import ErrorRatio
 from covariant.calibration.tuning._noise_search import RunErrors, later_errors, smoothed_errors
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, constant_gains
 from covariant.models import MechanicalSystem
@@ -40,8 +39,6 @@ FINER = 2
 DESIGNS = ("model file", "sampled design", "rule", "Kalman filter", "three poles")
 """Candidates that are in place or follow from the noise, in the order in which they are taken from equal ones: a force
 is learnt where that is clearly better."""
-BLOCKS, CERTAIN = 16, 2.0
-"""Number of blocks of rows whose means show the scatter of a mean, and how many of its deviations make a difference."""
 SLACK = 1.1
 """Ratio of distances to what later rows tell, up to which the smoother decides where the noise has a force: a force
 that changes steadily, and not at random, has a share in an estimate's lag and in the error of that from later rows."""
@@ -65,7 +62,7 @@ class Candidate(NamedTuple):
             root mean square over the coordinates. It contains the error of the latter.
         smoothed: The same distance to the velocities of a smoother.
         force_rate: ρ [1/s]; 0 for an observer without a force.
-        ties: Whether `error` is the least one up to its scatter.
+        ties: Whether it cannot be told from the one with the least `error`.
 
     Example:
         >>> from covariant.calibration.tuning import Candidate
@@ -209,7 +206,7 @@ def best_gains(
 ) -> tuple[tuple[Candidate, ...], Candidate, tuple[float, float]]:
     """Search for gains on the first part of the logs, with those that learn a `force`, and judge on held-out rows.
 
-    Returns all candidates, the one to take, and the range of ω [rad/s] of gains that are as good.
+    Returns all candidates, the one to take, and the range of ω [rad/s] of gains that are as good or better.
     """
     parts = [log.first_part for log in logs]
     tuned, held_out = [log.tuned for log in logs], [log.held_out for log in logs]
@@ -249,8 +246,9 @@ def best_gains(
     everything = proposed | {"later rows": by_later, "smoothed velocities": by_smoother}
     squares = distances(list(everything.values()), [log.record for log in logs], held_out)
     judged = chosen(everything, squares, SLACK if force else 1.0)
-    least = min(each[1] for each in tried.values())
-    same = [w for (w, _, _), each in tried.items() if each[1] <= SAME**2 * least]
+    best = judged[1]
+    most = tried[best.natural_frequency, best.damping, best.force_rate][1]
+    same = [w for (w, _, _), each in tried.items() if each[1] <= SAME**2 * most]
     return *judged, (min(same), max(same))
 
 
@@ -259,8 +257,8 @@ def chosen(
 ) -> tuple[tuple[Candidate, ...], Candidate]:
     """All candidates, and the one to take, by their squared distances by log to both estimates.
 
-    Those that differ from the nearest to the later rows by no more than the scatter, or the slack, are ordered by the
-    smoother, and those that tie there too are taken in the order of `DESIGNS`.
+    Those that cannot be told from the nearest to the later rows, or are within the slack, are ordered by the smoother,
+    and those that tie there too are taken in the order of `DESIGNS`.
     """
     names = list(proposed)
     means = np.array([np.concatenate(each).mean(axis=0) for each in squares])
@@ -275,18 +273,14 @@ def chosen(
 
 
 def _ties(squares: Sequence, among: Sequence[int], means: np.ndarray, judge: int, slack: float = 1.0) -> list[int]:
-    """Those of `among` whose mean is the least one up to the scatter of the difference, or to the slack of its root."""
+    """Those of `among` that are not clearly farther than the nearest, or no farther than the slack."""
     best = min(among, key=lambda k: means[k, judge])
-    pairs = {k: [a[:, judge] - b[:, judge] for a, b in zip(squares[k], squares[best], strict=True)] for k in among}
     limit = slack**2 * means[best, judge]
-    return [k for k, each in pairs.items() if means[k, judge] <= limit or not clearly_positive(each)]
 
+    def told(k: int) -> bool:
+        return ErrorRatio.of(*([each[:, judge] for each in squares[which]] for which in (k, best))).is_worse
 
-def clearly_positive(differences: Sequence[Float[np.ndarray, "_"]]) -> bool:
-    """Whether the mean of the differences of several logs is positive beyond its scatter, that of means of blocks."""
-    each = max(2, BLOCKS // len(differences))
-    means = np.array([block.mean() for one in differences for block in np.array_split(one, each) if len(block)])
-    return bool(means.mean() > CERTAIN * means.std(ddof=1) / np.sqrt(len(means)))
+    return [k for k in among if means[k, judge] <= limit or not told(k)]
 
 
 def _observer(model: MechanicalSystem, z: np.ndarray, rate: float):

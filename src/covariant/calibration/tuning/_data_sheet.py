@@ -94,10 +94,11 @@ class Trial(NamedTuple):
 
     Example:
         >>> import numpy as np
-        >>> from covariant.calibration import DataSheet, Trial, filter_bandwidth
+        >>> from covariant.calibration import DataSheet, Trial, filter_error
+        >>> from covariant.observers import SavitzkyGolay
         >>> t = np.linspace(0.0, 4.0, 401)
         >>> trial = Trial(t, np.sin(t)[:, None], np.cos(t)[:, None])
-        >>> bool(filter_bandwidth(DataSheet(1e-3, 1.0), rate=100.0, trial=trial) > 100.0)  # no noise: a fast filter
+        >>> filter_error(SavitzkyGolay(4).weights(100.0), DataSheet(1e-3, 1.0), 100.0, trial) < 1e-3  # without noise
         True
     """
 

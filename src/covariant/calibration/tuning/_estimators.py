@@ -1,6 +1,7 @@
 """Estimators tuned from one data sheet, each for the least predicted velocity error."""
 
 from collections.abc import Callable, Collection
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +12,7 @@ from jaxtyping import Array, Float
 from covariant._functional import Functional
 from covariant._typing import Matrix, Vector
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
-from covariant.calibration.tuning._filters import filter_bandwidth, jerk_bound, joint_noise, polynomial
+from covariant.calibration.tuning._filters import filter_bandwidth, jerk_bound, joint_noise, loop_bandwidth, polynomial
 from covariant.calibration.tuning._gains import Gains, gains
 from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem, StateSpace
@@ -133,7 +134,7 @@ class _Known(NamedTuple):
     sheet: DataSheet
     rate: float
     trial: Trial | None
-    space: AbstractSpace
+    model: MechanicalSystem
 
 
 def tuned_estimators(
@@ -174,7 +175,7 @@ def tuned_estimators(
     for name in ("motion_std", "motion_time"):
         if not 0 < getattr(sheet, name) < np.inf:
             raise InputError(f"tuned_estimators: {name} must be a positive number; got {getattr(sheet, name)}")
-    known = _Known(n, sheet, rate, trial, model.space)
+    known = _Known(n, sheet, rate, trial, model)
     fitting = (entry for entry in REGISTRY if entry.name in names and entry.fits(model))
     tuned = {entry: entry.construct(model, *TUNINGS[entry.tuned_by](entry, known)) for entry in fitting}
     bare = {entry.name for entry in tuned if entry.has_gate or sheet.speed is None}
@@ -253,7 +254,7 @@ class _TorqueNoise(Functional):
 
 
 def _gains_and_force(entry: Entry, known: _Known) -> tuple:
-    chosen = observer_gains(known.sheet, known.rate, known.space)
+    chosen = observer_gains(known.sheet, known.rate, known.model.space)
     return chosen.alpha, chosen.beta, chosen.force_rate
 
 
@@ -262,7 +263,7 @@ def _noise(entry: Entry, known: _Known) -> tuple:
     process_cov = jnp.asarray(2 * sheet.acceleration_std**2 * time * np.eye(known.n))
     if sheet.torque_std is not None and entry.observer is not EKF:  # which has the same noise everywhere
         torque = np.sqrt(2 * time) * np.broadcast_to(np.asarray(sheet.torque_std, float), known.n)
-        process_cov = _TorqueNoise(known.space, process_cov, jnp.asarray(torque))
+        process_cov = _TorqueNoise(known.model.space, process_cov, jnp.asarray(torque))
     return process_cov, jnp.asarray(np.diag(sheet.stds(known.n) ** 2)), jnp.broadcast_to(sheet.speeds, known.n)
 
 
@@ -281,9 +282,14 @@ TUNINGS: dict[str, Callable[[Any, _Known], tuple]] = {
     "gains and force": _gains_and_force,
     "noise": _noise,
     "noise or ticks": _ticks,
-    "bandwidth": lambda entry, known: (filter_bandwidth(known.sheet, known.rate, known.trial, entry.observer),),
+    "bandwidth": lambda entry, known: (
+        filter_bandwidth(known.sheet, known.rate, known.trial, partial(entry.make, known.model)),
+    ),
     "window": lambda entry, known: polynomial(known.sheet, known.rate, known.trial),
     "motion": lambda entry, known: joint_noise(known.sheet, known.rate, known.trial),
     "jerk": lambda entry, known: (jerk_bound(known.sheet, known.trial),),
+    "loop": lambda entry, known: (
+        loop_bandwidth(known.sheet, known.rate, known.trial, partial(entry.make, known.model)),
+    ),
 }
 """How each kind of number, `tuned_by` in an entry of the registry, is computed."""

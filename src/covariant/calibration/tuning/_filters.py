@@ -5,6 +5,7 @@ the jerk. A linear filter is judged by its weights, without a run; others are ru
 """
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,10 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant.calibration.tuning._data_sheet import DataSheet, Trial
+from covariant.calibration.tuning._gains import gains
+from covariant.calibration.tuning._judge import relative_squares
 from covariant.observers import (
     AbstractLinearFilter,
-    AbstractObserver,
     FilteredDerivative,
+    IntrinsicForce,
     JointKalman,
     Levant,
     SavitzkyGolay,
@@ -24,6 +27,8 @@ from covariant.observers import (
 
 LONGEST_WINDOW = 120
 """Longest window [samples] of a polynomial filter."""
+LOOPS = (0.02, 1.5, 18)
+"""Least and largest bandwidth of a loop on a group, in radians a sample, and how many are tried."""
 COARSE = 8
 """Steps of a first search: the error falls and rises once as a filter becomes faster."""
 
@@ -34,23 +39,7 @@ def filter_bandwidth(
     trial: Trial | None = None,
     kind: Callable[[float], AbstractLinearFilter] = FilteredDerivative,
 ) -> float:
-    """Bandwidth of a linear filter with the least velocity error.
-
-    Args:
-        sheet: The data sheet, which predicts the error.
-        rate: Sampling rate [Hz].
-        trial: Part of a log on which the error is measured instead.
-        kind: The filter as a function of its bandwidth [rad/s].
-
-    Returns:
-        The bandwidth [rad/s], from a grid of 80 between 0.005 and 3 radians a sample.
-
-    Example:
-        >>> from covariant.calibration import DataSheet, filter_bandwidth
-        >>> precise, noisy = (filter_bandwidth(DataSheet(std, 1.0), rate=100.0) for std in (1e-4, 1e-2))
-        >>> precise > noisy
-        True
-    """
+    """Bandwidth [rad/s] of a linear filter with the least velocity error, between 0.005 and 3 radians a sample."""
     # From a memory of 200 samples to a filter that all but follows the last difference.
     return _nearby((np.geomspace(0.005, 3.0, 80) * rate).tolist(), kind, sheet, rate, trial)
 
@@ -80,26 +69,39 @@ def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
     typical = sheet.motion_std / sheet.motion_time
     if trial is None:
         return typical
-    bounds = typical * np.geomspace(1e-3, 1e3, 61)
+    return _best_by_runs(Levant, typical * np.geomspace(1e-3, 1e3, 61), trial)
+
+
+def loop_bandwidth(sheet: DataSheet, rate: float, trial: Trial | None, kind: Callable[[Any], IntrinsicForce]) -> float:
+    """Bandwidth [rad/s] of a loop on a group: that for the motion of the data sheet, or the best one on a trial."""
+    if trial is None:
+        return gains(sheet.measurement_std, rate, sheet.motion_std, sheet.motion_time).beta ** 0.5
+    return _best_by_runs(kind, np.geomspace(*LOOPS) * rate, trial)
+
+
+def _best_by_runs(kind: Callable[[Any], Any], numbers: np.ndarray, trial: Trial) -> float:
+    """The number whose filter has the least velocity error on a trial when it is run."""
     y, late = trial.y.copy(), _late(trial.t)
-    y[0] = [column[np.isfinite(column)][0] for column in y.T]  # from where it starts
-    velocities = _run_filters(Levant, *map(jnp.asarray, (bounds, np.diff(trial.t), y)))
+    first = y.reshape(len(y), -1).T
+    y[0] = np.reshape([column[np.isfinite(column)][0] for column in first], y.shape[1:])  # from where it starts
+    velocities = _run_filters(kind, *map(jnp.asarray, (numbers, np.diff(trial.t), y)))
     errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(velocities)]
-    return float(bounds[np.argmin(errors)])
+    return float(numbers[np.argmin(errors)])
 
 
 @eqx.filter_jit
-def _run_filters(
-    kind: Callable[[Array], AbstractObserver], numbers: Array, dt: Array, y: Array
-) -> Float[Array, "k T n"]:
-    """Velocities of the filters that each number parametrises, along positions y (T, n) with steps dt (T − 1,)."""
+def _run_filters(kind: Callable[[Array], Any], numbers: Array, dt: Array, y: Array) -> Float[Array, "k T n"]:
+    """Velocities of the filters that each number parametrises, along positions y (T, *n) with steps dt (T − 1,)."""
 
     def follow(number):
         observer = kind(number)
+        model = getattr(observer, "model", None)
+        u = jnp.zeros(0 if model is None else model.inputs)
 
         def step(state, sample):
-            state, _ = observer.step(state, jnp.zeros(0), *sample)
-            return state, jnp.split(observer.estimate(state), 2)[1]
+            state, _ = observer.step(state, u, *sample)
+            estimate = observer.estimate(state)
+            return state, jnp.split(estimate, 2)[1] if model is None else model.motion(estimate).v
 
         return jax.lax.scan(step, observer.init(y[0]), (y[1:], dt))[1]
 
@@ -120,9 +122,26 @@ def _nearby(candidates: list[float], kind: Callable, sheet: DataSheet, rate: flo
 
 
 def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float, trial: Trial | None = None) -> float:
-    """Velocity error of a linear filter with weights [1/s] of the newest and earlier samples.
+    """Velocity error of a linear filter: predicted from a data sheet, or measured on a trial as a part of the velocity.
 
-    Predicted from the data sheet, or measured on a trial at even stamps after its first second: `relative_error`.
+    Use it to compare filters without a model: it costs a convolution, and no compilation.
+
+    Args:
+        weights: Weights (k,) [1/s] of the newest and earlier samples.
+        sheet: The data sheet.
+        rate: Sampling rate [Hz].
+        trial: Part of a log, whose first second is left out; its stamps are made even.
+
+    Returns:
+        The predicted standard deviation [rad/s or m/s]; of a trial the root mean square over the coordinates.
+
+    Example:
+        >>> from covariant.calibration import DataSheet, filter_error
+        >>> from covariant.observers import SavitzkyGolay
+        >>> sheet = DataSheet(measurement_std=1e-3, acceleration_std=0.5)
+        >>> long, short = (filter_error(SavitzkyGolay(window).weights(100.0), sheet, 100.0) for window in (8, 3))
+        >>> long < short
+        True
     """
     if trial is None:
         return linear_filter_error(weights, sheet, rate)
@@ -135,28 +154,7 @@ def filter_error(weights: Float[np.ndarray, "k"], sheet: DataSheet, rate: float,
 def even_velocity(
     weights: Float[np.ndarray, "k"], rate: float, t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"]
 ) -> tuple[Float[np.ndarray, "E"], Float[np.ndarray, "E n"]]:
-    """Velocities of a linear filter from positions that are interpolated to even stamps.
-
-    Use it where a filter without a model is compared on a whole log: it costs a convolution, and no compilation.
-
-    Args:
-        weights: Weights [1/s] of the newest and earlier samples, as from `AbstractLinearFilter.weights`.
-        rate: Sampling rate [Hz] that the weights are for.
-        t: Stamps (T,) [s].
-        y: Positions (T, n), continuous across full turns; NaN where missing.
-
-    Returns:
-        Even stamps (E,) [s], and velocities (E, n) [unit of the position/s].
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.calibration import even_velocity
-        >>> from covariant.observers import SavitzkyGolay
-        >>> t = np.arange(0.0, 1.0, 0.01)
-        >>> _, velocity = even_velocity(SavitzkyGolay(5).weights(100.0), 100.0, t, 3.0 * t[:, None])
-        >>> velocity[-1].round(6).tolist()
-        [3.0]
-    """
+    """Velocities of a linear filter from positions that are interpolated to even stamps."""
     even, columns = np.arange(t[0], t[-1], 1 / rate), []
     for column in np.transpose(y):
         measured = np.isfinite(column)
@@ -166,9 +164,7 @@ def even_velocity(
 
 def relative_error(found: Float[np.ndarray, "T n"], true: Float[np.ndarray, "T n"]) -> float:
     """Error of velocities (T, n) as a fraction of the reference's, RMS over the coordinates; 1 for an estimate of 0."""
-    # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
-    size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
-    return float(np.sqrt(np.mean(np.mean((found - true) ** 2, axis=0) / size)))
+    return float(np.sqrt(np.mean(relative_squares(found, true))))
 
 
 def _late(t: np.ndarray) -> np.ndarray:

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from covariant import scoring
 from covariant.calibration.identification import NoiseLevels
 from covariant.calibration.tuning._constant_gains import (
     Candidate,
@@ -26,16 +25,14 @@ from covariant.calibration.tuning._constant_gains import (
     best_gains,
     best_innovations,
     candidates,
-    clearly_positive,
 )
-from covariant.calibration.tuning._data_sheet import DataSheet, Trial
-from covariant.calibration.tuning._estimators import estimators, observer_gains, tuned_estimators
+from covariant.calibration.tuning._data_sheet import DataSheet
+from covariant.calibration.tuning._estimators import observer_gains
 from covariant.calibration.tuning._filters import relative_error
+from covariant.calibration.tuning._judge import ErrorRatio
 from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, refuse_noise_free, tuning_logs
 from covariant.models import MechanicalSystem
-from covariant.observers import REGISTRY, run
-from covariant.scoring import unwrap
 from covariant.signals import Record
 
 NumpyArray = np.ndarray
@@ -80,19 +77,15 @@ class Tuning(NamedTuple):
         noise: Noise levels of a Kalman filter.
         before: Held-out errors with the gains and noise of a data sheet; None where none was given.
         after: Held-out errors with the tuned gains and noise.
-        model_free: Name of the best filter without a model, and its velocity RMSE on the held-out rows as a fraction of
-            the velocities; None where there is none for this kind of system.
         rows: Number of rows for tuning.
         candidates: Gains that were compared by their velocities on held-out rows; empty where none were.
         source: Which of them these gains are.
         force_rate: Rate ρ [1/s] at which `IntrinsicForce` learns a force; 0 for an observer without one.
-        same: Least and largest ω [rad/s] of gains that are as good within 2 %; None where that is unknown.
+        same: Least and largest ω [rad/s] of gains that are as good within 2 %, or better; None where that is unknown.
         gains_kept: Whether the gains are those of the data sheet because others, which seemed better, had a larger
             velocity error on held-out rows.
         noise_kept: Why the noise is that of the data sheet: "likelihood", because held-out measurements are likelier
             with it, or "velocities", because the Kalman filter's velocities are better; empty where it is tuned.
-        reference_noise: Standard deviation (n,) of the reference velocities that noise of the readings causes, and of
-            the Kalman filter's velocities as it predicts it, (2, n) [rad/s or m/s]; None where that is unknown.
 
     Example:
         >>> import jax.numpy as jnp
@@ -102,8 +95,8 @@ class Tuning(NamedTuple):
         >>> one = np.array([0.01])
         >>> errors = HeldOut(one, 3 * one, 2 * one, np.array([0.03, 0.02]), likelihood=4.8, nis=1.1, correlation=one)
         >>> noise = NoiseLevels(jnp.array(0.05), jnp.array([1e-3]), jnp.array(0.0))
-        >>> Tuning(5.0, 0.7, noise, None, errors, ("savitzky-golay", 0.05), rows=1000).model_free
-        ('savitzky-golay', 0.05)
+        >>> Tuning(5.0, 0.7, noise, None, errors, rows=1000).after.nis
+        1.1
     """
 
     natural_frequency: float
@@ -111,7 +104,6 @@ class Tuning(NamedTuple):
     noise: NoiseLevels
     before: HeldOut | None
     after: HeldOut
-    model_free: tuple[str, float] | None
     rows: int
     candidates: tuple[Candidate, ...] = ()
     source: str = "innovations"
@@ -119,7 +111,6 @@ class Tuning(NamedTuple):
     same: tuple[float, float] | None = None
     gains_kept: bool = False
     noise_kept: str = ""
-    reference_noise: Float[NumpyArray, "2 n"] | None = None
 
 
 def tune(
@@ -131,7 +122,6 @@ def tune(
     before: DataSheet | None = None,
     progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
-    window: tuple[float, int, float] | None = None,
     names: Sequence[str] = (),
 ) -> Tuning:
     """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
@@ -143,16 +133,13 @@ def tune(
     Args:
         model: The mechanical system.
         records: The logs.
-        velocities: Reference velocities (T, n) of each, as from `scoring.zero_phase_velocity`; only the filters without
-            a model are tuned to them.
+        velocities: Reference velocities (T, n) of each, as from `scoring.zero_phase_velocity`, to judge by.
         std: Least standard deviation (n,) of a reading, such as that of one tick of an encoder; by default a small
             fraction of the innovations.
         before: Data sheet whose gains and noise are judged as well. What is worse than it on held-out rows, by the
             likelihood or by the error of velocities, is not taken.
-        progress: Called with the name of each of the four stages when it begins.
+        progress: Called with the name of each of the three stages when it begins.
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
-        window: Half width [s] and order of the polynomials of the reference, and rate [Hz] of the positions that they
-            are fitted to, of which the noise is computed; by default the reference is taken to have none.
         names: What messages call the records; by default record 1, record 2, ….
 
     Returns:
@@ -194,24 +181,19 @@ def tune(
     if old is not None and best.source != "model file" and _worse(logs, *(_velocities(e) for e in (gained, old[0]))):
         best, gains_kept, gained = next(each for each in judged if each.source == "model file"), True, old[0]
     after = _held_out_errors(errors, gained, noise, speed)
-    progress("filters without a model")
-    free = _best_model_free(model, logs, noise, before)
-    known = None if window is None else _reference_noise(errors, noise, speed, *window)
     return Tuning(
         best.natural_frequency,
         best.damping,
         noise,
         baseline,
         after,
-        free,
         sum(int(log.tuned.sum()) for log in logs),
         judged,
         best.source,
         best.force_rate,
-        same,
+        None if gains_kept else same,
         gains_kept,
         kept,
-        known,
     )
 
 
@@ -231,16 +213,10 @@ def _filtered_velocities(errors: list[RunErrors], noise: NoiseLevels, speed: Arr
 
 
 def _worse(logs: list[TuningLog], new: list[np.ndarray], old: list[np.ndarray]) -> bool:
-    """Whether velocities are farther from the reference than others on held-out rows, beyond the scatter."""
-    size = [np.sqrt(np.mean(log.velocity[log.held_out] ** 2, axis=0)) for log in logs]
-    squares = [
-        [
-            np.mean(((v - log.velocity)[log.held_out] / each) ** 2, axis=1)
-            for v, log, each in zip(vs, logs, size, strict=True)
-        ]
-        for vs in (new, old)
-    ]
-    return clearly_positive([a - b for a, b in zip(*squares, strict=True)])
+    """Whether velocities are clearly farther from the reference than others on held-out rows."""
+    reference = [log.velocity for log in logs]
+    parts = ([v[log.held_out] for v, log in zip(each, logs, strict=True)] for each in (new, old, reference))
+    return ErrorRatio.of_velocities(*parts).is_worse
 
 
 def noise_levels(sheet: DataSheet, rate: float, n: int) -> NoiseLevels:
@@ -283,48 +259,7 @@ def _held_out_errors(errors: list[RunErrors], gained: list[Any], noise: NoiseLev
     )
 
 
-def _reference_noise(
-    errors: list[RunErrors], noise: NoiseLevels, speed: Array, half: float, order: int, rate: float
-) -> np.ndarray | None:
-    """Noise (2, n) of the reference's velocities, by the weights of its polynomials, and of the Kalman filter's."""
-    count = int(half * rate)
-    if 2 * count + 1 < order + 3:
-        return None
-    at = np.arange(-count, count + 1) / rate
-    weights = scoring.local_polynomials(at, np.eye(len(at)), np.zeros(1), half, order)[0, 1]
-    own = [np.asarray(each.filtered(noise, speed).velocity_std)[each.log.held_out] ** 2 for each in errors]
-    own_std = np.sqrt(np.mean(np.concatenate(own), axis=0))
-    return np.stack([float(np.linalg.norm(weights)) * np.asarray(noise.measurement), own_std])
-
-
 def _neighbours(white: np.ndarray, present: np.ndarray) -> np.ndarray:
     """Sums (2, n) of the products of neighbouring innovations, and of their squares."""
     both = present[1:] & present[:-1]
     return np.stack([np.sum(both * white[1:] * white[:-1], axis=0), np.sum(both * white[1:] ** 2, axis=0)])
-
-
-def _best_model_free(
-    model, logs: list[TuningLog], noise: NoiseLevels, sheet: DataSheet | None
-) -> tuple[str, float] | None:
-    """Name and velocity error of the best filter without a model, each tuned on the first part of the longest log."""
-    names = [entry.name for entry in REGISTRY if not entry.knows_model and entry.name in estimators(model)]
-    if not names:
-        return None
-    first = max(logs, key=lambda log: log.tuned.sum())
-    n = first.velocity.shape[1]
-    end = len(first.first_part.t)
-    valid = np.isfinite(first.velocity[:end]).all(axis=1)
-    t, y = np.asarray(first.record.t)[:end], unwrap(np.asarray(first.record.y), model.circles)[:end]
-    trial = Trial(t[valid], y[valid], first.velocity[:end][valid])
-    typical = float(np.sqrt(np.mean(np.asarray(noise.measurement) ** 2)))
-    sheet = (sheet or DataSheet(typical, float(noise.acceleration)))._replace(speed=None, quantum=None)
-    filters = tuned_estimators(model, n, sheet, first.rate, trial, names)
-    v = np.concatenate([log.velocity[log.held_out] for log in logs])
-    errors = {}
-    for name, observer in filters.items():
-        estimates = [
-            np.asarray(model.motion(run(observer, log.record, ("result",)).estimate).v)[log.held_out] for log in logs
-        ]
-        errors[name] = relative_error(np.concatenate(estimates), v)
-    best = min(errors, key=errors.__getitem__)
-    return best, errors[best]

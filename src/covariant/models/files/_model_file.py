@@ -19,6 +19,10 @@ Unknown = Several | None
 """A number, or one for each coordinate or state; None if it is not known."""
 
 
+CHOSEN = ("intrinsic", "intrinsic-force", "intrinsic-kalman")
+"""Observers that a model file may choose."""
+
+
 class ModelError(InputError):
     """A model cannot be loaded.
 
@@ -93,6 +97,7 @@ class ModelFile(NamedTuple):
             noise.
         force_rate: Rate [1/s] at which an unknown force is learnt under constant gains, 0 for none. By default it is
             designed from the size and time of the force in `[uncertainty]`.
+        observer: Observer to run where none is asked for, as `covariant tune` chooses it.
         reference_half: Half width [s] of the windows of the local polynomials that give the reference velocity for
             scoring.
         reference_order: Degree of these polynomials.
@@ -144,6 +149,7 @@ class ModelFile(NamedTuple):
     damping: Annotated[float, Number("design.damping")] = math.sqrt(0.5)
     natural_frequency: Annotated[float | None, Number("design.natural_frequency")] = None
     force_rate: Annotated[float | None, Number("design.force_rate", ZERO_OR_MORE)] = None
+    observer: Annotated[str, Choice("design.observer", CHOSEN)] = ""
     reference_half: Annotated[float, Number("reference.half")] = 0.03
     reference_order: Annotated[float, Number("reference.order", whole=True)] = 3
     wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})

@@ -104,6 +104,8 @@ class IntrinsicForce(AbstractMechanicalObserver):
     to connection and velocity, because a force that is constant in the frame is not parallel. On a group the force is a
     wrench in the body frame. For ρ = 0 and no force it is `Intrinsic`.
 
+    Without a measurement the force stays for 1/ρ, and is then forgotten at the rate ρ, as in a hole of a log.
+
     Use it if the model lacks something persistent, such as loads, friction or a part of the mass; and in the loop of a
     controller, where a constant velocity error acts like a torque. It is somewhat noisier than `Intrinsic` with the
     same α and β. `IntrinsicKalman` with `external_force` estimates the same force with its uncertainty.
@@ -171,7 +173,19 @@ class IntrinsicForce(AbstractMechanicalObserver):
         return IntrinsicForceState(w, v_dot, one, force_dot, *stored)
 
     def predict(self, state: IntrinsicForceState, u: Float[Array, "m"], dt: Scalar) -> IntrinsicForceState:
-        return predicted(self._knowing(state.force).model, state, u, dt, self.substeps)
+        age = jnp.zeros_like(state.t) if state.age is None else state.age
+
+        def remembered(after: Scalar) -> Vector:
+            # The time in which a force is learnt is that after which it is forgotten. At usual steps none is, so that a
+            # force that lasts leaves no error.
+            late, later = (jnp.maximum(1.0, self.force_rate * (age + each)) for each in (0.0, after))
+            return jnp.exp(late - later) * state.force
+
+        def force(t: Scalar, q: Array, u: Float[Array, "m"]) -> Vector:
+            return self.model.force(t, q, u) + remembered(t - state.t)
+
+        model = eqx.tree_at(lambda m: m.force, self.model, force)
+        return predicted(model, state._replace(force=remembered(dt)), u, dt, self.substeps)
 
     def correct(
         self, state: IntrinsicForceState, u: Float[Array, "m"], y: Array

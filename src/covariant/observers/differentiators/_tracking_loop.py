@@ -11,7 +11,7 @@ for three equal poles.
 import abc
 import math
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -64,7 +64,7 @@ class AbstractTrackingLoop(AbstractObserver):
         (3, [[1.0], [0.0], [0.0]])
     """
 
-    order: ClassVar[int]
+    order = 2  # not a field: of some loops it is one, and of others a constant
     circles: tuple[int, ...] = eqx.field(default=(), static=True, kw_only=True)
 
     @abc.abstractmethod

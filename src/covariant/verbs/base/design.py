@@ -166,7 +166,7 @@ def design(
 
 
 def default_observer(file: ModelFile) -> str:
-    """Name of the observer of a model file where none is asked for: one that learns a force where the file tells one.
+    """Name of the observer of a model file where none is asked for: that which it chooses, or one that learns a force.
 
     A natural frequency without a rate at which a force is learnt is that of an observer without a force.
     """
@@ -174,14 +174,16 @@ def default_observer(file: ModelFile) -> str:
     if told is None and file.natural_frequency is None:
         told = file.external_force_time
     fitting = estimators(file.model)
-    return WITH_FORCE if told and WITH_FORCE in fitting else fitting[0]
+    wanted = file.observer or (WITH_FORCE if told else "")
+    return wanted if wanted in fitting else fitting[0]
 
 
 def runs_otherwise(file: ModelFile, observer: str) -> str:
-    """A sentence if `estimate` and `export` run another observer of a model file, since it tells a force; else ""."""
-    if default_observer(file) != WITH_FORCE or observer == WITH_FORCE:
+    """A sentence if `estimate` and `export` run another observer of a model file than the first that fits; else ""."""
+    default = default_observer(file)
+    if default in (observer, estimators(file.model)[0]):
         return ""
-    return f" Of this file `estimate` and `export` run {WITH_FORCE} unless they are asked for `observer={observer!r}`."
+    return f" Of this file `estimate` and `export` run {default} unless they are asked for `observer={observer!r}`."
 
 
 def log_sensors(file: ModelFile, log: Loaded | None) -> tuple[FileSensor, ...]:

@@ -116,9 +116,9 @@ class EstimateResult(AbstractEstimates):
         return pushes(self.loaded.file, self.outcome)
 
     @functools.cached_property
-    def without_model(self) -> WithoutModel | None:
-        """What the best linear filter without a model makes of the log; None where nothing can be judged."""
-        return without_model(self.loaded, self.velocity) if self.observer_name in INFORMED else None
+    def without_model(self) -> WithoutModel | str:
+        """What the best filter without a model makes of the log; "" for such a filter, or why there is none."""
+        return without_model(self.loaded, self.velocity) if self.observer_name in INFORMED else ""
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -208,10 +208,8 @@ class EstimateResult(AbstractEstimates):
                 {"name": each.name, "ratio": plain(each.ratio), **_stds(each)} for each in self.determined
             ]
         free = self.without_model
-        if free is not None:
-            result["without_model"] = {"filter": free.filter} | {
-                name: plain(getattr(free, name)) for name in ("error", "own", "surplus")
-            }
+        if not isinstance(free, str):
+            result["without_model"] = free.data
         if reference is not None and logged is not None:
             both = reference.scored & np.isfinite(logged).all(1)
             result["difference_to_logged_velocity"] = rounded(rmse(outcome.velocity[both], logged[both]))
@@ -251,7 +249,7 @@ class EstimateResult(AbstractEstimates):
             inconsistent(self.loaded, self.observer_name, self.outcome),
             *narrow_bands(self.job, self.loaded, self.observer_name, self.outcome),
             *hole_doubts(self.loaded, {self.observer_name: self.outcome}),
-            None if free is None or not free.is_better else free.advice(self.job, self.observer_name),
+            free.advice(self.job, self.observer_name) if not isinstance(free, str) and free.verdict.is_worse else None,
         )
         return tuple(doubt for doubt in doubts if doubt is not None) + tuple(
             f"{count} of {rows} samples: {StepCode[name.upper()].message}"
@@ -280,8 +278,8 @@ class EstimateResult(AbstractEstimates):
     def _findings(self) -> list[str]:
         """Sentences on the filter without a model, on pushes, and on what the log determines."""
         free, pushed = self.without_model, self.pushes
-        known = [] if free is None or free.is_better else [free.sentence(self.observer_name)]
-        return [*known, *([] if pushed is None else [str(pushed)]), *map(str, self.determined)]
+        line = free if isinstance(free, str) else "" if free.verdict.is_worse else free.sentence(self.observer_name)
+        return [*[line] * bool(line), *([] if pushed is None else [str(pushed)]), *map(str, self.determined)]
 
     def _page(self) -> Any:
         result = self.summary
@@ -325,7 +323,8 @@ def choose_observer(
     designed = design(loaded.file, observer, gains, loaded.rate, loaded, spec=job.model_name)
     if gains is None:
         unused = loaded.kind.unused(designed.observer, observer, bool(loaded.sensors))
-        return designed.observer, (f"{designed.notes}{loaded.note}{unused}",)
+        chosen = f" The model file chooses {observer}." if observer == loaded.file.observer else ""
+        return designed.observer, (f"{designed.notes}{chosen}{loaded.note}{unused}",)
     unknown = "" if tells_noise(loaded.file) else " No measurement is refused: the model file tells no noise."
     return designed.observer, (designed.notes + unknown,)
 

@@ -57,7 +57,6 @@ class AbstractKind(abc.ABC):
         what: What is estimated.
         title: The same, as the first word of a title.
         draws_innovations: Whether the panels of a page are also those of the innovations.
-        has_model_free_filters: Whether filters that know no model fit it.
         makes_up_for_delays: Whether readings that are late are made up for.
         has_ticks: Whether its positions can be ticks of encoders.
         without_gate: Why an observer of it has no gate, where it has none.
@@ -67,7 +66,6 @@ class AbstractKind(abc.ABC):
     what: Literal["velocity", "state"]
     title: str
     draws_innovations = True
-    has_model_free_filters = False
     makes_up_for_delays = True
     has_ticks = True
     without_gate: str

@@ -152,8 +152,6 @@ class AbstractMechanical(AbstractKind):
 class InCoordinates(AbstractMechanical):
     """A mechanical system in coordinates."""
 
-    has_model_free_filters = True
-
     @property
     def positions(self) -> Labels:
         return Labels(numbered("q", self.file.dimension), self.model.units)

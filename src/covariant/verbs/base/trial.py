@@ -1,66 +1,108 @@
-"""What rivals are tuned on and ranked by: a part of a log that moves and has no faults, and predictions of the rest."""
-
-from typing import NamedTuple
+"""What rivals are tuned on and judged by: a part of a log that moves and has no faults, and slopes of its positions."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant._linalg import known_rms
-from covariant.calibration import Trial, errors_ahead, observer_gains, outliers, rows_ahead
-from covariant.models import Motion
-from covariant.scoring import scored_window, unwrap
+from covariant.calibration import Trial
+from covariant.scoring import find_holes, local_polynomials, scored_window, unwrap
 from covariant.signals import Record
-from covariant.verbs.base.design import log_sheet
-from covariant.verbs.base.inputs import Loaded
-from covariant.verbs.base.outcome import Outcome
+from covariant.verbs.base.inputs import Loaded, ReferenceVelocity
+from covariant.verbs.base.kinds import kind_of
 
-SHORTEST_TRIAL = 200
-"""Rows that the trial must have, so that filters can be tuned on it."""
+SHORTEST_TRIAL, FEWEST = 100, 30
+"""Rows that a third of a log must have, so that filters are tuned on it alone, and that all of a shorter one must."""
 LONGEST_TRIAL = 20_000
 """Largest number of these rows that are used: the search takes seconds on them, and minutes on a million."""
 PARTS = 9
 """Number of places at which a third of the log is looked at, evenly from its start to its last third."""
 MOVING = 0.25
 """Mean square velocity of a part, as a fraction of that of the log, from which the part moves."""
+MOST = 30_000
+"""Largest number of rows that a reference is made for."""
+WIDER, WIDEST = 1.4, 300
+"""Ratio of the windows of references that are tried, and the number of rows of the widest one."""
+LEFT_OUT, MOST_PREDICTED, NEARLY = 5, 2000, 0.02
+"""One row of so many is left out and predicted, how many of these at most, and by what part errors are nearly equal."""
+ORDERS, NARROWEST = (3, 5), (3, 5)
+"""Orders of polynomials, and rows in half of the narrowest window of each. At the same noise of their slopes windows of
+the second one are wider by (49/16)^⅓, which is about `WIDER`."""
 
 
-class Ahead(NamedTuple):
-    """Errors of positions that are predicted from the estimates of each estimator, on rows that tuned nothing.
+def judging_reference(loaded: Loaded) -> ReferenceVelocity:
+    """What velocities of a log are judged by: the true ones, or slopes of its positions in windows of the best width.
 
-    Attributes:
-        horizon: Number of rows.
-        time: The same [s].
-        errors: Root mean square errors (n,) by estimator; infinite where a prediction is not finite.
-        apart: The same without predictions in and after holes of the log; None where it has none.
+    Their width and order are chosen by the prediction of rows that are left out, one in `LEFT_OUT`.
     """
+    if loaded.reference is not None and loaded.log.truth is not None:
+        return loaded.reference
+    log, t = loaded.log, np.asarray(loaded.record.t)
+    # Of a long log only the rows in its middle: slopes of a million rows take seconds.
+    middle = slice(max(0, (len(t) - MOST) // 2), (len(t) + MOST) // 2)
+    part, kind = Record(*(np.asarray(column)[middle] for column in log.record[:3])), loaded.kind
+    at = np.asarray(part.t)
+    seen = kind.without_outliers(at, kind.complete(np.asarray(part.y)))
+    # The entries of an attitude are as smooth as angles are.
+    best = best_polynomials(at, _flat(seen) if seen.ndim > 2 else unwrap(seen, loaded.model.circles))
+    half, order = best or (loaded.file.reference_half, loaded.file.reference_order)
+    best = kind_of(loaded.file._replace(reference_half=half, reference_order=order))
+    v = np.full((len(t), loaded.file.dimension), np.nan)
+    v[middle], label = best.slopes(log._replace(record=part, whole=log.all_rows)) or (np.nan, "")
+    # In a hole, also one that outliers leave, and at its edges polynomials are no measure.
+    for begin, end in find_holes(at, np.asarray(_flat(np.isfinite(seen)).all(axis=1))):
+        v[(t > begin - half / 4) & (t < end + half / 4)] = np.nan
+    return ReferenceVelocity(v, label, scored_window(t))
 
-    horizon: int
-    time: float
-    errors: dict[str, np.ndarray]
-    apart: dict[str, np.ndarray] | None = None
+
+def best_polynomials(t: Float[np.ndarray, "T"], y: Float[np.ndarray, "T n"]) -> tuple[float, int] | None:
+    """Half width [s] and order of local polynomials that predict left-out rows well; None where there are too few rows.
+
+    Slopes are best in wider windows than positions are, so of all that are nearly as good as the best it is the one
+    whose slopes have the least noise.
+    """
+    out = np.arange(len(t)) % LEFT_OUT == LEFT_OUT // 2
+    at = np.flatnonzero(out)[:: -(-int(out.sum()) // MOST_PREDICTED) or 1]
+    moving = np.nanmax(y, axis=0, initial=-np.inf) > np.nanmin(y, axis=0, initial=np.inf)
+    if not moving.any() or np.isfinite(y[~out][:, moving]).sum(axis=0).min() < ORDERS[-1] + 3:
+        return None
+    y, row = y[:, moving], float(np.median(np.diff(t)))
+    widest = min(WIDEST * row / 2, (t[-1] - t[0]) / 4)
+    errors = {}
+    for order, least in zip(ORDERS, NARROWEST, strict=True):
+        half = least * row
+        while half <= widest or not errors:
+            off = y[at] - local_polynomials(t[~out], y[~out], t[at], half, order)[:, 0]
+            errors[half, order] = float(np.mean(np.log(known_rms(off, 0) + np.finfo(float).tiny)))
+            half *= WIDER
+    good = [each for each, error in errors.items() if error <= min(errors.values()) + NEARLY]
+    return max(good, key=lambda each: each[0] / WIDER ** ORDERS.index(each[1]))
 
 
-def trial_part(loaded: Loaded) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
+def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | None, Bool[np.ndarray, "T"]]:
     """Cut the rows from a log on which filters without a model are tuned.
 
-    Of parts as long as a third of the log that move, it is the one with the fewest faults, and of equal ones the first.
+    Of parts as long as a third of the log that move, it is the one with the fewest faults, and of equal ones the first;
+    of a short log all rows.
     """
     t = np.asarray(loaded.record.t)
-    none, reference = np.zeros(len(t), bool), loaded.reference
-    if reference is None or not loaded.kind.has_model_free_filters:
-        return None, none
-    y = np.asarray(loaded.record.y)
-    wrong = outliers(t, y, loaded.model.circles)[0]
-    known = np.asarray(np.isfinite(reference.v).all(axis=1))
-    faulty = np.asarray(wrong.any(axis=1) | ~np.isfinite(y).any(axis=1))
-    span = moving_part(t, reference.v, known, faulty)
-    part = span & known
-    part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
+    if not loaded.file.mechanical:
+        return None, np.zeros(len(t), bool)
+    known, y = np.asarray(np.isfinite(reference.v).all(axis=1)), np.asarray(loaded.record.y)
+    seen = loaded.kind.without_outliers(t, y)
+    faulty = np.asarray(~_flat(np.isfinite(seen)).all(axis=1))
     # Unwrapped before the cut: across rows that are left out a full turn would go unnoticed.
-    y = unwrap(np.where(wrong, np.nan, y), loaded.model.circles)[part]
-    if part.sum() < SHORTEST_TRIAL or np.isfinite(y).sum(axis=0).min() < SHORTEST_TRIAL // 2:
-        return None, none
-    return Trial(t[part], y, reference.v[part]), span
+    y = unwrap(seen, loaded.model.circles) if seen.ndim == 2 else seen
+    for span, least in ((moving_part(t, reference.v, known, faulty), SHORTEST_TRIAL), (known, FEWEST)):
+        part = span & known
+        part[np.flatnonzero(part)[LONGEST_TRIAL:]] = False
+        if _flat(np.isfinite(y[part])).sum(axis=0).min() >= least:
+            return Trial(t[part], y[part], reference.v[part]), span
+    return None, np.zeros(len(t), bool)
+
+
+def _flat(y: np.ndarray) -> np.ndarray:
+    """The entries of every measurement side by side."""
+    return y.reshape(len(y), -1)
 
 
 def moving_part(
@@ -75,38 +117,3 @@ def moving_part(
     parts = [(t >= begin) & (t <= begin + third) for begin in np.linspace(t[0], t[-1] - third, PARTS)]
     moving = [part for part in parts if motion[part & known].size and motion[part & known].mean() >= MOVING]
     return min(moving or parts, key=lambda part: int(faulty[part].sum()))
-
-
-def ahead(outcomes: dict[str, Outcome], loaded: Loaded, tuned_on: Bool[np.ndarray, "T"]) -> Ahead | None:
-    """Predict positions by the model from the estimates of each estimator, on rows on which none was tuned."""
-    if loaded.reference is None or loaded.log.truth is not None or np.any(loaded.file.delay):
-        return None
-    t = np.asarray(loaded.record.t)
-    horizon = rows_ahead(loaded.rate, observer_gains(log_sheet(loaded.file, loaded), loaded.rate).beta ** 0.5)
-    rows = scored_window(t) & ~tuned_on
-    if rows.sum() < 4 * horizon:
-        return None
-    y = loaded.kind.without_outliers(t, np.asarray(loaded.record.y))
-    record = _without_inputs(loaded.record._replace(y=y), horizon)
-    selections, holes = [rows], loaded.holes
-    if holes is not None and (rows & ~holes.concerned).sum() >= 4 * horizon:
-        selections.append(rows & ~holes.concerned)
-
-    def predicted(outcome: Outcome, selection: np.ndarray) -> np.ndarray:
-        motion = loaded.model.motion(outcome.run.estimate)
-        return known_rms(errors_ahead(loaded.model, record, Motion(motion.q, motion.v), selection, horizon), (0, 1))
-
-    errors = ({name: predicted(each, selection) for name, each in outcomes.items()} for selection in selections)
-    return Ahead(horizon, horizon / loaded.rate, *errors)
-
-
-def _without_inputs(record: Record, horizon: int) -> Record:
-    """A record whose measurements are missing where one of the `horizon` inputs that lead to them is."""
-    u = np.asarray(record.u)
-    absent = ~np.isfinite(u).all(1)
-    if not absent.any():
-        return record
-    y = np.array(record.y, float)
-    # The kernel begins with zero, since an input acts from its row to the next ones.
-    y[np.convolve(absent, np.concatenate([[0.0], np.ones(horizon)]))[: len(u)] > 0] = np.nan
-    return record._replace(u=np.nan_to_num(u), y=y)

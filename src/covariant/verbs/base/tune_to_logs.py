@@ -8,31 +8,37 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import models
-from covariant.calibration import DataSheet, Tuning, tune, tuned_estimators, usual_speeds
+from covariant.calibration import DataSheet, ErrorRatio, Tuning, estimators, tune, tuned_estimators, usual_speeds
 from covariant.engine import EngineName, run_logs
 from covariant.observers import AbstractObserver
 from covariant.report import EstimateReport
 from covariant.signals import Record, Run
 from covariant.verbs.base.aligned import aligned
+from covariant.verbs.base.design import design
 from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, tells_noise, with_sensor_delays
+from covariant.verbs.base.kinds import WITH_FORCE
 from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
-from covariant.verbs.base.outcome import drive, plain, rounded
+from covariant.verbs.base.outcome import drive, rounded
 from covariant.verbs.base.pages import estimate_report
 from covariant.verbs.base.progress import Progress
+from covariant.verbs.base.trial import judging_reference
+from covariant.verbs.base.without_model import WithoutModel, without_model
 from scalargraph.errors import InputError
 
 DIGITS = 4
 """Significant digits of tuned numbers in a model file."""
-WORSE = 1.2
-"""Ratio of the velocity errors of Kalman filter and constant gains from which a warning says the filter is worse."""
 COARSER = 1.5
 """Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
 SEARCHED = 60
 """Approximate number of runs of a search for gains."""
 NOT_WHITE = 0.3
 """Correlation of neighbouring innovations from which a warning says that the model does not explain them."""
-STAGES = ("gains", "noise", "held-out rows", "filters without a model")
+STAGES = ("gains", "noise", "held-out rows", "observers")
+KALMAN = ("intrinsic-kalman", "ekf")
+"""Filters that take the noise; the first one may become the default."""
+FITTED, FEWEST = 2 / 3, 100
+"""Part of a log that tunes, and the rows without holes that suffice to judge by."""
 """What a tuning does, in order."""
 
 
@@ -64,6 +70,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
     content = models.document(jobs[0].model_name, jobs[0].overrides) if has_file else {}
     loaded, delay = [aligned(job).loaded for job in jobs], models.load(jobs[0].model, jobs[0].overrides).delay
     check_read_once(sources)  # from here on no file of the model is read
+    loaded = [one._replace(reference=judging_reference(one)) for one in loaded]
     file = loaded[0].file
     before = data_sheet(file) if tells_noise(file) else None
     # No reading is better than the rounding to its ticks.
@@ -80,16 +87,16 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
             "before": before,
             "progress": report,
             "runs": runs,
-            "window": _window(jobs[0], loaded[0]),
             "names": [Path(job.log_name).name for job in jobs],
         }
         tuning = tune(loaded[0].model, records, velocities, **options)
     except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
+    report("observers")
+    confirmed = confirm(loaded, tuning)
     progress("done", 1.0)
-    tables = _tables(file, tuning, loaded[0].rate)
-    details = _details(jobs, loaded, delay, tuning, tables) | {"engine": runs.description}
-    return Tuned(loaded, tuning, before, _with_tables(content, tables) if has_file else {}, details)
+    details = _details(jobs, loaded, delay, confirmed) | {"engine": runs.description}
+    return Tuned(loaded, confirmed.tuning, before, _with_tables(content, confirmed.tables) if has_file else {}, details)
 
 
 def tuned_page(title: str, job: Job, tuned: Tuned, notes: tuple[str, ...], **more: Any) -> EstimateReport:
@@ -112,11 +119,77 @@ def tuned_page(title: str, job: Job, tuned: Tuned, notes: tuple[str, ...], **mor
     return estimate_report(title, job, loaded, runs, notes, {"drawn": f"{name}, on {job.log_name}"}, **more)
 
 
-def _window(job: Job, loaded: Loaded) -> tuple[float, int, float] | None:
-    """Half width [s] and order of the polynomials of the reference velocities, and rate [Hz] of the positions that they
-    are fitted to, which are those of the whole log; None where they are no such slopes."""
-    slopes = loaded.reference is not None and loaded.log.truth is None and loaded.model.manifold.commuting
-    return (loaded.file.reference_half, int(loaded.file.reference_order), loaded.rate * job.every) if slopes else None
+class Confirmed(NamedTuple):
+    """A tuning whose filters are no worse than before on held-out rows, and the lines to write.
+
+    Attributes:
+        tuning: The tuning, with the noise of the model file where a filter is worse with another one.
+        tables: What is written into the model file, by table and key.
+        beside: Judges the default observer beside the best filter without a model on held-out rows of the longest log,
+            or says why that is impossible.
+    """
+
+    tuning: Tuning
+    tables: dict[str, dict[str, Any]]
+    beside: WithoutModel | str
+
+
+def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
+    """Keep the old noise if a filter that the model file can run is worse with the new one, and choose the default.
+
+    That is the Kalman filter where it is clearly better on held-out rows than constant gains, which cost less.
+    """
+    file, rate = loaded[0].file, loaded[0].rate
+    filters = [name for name in KALMAN if name in estimators(file.model)]
+    rows, true = [_held_out(one) for one in loaded], [one.reference.v for one in loaded if one.reference]
+
+    def velocities(file: models.ModelFile, name: str) -> list[np.ndarray]:
+        observers = [design(file, name, rate=one.rate, log=one._replace(file=file)).observer for one in loaded]
+        return [drive(each, one._replace(file=file)).velocity for each, one in zip(observers, loaded, strict=True)]
+
+    def judge(new: list[np.ndarray], old: list[np.ndarray]) -> ErrorRatio:
+        return ErrorRatio.of_velocities(
+            *([v[at] for v, at in zip(each, rows, strict=True)] for each in (new, old, true))
+        )
+
+    tables = _tables(file, tuning, rate)
+    new, known = _tuned_file(file, tables), {}
+    for name in filters:
+        known[name] = velocities(new, name)
+        if tells_noise(file) and not tuning.noise_kept and judge(known[name], old := velocities(file, name)).is_worse:
+            before, after = tuning.before or tuning.after, tuning.after
+            relative = np.array([after.relative[0], before.relative[1]])
+            after = before._replace(one_step=after.one_step, gains_error=after.gains_error, relative=relative)
+            tuning, known = tuning._replace(noise_kept="velocities", after=after), {name: old}
+            tables = _tables(file, tuning, rate)
+            new = _tuned_file(file, tables)
+    default = WITH_FORCE if tuning.force_rate else estimators(file.model)[0]
+    velocity, best = velocities(new, default), KALMAN[0]
+    if best in filters:
+        filtered = known.get(best) or velocities(new, best)
+        default, velocity = (best, filtered) if judge(filtered, velocity).is_better else (default, velocity)
+    tables["design"]["observer"] = default
+    longest = max(range(len(loaded)), key=lambda k: len(velocity[k]))
+    one = loaded[longest]._replace(file=new)
+    return Confirmed(tuning, tables, without_model(one, velocity[longest], _held_out(one)))
+
+
+def _held_out(one: Loaded) -> np.ndarray:
+    """Rows (T,) of a log that did not tune it: the last third, without holes unless there is little else."""
+    t, reference = np.asarray(one.record.t), one.reference
+    assert reference is not None
+    late = reference.scored & (t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(reference.v).all(axis=1)
+    clear = late if one.holes is None else late & ~one.holes.concerned
+    return clear if clear.sum() >= FEWEST else late
+
+
+def _tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:
+    """The model file with the tuned numbers."""
+    pairs = {f"{table}.{key}": value for table, numbers in tables.items() for key, value in numbers.items()}
+    if "uncertainty" in tables:
+        file = file._replace(torque_std=None, external_force=None, external_force_std=None, external_force_time=None)
+    file = file._replace(force_rate=None, quantum=None if "measurement" in tables else file.quantum)
+    return models.load(file, pairs)
 
 
 class _Runs:
@@ -134,18 +207,18 @@ class _Runs:
 
 
 def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, dict[str, Any]]:
-    """What is written into the model file, by table and key."""
+    """What is written into the model file, by table and key; no noise where that of the file is kept."""
+    design = {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)}
+    if tuning.force_rate:
+        design["force_rate"] = _short(tuning.force_rate)
+    if tuning.noise_kept:
+        return {"design": design}
     time = file.correlation_time or float(f"{1 / (2 * rate):.{DIGITS}g}")
     # A deviation σ that persists over the time τ acts as white noise of the density σ √(2τ).
     acceleration = float(tuning.noise.acceleration) / np.sqrt(2 * time)
     uncertainty = {"acceleration": _short(acceleration), "correlation_time": time}
     uncertainty |= _force(file, tuning)
-    tables: dict[str, dict[str, Any]] = {
-        "uncertainty": uncertainty,
-        "design": {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)},
-    }
-    if tuning.force_rate:
-        tables["design"]["force_rate"] = _short(tuning.force_rate)
+    tables: dict[str, dict[str, Any]] = {"uncertainty": uncertainty, "design": design}
     # Rounding to ticks has a uniform error, of the standard deviation quantum/√12.
     ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
     if file.quantum is None or np.any(np.asarray(tuning.noise.measurement) > COARSER * ticks):
@@ -176,7 +249,7 @@ def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> 
     # The tuned acceleration holds what was torque.
     optional = {"uncertainty": ("torque", "external_force", "external_force_std", "external_force_time")}
     for table, keys in (optional | {"design": ("force_rate",)}).items():
-        for key in set(keys) - set(tables[table]):
+        for key in set(keys) - set(tables[table]) if table in tables else ():
             content[table].pop(key, None)
     # std stands in its place: a model file may not have both.
     if "measurement" in tables:
@@ -184,11 +257,8 @@ def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> 
     return content
 
 
-def _details(
-    jobs: list[Job], loaded: list[Loaded], delay: Any, tuning: Tuning, tables: dict[str, Any]
-) -> dict[str, Any]:
-    names, units = coordinates(loaded[0].file)
-    free = tuning.model_free
+def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confirmed) -> dict[str, Any]:
+    (names, units), (tuning, tables, beside) = coordinates(loaded[0].file), confirmed
     return {
         "model": jobs[0].model_name,
         "logs": [job.log_name for job in jobs],
@@ -204,15 +274,15 @@ def _details(
             else {key: rounded(np.atleast_1d(each)) for key, each in judged._asdict().items()}
             for when, judged in (("before", tuning.before), ("after", tuning.after))
         },
-        "model_free": None if free is None else {"estimator": free[0], "relative": plain(free[1])},
+        "without_model": beside if isinstance(beside, str) else beside.data,
         "gains": {
             "from": tuning.source,
             "same": None if tuning.same is None else [_short(each) for each in tuning.same],
             "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
         },
-        "notes": notes(tuning, units),
+        "notes": notes(confirmed),
         "warning": warning(
-            tuning,
+            confirmed,
             np.atleast_1d(np.equal(delay, np.max(delay))),
             advice(jobs[0].model, fit="run `covariant fit`") or "look for what it lacks by `covariant check`",
         ),
@@ -223,8 +293,9 @@ def _round_numbers(numbers: dict[str, Any]) -> dict[str, Any]:
     return {key: value if isinstance(value, str) else _short(value) for key, value in numbers.items()}
 
 
-def notes(found: Tuning, units: Sequence[str]) -> list[str]:
-    """Say where the gains are from, what was kept, and whether the reference is good enough to compare with."""
+def notes(confirmed: Confirmed) -> list[str]:
+    """Say where the gains are from, what was kept, which observer is the default, and whether the model helps."""
+    found = confirmed.tuning
     said = []
     if found.candidates:
         named = ", ".join(f"{each.source} {_short(each.smoothed):g}" for each in found.candidates)
@@ -234,10 +305,10 @@ def notes(found: Tuning, units: Sequence[str]) -> list[str]:
         )
         near = [each.source for each in found.candidates if each.ties]
         if len(near) > 1:
-            said.append(f"By the rows after each alone these are equally good: {', '.join(near)}.")
+            said.append(f"By the rows after each alone these cannot be told apart: {', '.join(near)}.")
     if found.same is not None:
         low, high = (f"{_short(each):g}" for each in found.same)
-        said.append(f"Gains with a natural frequency between {low} and {high} rad/s give the same within 2 %.")
+        said.append(f"Gains with a natural frequency between {low} and {high} rad/s are as good within 2 %, or better.")
     if found.gains_kept:
         said.append(
             "Other gains seemed better, but had a larger velocity error on held-out rows; those of the model file are "
@@ -250,40 +321,27 @@ def notes(found: Tuning, units: Sequence[str]) -> list[str]:
     if found.noise_kept:
         why = "readings are likelier" if found.noise_kept == "likelihood" else "velocities are better"
         said.append(f"Held-out {why} with the noise of the model file, which is kept.")
-    if found.reference_noise is not None:
-        reference, estimate = found.reference_noise
-        worst = int(np.argmax(reference / np.maximum(estimate, 1e-300)))
-        if reference[worst] > estimate[worst]:
-            said.append(
-                f"The reference is noisier than the estimate: about {reference[worst]:.2g} {units[worst]}/s against "
-                f"{estimate[worst]:.2g} of the Kalman filter, so errors against it are largely its own."
-            )
+    default, beside = confirmed.tables["design"]["observer"], confirmed.beside
+    said.append(
+        f"The default observer is {default}, "
+        + (
+            "which is clearly better than constant gains."
+            if default in KALMAN
+            else "than which no filter is clearly better."
+        )
+    )
+    if isinstance(beside, str) or not beside.verdict.is_worse:
+        said.append(f"{beside if isinstance(beside, str) else beside.sentence(default)}.")
     return said
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
-
-
-def warning(found: Tuning, as_logged: np.ndarray | bool = True, remedy: str = "run `covariant fit`") -> str | None:
+def warning(
+    confirmed: Confirmed, as_logged: np.ndarray | bool = True, remedy: str = "run `covariant fit`"
+) -> str | None:
     """Warn in one line of a model that is no better than none, or does not explain the innovations."""
-    gains, kalman = found.after.relative
-    name, free = found.model_free or ("", np.inf)
-    without = f"{name}, which knows none, has a velocity error of {_percent(free)}"
-    if min(gains, kalman) >= free:
-        best = _percent(min(gains, kalman))
-        return f"the model does not help here: {without}, the best with the model {best}; {remedy}"
-    if gains >= free:
-        return (
-            f"with constant gains the model does not help here: {without}, constant gains {_percent(gains)}; "
-            f"{remedy}, or estimate with the observer intrinsic-kalman ({_percent(kalman)})"
-        )
-    if kalman > WORSE * gains:
-        return (
-            f"the noise is not white: the velocity error of the most likely Kalman filter is {_percent(kalman)} and "
-            f"that of constant gains {_percent(gains)}; estimate with the observer "
-            f"{'intrinsic-force' if found.force_rate else 'intrinsic'}"
-        )
+    found, default, beside = confirmed.tuning, confirmed.tables["design"]["observer"], confirmed.beside
+    if not isinstance(beside, str) and beside.verdict.is_worse:
+        return f"the model does not help here: {beside.sentence(default)}; {remedy}"
     worst = float(np.max(np.abs(found.after.correlation) * as_logged))
     if worst > NOT_WHITE:
         return f"the innovations are not white (correlation {worst:.2f}), so the model is wrong somewhere; {remedy}"

@@ -1,71 +1,67 @@
 """What the best filter without a model would make of a log, beside an estimate with one."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from covariant.calibration import even_velocity
+from covariant.calibration import ErrorRatio, Trial, filter_error
 from covariant.observers import REGISTRY, AbstractLinearFilter
-from covariant.scoring import scored_window, unwrap
-from covariant.signals import Record
 from covariant.verbs.base.design import log_sheet
-from covariant.verbs.base.inputs import Job, Loaded, ReferenceVelocity, tells_noise
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, ReferenceVelocity, tells_noise
 from covariant.verbs.base.model_text import advice
-from covariant.verbs.base.outcome import drive
-from covariant.verbs.base.trial import trial_part
+from covariant.verbs.base.outcome import drive, plain
+from covariant.verbs.base.trial import judging_reference, trial_part
 
-BLOCKS = 20
-"""Number of blocks of neighbouring rows, whose differences are taken as independent."""
-SURE = 3.0
-"""Standard errors by which one error must be smaller than another to be called so."""
-CLEAR = 0.01
-"""Least relative difference of errors that is called one."""
-MOST = 30_000
-"""Largest number of rows that a reference is made for."""
-FEWEST = 10 * BLOCKS
-"""Least number of rows to judge by."""
+CHEAP = ("bandwidth", "window", "motion", "loop")
+"""What filters without a model are tuned by that cost little: those of coordinates are linear."""
+GATED = 1.5
+"""Ratio of a filter's error on its trial to that by its weights, from which its gate is in the way."""
+FEWEST = 50
+"""Rows without holes that suffice to judge by; where there are fewer, those in holes count too."""
 
 
 class WithoutModel(NamedTuple):
-    """Velocity errors of the best linear filter without a model and of an estimate, on rows that tuned neither.
+    """Velocity errors of the best linear filter without a model and of an estimate, on the same rows.
 
     Attributes:
         filter: Name of the filter.
-        error: Its error as a fraction of the velocity, RMS over the coordinates.
-        own: That of the estimate.
-        surplus: Mean square of `own` minus that of `error`, in standard errors; what both share cancels, such as the
-            noise of the reference.
+        verdict: Errors of the estimate and of the filter as fractions of the velocity, RMS over the coordinates, and
+            the interval of their ratio.
         label: What the errors are against.
+        velocity: Velocities (T, n) of the filter.
+        judged: Which rows (T,) the errors are of.
+        tuned: Which rows (T,) the filter was tuned on.
     """
 
     filter: str
-    error: float
-    own: float
-    surplus: float
+    verdict: ErrorRatio
     label: str
+    velocity: Float[np.ndarray, "T n"]
+    judged: Bool[np.ndarray, "T"]
+    tuned: Bool[np.ndarray, "T"]
 
     @property
-    def is_better(self) -> bool:
-        """Whether the filter is clearly better than the estimate."""
-        return self._differ and self.own > self.error
+    def data(self) -> dict[str, Any]:
+        """The name of the filter, both errors, and the interval of their ratio."""
+        return {"filter": self.filter} | {name: plain(value) for name, value in self.verdict._asdict().items()}
 
     @property
-    def _differ(self) -> bool:
-        return abs(self.surplus) > SURE and abs(self.own / self.error - 1) > CLEAR
-
-    @property
-    def verdict(self) -> str:
-        """Which of the two is better, in words."""
-        if not self._differ:
-            return "this log cannot tell which is better"
-        return "the filter is better" if self.is_better else "the model helps"
+    def ruling(self) -> str:
+        """Which of the two is better and by how much, in words."""
+        error, other, low, high = self.verdict
+        told = "the filter is better" if self.verdict.is_worse else "this log cannot tell which is better"
+        words = "the model helps" if self.verdict.is_better else told
+        return f"{words}, the error with the model is {error / other:.3g} times as large ({low:.3g} to {high:.3g})"
 
     def sentence(self, observer: str) -> str:
         """Both errors in one line."""
+        verdict, tuned = self.verdict, np.any(self.judged & self.tuned)
+        rows = f"{self.judged.sum()} rows that {'tuned the filter too' if tuned else 'did not tune the filter'}"
         return (
-            f"velocity error {100 * self.error:.3g} % without a model, by {self.filter}, and {100 * self.own:.3g} % by "
-            f"{observer}, against the {self.label}, on rows that did not tune the filter: {self.verdict}"
+            f"velocity error {100 * verdict.other:.3g} % without a model, by {self.filter}, and "
+            f"{100 * verdict.error:.3g} % by {observer}, against the {self.label}, on {rows}: {self.ruling}"
         )
 
     def advice(self, job: Job, observer: str) -> str:
@@ -83,59 +79,64 @@ class WithoutModel(NamedTuple):
         )
 
 
-def without_model(loaded: Loaded, velocity: Float[np.ndarray, "T n"]) -> WithoutModel | None:
-    """Judge velocities beside those of the best linear filter without a model; None where nothing can be judged."""
-    if not (loaded.kind.has_model_free_filters and tells_noise(loaded.file)):
-        return None
-    t = np.asarray(loaded.record.t)
-    reference = loaded.reference or _slopes(loaded)
-    loaded = loaded._replace(reference=reference)
-    trial, tuned_on = trial_part(loaded)
-    judged = reference.scored & ~tuned_on & np.isfinite(reference.v).all(1) & np.isfinite(velocity).all(1)
-    holes = loaded.holes
-    judged &= True if holes is None else ~holes.concerned
-    if trial is None or judged.sum() < FEWEST:
-        return None
-    size = np.sqrt(np.mean(reference.v[judged] ** 2, axis=0))
-    if not size.all():
-        return None
+def without_model(
+    loaded: Loaded, velocity: Float[np.ndarray, "T n"], among: Bool[np.ndarray, "T"] | None = None
+) -> WithoutModel | str:
+    """Judge velocities beside those of the best linear filter without a model, or say in a line why that is impossible.
+
+    Rows count that tuned no filter and lie in no hole, of those that are `among` (by default all); where there are too
+    few of them, those in holes count too, and then those that tuned the filter.
+    """
+    names = [entry.name for entry in REGISTRY if entry.tuned_by in CHEAP and entry.fits(loaded.model)]
+    if not names:
+        return "no filter without a model fits, so that nothing says whether the model helps"
+    if not tells_noise(loaded.file):
+        return "the model file tells no noise, so that no filter without a model can be tuned beside it"
+    reference = judging_reference(loaded)
+    trial, tuned_on = trial_part(loaded, reference)
     sheet = log_sheet(loaded.file, loaded)
-    names = [entry.name for entry in REGISTRY if issubclass(entry.observer, AbstractLinearFilter)]
-    filters: dict[str, Any] = loaded.kind.tuned(lambda: sheet, loaded.rate, names, trial)
-    y = unwrap(loaded.kind.without_outliers(t, np.asarray(loaded.record.y)), loaded.model.circles)
-    true, rate, found = reference.v / size, loaded.rate, {}
-    for name, each in filters.items():
-        weights = getattr(each, "observer", each).weights(rate)
-        even, v = even_velocity(weights, rate, t, y)
-        found[name] = float(_squares(even, v / size, t, true, judged).mean())
-    best = min(found, key=found.__getitem__)
-    # By its weights the best one is found; judged is what it does with the readings as they are, behind its gate.
-    run = drive(filters[best], loaded).velocity
-    free, own = (np.mean(((each - reference.v)[judged] / size) ** 2, axis=1) for each in (run, velocity))
-    error, of_estimate = (float(np.sqrt(each.mean())) for each in (free, own))
-    return WithoutModel(best, error, of_estimate, _in_standard_errors(own - free), reference.label)
+    filters: dict[str, Any] = {} if trial is None else loaded.kind.tuned(lambda: sheet, loaded.rate, names, trial)
+    return beside_filters(loaded, velocity, reference, trial, tuned_on, filters, among)
 
 
-def _squares(even: np.ndarray, v: np.ndarray, t: np.ndarray, true: np.ndarray, judged: np.ndarray) -> np.ndarray:
-    """Mean squares (K,) of the errors of velocities at even stamps, between rows that count."""
-    rows = np.interp(even, t, judged.astype(float)) == 1
-    known = np.stack([np.interp(even[rows], t[judged], column) for column in true[judged].T], axis=1)
-    return np.mean((v[rows] - known) ** 2, axis=1)
-
-
-def _slopes(loaded: Loaded) -> ReferenceVelocity:
-    """Slopes of the positions, of the rows in the middle of a long log only: those of a million take seconds."""
-    log, t = loaded.log, np.asarray(loaded.record.t)
-    middle = slice(max(0, (len(t) - MOST) // 2), (len(t) + MOST) // 2)
-    part = Record(*(np.asarray(column)[middle] for column in log.record[:3]))
-    found = loaded.kind.slopes(log._replace(record=part, whole=log.all_rows))
-    v, label = np.full((len(t), loaded.file.dimension), np.nan), ""
-    if found is not None:
-        v[middle], label = found
-    return ReferenceVelocity(v, label, scored_window(t))
-
-
-def _in_standard_errors(differences: Float[np.ndarray, "K"]) -> float:
-    """The mean of differences of neighbouring rows, which are not independent, in standard errors."""
-    means = np.array([part.mean() for part in np.array_split(differences, BLOCKS)])
-    return float(means.mean() / max(np.std(means, ddof=1) / np.sqrt(BLOCKS), np.finfo(float).tiny))
+def beside_filters(
+    loaded: Loaded,
+    velocity: Float[np.ndarray, "T n"],
+    reference: ReferenceVelocity,
+    trial: Trial | None,
+    tuned_on: Bool[np.ndarray, "T"],
+    filters: Mapping[str, Any],
+    among: Bool[np.ndarray, "T"] | None = None,
+) -> WithoutModel | str:
+    """Judge velocities beside those of the filter that is the best one on the trial that tuned them."""
+    if trial is None:
+        return f"{len(velocity)} rows are too few to judge whether the model helps"
+    sheet = log_sheet(loaded.file, loaded)
+    free = {name: getattr(each, "observer", each) for name, each in filters.items() if name not in INFORMED}
+    errors = {
+        name: filter_error(each.weights(loaded.rate), sheet, loaded.rate, trial)
+        for name, each in free.items()
+        if isinstance(each, AbstractLinearFilter)
+    }
+    # By its weights the best one is found; judged is what it does with the readings as they are, behind its gate, which
+    # may refuse what is none of its outliers: then the next one is tried.
+    runs: dict[str, Any] = {}
+    actual: dict[str, float] = {}
+    trying = tuned_on & np.isfinite(reference.v).all(axis=1)
+    trying &= reference.scored if np.any(trying & reference.scored) else True
+    for name in sorted(errors, key=errors.__getitem__) or free:
+        runs[name] = drive(filters[name], loaded).velocity
+        one = [runs[name][trying]]
+        actual[name] = ErrorRatio.of_velocities(one, one, [reference.v[trying]]).error
+        if not actual[name] > GATED * errors.get(name, np.inf):
+            break
+    best = min(actual, key=actual.__getitem__)
+    known = np.isfinite(np.concatenate([reference.v, velocity, runs[best]], axis=1)).all(axis=1)
+    counts = known & reference.scored & (True if among is None else among)
+    apart = counts & ~tuned_on
+    clear = apart if loaded.holes is None else apart & ~loaded.holes.concerned
+    judged = next((rows for rows in (clear, apart, counts) if rows.sum() >= FEWEST), counts)
+    if not reference.v[judged].any(axis=0).all():
+        return "a coordinate stands still, so that no error is a part of its velocity"
+    ratio = ErrorRatio.of_velocities(*([each[judged]] for each in (velocity, runs[best], reference.v)))
+    return WithoutModel(best, ratio, reference.label, runs[best], judged, tuned_on)
