@@ -16,7 +16,7 @@ friction it is not tight: the range of f is a further uncertainty, and may incre
 
 On a curved space the correction gives `ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`, where J is the Jacobi
 field along the geodesic γ from q̂ to y with J(0) = ξ and J(1) = 0: w changes, and these limits are for one coordinate or
-a flat metric. `distance_decay` is for curved spaces.
+a flat metric.
 
 Source: an addition. Simpson-Porco & Bullo 2014, Contraction theory on Riemannian manifolds, Systems & Control Letters
 65, for lengths of curves.
