@@ -35,17 +35,18 @@ REFUSED = {
     "no observer to export": ("export oscillator --rate 100 -o c --observer magic", "unknown observer 'magic'"),
     "no observer to certify": (
         "certify oscillator --observer ekf",
-        "no certificate covers the observer 'ekf'. Use measured",
+        "observer 'ekf' is not covered; use one of intrinsic",
     ),
     "no engine": ("estimate oscillator log.csv --engine fortran", "fortran"),
     "no paper": ("reproduce nobody", "unknown paper 'nobody'. Known: aghannan-rouchon"),
     "another kind of output": ("estimate oscillator log.csv -o v.xlsx", "must end in .csv"),
     "another kind of report": ("compare oscillator log.csv --report page.pdf", "must end in .html"),
     "a page of a saved certificate": ("certify --check a.json --report page.html", "leave --check out"),
-    "an observer whose basin is not proved": (
-        "certify oscillator --observer lagrangian-metric -o a.json",
-        "no certificate covers the observer 'lagrangian-metric'. Use measured-coefficients for all first errors",
+    "an observer without a certificate": (
+        "certify oscillator --observer lagrangian-metric",
+        "observer 'lagrangian-metric' is not covered; use one of intrinsic, geodesic, measured-coefficients",
     ),
+    "no observer of a certificate": ("certify oscillator --observer geodesc", "Did you mean 'geodesic'?"),
     "no folder": ("certify oscillator -o absent/proof.json", "there is no folder absent"),
     "no certificate": ("certify --check nofile.json", "nofile.json does not exist"),
     "no store": ("design metric lorenz --grid 5 -o metric.csv", "must end in .zarr"),

@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant import certificates, models
-from covariant._names import did_you_mean
+from covariant._names import unknown
 from covariant.certificates import Attempt, CheckerName, ContractionCertificate, LostRows
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
+from covariant.observers import OBSERVER_NAMES
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
 from covariant.verbs.base.design import Design, design, runs_otherwise
@@ -134,10 +135,7 @@ def certify(
             "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
         )
     if observer is not None and observer not in OBSERVERS:
-        raise InputError(
-            f"no certificate covers the observer {observer!r}.{did_you_mean(observer, OBSERVERS)} Use {GLOBALLY} for "
-            "all first errors, or intrinsic or geodesic for small ones"
-        )
+        raise InputError(unknown("observer", observer, OBSERVERS, OBSERVER_NAMES))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")

@@ -369,8 +369,7 @@ def _straight_fibres(sampled: _Sampled, premises: tuple[Hypothesis, ...]) -> Sta
         ),
         Hypothesis("the output is the position at each of the points", "sampled"),
         Hypothesis(
-            "along geodesics the position turns by less than π/2, as it does up to the distance D if κVD/m is less, κ "
-            "the curvature, V the largest speed, m = det Q/Q₂₂², and has one shortest path to where it began",
+            "along geodesics the position turns by less than π/2 and has one shortest path to where it began",
             "assumed",
         ),
     )
