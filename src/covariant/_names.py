@@ -8,9 +8,8 @@ from scalargraph.errors import InputError
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
     """Suggest the nearest known name, as a sentence after a blank; empty if none is near."""
-    first = {
-        each.partition("[")[0]: each for each in reversed(list(known))
-    }  # com means com[0] or another of its entries
+    # com means com[0] or another of its entries
+    first = {each.partition("[")[0]: each for each in reversed(list(known))}
     nearest = difflib.get_close_matches(name, [*first, *known], 1)
     return f" Did you mean {first.get(nearest[0], nearest[0])!r}?" if nearest else ""
 
