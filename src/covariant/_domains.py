@@ -64,8 +64,6 @@ FINITE_ENTRIES = FINITE._replace(words="have finite entries")
 POSITIVE = Domain("be a positive, finite number", lambda a: np.isfinite(a) & (a > 0))
 NOT_NEGATIVE = Domain("be a finite number, 0 or more", lambda a: np.isfinite(a) & (a >= 0))
 ABOVE_ZERO = Domain("be a positive number, which may be infinite", lambda a: a > 0)
-SHARE = Domain("be a number above 0 and at most 1", lambda a: (a > 0) & (a <= 1))
-FACTOR = Domain("be a finite number, 1 or more", lambda a: a.size > 0 and (np.isfinite(a) & (a >= 1)).all())
 KNOWN = Domain("be a number", lambda a: ~np.isnan(a))
 COUNT = Domain("be a whole number, 1 or more", lambda a: a >= 1, whole=True)
 WHOLE = Domain("be a whole number, 0 or more", lambda a: a >= 0, whole=True)
@@ -80,7 +78,6 @@ SPAN = INTERVAL._replace(
 Finite = Annotated[float, FINITE]
 Positive = Annotated[float, POSITIVE]
 NotNegative = Annotated[float, NOT_NEGATIVE]
-Share = Annotated[float, SHARE]
 Count = Annotated[int, COUNT]
 Whole = Annotated[int, WHOLE]
 Interval = Annotated[tuple[float, float], INTERVAL]

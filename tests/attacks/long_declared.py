@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_declared import EVERY, LIES, POINTS, X, beam, in_reverse, polar, system
+from test_declared import EVERY, LIES, PLACES, POINTS, X, beam, in_reverse, polar, system
 
 from covariant import models, observers
 from covariant.certificates import (
-    certify_distance,
+    certify_globally,
     contraction,
     contraction_rate,
     observability,
@@ -82,11 +82,10 @@ def test_rates_are_those_of_the_values(name):
 
 
 @pytest.mark.parametrize("name", ["none", "stop_gradient", "custom_jvp"])
-def test_distances_need_the_connection_of_the_metric(name):
+def test_certificates_of_all_first_errors_need_the_connection_of_the_metric(name):
     """From a metric that declares its slope JAX derives the connection of another metric."""
-    observer, _ = beam(LIES.get(name, lambda f: f)(polar))
-    bounds = {"position": ([-2.5, -4.0], [2.5, 4.0]), "velocity": 0.25, "error": 0.25}
-    statement = certify_distance(observer, interval=0.01, **bounds).statement
+    model, ends = beam(LIES.get(name, lambda f: f)(polar)), (PLACES.low, PLACES.high)
+    statement = certify_globally(model, velocity=0.25, position=ends, interval=(0.01, 0.01)).statement
     assert statement.short == ("holds (proved)" if name == "none" else "undecided")
     assert "the connection of the model's space" in str(statement)
 

@@ -8,18 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import models, observers
+from covariant import models
 from covariant.calibration import contracting_gain
-from covariant.certificates import (
-    certify_distance,
-    feedthrough,
-    observability,
-    reduced_order,
-)
+from covariant.certificates import feedthrough, observability, reduced_order
+from covariant.certificates.everywhere._coupling import compare_connections
 from covariant.models import StateSpace, marine
 from covariant.simulation import Backstepping, lissajous
 from scalargraph import LoweringError, lower, to_jax
 from scalargraph.graph import change
+from scalargraph.proofs import box
 
 
 def with_rule(function):
@@ -175,16 +172,17 @@ def test_the_coupling_of_a_craft_is_that_of_its_transformation():
 
 
 def beam(metric):
-    model = models.Lagrangian(metric, lambda q: 0.0 * q[0], None, coordinates=("r", "theta"), units=("m", "rad"))
-    return observers.LagrangianMetric(model, alpha=1900.0, beta=38000.0), observers.Intrinsic(model, 5.0, 10.0)
+    return models.Lagrangian(metric, lambda q: 0.0 * q[0], None, coordinates=("r", "theta"), units=("m", "rad"))
 
 
 def polar(q):
     return jnp.diag(jnp.stack([jnp.ones(()), 1.0 + q[0] ** 2]))
 
 
-def test_distances_are_sampled_where_the_metric_chooses():
+PLACES = box(r=(-2.5, 2.5), theta=(-4.0, 4.0))
+
+
+def test_connections_are_sampled_where_the_metric_chooses():
     """Where no position was drawn, a metric with a choice may be another one."""
-    observer, _ = beam(lambda q: jnp.where(q[0] > 9.0, 1.0, polar(q)))
-    bounds = {"position": ([-2.5, -4.0], [2.5, 4.0]), "velocity": 0.25, "error": 0.25}
-    assert certify_distance(observer, interval=0.01, **bounds).statement.short == "holds (sampled)"
+    found = compare_connections(beam(lambda q: jnp.where(q[0] > 9.0, 1.0, polar(q))).space, PLACES, 50)
+    assert (found.evidence, found.verdict) == ("sampled", "holds")

@@ -7,7 +7,7 @@ import pytest
 from systems import Case, falsehood, line, proved, verdict
 
 from covariant import models, observers
-from covariant.certificates import Hypothesis, certify, certify_distance
+from covariant.certificates import Hypothesis, certify, certify_globally
 from scalargraph.proofs import box
 
 LINE = box(x=(-1.0, 1.0))
@@ -133,14 +133,8 @@ def test_nothing_is_proved_in_single_precision():
         model = models.oscillator()
         with pytest.raises(ValueError, match="certify needs doubles, and jax_enable_x64 is off"):
             certify(observers.Intrinsic(model, 10.0, 50.0), position=(-1.0, 1.0), velocity=1.0, error=0.1)
-        with pytest.raises(ValueError, match="certify_distance needs doubles"):
-            certify_distance(
-                observers.LagrangianMetric(models.ball_and_beam(), 1.0, 4.0),
-                interval=0.01,
-                position=(-0.1, 0.1),
-                velocity=0.1,
-                error=0.01,
-            )
+        with pytest.raises(ValueError, match="certify_globally needs doubles"):
+            certify_globally(models.ball_and_beam(), velocity=0.1, position=(-0.1, 0.1), interval=(0.01, 0.01))
         with pytest.raises(ValueError, match="a proof needs doubles"):
             Hypothesis("it contracts", "proved")
         assert Hypothesis("it contracts", "sampled").verdict == "holds"

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.certificates import Hypothesis, certify, certify_distance, falsify
+from covariant.certificates import Hypothesis, certify, certify_globally, falsify
 from covariant.certificates.base import Sampling, _properties, error_system, need_known, need_symmetry
 from covariant.certificates.sampled import sampled_system
 from covariant.certificates.theory import Decay
 from covariant.geometry import AbstractSpace, Coordinates, KineticEnergy, Metric, lie
 from covariant.geometry.lie import SO3, LeftInvariant
 from covariant.models import GroupSystem, Lagrangian, MechanicalSystem
-from covariant.observers import Intrinsic, LagrangianMetric
+from covariant.observers import Intrinsic
 from scalargraph.proofs import box
 
 PENDULUM = {"system": "pendulum_chain", "parameters": {"mass": [1.0], "length": [0.5]}}
@@ -77,9 +77,8 @@ def test_another_model_with_the_same_parameters_is_refused(model, said):
     with pytest.raises(ValueError, match=said):
         certify(Intrinsic(model, 10.0, 50.0), recipe=recipe, **given)
     if said == "the force differs":
-        observer = LagrangianMetric(model, alpha=1900.0, beta=38000.0)
         with pytest.raises(ValueError, match=said):
-            certify_distance(observer, interval=0.01, **given, recipe=recipe)
+            certify_globally(model, velocity=0.2, position=given["position"], interval=(0.01, 0.01), recipe=recipe)
 
 
 # Properties: shown, and not declared
@@ -201,16 +200,10 @@ def test_manifolds_and_systems_of_other_classes_are_refused(model, said):
             system(Intrinsic(model, 10.0, 50.0), np.eye(2))
 
 
-def test_a_model_that_is_refused_has_no_certificate_by_distance():
+def test_a_model_that_is_refused_has_no_certificate_of_all_first_errors():
     model = Lagrangian(BEAM.space, lambda q: BEAM.potential(q) + q[1] ** 2, circles=(1,), coordinates=("r", "theta"))
     with pytest.raises(ValueError, match="theta is called a circle"):
-        certify_distance(
-            LagrangianMetric(model, 1900.0, 38000.0),
-            interval=0.01,
-            position=([-2, -4], [2, 4]),
-            velocity=1.0,
-            error=0.1,
-        )
+        certify_globally(model, velocity=1.0, position=([-2, -4], [2, 4]), interval=(0.01, 0.01))
 
 
 # Nothing tried is nothing proved
@@ -230,9 +223,6 @@ def test_nothing_is_tried_without_points_or_errors():
     around = box(q=(-1.0, 1.0), v=(-1.0, 1.0), e=(-0.1, 0.1), f=(0.0, 0.0))
     with pytest.raises(ValueError, match="a single point"):
         falsify(system, around._replace(low=np.zeros(4), high=np.zeros(4)), -100.0)
-    observer, bounds = LagrangianMetric(BEAM, 1900.0, 38000.0), ([-2.5, -4.0], [2.5, 4.0])
-    with pytest.raises(ValueError, match="no error is there to fall"):
-        certify_distance(observer, interval=0.01, position=bounds, velocity=0.25, error=0.0, velocity_error=0.0)
 
 
 # Words of evidence

@@ -1,15 +1,17 @@
 """What takes long of `test_observability_conditions.py`."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_observability_conditions import bends, contracts, eye, polar_sphere, system
+from test_observability_conditions import BEAM, SIGMA, M, Q, bends, contracts, eye, polar_sphere, system
 
 from covariant import geometry, models
 from covariant._integrate import rk8
-from covariant.certificates import observability
+from covariant.certificates import observability, tangent_metric
 from covariant.certificates.theory import detectability_rate
 from covariant.geometry._functions import norm
 from covariant.metrics import lie_derivative
@@ -169,3 +171,46 @@ def test_a_wanted_rate_is_asked_for():
     assert found.verdict == "fails"
     assert found.margin == pytest.approx(1.0, rel=1e-8)
     assert found.hypotheses[0].margin == pytest.approx(-0.1, rel=1e-7)  # by as much as the rate is missed
+
+
+def lifted(x):
+    """The metric m|ξ|² + |w|² on the states of the ball on the beam."""
+    return 2 * tangent_metric(BEAM.space, Q)(jnp.zeros(()), x)
+
+
+def beam_norm(q, a):
+    return math.sqrt(a[0] ** 2 + (1 + q[0] ** 2) * a[1] ** 2)
+
+
+def test_geodesics_of_the_lift_turn_by_no_more_than_the_curvature_allows():
+    """Geodesics by Christoffel symbols of the metric on states, which know nothing of X, p and curvature."""
+    rng = np.random.default_rng(1)
+    moved = jax.jit(
+        jax.vmap(lambda x, u, s: jax.jvp(lambda s: geometry.exp(lifted, x, s * u), (s,), (1.0,)), (None, None, 0))
+    )
+    bent = 0.0
+    for _ in range(8):
+        x, u = rng.uniform(-1, 1, 4), rng.normal(size=4)
+        u *= 3 * rng.uniform() / math.sqrt(u @ np.asarray(lifted(jnp.asarray(x))) @ u)
+        states, rates = (np.asarray(a) for a in moved(x, u, np.linspace(0.0, 1.0, 41)))
+        q, v, speed = states[:, :2], states[:, 2:], rates[:, :2]
+        changes = rates[:, 2:] + np.array(
+            [
+                [-a[0] * b[1] * c[1], a[0] / (1 + a[0] ** 2) * (b[0] * c[1] + b[1] * c[0])]
+                for a, b, c in zip(q, v, speed, strict=True)
+            ]
+        )
+        p = changes - SIGMA * speed
+        sizes = np.array([beam_norm(*each) for each in zip(q, speed, strict=True)])
+        pushes = np.array([beam_norm(*each) for each in zip(q, p, strict=True)])
+        np.testing.assert_allclose(sizes, sizes[0], rtol=1e-5)
+        np.testing.assert_allclose(M * sizes**2 + pushes**2, u @ np.asarray(lifted(jnp.asarray(x))) @ u, rtol=1e-5)
+        area = np.abs(v[:, 0] * p[:, 1] - v[:, 1] * p[:, 0]) * np.sqrt(1 + q[:, 0] ** 2)
+        turning = np.trapezoid(area / (1 + q[:, 0] ** 2) ** 2, dx=1 / 40) / M
+        end = jnp.asarray(q[-1])
+        away = -np.asarray(geometry.log(BEAM.space, end, jnp.asarray(q[0])))
+        cosine = float(BEAM.space.lower(end, away) @ speed[-1]) / beam_norm(q[-1], away) / sizes[-1]
+        assert math.acos(min(cosine, 1.0)) <= turning + 1e-4
+        assert beam_norm(q[-1], away) >= sizes[0] * math.sin(turning) / turning * (1 - 1e-6)
+        bent = max(bent, turning)
+    assert bent > 0.1

@@ -70,8 +70,8 @@ def observer(model, kind=observers.Intrinsic):
 ENTRIES = {
     "certify": lambda model: certificates.certify(observer(model), **REGION),
     "certify, sampled": lambda model: certificates.certify(observer(model), interval=(0.01, 0.01), **REGION),
-    "certify_distance": lambda model: certificates.certify_distance(
-        observer(model, observers.LagrangianMetric), interval=0.01, **REGION
+    "certify_globally": lambda model: certificates.certify_globally(
+        model, velocity=1.0, position=REGION["position"], interval=(0.01, 0.01)
     ),
     "error_system": lambda model: certificates.error_system(observer(model), np.eye(2)),
     "error_system, exact": lambda model: certificates.error_system(observer(model, observers.Geodesic), np.eye(2)),

@@ -15,13 +15,11 @@ from covariant import calibration, certificates
 from covariant._domains import (
     ABOVE_ZERO,
     COUNT,
-    FACTOR,
     FINITE,
     INTERVAL,
     KNOWN,
     NOT_NEGATIVE,
     POSITIVE,
-    SHARE,
     SPAN,
     WHOLE,
     check_numbers,
@@ -40,8 +38,6 @@ OF_A_DOMAIN = {
     POSITIVE: (0.5, 1, 1.5, (2.0, 1.0), (1.0, 2.0)),
     NOT_NEGATIVE: (0.0, 0.5, 1, 1.5, (2.0, 1.0), (1.0, 2.0)),
     ABOVE_ZERO: (INF, 0.5, 1, 1.5, (2.0, 1.0), (1.0, 2.0)),
-    SHARE: (0.5, 1),
-    FACTOR: (1, 1.5, (2.0, 1.0), (1.0, 2.0)),
     KNOWN: (INF, -INF, -1.0, 0.0, 0.5, 1, 1.5, (2.0, 1.0), (1.0, 2.0), (-2.0, -1.0)),
     COUNT: (1,),
     WHOLE: (1,),
@@ -70,8 +66,8 @@ FUNCTIONS["contracting_gain"] = calibration.contracting_gain
 CHECKED_BY_THEIR_SHAPE = {"position", "input", "q", "metric", "inputs", "times", "t", "x", "noise", "squares"}
 """Arguments that belong to a model, or are functions or matrices: what takes them compares them with it."""
 SIGNS = {
-    (0.0, -1.0): {"h", "sigma", "flight", "stance", "velocity", "interval", "weight", "count", "boxes", "runs"},
-    (-1.0,): {"noise", "disturbance", "slope", "effort", "seed", "starts", "lost", "error", "part", "least"},
+    (0.0, -1.0): {"h", "sigma", "velocity", "interval", "weight", "count", "boxes", "runs"},
+    (-1.0,): {"noise", "disturbance", "slope", "effort", "seed", "starts", "lost", "error", "least"},
 }
 """Arguments whose name says which numbers they never are, wherever they are arguments."""
 

@@ -11,7 +11,6 @@ from covariant import models, observers
 from covariant.certificates import certify_globally, check_globally
 from covariant.certificates.base import lowered_christoffel
 from covariant.certificates.everywhere import _coupling
-from covariant.certificates.theory import _distance_certificate
 from covariant.models import Lagrangian
 from covariant.observers import MeasuredCoefficients
 from scalargraph.proofs import digest
@@ -108,8 +107,7 @@ def test_a_changed_file_without_its_digest_is_refused(proved, tmp_path):
 @pytest.mark.core(3)
 def test_a_prover_with_another_sign_does_not_prove(monkeypatch):
     """Of the symbols: they are compared with the connection that the observer computes."""
-    for module in (_coupling, _distance_certificate):
-        monkeypatch.setattr(module, "lowered_christoffel", lambda d: lowered_christoffel(d) + d)
+    monkeypatch.setattr(_coupling, "lowered_christoffel", lambda d: lowered_christoffel(d) + d)
     assert not certify_globally(ARM, velocity=1.0, interval=(STEP, STEP)).statement.proved
 
 

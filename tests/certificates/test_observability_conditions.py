@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.certificates import observability
+from covariant import models
+from covariant.certificates import observability, tangent_metric
 from covariant.certificates.theory import bending, detectability_rate
-from covariant.models import StateSpace
+from covariant.models import StateSpace, state_space
 
 bends, contracts = eqx.filter_jit(bending), eqx.filter_jit(detectability_rate)
 
@@ -85,3 +86,34 @@ def test_a_point_without_a_metric_is_refused():
     with pytest.raises(ValueError, match=r"the metric is not positive definite at \(0.7, 0\)") as caught:
         observability(system(still, lambda x: x[:1]), metric, np.array([[0.1, 0.0], [0.7, 0.0]]))
     assert "\n" not in str(caught.value)
+
+
+BEAM = models.ball_and_beam()
+M, SIGMA = 12.0, 1.5
+Q = np.array([[M + SIGMA**2, -SIGMA], [-SIGMA, 1.0]])
+"""Of the metric m|ξ|² + |ζ − σξ|²."""
+
+
+@pytest.mark.parametrize(
+    "model", [BEAM, pytest.param(models.pendulum_chain((1.0, 1.0), (1.0, 1.0)), marks=pytest.mark.long)]
+)
+def test_the_first_condition_holds_at_twice_sigma_and_the_second_where_geodesics_turn_little(model):
+    points = np.random.default_rng(0).uniform(-1, 1, (10, 4))
+    metric = tangent_metric(model.space, Q)
+    found = observability(state_space(model), metric, points)
+    assert found.condition_1.margin == pytest.approx(2 * SIGMA, abs=1e-9)
+    assert (found.condition_2.verdict, found.witness) == ("holds", None)
+    assert "turn by less than π/2" in found.verdict
+    # The same metric without the knowledge that it is a lift: straight, of which several outputs decide nothing.
+    found = observability(state_space(model), lambda x: metric(0.0 * x[0], x), points)
+    assert (found.condition_2.verdict, found.witness) == ("undecided", None)
+
+
+@pytest.mark.long
+def test_an_output_that_is_no_position_is_not_taken_for_one():
+    model = StateSpace(
+        state_space(BEAM).f, lambda t, x, u: x[:2] + 0.1 * x[2:], coordinates=("r", "theta", "v", "w"), inputs=2
+    )
+    found = observability(model, tangent_metric(BEAM.space, Q), np.random.default_rng(0).uniform(-1, 1, (4, 4)))
+    assert "turn by less" not in found.verdict
+    assert found.condition_2.verdict != "holds"

@@ -11,11 +11,8 @@ from test_contacts import ALPHA, BETA, LEG, error, held, lift_off, touch_down
 import covariant
 from covariant import engine, models, observers
 from covariant._linalg import solve
-from covariant.certificates import dwell_time, jump_growth
-from covariant.geometry import Euclidean, Leaf
 from covariant.signals import Record, StepCode
 from covariant.simulation import simulate_contacts
-from scalargraph.errors import InputError
 
 STEP = 1e-25
 
@@ -149,7 +146,7 @@ def error_after(x, estimate):
 
 
 @pytest.mark.exhaustive
-def test_errors_grow_by_less_than_the_bounds_in_every_event():
+def test_errors_grow_by_a_tenth_at_most_in_every_event():
     """Small errors of all directions, begun anew before each event."""
     record, random = hops(), np.random.default_rng(0)
     down, up = events(record.u[:, 2])
@@ -162,9 +159,8 @@ def test_errors_grow_by_less_than_the_bounds_in_every_event():
             offset[:, :4] = along(x[:, :4], offset[:, :4])
             q, v = jax.vmap(lambda q, p, w: held(q).impact(p, w))(x[:, :4], x[:, :4] + offset[:, :4], x[:, 4:])
             offset = np.concatenate([q, v + along(np.asarray(q), offset[:, 4:])], axis=1) - x
-        before, after, bound, *_ = map(np.asarray, jump(x, x + offset))
-        assert (after < bound * before * (1 + 1e-3)).all()
-        assert bound.max() < 1.1
+        before, after, *_ = map(np.asarray, jump(x, x + offset))
+        assert (after < 1.1 * before).all()
 
 
 @pytest.mark.exhaustive
@@ -182,7 +178,7 @@ def test_a_contact_that_is_known_late_costs_little():
     record = hops()
     landed = next(row for row in events(record.u[:, 2])[0] if record.t[row] > 0.8)
     truth = record.x[landed][None]
-    lost = float(touch_down(truth, truth)[3][0])
+    lost = float(touch_down(truth, truth)[2][0])
     assert lost > 0.8
     for late in (1, 2, 4):
         u, row = record.u.copy(), landed + late
@@ -200,24 +196,6 @@ def test_c_is_the_python_run_over_touch_downs():
     noisy = record._replace(y=record.x[:, :4] + 1e-3 * np.random.default_rng(0).normal(size=(len(record.t), 4)))
     part = Record(*(np.asarray(each)[:700] for each in noisy[:3]))
     np.testing.assert_allclose(ran(part), observers.run(OBSERVER, part).estimate, atol=1e-9)
-
-
-@pytest.mark.exhaustive
-def test_growth_is_right_or_refused():
-    """Off the leaf, and with real poles; what is traced cannot be refused, and is NaN, which no statement takes."""
-    leaf, v = Leaf(Euclidean(), lambda x: (x @ x - 4.0)[None] / 2, jnp.array([2.0, 0.0])), jnp.array([1.0, 2.0])
-    for q, alpha, beta, message in (
-        ([3.0, 0.0], 20.0, 200.0, r"the constraint of the leaf at q must be zero within 1e-06; got \[2.5\]"),
-        ([2.0, 0.0], 20.0, 90.0, "beta must be more than alpha²/4 = 100"),
-        ([2.0, 0.0], 20.0, 100.0, "beta must be more than alpha²/4 = 100"),
-    ):
-        with pytest.raises(InputError, match=message):
-            jump_growth(leaf, jnp.array(q), v, alpha, beta)
-        traced = jax.jit(lambda *a: jump_growth(leaf, *a))(jnp.array(q), v, alpha, beta)
-        assert not np.isfinite(np.array(traced[:2])).any()
-        with pytest.raises(InputError):
-            dwell_time(traced, 0.2, 0.1)
-    assert jump_growth(Leaf(Euclidean(), lambda x: x[:1], jnp.zeros(2)), jnp.zeros(2), v, 0.3, 7.0)[:2] == (1.0, 1.0)
 
 
 @pytest.mark.exhaustive

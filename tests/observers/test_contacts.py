@@ -1,4 +1,4 @@
-"""Observers through touch-downs and lift-offs: the maps of errors, their growth, contacts known late, and C.
+"""Observers through touch-downs and lift-offs: the maps of errors, contacts known late, and C.
 
 The oracle is written in NumPy from the points of mass of the leg, and differentiated by a complex step.
 """
@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 
 from covariant import models, observers
-from covariant.certificates import dwell_time, jump_growth
-from covariant.certificates.theory import JumpGrowth
 from covariant.geometry import Metric
-from scalargraph.errors import InputError
 
 LEG = models.hopping_leg()
 ALPHA, BETA = 30.0, 400.0
@@ -36,16 +33,13 @@ def error(space, x, estimate):
 def touch_down(x, estimate):
     (q, v), leaf = jnp.split(x, 2), held(x[:4])
     after = jnp.concatenate([q, leaf.projected(q, v)]), jnp.concatenate(leaf.impact(*jnp.split(estimate, 2)))
-    growth = jump_growth(leaf, q, v, ALPHA, BETA)
-    return error(LEG.space, x, estimate), error(leaf, *after), growth.touch_down, leaf.norm(q, v - leaf.projected(q, v))
+    return error(LEG.space, x, estimate), error(leaf, *after), leaf.norm(q, v - leaf.projected(q, v))
 
 
 @jax.jit
 @jax.vmap
 def lift_off(x, estimate):
-    leaf = held(x[:4])
-    growth = jump_growth(leaf, *jnp.split(x, 2), ALPHA, BETA)
-    return error(leaf, x, estimate), error(LEG.space, x, estimate), growth.lift_off
+    return error(held(x[:4]), x, estimate), error(LEG.space, x, estimate)
 
 
 def test_feet_land_one_by_one():
@@ -74,30 +68,6 @@ def test_feet_land_one_by_one():
         ((True, True), [0.0, 0.0, 0.0, 0.0]),
     ):
         np.testing.assert_allclose(after(jnp.array(down)), [*q, *wanted], atol=1e-14)
-
-
-def test_the_condition_is_sufficient_alone():
-    growth = JumpGrowth(1.2, 1.1, 20.0, 200.0)
-    assert dwell_time(growth, 0.2, 0.1).short == "holds (sampled)"
-    assert dwell_time(growth, 0.01, 0.01).verdict == "undecided"
-    assert len([h for h in dwell_time(growth, 0.2, 0.1).hypotheses if h.evidence == "assumed"]) == 4
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"beta": 90.0}, "beta must be more than alpha²/4 = 100 1/s²; got 90"),
-        ({"alpha": 1e200, "beta": 1e300}, "beta must be more than alpha²/4 = inf"),
-        ({"alpha": np.array([20.0, 19.0])}, r"factors must be of one pair of gains; alpha is \[19.0, 20.0\]"),
-        ({"touch_down": np.array([1.0, np.nan])}, "growth.touch_down must be a finite number, 1 or more"),
-        ({"touch_down": 0.1}, "growth.touch_down must be"),
-        ({"lift_off": np.zeros(0)}, "growth.lift_off must be"),
-        ({"alpha": -20.0}, "growth.alpha must be a positive, finite number; got -20.0"),
-    ],
-)
-def test_a_statement_on_jumps_is_about_the_gains_of_its_evidence(change, message):
-    with pytest.raises(InputError, match=message):
-        dwell_time(JumpGrowth(1.2, 1.1, 20.0, 200.0)._replace(**change), 0.2, 0.1)
 
 
 def test_what_has_no_jump_is_refused_by_name():

@@ -88,6 +88,6 @@ def one_of(option: str, text: str, names: tuple[str, ...]) -> str:
     if text not in names:
         listed, thing = ", ".join(names), option.removeprefix("--")
         if thing in ("observer", "paper"):
-            raise InputError(unknown(thing, text, names))
+            raise InputError(unknown(thing, text, names, (*OBSERVER_NAMES, *STATE_OBSERVER_NAMES)))
         raise InputError(f"{option} must be one of {listed}; got {text!r}.{did_you_mean(text, names)}".rstrip("."))
     return text

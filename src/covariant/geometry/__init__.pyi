@@ -14,7 +14,6 @@ from ._functions import (
 from ._geodesics import Budget as Budget
 from ._interpolated import Interpolated as Interpolated
 from ._leaf import Leaf as Leaf
-from ._leaf_rows import CLOSED as CLOSED
 from ._manifold import (
     AbstractManifold as AbstractManifold,
     Coordinates as Coordinates,

@@ -15,8 +15,8 @@ from covariant import certificates, models
 from covariant._names import unknown
 from covariant.certificates import Attempt, CheckerName, ContractionCertificate, LostRows
 from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
+from covariant.observers import OBSERVER_NAMES
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
-from covariant.verbs.base.by_distance import BY_DISTANCE, DistanceResult, by_distance
 from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
 from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
@@ -30,7 +30,7 @@ from scalargraph.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OBSERVERS = "intrinsic", "geodesic", BY_DISTANCE, GLOBALLY
+OBSERVERS = "intrinsic", "geodesic", GLOBALLY
 """The observers that there are certificates for."""
 VERDICTS = {"holds": "proved", "fails": "wrong", "undecided": "not decided"}
 """What people call the verdicts."""
@@ -71,7 +71,7 @@ def certify(
     overrides: Overrides = (),
     jerk: Amounts = 0.0,
     progress: Progress = notebook_line,
-) -> "CertifyResult | DistanceResult | GlobalResult":
+) -> "CertifyResult | GlobalResult":
     """Prove that an intrinsic observer converges: on which region, at which rate, from how far.
 
     Use it to state how far an estimate may start from the truth and still converge. The result holds for the whole
@@ -87,9 +87,7 @@ def certify(
             about all first errors, of the observer "measured-coefficients".
         region: Ends of the positions by coordinate; rotations need none, nor do limits of joints for all first errors.
             On another group the entries of its matrices, named g11, g12, ….
-        observer: "intrinsic" (default with an `error`), "geodesic", or "lagrangian-metric", which converges from far
-            away at high gains and has a statement of its own, without `times`, `rate`, `q`, `noise`, `disturbance`,
-            `lost`, `seconds`, `processes`, `find`, a checker and a file; or "measured-coefficients" (default without an
+        observer: "intrinsic" (default with an `error`) or "geodesic"; or "measured-coefficients" (default without an
             `error`), without `times`, `q`, `input`, `find`, in one process, and with a checker of files alone.
         alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file, for all
             first errors the least that are proved.
@@ -137,7 +135,7 @@ def certify(
             "estimates converge shrinks as the velocity grows; give one bound, or one for each velocity"
         )
     if observer is not None and observer not in OBSERVERS:
-        raise InputError(unknown("observer", observer, OBSERVERS))
+        raise InputError(unknown("observer", observer, OBSERVERS, OBSERVER_NAMES))
     pair = gain_pair(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
@@ -174,8 +172,6 @@ def certify(
     settings |= limits | {"checker": checker}
     prove = functools.partial(_prove, designed, recipe, progress, **settings)
     notes = designed.notes + runs_otherwise(file, observer)
-    if observer == BY_DISTANCE:
-        return by_distance(name, designed._replace(notes=notes), recipe, settings, find)
     if find is None:
         return CertifyResult(name, prove(), notes)
     certificate, attempts = largest_proved(find, settings, prove, runs)
@@ -347,8 +343,8 @@ def _read(model: Any, name: str, overrides: Overrides) -> ModelFile:
     file = models.load(model, overrides)
     if file.need_mechanical(name, "certificates are about intrinsic observers of").feet is not None:
         raise InputError(
-            f"{name} has feet: no certificate covers impacts; `certificates.dwell_time` states what is known of small "
-            "errors from step to step"
+            f"{name} has feet: no certificate covers impacts; of the same model without feet one is about the motion "
+            "between them"
         )
     return file
 

@@ -27,10 +27,9 @@ from covariant.certificates.base import (
     need_doubles,
 )
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
-from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling
+from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling, compare_connections
 from covariant.certificates.everywhere._document import GlobalDocument, need_covered, statement_of
 from covariant.certificates.proving import friction_bounds, friction_on
-from covariant.certificates.theory import compare_connections
 from covariant.models import MechanicalSystem
 from covariant.observers import MeasuredCoefficients
 from scalargraph.errors import InputError

@@ -16,15 +16,17 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from covariant._linalg import solve
-from covariant.certificates.base import lowered_christoffel, metric_form
+from covariant.certificates.base import ANALYTIC, Hypothesis, lowered_christoffel, metric_form
 from covariant.certificates.everywhere._document import GlobalDocument
+from covariant.geometry import AbstractSpace
 from covariant.models import MechanicalSystem
-from scalargraph import Lowered, lower, numbers
+from scalargraph import Lowered, LoweringError, lower, numbers
 from scalargraph.errors import InputError
 from scalargraph.graph import pairs
 from scalargraph.proofs import OPEN, PROVED, Box, Proof, polynomials, show_conditions
@@ -37,6 +39,8 @@ CHUNK = 1024
 MARGIN = 0.1
 """Margin that is added to a sampled bound before it is proved, as a fraction of it."""
 SAMPLES = 4000
+AGREES = 1e-8
+"""Largest relative deviation between two computations of a connection that counts as rounding."""
 
 
 class CouplingBound(NamedTuple):
@@ -201,3 +205,35 @@ def bound_coupling(
         low, high = halves(low[~good], high[~good], axis[~good])
     proof = Proof.stated(domain, levels)._replace(boxes=evaluated, seconds=time.monotonic() - start)
     return CouplingBound(target, sampled, limit, proof)
+
+
+def compare_connections(space: AbstractSpace, domain: Box, places: int) -> Hypothesis:
+    """Compare the connection of the space, used by the observer, with that of the metric, used in the bounds."""
+    # The space declares its connection or derives it from the metric by JAX; the bounds use the graph of the metric.
+    n = len(domain.low)
+    identity = jnp.eye(n)
+
+    def declared(q):
+        """Compute `g Γ(e_i, e_j)` and `g g⁻¹` with the operations of the space."""
+        pairs = jnp.stack([jnp.stack([space.connection(q, a, b) for b in identity]) for a in identity])
+        raised = jnp.stack([space.raise_(q, a) for a in identity])
+        return jnp.concatenate([(pairs @ space(q)).ravel(), (raised @ space(q)).ravel()])
+
+    def derived(_, slopes):
+        return jnp.concatenate([lowered_christoffel(slopes).ravel(), identity.ravel()])
+
+    points = np.random.default_rng(0).uniform(domain.low, domain.high, (places, n))
+    expected = metric_form(space, derived).at(points)
+    try:
+        lowered = lower(declared, jnp.zeros(n))
+        computed = np.asarray(numbers(lowered, points))
+        analytic = {node.op for node in lowered.graph.nodes} <= ANALYTIC
+    except LoweringError:
+        computed, analytic = np.asarray(jax.lax.map(declared, jnp.asarray(points))), False
+    off = np.abs(computed - expected).max(axis=1) / np.maximum(np.abs(expected).max(axis=1), 1.0)
+    text = f"the connection of the model's space is that of its metric, as at {len(points)} random positions"
+    if not (off <= AGREES).all():
+        place = ", ".join(f"{x:.4g}" for x in points[int(np.where(np.isnan(off), np.inf, off).argmax())])
+        return Hypothesis(text, "sampled", "undecided", place=f"({place}), where the two differ")
+    # Analytic functions that agree near one point agree everywhere; others may differ at positions that were not drawn.
+    return Hypothesis(text, "assumed" if analytic else "sampled")

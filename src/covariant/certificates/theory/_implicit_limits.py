@@ -16,7 +16,7 @@ friction it is not tight: the range of f is a further uncertainty, and may incre
 
 On a curved space the correction gives `ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`, where J is the Jacobi
 field along the geodesic γ from q̂ to y with J(0) = ξ and J(1) = 0: w changes, and these limits are for one coordinate or
-a flat metric. `distance_decay` is for curved spaces.
+a flat metric.
 
 Source: an addition. Simpson-Porco & Bullo 2014, Contraction theory on Riemannian manifolds, Systems & Control Letters
 65, for lengths of curves.
@@ -218,13 +218,13 @@ def part_limits(
             f"part_limits: h must be below {weight.longest():.4g} s at this σ and rate; got {h} s. Sample faster, or "
             "choose another sigma or a smaller rate"
         )
-    before, after = _best(weight, h, sigma, lambda m0, m: m / m0)
+    before, after = _best(weight, h, sigma)
     least = 1 - math.sqrt(after / before)
     return PartLimits(least, 2 - least, before, after)
 
 
-def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]:
-    """Weights m₀ and m_h with the largest merit, which has a single maximum in log m₀."""
+def _best(weight: _Weight, h: float, sigma: float) -> tuple[float, float]:
+    """Weights m₀ and m_h with the largest m_h/m₀, which has a single maximum in log m₀."""
     from scipy.optimize import minimize_scalar
 
     scale = math.log(sigma**2 + max(abs(corner.a) for corner in weight.corners))
@@ -233,7 +233,7 @@ def _best(weight: _Weight, h: float, sigma: float, merit) -> tuple[float, float]
         m0 = math.exp(x)
         m = weight.after(m0, h)
         # If m decreases to 0 within h, nothing is proved; a slope then leads the search to larger m₀.
-        return -math.log(merit(m0, m)) if m > 0 else 1e3 - x
+        return math.log(m0 / m) if m > 0 else 1e3 - x
 
     x = minimize_scalar(loss, bounds=(scale - 25, scale + 25), method="bounded", options={"xatol": 1e-10}).x
     return math.exp(x), weight.after(math.exp(x), h)

@@ -369,8 +369,7 @@ def _straight_fibres(sampled: _Sampled, premises: tuple[Hypothesis, ...]) -> Sta
         ),
         Hypothesis("the output is the position at each of the points", "sampled"),
         Hypothesis(
-            "along geodesics the position turns by less than π/2 and has one shortest path to where it began; "
-            "`lifted_gain` says how far and fast that is",
+            "along geodesics the position turns by less than π/2 and has one shortest path to where it began",
             "assumed",
         ),
     )
