@@ -133,7 +133,7 @@ def manoeuvring_ship(
         coordinates=("north", "east", "heading", "surge", "sway", "yaw_rate"),
         units=("m", "m", "rad", "m/s", "m/s", "rad/s"),
         outputs=("north", "east", "heading"),
-        inputs=2,
+        inputs={"rudder": "rad", "revolutions": "1/s"},
         circles=(2,),
         parameters={
             "length": Parameter(length, "m", _MMG),
