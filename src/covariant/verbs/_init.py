@@ -120,6 +120,8 @@ class InitResult(AbstractResult):
             machine = servo_draft.robot_lines(self.draft, self.joints, path)
             machine += servo_draft.servo_lines(self.draft, self.joints)
             files = {} if self.joints.path else {path: servo_draft.loose_joints(self.draft, self.joints)}
+        elif self.draft.is_ship:
+            machine = _ship(self.draft)
         elif any(self.draft.lengths):
             machine = _python_system_lines(self.draft, module)
             files = {f"{module}.py": _equations(self.draft)}
@@ -160,6 +162,8 @@ class InitResult(AbstractResult):
         lines += [f"left out: {', '.join(others)}"] if others else []
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])
+        if self.draft.is_ship:
+            return "\n".join([*lines, *_next_of_ship(self.draft)])
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
             todo += (
@@ -264,6 +268,11 @@ def _measured(guess: Draft) -> list[str]:
             *(f"# {line[0].upper()}{line[1:]}." for line in _order_guess(guess)),
             f"quaternion_wxyz = {servo_draft.quoted(guess.quaternion)}",
         ]
+    if guess.is_ship:
+        return [
+            f"position = {servo_draft.quoted(guess.q[:2])}  # towards north and east, or any two axes with z down",
+            f"angle = {servo_draft.quoted(guess.q[2:])}  # from the first axis to the second",
+        ]
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
     called = [guess.entries[q] for q in guess.q if q in guess.entries]
     names = f"; the data set calls them {', '.join(called)}" if called else ""
@@ -287,6 +296,41 @@ def _turning_body() -> list[str]:
         "moment = 0.0  # N m, weight times the distance of the centre of mass from the point; 0 for a body that flies",
         "axis = [0.0, 0.0, 1.0]  # where the centre of mass lies, in the body; gravity points along -z in space",
         _guess_line("viscous", 0.01, 0, "N m s/rad, friction"),
+    ]
+
+
+def _ship(guess: Draft) -> list[str]:
+    """The system and its parameters of a ship with rudder and propeller."""
+    lines = [
+        'system = "ship"  # surge, sway and yaw rate on SE(2), with rudder and propeller',
+        "",
+        "[parameters]",
+        _list_line("mass", (2000.0, 2500.0, 5000.0), "kg, kg, kg m^2: surge, sway, yaw, with added mass"),
+        _list_line("drag", (50.0, 500.0, 2000.0), "N s/m, N s/m, N m s/rad"),
+        _list_line("quadratic_drag", (50.0, 500.0, 3000.0), "N s^2/m^2, N s^2/m^2, N m s^2/rad^2"),
+        _guess_line("rudder", 100.0, 0, "N s^2/m^2, normal force by surge squared and the sine of the angle"),
+        _guess_line("rudder_arm", 2.5, 0, "m, from the rudder forward to the origin, as the antenna"),
+    ]
+    return lines if _has_thrust(guess) else [*lines, _guess_line("propeller", 0.05, 0, "N s^2/rad^2")]
+
+
+def _has_thrust(guess: Draft) -> bool:
+    """Whether the second input of a ship is a force, and not the speed of its propeller."""
+    return logs.is_unit_of(guess.units.get("u", ("rad", "N"))[1], ("N",))
+
+
+def _next_of_ship(guess: Draft) -> list[str]:
+    """What to do next with the draft of a ship."""
+    names = ["drag", "quadratic_drag", "rudder", "rudder_arm"]
+    scale = (
+        "the thrust tells the masses"
+        if _has_thrust(guess)
+        else "no force is logged, so that all forces scale with the masses"
+    )
+    return [
+        f"put the numbers of the data sheet into [parameters] of the model file; {scale}",
+        f"then fit: covariant fit MODEL LOG --parameters {','.join(['mass'] * _has_thrust(guess) + names)}"
+        f"{',propeller' * (not _has_thrust(guess))} -o FITTED",
     ]
 
 
@@ -319,7 +363,11 @@ def _chain(guess: Draft) -> list[str]:
 
 def _guess_line(key: str, value: float, n: int, what: str) -> str:
     """The line of a parameter of n entries, or of one number where n is 0, whose value is a guess."""
-    return f"{key} = {[value] * n if n else value}  {marked([value] * max(n, 1))}; {what}"
+    return _list_line(key, [value] * n, what) if n else f"{key} = {value}  {marked([value])}; {what}"
+
+
+def _list_line(key: str, values: Sequence[float], what: str) -> str:
+    return f"{key} = {list(values)}  {marked(values)}; {what}"
 
 
 def _python_system_lines(guess: Draft, module: str) -> list[str]:
@@ -376,6 +424,11 @@ def _equations(guess: Draft) -> str:
 
 def _sensor(guess: Draft) -> str:
     unit = _both(guess, "m", "rad")
+    if guess.is_ship and isinstance(guess.noise, tuple):
+        noise = (max(guess.noise[:2]), max(guess.noise[:2]), guess.noise[2])
+        return (
+            f"std = {_digits(noise, 3)}  # m, m, rad, at most: along, across and about the ship, from third differences"
+        )
     if isinstance(guess.quantum, tuple) and guess.servos:
         return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick of each position of this log"
     if guess.quantum is not None:

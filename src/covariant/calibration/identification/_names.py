@@ -32,8 +32,10 @@ LENGTHS = words_of("height altitude depth stroke travel slide cart")
 """Words of positions that are lengths."""
 FEED_FORWARD = words_of("ff feedforward feed forward")
 """Words of torques that a drive adds to those that follow from its command."""
-EULER = (words_of("roll phi"), words_of("pitch theta"), words_of("yaw psi heading"))
+EULER = (words_of("roll phi"), words_of("pitch theta"), words_of("yaw psi heading hdg"))
 """Words of the angles about x, y and z by which an attitude is logged."""
+DEGREES = 50.0
+"""Span [rad] of an angle from which it is more likely in degrees."""
 PLANE = ("x y", "px py", "north east", "n e", "easting northing")
 """Names of the two coordinates of a point in the plane, without the words for a position."""
 

@@ -19,8 +19,8 @@ _SOURCE = "chosen: of the size of a workboat"
 def ship(
     mass: Sequence[Number] = (1650.0, 2300.0, 4200.0),
     coupling: Number = 0.0,
-    drag: Sequence[Number] = (60.0, 500.0, 1500.0),
-    quadratic_drag: Sequence[Number] = (45.0, 700.0, 3500.0),
+    drag: Sequence[Number] = (60.0, 1500.0, 5000.0),
+    quadratic_drag: Sequence[Number] = (45.0, 500.0, 3500.0),
     rudder: Number = 110.0,
     rudder_arm: Number = 2.6,
     propeller: Number | None = None,
