@@ -98,13 +98,21 @@ class StateSpace(Functional):
     feet = force = space = None  # what only a mechanical system has
 
     @property
+    def output_units(self) -> tuple[str, ...]:
+        """Units of the outputs: those of the states of the same names, "" of others."""
+        known = dict(zip(self.coordinates, self.units, strict=False))
+        return tuple(known.get(name, "") for name in self.outputs)
+
+    @property
     def logged_units(self) -> dict[str, tuple[str, ...]]:
         """Known units of the logged quantities.
 
         Returns:
-            Units of each entry of `truth`, the reference states, and of the inputs `u` that have units.
+            Units of each entry of `truth`, the reference states, of the inputs `u` that have units, and of the outputs
+            `q` if all of them do.
         """
-        return {"truth": self.units, "u": self.input_units}
+        outputs = {"q": self.output_units} if all(self.output_units) else {}
+        return outputs | {"truth": self.units, "u": self.input_units}
 
     @property
     def sought(self) -> Sought:

@@ -288,7 +288,7 @@ class CompareResult(AbstractTable):
     def _cells_without_holes(self, outcome: Outcome) -> dict[str, float]:
         if outcome.score is None or outcome.score.apart is None:
             return {}
-        return self.loaded.kind.rates.called("RMSE {} without holes").cells(outcome.score.apart.rmse)
+        return self.loaded.kind.estimates.called("RMSE {} without holes").cells(outcome.score.apart.rmse)
 
     def _predicted_cells(self, name: str) -> dict[str, float]:
         if self.predicted is None:
@@ -300,7 +300,7 @@ class CompareResult(AbstractTable):
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
         loaded, kind = self.loaded, self.loaded.kind
-        labels = kind.rates if loaded.reference else Labels(loaded.file.columns.q, kind.innovation_units)
+        labels = kind.estimates if loaded.reference else Labels(loaded.file.columns.q, kind.innovation_units)
         labels = labels.called("RMSE {}")
         return tuple(
             {

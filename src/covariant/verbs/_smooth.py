@@ -145,19 +145,19 @@ class SmoothResult(AbstractEstimates):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        table, kind = self.smoothed.columns, self.smoothed.loaded.kind
+        table, kind = {}, self.smoothed.loaded.kind
         table |= {f"{name}_std": std for name, std in zip(kind.positions.names, self.error_std.T, strict=False)}
         for suffix, values in (("", self.filtered.velocity), ("_std", deviations(self.filtered.run.info))):
             for name, column in zip(kind.estimates.names, np.asarray(values).T, strict=True):
                 table[f"{name}_filtered{suffix}"] = column
-        return table
+        return self.smoothed.columns | self.smoothed.loaded.file.columns.as_logged(table)
 
     @property
     def units(self) -> dict[str, str]:
         units = self.smoothed.units
         for name, unit in self.smoothed.loaded.kind.estimates.table.items():
             units |= {f"{name}_filtered": unit, f"{name}_filtered_std": unit}
-        return units
+        return units | self.smoothed.loaded.file.columns.units_of(units)
 
     @property
     def _estimated(self) -> EstimateResult:

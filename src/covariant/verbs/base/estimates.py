@@ -123,13 +123,14 @@ class EstimateResult(AbstractEstimates):
     @property
     def columns(self) -> dict[str, np.ndarray]:
         kind = self.loaded.kind
-        return self._columns(kind.positions.names, kind.estimates.names)
+        return self.loaded.file.columns.as_logged(self._columns(kind.positions.names, kind.estimates.names))
 
     @property
     def units(self) -> dict[str, str]:
         table = self.loaded.kind.estimates.table | self.loaded.kind.positions.table
         units = {"t": "s"} | table | {f"{name}_std": unit for name, unit in table.items()}
-        return units | {name: unit for name, (unit, _) in self._torques.items()}
+        units |= {name: unit for name, (unit, _) in self._torques.items()}
+        return units | self.loaded.file.columns.units_of((*units, *self.loaded.file.columns.measured))
 
     @functools.cached_property
     def _torques(self) -> dict[str, tuple[str, np.ndarray]]:

@@ -59,8 +59,9 @@ class AbstractMechanical(AbstractKind):
 
     @property
     def innovation_units(self) -> tuple[str, ...]:
-        units = self.axes.units
-        return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if self.model.velocities else units
+        # On a group an innovation is a displacement along each velocity.
+        units = (unit.removesuffix("/s") if unit.endswith("/s") else "" for unit in self.axes.units)
+        return tuple(units) if self.model.velocities else self.axes.units
 
     def slopes(self, log: logs.Log) -> tuple[np.ndarray, str]:
         full, at = log.all_rows, np.asarray(log.record.t)
@@ -143,6 +144,8 @@ class AbstractMechanical(AbstractKind):
     def _input_labels(self, inputs: int) -> Labels:
         # A system of this library with as many inputs as velocities takes generalised forces.
         names = _input_names(self.file, inputs)
+        if self.model.input_units:
+            return Labels(names, self.model.input_units)
         if self.file.system and inputs == self.file.dimension:
             return Labels(names, self.force_units)
         stated = [self.file.columns.unit_of("u", place) for place in range(inputs)]
@@ -156,7 +159,7 @@ class InCoordinates(AbstractMechanical):
 
     @property
     def positions(self) -> Labels:
-        return Labels(numbered("q", self.file.dimension), self.model.units)
+        return self.axes
 
     @property
     def message_columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -300,7 +303,7 @@ class InStates(AbstractKind):
 
     @property
     def innovation_units(self) -> tuple[str, ...]:
-        return ("",) * len(self.file.columns.q)  # a model states no units of its outputs
+        return self.model.output_units
 
     def slopes(self, log: logs.Log) -> None:
         return None
@@ -330,7 +333,9 @@ class InStates(AbstractKind):
         return np.asarray(jax.lax.scan(step, first_estimate(self.file)[0], times)[1])
 
     def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:
-        return Signals(self.file.columns.q, _input_names(self.file, inputs), (("x", self.estimates.headings),))
+        y = Labels(self.file.columns.q, self.model.output_units).headings
+        u = Labels(_input_names(self.file, inputs), self.model.input_units).headings
+        return Signals(y, u, (("x", self.estimates.headings),))
 
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
         if v0 is not None:
