@@ -349,6 +349,9 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
     if f"{what}_rmse" in result:
         errors = with_units(result[f"{what}_rmse"], loaded.kind.estimates.units)
         lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
+    if "start_rows" in result:
+        first = float(loaded.record.t[result["start_rows"] - 1] - loaded.record.t[0])
+        lines.append(f"the first {first:.3g} s determine the start, and are not scored")
     units = loaded.kind.innovation_units
     lines.append(f"innovation RMS: {with_units(result['innovation_rms'], units)}")
     if "innovation_rms_refused" in result:
