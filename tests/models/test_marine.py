@@ -14,7 +14,7 @@ from covariant.models import marine
 
 CRAFT = {"supply": marine.supply_vessel, "cybership": marine.cybership, "odin": marine.odin}
 ANGLES = jnp.array([0.3, -0.5, 2.1])
-workboat = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "workboat.py"))
+workboat = runpy.run_path(str(Path(__file__).parents[2] / "gallery" / "workboat.py"))
 
 
 def test_euler_rotation_turns_by_yaw_then_pitch_then_roll():
@@ -77,7 +77,7 @@ def test_planar_coriolis_matrix_is_the_printed_one():
     np.testing.assert_allclose(ship.coriolis(nu), expected, atol=1e-12)  # Fossen 2011, equation (6.99)
 
 
-def test_a_ship_moves_as_the_one_of_the_benchmark_that_is_written_out_in_numpy():
+def test_a_ship_moves_as_the_one_of_the_gallery_that_is_written_out_in_numpy():
     """Also astern, and with the sides of rudder, sway and yaw exchanged."""
     random = np.random.default_rng(0)
     for hull in workboat["HULLS"].values():

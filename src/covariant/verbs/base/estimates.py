@@ -20,7 +20,7 @@ from covariant.verbs.base.bands import narrow_bands
 from covariant.verbs.base.design import design, widens
 from covariant.verbs.base.determined import Determinacy
 from covariant.verbs.base.holes import LONGEST_SHOWN
-from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known, tells_noise
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known, tells_noise, with_acting_inputs
 from covariant.verbs.base.outcome import (
     Outcome,
     Pushes,
@@ -38,6 +38,7 @@ from covariant.verbs.base.outcome import (
 from covariant.verbs.base.pages import AbstractEstimates, accuracy, estimate_report
 from covariant.verbs.base.refusals import LISTED, Refusal, refusals, refused_text
 from covariant.verbs.base.sensors import SensorCount, sensor_counts
+from covariant.verbs.base.start import Started
 from covariant.verbs.base.without_model import WithoutModel, without_model
 
 
@@ -60,8 +61,8 @@ class EstimateResult(AbstractEstimates):
         >>> result = covariant.estimate("oscillator", log, alpha=40.0, beta=800.0)
         >>> result
         <EstimateResult: velocity from 201 rows by intrinsic>
-        >>> list(result.columns), result.units["v1"]
-        (['t', 'q1', 'v1'], 'm/s')
+        >>> list(result.columns), result.units["v"]
+        (['t', 'q', 'v'], 'm/s')
         >>> bool((result.codes == covariant.StepCode.OK).all())
         True
     """
@@ -78,6 +79,13 @@ class EstimateResult(AbstractEstimates):
     def run(self) -> Run:
         """Stamps, estimates and diagnostics of every sample."""
         return self.outcome.run
+
+    @property
+    def observer(self) -> AbstractObserver:
+        """The observer, for an `engine.Stream`: it takes inputs as they are sent, and starts at rest."""
+        driven: Any = self.outcome.driven
+        inner = driven.observer if isinstance(driven, Started) else driven
+        return with_acting_inputs(inner, self.loaded.file, self.loaded.rate, self.loaded)
 
     @property
     def t(self) -> np.ndarray:

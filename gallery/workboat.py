@@ -1,7 +1,7 @@
 """Logs of three workboats in zig-zags: positions by GNSS, a compass, rudder and thrust; one does not hold its course.
 
 Simulated here in NumPy alone, by the equations of Fossen (2011), section 6.5, written out: `python
-benchmarks/workboat.py boat.csv` writes a log, and beside it `boat_circle.csv`, of a turning circle.
+gallery/workboat.py boat.csv` writes a log, and beside it `boat_circle.csv`, of a turning circle.
 """
 
 import sys
@@ -12,6 +12,7 @@ import numpy as np
 
 RATE, STEPS, SECONDS = 5.0, 40, 300.0
 POSITION_STD, HEADING_STD = 0.01, 0.3
+GUST, GUST_TIME = 0.001, 0.5
 NAMES = ("time_s", "north_m", "east_m", "heading_deg", "rudder_deg", "thrust_N")
 
 
@@ -55,15 +56,17 @@ HULLS = {
 }
 
 
-def sail(hull, seed=0, current=0.0, circle=False, seconds=SECONDS):
+def sail(hull, seed=0, current=0.0, circle=False, seconds=SECONDS, gust=GUST):
     """A log of zig-zags as a table (T, 6) of `NAMES`, and the true surge, sway and yaw rate (T, 3).
 
-    The current [m/s] turns once in twice the time of the log. A circle is one of the rudder at 20°.
+    The current [m/s] turns by half a turn in the time of the log, and wind and waves accelerate the boat by random
+    `gust` [m/s² and rad/s²]. A circle is one of the rudder at 20°.
     """
     random = np.random.default_rng(seed)
     full = 1.6 * (60.0 + 45.0 * 2.5) * hull.mass[0] / 1650.0
     x, side, course, angle = np.array([0.0, 0.0, 0.3, 1.0, 0.0, 0.0]), 1.0, 0.3, 0.0
-    thrust, rows, truth = full, [], []
+    thrust, rows, truth, pushed = full, [], [], np.zeros(3)
+    fade = np.exp(-1.0 / RATE / GUST_TIME)
     for k in range(int(seconds * RATE) + 1):
         if k % 150 == 0 and k and not circle:
             thrust, course = full * random.uniform(0.3, 1.5), course + random.uniform(-1.0, 1.0)
@@ -77,10 +80,11 @@ def sail(hull, seed=0, current=0.0, circle=False, seconds=SECONDS):
         truth.append(x[3:])
         turn = np.pi * k / (seconds * RATE)
         flow = current * np.array([np.cos(turn), np.sin(turn)])
-        h = 1.0 / RATE / STEPS
+        pushed = fade * pushed + random.normal(0.0, gust * np.sqrt(1 - fade**2), 3)
+        h, wind = 1.0 / RATE / STEPS, np.append(np.zeros(3), pushed)
         for _ in range(STEPS):  # the midpoint rule
-            middle = x + h / 2 * hull.rates(x, angle, thrust, flow)
-            x = x + h * hull.rates(middle, angle, thrust, flow)
+            middle = x + h / 2 * (hull.rates(x, angle, thrust, flow) + wind)
+            x = x + h * (hull.rates(middle, angle, thrust, flow) + wind)
     return np.array(rows), np.array(truth)
 
 
