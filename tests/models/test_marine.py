@@ -87,11 +87,11 @@ def test_a_ship_moves_as_the_one_of_the_gallery_that_is_written_out_in_numpy():
             state = ship.group.exp(jnp.asarray(x[:3])), jnp.asarray(x[3:])
             found = models.acceleration(ship, 0.0, *state, jnp.array([rudder, thrust]))
             np.testing.assert_allclose(found, hull.rates(x, rudder, thrust, np.zeros(2))[3:], rtol=1e-12, atol=1e-12)
-    driven = marine.ship(propeller=3.0)
+    driven = marine.ship((1650.0, 2300.0, 4200.0), propeller=3.0)
     at_rest = models.acceleration(driven, 0.0, jnp.eye(3), jnp.zeros(3), jnp.array([0.4, -2.0]))
     np.testing.assert_allclose(at_rest, [-12.0 / 1650.0, 0.0, 0.0], rtol=1e-12)
     assert (driven.input_names, driven.logged_units["u"]) == (("rudder", "propeller"), ("rad", "rad/s"))
-    coupled = marine.ship(coupling=200.0)
+    coupled = marine.ship((1650.0, 2300.0, 4200.0), 200.0)
     nu, m = jnp.array([1.2, -0.4, 0.3]), np.diag([1650.0, 2300.0, 4200.0])
     m[1, 2] = m[2, 1] = 200.0
     with_inertia = m @ models.acceleration(coupled, 0.0, jnp.eye(3), nu, jnp.zeros(2))

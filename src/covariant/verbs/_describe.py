@@ -108,15 +108,17 @@ class ModelResult(AbstractResult):
 
 def _named_quantities(file: models.ModelFile) -> dict[str, Any]:
     """Estimated quantities, inputs and parameters, in words with their units."""
-    model, kinds = file.model, {"states": (file.model.coordinates, file.model.units)}
-    if file.mechanical:
-        kinds = {"coordinates": kinds["states"], "velocities": (model.velocities, model.velocity_units)}
+    model = file.model
+    named = {
+        "coordinates" if file.mechanical else "states": _headings(model.coordinates, model.units),
+        "velocities": _headings(model.velocities, model.velocity_units),
+        "inputs": _headings(file.columns.u, model.logged_units["u"]),
+    }
     parameters = {
         name: f"{', '.join(f'{value:.4g}' for value in np.ravel(each.value))} {each.unit}".removesuffix(" 1")
         for name, each in model.parameters.items()
     }
-    stated = {what: _headings(*named) for what, named in kinds.items() if named[0]}
-    return {"named": stated | {"inputs": _headings(file.columns.u, model.logged_units["u"])}, "parameters": parameters}
+    return {"named": named, "parameters": parameters}
 
 
 def _headings(names: Sequence[str], units: Sequence[str]) -> list[str]:
@@ -182,7 +184,7 @@ def _limits(robot: robots.Description, coordinates: tuple[str, ...]) -> np.ndarr
 
 
 def _lines(result: dict[str, Any]) -> Iterator[str]:
-    counts = (f"{len(names)} {what} ({', '.join(names)})".replace(" ()", "") for what, names in result["named"].items())
+    counts = (f"{len(names)} {what} ({', '.join(names)})" for what, names in result["named"].items() if names)
     yield f"{result['name']}: {'; '.join(counts)}"
     told = ", ".join(f"{name} after {1e3 * delay:.3g} ms" for name, delay in result["commands"].items())
     if told:

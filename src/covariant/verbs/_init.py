@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from covariant import logs, models
 from covariant.calibration import Draft, draft
 from covariant.models import Overrides
@@ -301,36 +303,33 @@ def _turning_body() -> list[str]:
 
 def _ship(guess: Draft) -> list[str]:
     """The system and its parameters of a ship with rudder and propeller."""
-    lines = [
-        'system = "ship"  # surge, sway and yaw rate on SE(2), with rudder and propeller',
+    stated = (_list_line(name, np.ravel(each.value), each.unit) for name, each in _of_ship(guess).items())
+    return [
+        'system = "ship"  # of surge, sway and yaw; the masses are those with added mass',
         "",
         "[parameters]",
-        _list_line("mass", (2000.0, 2500.0, 5000.0), "kg, kg, kg m^2: surge, sway, yaw, with added mass"),
-        _list_line("drag", (50.0, 500.0, 2000.0), "N s/m, N s/m, N m s/rad"),
-        _list_line("quadratic_drag", (50.0, 500.0, 3000.0), "N s^2/m^2, N s^2/m^2, N m s^2/rad^2"),
-        _guess_line("rudder", 100.0, 0, "N s^2/m^2, normal force by surge squared and the sine of the angle"),
-        _guess_line("rudder_arm", 2.5, 0, "m, from the rudder forward to the origin, as the antenna"),
+        *stated,
     ]
-    return lines if _has_thrust(guess) else [*lines, _guess_line("propeller", 0.05, 0, "N s^2/rad^2")]
+
+
+def _of_ship(guess: Draft) -> dict[str, models.Parameter]:
+    """Parameters of a ship that are not zero, whose second input is a thrust or the speed of a propeller."""
+    drive = {} if _has_thrust(guess) else {"parameters.propeller": 0.05}
+    return {name: each for name, each in models.load("ship", drive).model.parameters.items() if np.any(each.value)}
 
 
 def _has_thrust(guess: Draft) -> bool:
-    """Whether the second input of a ship is a force, and not the speed of its propeller."""
     return logs.is_unit_of(guess.units.get("u", ("rad", "N"))[1], ("N",))
 
 
 def _next_of_ship(guess: Draft) -> list[str]:
     """What to do next with the draft of a ship."""
-    names = ["drag", "quadratic_drag", "rudder", "rudder_arm"]
-    scale = (
-        "the thrust tells the masses"
-        if _has_thrust(guess)
-        else "no force is logged, so that all forces scale with the masses"
-    )
+    names, scale = list(_of_ship(guess)), "the thrust tells the masses"
+    if not _has_thrust(guess):
+        names, scale = names[1:], "no force is logged: all forces scale with the masses, which are not fitted"
     return [
         f"put the numbers of the data sheet into [parameters] of the model file; {scale}",
-        f"then fit: covariant fit MODEL LOG --parameters {','.join(['mass'] * _has_thrust(guess) + names)}"
-        f"{',propeller' * (not _has_thrust(guess))} -o FITTED",
+        f"then fit: covariant fit MODEL LOG --parameters {','.join(names)} -o FITTED",
     ]
 
 
@@ -363,11 +362,12 @@ def _chain(guess: Draft) -> list[str]:
 
 def _guess_line(key: str, value: float, n: int, what: str) -> str:
     """The line of a parameter of n entries, or of one number where n is 0, whose value is a guess."""
-    return _list_line(key, [value] * n, what) if n else f"{key} = {value}  {marked([value])}; {what}"
+    return _list_line(key, [value] * max(n, 1), what, bool(n))
 
 
-def _list_line(key: str, values: Sequence[float], what: str) -> str:
-    return f"{key} = {list(values)}  {marked(values)}; {what}"
+def _list_line(key: str, values: Sequence[float] | np.ndarray, what: str, is_list: bool = False) -> str:
+    numbers = [float(value) for value in values]
+    return f"{key} = {numbers if is_list or len(numbers) > 1 else numbers[0]}  {marked(numbers)}; {what}"
 
 
 def _python_system_lines(guess: Draft, module: str) -> list[str]:
@@ -424,11 +424,10 @@ def _equations(guess: Draft) -> str:
 
 def _sensor(guess: Draft) -> str:
     unit = _both(guess, "m", "rad")
-    if guess.is_ship and isinstance(guess.noise, tuple):
-        noise = (max(guess.noise[:2]), max(guess.noise[:2]), guess.noise[2])
-        return (
-            f"std = {_digits(noise, 3)}  # m, m, rad, at most: along, across and about the ship, from third differences"
-        )
+    if guess.is_ship:
+        x, y, turn = np.ravel(guess.noise)
+        noise = (max(x, y), max(x, y), turn)
+        return f"std = {_digits(noise, 3)}  # m, m, rad, at most: along, across, about; from third differences"
     if isinstance(guess.quantum, tuple) and guess.servos:
         return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick of each position of this log"
     if guess.quantum is not None:

@@ -17,12 +17,12 @@ _SOURCE = "chosen: of the size of a workboat"
 
 
 def ship(
-    mass: Sequence[Number] = (1650.0, 2300.0, 4200.0),
+    mass: Sequence[Number] = (2000.0, 2500.0, 5000.0),
     coupling: Number = 0.0,
-    drag: Sequence[Number] = (60.0, 1500.0, 5000.0),
-    quadratic_drag: Sequence[Number] = (45.0, 500.0, 3500.0),
-    rudder: Number = 110.0,
-    rudder_arm: Number = 2.6,
+    drag: Sequence[Number] = (50.0, 1000.0, 4000.0),
+    quadratic_drag: Sequence[Number] = (50.0, 500.0, 3000.0),
+    rudder: Number = 100.0,
+    rudder_arm: Number = 2.5,
     propeller: Number | None = None,
 ) -> GroupSystem:
     """Ship with rudder and propeller on SE(2); v = (surge, sway, yaw rate) [m/s, m/s, rad/s].
@@ -60,7 +60,7 @@ def ship(
     xp = namespace(mass, coupling)
     zero = 0.0 * coupling
     inertia = [[mass[0], zero, zero], [zero, mass[1], coupling], [zero, coupling, mass[2]]]
-    speed = () if propeller is None else (propeller,)
+    driven = {} if propeller is None else {"propeller": Parameter(propeller, "N s^2/rad^2", _SOURCE)}
     parameters = {
         "mass": Parameter(mass, "kg, kg, kg m^2", _SOURCE),
         "coupling": Parameter(coupling, "kg m", _SOURCE),
@@ -73,13 +73,12 @@ def ship(
         SE2,
         xp.stack([xp.stack([xp.asarray(entry, float) for entry in row]) for row in inertia]),
         None,
-        Parametric(_thrust, propeller=speed),
+        Parametric(_thrust, propeller=() if propeller is None else (propeller,)),
         Parametric(_resistance, linear=drag, square=quadratic_drag, rudder=rudder, arm=rudder_arm),
         velocities=("surge", "sway", "yaw_rate"),
         units=("m/s", "m/s", "rad/s"),
         inputs={"rudder": "rad", "thrust": "N"} if propeller is None else {"rudder": "rad", "propeller": "rad/s"},
-        parameters=parameters
-        | ({} if propeller is None else {"propeller": Parameter(propeller, "N s^2/rad^2", _SOURCE)}),
+        parameters=parameters | driven,
     )
 
 

@@ -9,10 +9,8 @@ from jaxtyping import Array, Float, Inexact
 
 from covariant._typing import Number, Scalar, Vector
 from covariant.engine import EngineName, run_logs
-from covariant.models import MechanicalSystem
 from covariant.observers import AbstractObserver, AbstractWrapper, with_velocity
 from covariant.signals import Record, Run, StepCode
-from scalargraph.errors import InputError
 
 KEPT = (
     *("innovation", "innovation_cov", "distance", "result", "nis", "noise_scale", "sensors"),
@@ -60,9 +58,6 @@ class Started(AbstractWrapper):
     def correct(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[Any, Any]:
         return self.observer.correct(state, u, y)
 
-    def innovation(self, state: Any, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> Any:
-        return self.observer.innovation(state, u, y)
-
     def moved(self, change: np.ndarray) -> "Started":
         """The same with other numbers, by a change (2n,) of displacement and velocity."""
         displacement, velocity = jnp.split(jnp.concatenate([self.displacement, self.velocity]) + change, 2)
@@ -86,18 +81,12 @@ def with_start(observer: AbstractObserver, record: Record, engine: EngineName) -
     inner: Any = observer
     while hasattr(inner, "observer"):  # behind a gate or a delay
         inner = inner.observer
-    model, rate = getattr(inner, "model", None), getattr(inner, "beta", None)
-    y = np.asarray(record.y)
-    if rate is None or not isinstance(model, MechanicalSystem) or model.manifold.redundant:
+    space, rate = getattr(getattr(inner, "model", None), "space", None), getattr(inner, "beta", None)
+    if rate is None or space is None or space.manifold.redundant:
         return observer, 0
-    rest = np.zeros(model.manifold.zero(jnp.asarray(y[0])).size)
-    started = Started(observer, jnp.asarray(rest), jnp.asarray(rest))
-    try:
-        started.init(jnp.asarray(y[0]))
-    except InputError:  # its state has no velocity
-        return observer, 0
-    t = np.asarray(record.t)
-    rows = int(np.searchsorted(t, t[0] + SPAN / math.sqrt(float(rate))))
+    rest = np.zeros(space.manifold.zero(jnp.asarray(record.y[0])).size)
+    started, t = Started(observer, jnp.asarray(rest), jnp.asarray(rest)), np.asarray(record.t)
+    rows = int(np.searchsorted(t, t[0] + SPAN / math.sqrt(float(np.min(rate)))))
     rows = max(min(rows, MOST, len(t) // SHARE), min(FEWEST * 2 * rest.size, len(t)))
     part = Record(*(np.asarray(each)[:rows] for each in record[:3]))
     first, _ = _innovations(started, part, engine, len(t))
