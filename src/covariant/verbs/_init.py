@@ -353,10 +353,9 @@ def _chain(guess: Draft) -> list[str]:
         _guess_line("coulomb", 0.01, n, "N m, times atan(100 v): dry friction, divided by pi/2"),
     ]
     if len(guess.u) < n:
-        lines.append(
-            f"actuated = {list(range(len(guess.u)))}"
-            + ("  # joints that the inputs drive, from 0: the first ones are guessed" if guess.u else "")
-        )
+        how = "as they are named" if guess.driven else "the first ones are guessed"
+        driven = guess.driven or list(range(len(guess.u)))
+        lines.append(f"actuated = {driven}" + f"  # joints that the inputs drive, from 0: {how}" * bool(guess.u))
     return lines
 
 
@@ -414,8 +413,9 @@ def _equations(guess: Draft) -> str:
         "UNITS": ", ".join('"m"' if is_length else '"rad"' for is_length in guess.lengths) + trailing,
         "CIRCLES": tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
         "INPUTS": m,
-        "PUSHES": f"the first {m} of {n} positions" if m else "no position",
-        "REST": n - m,
+        "PUSHES": "the positions that they name" if guess.driven else f"the first {m} of {n} positions: a guess",
+        "POSITIONCOUNT": n,
+        "DRIVEN": guess.driven or list(range(m)),
     }
     machine = fill("covariant.verbs", "machine.py", words).splitlines()
     file = "cart_pole.py" if _is_cart_pole(guess) else "separate_masses.py"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
@@ -12,7 +13,15 @@ from jaxtyping import Float
 from covariant import logs
 from covariant.calibration.diagnosis import periods
 from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
-from covariant.calibration.identification._names import DEGREES, LENGTHS, REGISTERS, TURNS, product_of
+from covariant.calibration.identification._names import (
+    DEGREES,
+    LENGTHS,
+    REGISTERS,
+    TURNS,
+    paired,
+    positions_of,
+    product_of,
+)
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
@@ -111,6 +120,11 @@ class Draft(NamedTuple):
         return registers, [name for name in self.left_out if name not in registers]
 
     @property
+    def driven(self) -> list[int]:
+        """Indices of the positions that the inputs drive, by their names; empty if these do not say so."""
+        return positions_of(self.q, self.u)
+
+    @property
     def units_of_positions(self) -> tuple[str, ...]:
         return self.units.get("q", ("rad",) * len(self.q))
 
@@ -182,7 +196,7 @@ def _drafted(log: LogColumns) -> Draft | None:
     q, v = tuple(q[i] for i in order), tuple(v[i] for i in order if v)
     inputs = inputs._replace(drives=tuple(inputs.drives[i] for i in order if inputs.drives))
     torques = {name: logs.unit_in_name(log.labels[name], ("N m",)) is not None for name in inputs.u}
-    u = inputs.u if "u" in log.given else tuple(sorted(inputs.u, key=torques.__getitem__))
+    u = inputs.u if "u" in log.given else tuple(sorted(paired(q, inputs.u), key=torques.__getitem__))
     guess = _roles_and_units(log, q, u, v)
     if "q" not in log.units:
         guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
@@ -219,6 +233,9 @@ def _read(
     }
     marks = {name: "desired" for name in desired if "d" in logs.words_of(name)}
     roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
+    # A JointState has the position of a joint under its name, beside what else is known of it.
+    beside = {name.rpartition("/")[0] for name, each in roles.items() if each in ("v", "u")}
+    roles |= {name: "q" for name, each in roles.items() if not each and name in beside}
     if product := product_of(columns):
         fields = roles | {name: field for field, names in given.items() for name in names}
         turns = {name: TURNS[each] for name, each in fields.items() if each in TURNS and labels[name] == name}
@@ -247,6 +264,10 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
     if "q" not in log.given:
         log, q = explained(log, q)
     log.ask(_one_family, "q", q, log, otherwise=None)
+    last = Counter("/".join(name.split("/")[-2:]) for name in q)
+    if "q" not in log.given and len(last) < len(q) and max(last.values()) > 1:
+        twice = ", ".join(name for name, count in last.items() if count > 1)
+        raise InputError(f'several topics have {twice}; name the positions of one by `columns["q"]`{log.listed}')
     refuse_poses(log, q)
     inputs = find_inputs(log, q)
     if "q" not in log.given:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.identification._commands import FEWEST_CHANGES
-from covariant.calibration.identification._names import EULER, point_in_plane
+from covariant.calibration.identification._names import EULER, paired, point_in_plane
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._ship_columns import plane_and_heading
 from covariant.calibration.identification._stamp_columns import is_near
@@ -87,7 +87,7 @@ def odd_rates(log: LogColumns, q: tuple[str, ...], v: tuple[str, ...]) -> list[s
 
 def velocities(log: LogColumns, q: tuple[str, ...]) -> tuple[str, ...]:
     """The velocity of each position: of what is called so, or of what has no name, what follows its slope."""
-    named = tuple(name for name in log.of("v") if not Register.of(log[name]).negative)
+    named = paired(q, [name for name in log.of("v") if not Register.of(log[name]).negative])
     if len(named) == len(q):
         return named if not any(_is_off(log, *pair) for pair in zip(q, named, strict=True)) else ()
     found = []
