@@ -47,8 +47,8 @@ def test_a_system_with_names_never_has_numbered_columns(name):
 @pytest.mark.parametrize("name", KINDS)
 def test_an_innovation_has_the_unit_of_what_is_measured(name):
     kind = KINDS[name]
-    units = kind.innovation_units
-    assert len(units) == len(kind.noise_axes)
+    units = kind.measured.units
+    assert len(units) == len(kind.measured.names)
     assert not {"s", "1/s"} & set(units)
     if kind.file.mechanical:  # velocities are rates of what is measured
         pairs = zip(units, kind.estimates.units, strict=True)

@@ -208,7 +208,7 @@ class CompareResult(AbstractTable):
     @property
     def headline(self) -> str:
         best, loaded, kind = self.ranking[0], self.loaded, self.loaded.kind
-        units = kind.innovation_units if loaded.reference is None else kind.estimates.units
+        units = kind.measured.units if loaded.reference is None else kind.estimates.units
         error = with_units(rounded(rmse(self.outcomes[best])), units)
         return f"{len(self.outcomes)} estimators on {len(loaded.record.t)} rows; best: {best}, RMSE {error}"
 
@@ -294,13 +294,13 @@ class CompareResult(AbstractTable):
         if self.predicted is None:
             return {}
         kind = self.loaded.kind
-        labels = Labels(kind.axes.names, kind.innovation_units).called("predicted {}")
+        labels = Labels(kind.axes.names, kind.measured.units).called("predicted {}")
         return labels.cells(self.predicted.errors[name])
 
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
         loaded, kind = self.loaded, self.loaded.kind
-        labels = kind.estimates if loaded.reference else Labels(loaded.file.columns.q, kind.innovation_units)
+        labels = kind.estimates if loaded.reference else kind.measured
         labels = labels.called("RMSE {}")
         return tuple(
             {

@@ -360,7 +360,7 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
     if "start_rows" in result:
         first = float(loaded.record.t[result["start_rows"] - 1] - loaded.record.t[0])
         lines.append(f"the first {first:.3g} s determine the start, and are not scored")
-    units = loaded.kind.innovation_units
+    units = loaded.kind.measured.units
     lines.append(f"innovation RMS: {with_units(result['innovation_rms'], units)}")
     if "innovation_rms_refused" in result:
         refused = with_units(result["innovation_rms_refused"], units)

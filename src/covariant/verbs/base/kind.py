@@ -115,13 +115,8 @@ class AbstractKind(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def innovation_units(self) -> tuple[str, ...]:
-        """Units of the innovations, "" where they are not known."""
-
-    @property
-    def noise_axes(self) -> tuple[str, ...]:
-        """Names of the components of a measurement's noise."""
-        return self.file.columns.q
+    def measured(self) -> Labels:
+        """Names of the components of a measurement and of its innovation, and their units, "" where not known."""
 
     def check(self, y: np.ndarray) -> None:  # noqa: B027  most kinds have nothing to check
         """Check the model at measurements (T, *n); raises `ValueError` where it makes no sense there."""

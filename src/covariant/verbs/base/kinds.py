@@ -57,12 +57,6 @@ class AbstractMechanical(AbstractKind):
     )
     gates = " All are behind a gate that refuses outliers."
 
-    @property
-    def innovation_units(self) -> tuple[str, ...]:
-        # On a group an innovation is a displacement along each velocity.
-        units = (unit.removesuffix("/s") if unit.endswith("/s") else "" for unit in self.axes.units)
-        return tuple(units) if self.model.velocities else self.axes.units
-
     def slopes(self, log: logs.Log) -> tuple[np.ndarray, str]:
         full, at = log.all_rows, np.asarray(log.record.t)
         t, y, order = np.asarray(full.t), self.complete(np.asarray(full.y)), int(self.file.reference_order)
@@ -162,6 +156,10 @@ class InCoordinates(AbstractMechanical):
         return self.axes
 
     @property
+    def measured(self) -> Labels:
+        return Labels(self.file.columns.q, self.axes.units)
+
+    @property
     def message_columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         joints = [name.removesuffix("/position") for name in self.file.columns.q]
         return tuple(f"{name}/position" for name in joints), tuple(f"{name}/velocity" for name in joints)
@@ -240,8 +238,10 @@ class OnGroup(AbstractMechanical):
     has_ticks = False
 
     @property
-    def noise_axes(self) -> tuple[str, ...]:
-        return self.model.velocities
+    def measured(self) -> Labels:
+        # An innovation is a displacement along each velocity.
+        units = (unit.removesuffix("/s") if unit.endswith("/s") else "" for unit in self.model.velocity_units)
+        return Labels(self.model.velocities, tuple(units))
 
     @property
     def _start_names(self) -> tuple[str, ...]:
@@ -302,8 +302,8 @@ class InStates(AbstractKind):
     without_gate = "It has no gate, on a log either, and refuses no measurement."
 
     @property
-    def innovation_units(self) -> tuple[str, ...]:
-        return self.model.output_units
+    def measured(self) -> Labels:
+        return Labels(self.file.columns.q, self.model.output_units)
 
     def slopes(self, log: logs.Log) -> None:
         return None
