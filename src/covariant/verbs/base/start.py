@@ -17,9 +17,11 @@ KEPT = (
     *("velocity_std", "state_std", "slow", "slow_std"),
 )
 """What the commands use of the info of an observer."""
-ROUNDS, SPAN = 4, 3.0
-"""Steps of Gauss and Newton; time in which innovations determine a start, in reciprocals of the natural frequency."""
-FEWEST, MOST, SHARE = 5, 3000, 3
+ROUNDS, SPAN = 5, 3.0
+"""Starts that are tried; time in which innovations determine one, in reciprocals of the natural frequency."""
+LEAST_NOISE = 1e-6
+"""Least change of an innovation from row to row, relative to the largest, by which it is weighted."""
+FEWEST, MOST, SHARE = 5, 1000, 3
 """Rows that determine a start: at least for each number of it, at most, and at most one in so many of the log."""
 
 
@@ -89,18 +91,22 @@ def with_start(observer: AbstractObserver, record: Record, engine: EngineName) -
     rows = int(np.searchsorted(t, t[0] + SPAN / math.sqrt(float(np.min(rate)))))
     rows = max(min(rows, MOST, len(t) // SHARE), min(FEWEST * 2 * rest.size, len(t)))
     part = Record(*(np.asarray(each)[:rows] for each in record[:3]))
-    first, _ = _innovations(started, part, engine, len(t))
-    weight = 1 / np.maximum(np.std(np.diff(first, axis=0), axis=0), np.finfo(float).tiny)
+    noise = np.std(np.diff(_innovations(started, part, engine, len(t))[0], axis=0), axis=0)
+    weight = 1 / np.maximum(noise, max(LEAST_NOISE * float(np.max(noise)), np.finfo(float).eps))
     size = 1e-3 * np.concatenate([1 / weight, 1 / weight / (t[rows - 1] - t[0])])
+    best, least = observer, math.inf
     for _ in range(ROUNDS):
         first, used = _innovations(started, part, engine, len(t))
+        error = (first * weight)[used].ravel()
+        if not error @ error < least * error.size:  # no better, or not finite
+            break
+        best, least = started, float(error @ error) / error.size
         changed = [_innovations(started.moved(step), part, engine, len(t))[0] for step in np.diag(size)]
         slopes = [((each - first) * weight)[used].ravel() / step for each, step in zip(changed, size, strict=True)]
-        change = np.linalg.lstsq(np.stack(slopes, axis=1), -(first * weight)[used].ravel(), rcond=None)[0]
-        if not np.isfinite(change).all():
-            return observer, 0
-        started = started.moved(change)
-    return started, rows
+        if not np.isfinite(slopes).all():
+            break
+        started = started.moved(np.linalg.lstsq(np.stack(slopes, axis=1), -error, rcond=None)[0])
+    return best, rows if best is not observer else 0
 
 
 def _innovations(
