@@ -108,8 +108,8 @@ class CompareResult(AbstractTable):
         >>> noise = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
         >>> result = covariant.compare("oscillator", log, overrides=noise)
         >>> "intrinsic" in result.ranking, list(result.columns)[:3]
-        (True, ['rank', 'estimator', 'v1_rmse'])
-        >>> bool(result.columns["v1_rmse"][0] < 0.05)
+        (True, ['rank', 'estimator', 'v_rmse'])
+        >>> bool(result.columns["v_rmse"][0] < 0.05)
         True
     """
 

@@ -121,7 +121,7 @@ class SmoothResult(AbstractEstimates):
         >>> result
         <SmoothResult: velocity from 201 rows by intrinsic-kalman, smoothed from 10 rows after each>
         >>> list(result.columns)
-        ['t', 'q1', 'v1', 'v1_std', 'q1_std', 'v1_filtered', 'v1_filtered_std']
+        ['t', 'q', 'v', 'v_std', 'q_std', 'v_filtered', 'v_filtered_std']
     """
 
     smoothed: EstimateResult
