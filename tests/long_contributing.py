@@ -34,7 +34,7 @@ quick = ("copy", "tracker")  # all would take a while to compile
 _kinds.tuned_estimators = lambda *a: {
     name: o for name, o in calibration.tuned_estimators(*a).items() if name in quick
 }
-sheet = ("--set", "measurement.std=1e-3", "--set", "uncertainty.acceleration=1", "--truth", "true_v1")
+sheet = ("--set", "measurement.std=1e-3", "--set", "uncertainty.acceleration=1", "--truth", "true_angle_dot")
 command("compare", "bead_on_hoop", "log.csv", *sheet, "--json")
 command("estimate", "bead_on_hoop", "log.csv", "--observer", "tracker", *sheet, "--json")
 from covariant import logs

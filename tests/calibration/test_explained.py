@@ -79,16 +79,55 @@ def test_a_pose_in_the_plane_is_that_of_a_craft_whose_systems_are_named(seed):
     random = np.random.default_rng(seed)
     place = [("x", "y"), ("north", "east"), ("pos_x", "pos_y"), ("px", "py"), ("x_m", "y_m")][seed % 5]
     heading = ["heading", "yaw", "psi"][seed % 3]
-    inputs = [("rudder", "rpm"), ("tau_x", "tau_y", "tau_n")][seed % 2]
+    inputs = [("rudder_port", "rudder_starboard", "rpm"), ("tau_x", "tau_y", "tau_n")][seed % 2]
     columns = dict(zip((*place, heading), (X, Y, HEADING), strict=True))
     columns |= {"dvl_u": 1 + 0 * T, "dvl_v": 0 * T} | {name: np.sin((k + 2) * T) for k, name in enumerate(inputs)}
     names = ", ".join((*place, heading))
     with pytest.raises(ValueError, match=f"{names} are the pose of a craft in the plane, and no joints") as error:
         draft({"time": T} | shuffled(random, columns))
-    for system in ("manoeuvring_ship", "supply_vessel", "cybership", "hovercraft"):
+    for system in ("ship", "manoeuvring_ship", "supply_vessel", "cybership", "hovercraft"):
         assert models.load(system).name == system
         assert f'"{system}"' in str(error.value)
     assert draft({"time": T} | columns, {"q": [*place, heading], "u": []}).q == (*place, heading)
+
+
+@pytest.mark.parametrize("seed", DRAWS)
+def test_a_ship_is_drafted_from_the_names_of_its_logger(seed):
+    random = np.random.default_rng(seed)
+    place = [("north", "east"), ("x_m", "y_m"), ("N [m]", "E [m]"), ("easting", "northing"), ("px", "py")][seed % 5]
+    heading = ["heading", "yaw_deg", "hdg [deg]", "psi"][seed % 4]
+    factor = 180 / np.pi if "deg" in heading or seed % 8 == 4 else 1.0
+    rates = [("surge", "sway", "r"), ("dvl_u", "dvl_v", "yaw_rate_deg_s"), ()][seed % 3]
+    rudder, drive = [("rudder", "rpm"), ("rudder_deg", "thrust_N"), ("helm [rad]", "thrust [kN]")][seed % 3]
+    turn = 0.05 * T**2 + 0.2 * T  # rad, more than half a turn
+    north, east = 0.01 * np.cumsum(np.cos(turn)), 0.01 * np.cumsum(np.sin(turn))
+    swapped = place[0] == "easting" or seed == 6
+    path = (east, north) if swapped else (north, east)
+    columns = dict(zip((*place, heading), (*path, factor * turn % (2 * np.pi * factor)), strict=True))
+    columns |= {name: np.sin((k + 1) * T) for k, name in enumerate(rates)}
+    columns |= {rudder: 0.3 * np.sign(np.sin(T)), drive: 1 + 0 * T, "true_surge": 1 + 0 * T, "temp": 0 * T}
+    found = draft({"time": T} | shuffled(random, columns))
+    expected = place[::-1] if swapped else place
+    assert (found.is_ship, found.q, found.u, found.v) == (True, (*expected, heading), (rudder, drive), rates)
+    assert found.units.get("angle") == (("deg",) if factor > 1 else None)
+    assert found.units["u"] == [("rad", "rpm"), ("deg", "N"), ("rad", "kN")][seed % 3] if seed % 3 else True
+    del columns[drive]
+    with pytest.raises(ValueError, match="are the pose of a craft in the plane, and no joints"):
+        draft({"time": T} | columns)
+
+
+def test_latitude_and_longitude_get_the_line_that_converts_them():
+    north, east = 100 * np.sin(T), 250 * (1 - np.cos(T))
+    # The metre of the mean latitude, by arcs of the meridian and of the parallel (Snyder 1987, table of WGS 84).
+    lat, lon = 60.0 + north / 111412.0, 5.0 + east / 55800.0
+    columns = {"time": T, "lat": lat, "lon": lon, "heading": T, "rudder": np.sin(T), "rpm": 500 + 0 * T}
+    with pytest.raises(ValueError, match="degrees on the earth") as error:
+        draft(columns)
+    frame = pandas.DataFrame(columns)
+    exec(str(error.value).partition(", as ")[2].partition("; ")[0], {"frame": frame})
+    np.testing.assert_allclose(frame["north"] - frame["north"][0], north, atol=0.02)
+    np.testing.assert_allclose(frame["east"] - frame["east"][0], east, atol=0.05)
+    assert draft({name: frame[name].to_numpy() for name in frame if name not in ("lat", "lon")}).is_ship
 
 
 @pytest.mark.parametrize("name", ["rudder_deg", "flap_deg", "elevator [deg]", "fin_angle_deg", "steering_deg"])

@@ -51,6 +51,7 @@ SYSTEMS = {
     "hovercraft": {"mass": 5.0, "drag": [0.3, 0.5, 0.02]},
     "oscillator": {"stiffness": 1.0},
     "pendulum_chain": {"mass": [1.0, 2.0], "inertia": [0.1, 0.2]},
+    "ship": {"mass": [1650.0, 2300.0, 4200.0], "rudder": 110.0, "propeller": 2.0},
     "satellite": {"inertia": [0.05, 0.06, 0.04], "wheel_inertia": 2e-4},
     "underwater_vehicle": {"mass": 12.0, "added_mass": [5.0, 12.0, 14.0, 0.1, 0.2, 0.2]},
 }

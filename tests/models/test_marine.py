@@ -1,5 +1,8 @@
 """Ships and underwater vehicles: kinematics, energy, one vehicle in Euler angles and on SE(3), published manoeuvres."""
 
+import runpy
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +14,7 @@ from covariant.models import marine
 
 CRAFT = {"supply": marine.supply_vessel, "cybership": marine.cybership, "odin": marine.odin}
 ANGLES = jnp.array([0.3, -0.5, 2.1])
+workboat = runpy.run_path(str(Path(__file__).parents[2] / "gallery" / "workboat.py"))
 
 
 def test_euler_rotation_turns_by_yaw_then_pitch_then_roll():
@@ -71,6 +75,28 @@ def test_planar_coriolis_matrix_is_the_printed_one():
     lateral = m[1, 1] * v + m[1, 2] * r
     expected = jnp.array([[0.0, 0.0, -lateral], [0.0, 0.0, m[0, 0] * u], [lateral, -m[0, 0] * u, 0.0]])
     np.testing.assert_allclose(ship.coriolis(nu), expected, atol=1e-12)  # Fossen 2011, equation (6.99)
+
+
+def test_a_ship_moves_as_the_one_of_the_gallery_that_is_written_out_in_numpy():
+    """Also astern, and with the sides of rudder, sway and yaw exchanged."""
+    random = np.random.default_rng(0)
+    for hull in workboat["HULLS"].values():
+        ship = marine.ship(hull.mass, 0.0, hull.drag, hull.quadratic_drag, hull.rudder, hull.rudder_arm)
+        for _ in range(10):
+            x, (rudder, thrust) = random.normal(size=6), random.normal(size=2)
+            state = ship.group.exp(jnp.asarray(x[:3])), jnp.asarray(x[3:])
+            found = models.acceleration(ship, 0.0, *state, jnp.array([rudder, thrust]))
+            np.testing.assert_allclose(found, hull.rates(x, rudder, thrust, np.zeros(2))[3:], rtol=1e-12, atol=1e-12)
+    driven = marine.ship((1650.0, 2300.0, 4200.0), propeller=3.0)
+    at_rest = models.acceleration(driven, 0.0, jnp.eye(3), jnp.zeros(3), jnp.array([0.4, -2.0]))
+    np.testing.assert_allclose(at_rest, [-12.0 / 1650.0, 0.0, 0.0], rtol=1e-12)
+    assert (driven.input_names, driven.logged_units["u"]) == (("rudder", "propeller"), ("rad", "rad/s"))
+    coupled = marine.ship((1650.0, 2300.0, 4200.0), 200.0)
+    nu, m = jnp.array([1.2, -0.4, 0.3]), np.diag([1650.0, 2300.0, 4200.0])
+    m[1, 2] = m[2, 1] = 200.0
+    with_inertia = m @ models.acceleration(coupled, 0.0, jnp.eye(3), nu, jnp.zeros(2))
+    without_drag = with_inertia - models.resistance(coupled, 0.0, jnp.eye(3), nu, jnp.zeros(2))
+    np.testing.assert_allclose(without_drag, -marine.coriolis_matrix(m)(nu) @ nu, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", CRAFT)

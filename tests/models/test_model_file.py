@@ -160,7 +160,7 @@ def test_examples_load(name, columns):
         ("free_body", 3, Columns(u=("u1", "u2", "u3"))),
         ("heavy_top", 3, Columns(u=("u1", "u2", "u3"))),
         ("underwater_vehicle", 6, Columns(u=tuple(f"u{i}" for i in range(1, 7)), position=("px", "py", "pz"))),
-        ("hovercraft", 3, Columns(u=("u1", "u2"), position=("px", "py"), angle=("angle",))),
+        ("hovercraft", 3, Columns(u=("right_thrust", "left_thrust"), position=("px", "py"), angle=("angle",))),
         ("satellite", 6, Columns(u=("u1", "u2", "u3"), angle=("angle1", "angle2", "angle3"))),
         ("bioreactor", 2, Columns(q=("substrate",), u=("u1",))),
         ("duffing", 2, Columns(q=("q",), u=("u1",))),

@@ -226,7 +226,7 @@ def test_quantities(make):
     assert "error" not in quantities(report._replace(v_reference=None))
     plain = quantities(report._replace(units=("", "m"), coordinates=("x", "slider position")))
     assert plain["position"].labels == ("x", "slider position\n[m]")
-    assert plain["velocity"].labels == ("dx/dt [1/s]", "slider position\n[m/s]")
+    assert plain["velocity"].labels == ("x\n[1/s]", "slider position\n[m/s]")
 
 
 def on_a_group(report, names):

@@ -47,7 +47,7 @@ def test_a_log_with_the_columns_of_the_result_is_not_taken_for_one(tmp_path):
         covariant.logs.write(tmp_path / name, {"t": t, "q1": np.cos(t), "v1": -np.sin(t)})
     log, columns = str(tmp_path / "mine.csv"), {"q": "q1", "u": "v1"}
     result = covariant.estimate("oscillator", log, alpha=40.0, beta=800.0, columns=columns, anyway=True)
-    assert list(result.columns) == ["t", "q1", "v1"]
+    assert list(result.columns) == ["t", "q", "v"]
     with pytest.raises(ValueError, match=r"other.csv: there is such a file already"):
         result.save(tmp_path / "other.csv", overwrite=False)
     with pytest.raises(ValueError, match=r"mine.csv: this is the log itself"):

@@ -17,6 +17,12 @@ from covariant.logs._columns import LogError, pyarrow
 from covariant.logs._mcap import check_checksums
 from scalargraph.errors import InputError
 
+RECOVERY = {
+    ".mcap": "; if the recording was cut off, `mcap recover {0} -o {1}` writes all messages that are whole",
+    ".db3": "; if the recording was cut off, `sqlite3 {0} .recover | sqlite3 {1}` writes all messages that are whole",
+    ".bag": "; if the recording was cut off, `rosbag reindex {0}` makes all messages that are whole readable",
+}
+"""What to do with a damaged file, by its suffix."""
 HEADER, RECEIVED = "t", "received"
 """Columns of stamps: the time in the header, when the content was true, and the time when it was recorded."""
 LOOKED_AT = 500
@@ -234,5 +240,9 @@ def _messages(path: Path) -> Iterator[tuple[dict[str, int], Callable[..., Iterat
     except (LogError, ImportError, FileNotFoundError):
         raise
     except Exception as error:  # the reader may raise any exception for a damaged file
-        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
-        raise LogError(f"{path}: cannot be read as a rosbag: {reason}") from error
+        reason = next(iter(str(error).strip().splitlines()), type(error).__name__).rstrip(".")
+        files = [path] if path.is_file() else sorted(each for each in path.iterdir() if each.suffix in RECOVERY)
+        how = "".join(
+            RECOVERY.get(file.suffix, "").format(file, file.with_stem(f"{file.stem}_whole")) for file in files
+        )
+        raise LogError(f"{path}: cannot be read as a rosbag: {reason}{how}") from error

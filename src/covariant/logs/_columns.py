@@ -1,6 +1,7 @@
 """Defines the content of a log: names of its columns, the result of reading it, and the error for an unusable log."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant._door import BINARY_LOG, MOST_ROWS, STORE, TEXT_LOG
+from covariant.logs._units import unit_factor
 from covariant.signals import Record
 from scalargraph.errors import InputError, MissingPackageError
 from scalargraph.files import check_file
@@ -111,6 +113,42 @@ class Columns(NamedTuple):
         """
         names = self.units.get(field, ())
         return names[place if len(names) > 1 else 0] if names else None
+
+    def units_of(self, names: Iterable[str]) -> dict[str, str]:
+        """Units of quantities that are called as columns of the log are, as those of `as_logged`.
+
+        Args:
+            names: Names of the quantities, some with the suffixes `_std` and `_filtered`.
+
+        Returns:
+            The unit in which the log has the column, by name; other quantities are left out.
+        """
+        usual = {"position": "m", "angle": "rad"}
+        fields = ((field, getattr(self, field)) for field in {**usual, **self.units} if field != "t")
+        known = {
+            name: self.unit_of(field, place) or usual[field] for field, own in fields for place, name in enumerate(own)
+        }
+        plain = {name: re.sub(r"(_filtered)?(_std)?$", "", name) for name in names}
+        return {name: known[each] for name, each in plain.items() if each in known}
+
+    def as_logged(self, table: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Convert estimates to the units of the log, if they are called as its columns are.
+
+        Args:
+            table: Arrays (T,) by name, in SI units and radians.
+
+        Returns:
+            The same arrays, those of `units_of` in these units.
+
+        Example:
+            >>> import numpy as np
+            >>> from covariant import logs
+            >>> columns = logs.Columns(angle=("heading",), units={"angle": ("deg",)})
+            >>> columns.as_logged({"heading": np.array([np.pi]), "yaw_rate": np.ones(1)})["heading"].tolist()
+            [180.0]
+        """
+        units = self.units_of(table)
+        return {name: array / unit_factor(units[name]) if name in units else array for name, array in table.items()}
 
     @property
     def measured(self) -> tuple[str, ...]:

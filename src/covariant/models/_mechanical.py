@@ -22,7 +22,7 @@ from covariant._integrate import rk4_step
 from covariant._typing import MatrixField, Number, Scalar, Vector
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, as_space, differential
 from covariant.geometry.lie import AbstractGroup, LeftInvariant
-from covariant.models._parameters import Parameter, Parametric
+from covariant.models._parameters import Inputs, Parameter, Parametric, name_inputs
 from scalargraph.errors import InputError
 
 
@@ -86,7 +86,8 @@ class MechanicalSystem(Functional):
         units: Units of the entries of q, if they are coordinates.
         velocities: Names of the components of v, if they are not the rates of the coordinates.
         velocity_units: Units of the components of v, if they are not the rates of the coordinates.
-        inputs: Number of inputs m, if it differs from n.
+        inputs: Number of inputs m, if it differs from n; or the unit of each input by its name.
+        input_names, input_units: Names and units of the inputs, as far as they are given.
         feet: Positions `q -> (k, d)` [m] of k feet or hands that touch the ground at known times and then stay there.
             The last k inputs are their contacts: 1 for a foot on the ground, 0 for one in the air. None by default.
         parameters: A `Parameter` for each name, as documentation. Functions built by `Parametric` also store these
@@ -114,6 +115,8 @@ class MechanicalSystem(Functional):
     velocities: tuple[str, ...] = eqx.field(static=True)
     velocity_units: tuple[str, ...] = eqx.field(static=True)
     inputs: int | None = eqx.field(static=True)
+    input_names: tuple[str, ...] = eqx.field(static=True)
+    input_units: tuple[str, ...] = eqx.field(static=True)
     feet: Callable[[Array], Array] | None
     parameters: dict[str, Parameter]
 
@@ -128,7 +131,7 @@ class MechanicalSystem(Functional):
         units: tuple[str, ...] = (),
         velocities: tuple[str, ...] = (),
         velocity_units: tuple[str, ...] = (),
-        inputs: int | None = None,
+        inputs: Inputs = None,
         feet: Callable[[Array], Array] | None = None,
         parameters: dict[str, Parameter] | None = None,
     ):
@@ -138,7 +141,8 @@ class MechanicalSystem(Functional):
         self.dissipation = no_dissipation if dissipation is None else dissipation
         self.coordinates, self.units = tuple(coordinates), tuple(units)
         self.velocities, self.velocity_units = tuple(velocities), tuple(velocity_units)
-        self.inputs, self.feet = inputs, feet
+        self.inputs, self.input_names, self.input_units = name_inputs(inputs)
+        self.feet = feet
         self.parameters = dict(parameters or {})
         if None not in self.manifold.shape:
             check_model(self)
@@ -171,11 +175,11 @@ class MechanicalSystem(Functional):
 
         Returns:
             Units of each entry, by field of `logs.Columns`: positions `q`, velocities `v`, the reference `truth`, and
-            inputs `u` if they are commands.
+            inputs `u` if they are commands or have units.
         """
         units = {"q": self.units, "v": self.sought.units, "truth": self.sought.units}
         servos = getattr(self.force, "servos", None)
-        return units if servos is None else units | {"u": servos.input_units}
+        return units | {"u": self.input_units if servos is None else servos.input_units}
 
     @property
     def sought(self) -> Sought:
@@ -271,7 +275,7 @@ class Lagrangian(MechanicalSystem):
         circles: Indices of coordinates that are angles on a full circle [rad]; errors in them are wrapped to ±π.
         coordinates: Names of the entries of q.
         units: Units of the entries of q.
-        inputs: Number of inputs m, if it differs from n.
+        inputs: Number of inputs m, if it differs from n, or the unit of each by its name.
         feet: Positions `q -> (k, d)` [m] of feet, as for `MechanicalSystem`.
         parameters: A `Parameter` for each name, as for `MechanicalSystem`.
 
@@ -303,7 +307,7 @@ class Lagrangian(MechanicalSystem):
         *,
         coordinates: tuple[str, ...] = (),
         units: tuple[str, ...] = (),
-        inputs: int | None = None,
+        inputs: Inputs = None,
         feet: Callable[[Array], Array] | None = None,
         parameters: dict[str, Parameter] | None = None,
     ):
@@ -327,7 +331,7 @@ class GroupSystem(MechanicalSystem):
         dissipation: Velocity-dependent generalised force `(g, v) -> (n,)` or `(t, g, v, u) -> (n,)`; zero by default.
         velocities: Names of the components of v; v1, v2, … by default.
         units: Units of the components of v.
-        inputs: Number of inputs m; n by default.
+        inputs: Number of inputs m, or the unit of each by its name; n by default.
         parameters: A `Parameter` for each name, as for `MechanicalSystem`.
 
     Raises:
@@ -352,7 +356,7 @@ class GroupSystem(MechanicalSystem):
         *,
         velocities: tuple[str, ...] = (),
         units: tuple[str, ...] = (),
-        inputs: int | None = None,
+        inputs: Inputs = None,
         parameters: dict[str, Parameter] | None = None,
     ):
         n = group.dimension

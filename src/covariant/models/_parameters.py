@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -81,6 +81,16 @@ class Parametric(Functional):
         # Double-precision parameters would otherwise promote a single-precision state.
         real = next((jnp.finfo(a.dtype).dtype for a in arguments if jnp.ndim(a) and _inexact(a)), jnp.zeros(()).dtype)
         return self.function(*arguments, **jax.tree.map(lambda number: number.astype(real), self.parameters))
+
+
+Inputs = int | Mapping[str, str] | None
+"""Number of inputs of a model, or the unit of each by its name; None for as many as velocities."""
+
+
+def name_inputs(inputs: Inputs) -> tuple[int | None, tuple[str, ...], tuple[str, ...]]:
+    """Number, names and units of inputs; no names where only their number is given."""
+    named = inputs if isinstance(inputs, Mapping) else {}
+    return (len(named) or None) if isinstance(inputs, Mapping) else inputs, tuple(named), tuple(named.values())
 
 
 def values(parameters: dict[str, Parameter]) -> dict[str, Array]:

@@ -14,7 +14,7 @@ from covariant._functional import Functional
 from covariant._typing import Matrix, Scalar, Vector
 from covariant.geometry import Coordinates, wrap
 from covariant.models._mechanical import MechanicalSystem, Sought, acceleration, check_shapes, input_count
-from covariant.models._parameters import Parameter
+from covariant.models._parameters import Inputs, Parameter, name_inputs
 from scalargraph.errors import InputError
 
 
@@ -32,7 +32,8 @@ class StateSpace(Functional):
         coordinates: Names of the states. If they are given, the constructor checks the shapes of f and h.
         units: Units of the states.
         outputs: Names of the outputs; y1, y2, … by default if coordinates are given.
-        inputs: Number of inputs m; 0 by default.
+        inputs: Number of inputs m, or the unit of each by its name; 0 by default.
+        input_names, input_units: Names and units of the inputs, as far as they are given.
         circles: Indices of outputs that are angles on a full circle [rad]; errors in them are wrapped to ±π.
         box: Lower and upper bound of each state, within which the model is valid, for designs that need one.
         parameters: `Parameter` objects by name, as documentation.
@@ -58,6 +59,8 @@ class StateSpace(Functional):
     units: tuple[str, ...] = eqx.field(static=True)
     outputs: tuple[str, ...] = eqx.field(static=True)
     inputs: int = eqx.field(static=True)
+    input_names: tuple[str, ...] = eqx.field(static=True)
+    input_units: tuple[str, ...] = eqx.field(static=True)
     circles: tuple[int, ...] = eqx.field(static=True)
     box: tuple[tuple[Scalar, Scalar], ...]
     parameters: dict[str, Parameter]
@@ -70,14 +73,15 @@ class StateSpace(Functional):
         coordinates: tuple[str, ...] = (),
         units: tuple[str, ...] = (),
         outputs: tuple[str, ...] = (),
-        inputs: int = 0,
+        inputs: Inputs = 0,
         circles: tuple[int, ...] = (),
         box: tuple[tuple[float, float], ...] = (),
         parameters: dict[str, Parameter] | None = None,
     ):
         self.f, self.h = f, h
         self.coordinates, self.units = tuple(coordinates), tuple(units)
-        self.inputs, self.circles = inputs, tuple(circles)
+        count, self.input_names, self.input_units = name_inputs(inputs)
+        self.inputs, self.circles = count or 0, tuple(circles)
         self.box = tuple((jnp.asarray(low, float), jnp.asarray(high, float)) for low, high in box)
         self.parameters = dict(parameters or {})
         self.outputs = tuple(outputs)
@@ -94,13 +98,21 @@ class StateSpace(Functional):
     feet = force = space = None  # what only a mechanical system has
 
     @property
+    def output_units(self) -> tuple[str, ...]:
+        """Units of the outputs: those of the states of the same names, "" of others."""
+        known = dict(zip(self.coordinates, self.units, strict=False))
+        return tuple(known.get(name, "") for name in self.outputs)
+
+    @property
     def logged_units(self) -> dict[str, tuple[str, ...]]:
         """Known units of the logged quantities.
 
         Returns:
-            Units of each entry of `truth`, the reference states.
+            Units of each entry of `truth`, the reference states, of the inputs `u` that have units, and of the outputs
+            `q` if all of them do.
         """
-        return {"truth": self.units}
+        outputs = {"q": self.output_units} if all(self.output_units) else {}
+        return outputs | {"truth": self.units, "u": self.input_units}
 
     @property
     def sought(self) -> Sought:

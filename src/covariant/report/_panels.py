@@ -236,15 +236,8 @@ def _size(values: Float[np.ndarray, "T"]) -> float:
 
 
 def _labels(report: EstimateReport, form: str, per: str) -> tuple[str, ...]:
-    """Axis labels such as "dθ/dt [rad/s]"; a long name, such as that of a joint, is used alone, above its unit.
-
-    On a group, if one name is long, all names are used alone.
-    """
-    longest = max(map(len, report.coordinates)) if report.q_measured is None else 0
-    short = [max(len(name), longest) <= 4 for name in report.coordinates]
-    names = [
-        form.format(name) + " " if fits else shorten(name, 24) + "\n"
-        for name, fits in zip(report.coordinates, short, strict=True)
-    ]
+    """Axis labels such as "dθ/dt [rad/s]"; if a name is long, as that of a joint, all are used alone, above units."""
+    short = max(map(len, report.coordinates)) <= 4
+    names = [form.format(name) + " " if short else shorten(name, 24) + "\n" for name in report.coordinates]
     units = [f"[{unit or '1'}{per}]".replace("/s s", "") if unit or per == "/s" else "" for unit in report.units]
     return tuple((name + unit).strip() for name, unit in zip(names, units, strict=True))

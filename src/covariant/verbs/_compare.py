@@ -119,8 +119,8 @@ class CompareResult(AbstractTable):
         >>> noise = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
         >>> result = covariant.compare("oscillator", log, overrides=noise)
         >>> "intrinsic" in result.ranking, list(result.columns)[:3]
-        (True, ['rank', 'estimator', 'v1_rmse'])
-        >>> bool(result.columns["v1_rmse"][0] < 0.05)
+        (True, ['rank', 'estimator', 'v_rmse'])
+        >>> bool(result.columns["v_rmse"][0] < 0.05)
         True
     """
 
@@ -208,7 +208,7 @@ class CompareResult(AbstractTable):
     @property
     def headline(self) -> str:
         best, loaded, kind = self.ranking[0], self.loaded, self.loaded.kind
-        units = kind.innovation_units if loaded.reference is None else kind.estimates.units
+        units = kind.measured.units if loaded.reference is None else kind.estimates.units
         error = with_units(rounded(rmse(self.outcomes[best])), units)
         return f"{len(self.outcomes)} estimators on {len(loaded.record.t)} rows; best: {best}, RMSE {error}"
 
@@ -284,12 +284,12 @@ class CompareResult(AbstractTable):
     def _cells_without_holes(self, outcome: Outcome) -> dict[str, float]:
         if outcome.score is None or outcome.score.apart is None:
             return {}
-        return self.loaded.kind.rates.called("RMSE {} without holes").cells(outcome.score.apart.rmse)
+        return self.loaded.kind.estimates.called("RMSE {} without holes").cells(outcome.score.apart.rmse)
 
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
         loaded, kind = self.loaded, self.loaded.kind
-        labels = kind.rates if loaded.reference else Labels(loaded.file.columns.q, kind.innovation_units)
+        labels = kind.estimates if loaded.reference else kind.measured
         labels = labels.called("RMSE {}")
         return tuple(
             {

@@ -1,7 +1,7 @@
 """`describe_model`: coordinates, inputs, robot tree and geometry of a model."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +57,7 @@ def describe_model(
     facts: dict[str, Any] = {"model": name, "name": file.name}
     facts |= {"coordinates": list(file.model.coordinates), "units": list(file.model.units)}
     facts |= {"velocities": list(file.model.velocities), "inputs": len(file.columns.u)}
+    facts |= _named_quantities(file)
     facts |= {"commands": _commands(file), "placeholders": placeholders(model, overrides)}
     robot, box = _robot(model, overrides), None
     if robot is not None:
@@ -86,7 +87,7 @@ class ModelResult(AbstractResult):
         >>> from covariant import verbs
         >>> result = verbs.describe_model("oscillator", samples=5)
         >>> result
-        <ModelResult: oscillator: 1 velocities (q)>
+        <ModelResult: oscillator: 1 coordinates (q [m]); 1 inputs (u1)>
         >>> result.facts["units"], result.facts["inputs"]
         (['m'], 1)
     """
@@ -103,6 +104,25 @@ class ModelResult(AbstractResult):
 
     def __str__(self) -> str:
         return self.facts.get("equations") or "\n".join(_lines(self.facts))
+
+
+def _named_quantities(file: models.ModelFile) -> dict[str, Any]:
+    """Estimated quantities, inputs and parameters, in words with their units."""
+    model = file.model
+    named = {
+        "coordinates" if file.mechanical else "states": _headings(model.coordinates, model.units),
+        "velocities": _headings(model.velocities, model.velocity_units),
+        "inputs": _headings(file.columns.u, model.logged_units["u"]),
+    }
+    parameters = {
+        name: f"{', '.join(f'{value:.4g}' for value in np.ravel(each.value))} {each.unit}".removesuffix(" 1")
+        for name, each in model.parameters.items()
+    }
+    return {"named": named, "parameters": parameters}
+
+
+def _headings(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    return [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units or [""] * len(names), strict=True)]
 
 
 def _commands(file: models.ModelFile) -> dict[str, float]:
@@ -164,10 +184,12 @@ def _limits(robot: robots.Description, coordinates: tuple[str, ...]) -> np.ndarr
 
 
 def _lines(result: dict[str, Any]) -> Iterator[str]:
-    names = ", ".join(result["velocities"] or result["coordinates"])
-    yield f"{result['name']}: {len(result['velocities'] or result['coordinates'])} velocities ({names})"
+    counts = (f"{len(names)} {what} ({', '.join(names)})" for what, names in result["named"].items() if names)
+    yield f"{result['name']}: {'; '.join(counts)}"
     told = ", ".join(f"{name} after {1e3 * delay:.3g} ms" for name, delay in result["commands"].items())
-    yield f"{result['inputs']} inputs" + f", of servos: {told}" * bool(told)
+    if told:
+        yield f"inputs of servos: {told}"
+    yield from (f"parameter {name} = {text}" for name, text in result["parameters"].items())
     if result["placeholders"]:
         yield placeholder_sentence(result["placeholders"])
     if "robot" in result:

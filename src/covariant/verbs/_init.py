@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from covariant import logs, models
 from covariant.calibration import Draft, draft
 from covariant.models import Overrides
@@ -120,6 +122,8 @@ class InitResult(AbstractResult):
             machine = servo_draft.robot_lines(self.draft, self.joints, path)
             machine += servo_draft.servo_lines(self.draft, self.joints)
             files = {} if self.joints.path else {path: servo_draft.loose_joints(self.draft, self.joints)}
+        elif self.draft.is_ship:
+            machine = _ship(self.draft)
         elif any(self.draft.lengths):
             machine = _python_system_lines(self.draft, module)
             files = {f"{module}.py": _equations(self.draft)}
@@ -160,6 +164,8 @@ class InitResult(AbstractResult):
         lines += [f"left out: {', '.join(others)}"] if others else []
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])
+        if self.draft.is_ship:
+            return "\n".join([*lines, *_next_of_ship(self.draft)])
         todo = "put first values of your machine into [parameters] of the model file"
         if any(self.draft.lengths):
             todo += (
@@ -264,6 +270,11 @@ def _measured(guess: Draft) -> list[str]:
             *(f"# {line[0].upper()}{line[1:]}." for line in _order_guess(guess)),
             f"quaternion_wxyz = {servo_draft.quoted(guess.quaternion)}",
         ]
+    if guess.is_ship:
+        return [
+            f"position = {servo_draft.quoted(guess.q[:2])}  # towards north and east, or any two axes with z down",
+            f"angle = {servo_draft.quoted(guess.q[2:])}  # from the first axis to the second",
+        ]
     spans = ", ".join(f"{q} {low:.3g} to {high:.3g}" for q, (low, high) in zip(guess.q, guess.span, strict=True))
     called = [guess.entries[q] for q in guess.q if q in guess.entries]
     names = f"; the data set calls them {', '.join(called)}" if called else ""
@@ -290,6 +301,38 @@ def _turning_body() -> list[str]:
     ]
 
 
+def _ship(guess: Draft) -> list[str]:
+    """The system and its parameters of a ship with rudder and propeller."""
+    stated = (_list_line(name, np.ravel(each.value), each.unit) for name, each in _of_ship(guess).items())
+    return [
+        'system = "ship"  # of surge, sway and yaw; the masses are those with added mass',
+        "",
+        "[parameters]",
+        *stated,
+    ]
+
+
+def _of_ship(guess: Draft) -> dict[str, models.Parameter]:
+    """Parameters of a ship that are not zero, whose second input is a thrust or the speed of a propeller."""
+    drive = {} if _has_thrust(guess) else {"parameters.propeller": 0.05}
+    return {name: each for name, each in models.load("ship", drive).model.parameters.items() if np.any(each.value)}
+
+
+def _has_thrust(guess: Draft) -> bool:
+    return logs.is_unit_of(guess.units.get("u", ("rad", "N"))[1], ("N",))
+
+
+def _next_of_ship(guess: Draft) -> list[str]:
+    """What to do next with the draft of a ship."""
+    names, scale = list(_of_ship(guess)), "the thrust tells the masses"
+    if not _has_thrust(guess):
+        names, scale = names[1:], "no force is logged: all forces scale with the masses, which are not fitted"
+    return [
+        f"put the numbers of the data sheet into [parameters] of the model file; {scale}",
+        f"then fit: covariant fit MODEL LOG --parameters {','.join(names)} -o FITTED",
+    ]
+
+
 def _chain(guess: Draft) -> list[str]:
     """The system and its parameters where all positions are angles."""
     n = len(guess.q)
@@ -310,16 +353,20 @@ def _chain(guess: Draft) -> list[str]:
         _guess_line("coulomb", 0.01, n, "N m, times atan(100 v): dry friction, divided by pi/2"),
     ]
     if len(guess.u) < n:
-        lines.append(
-            f"actuated = {list(range(len(guess.u)))}"
-            + ("  # joints that the inputs drive, from 0: the first ones are guessed" if guess.u else "")
-        )
+        how = "as they are named" if guess.driven else "the first ones are guessed"
+        driven = guess.driven or list(range(len(guess.u)))
+        lines.append(f"actuated = {driven}" + f"  # joints that the inputs drive, from 0: {how}" * bool(guess.u))
     return lines
 
 
 def _guess_line(key: str, value: float, n: int, what: str) -> str:
     """The line of a parameter of n entries, or of one number where n is 0, whose value is a guess."""
-    return f"{key} = {[value] * n if n else value}  {marked([value] * max(n, 1))}; {what}"
+    return _list_line(key, [value] * max(n, 1), what, bool(n))
+
+
+def _list_line(key: str, values: Sequence[float] | np.ndarray, what: str, is_list: bool = False) -> str:
+    numbers = [float(value) for value in values]
+    return f"{key} = {numbers if is_list or len(numbers) > 1 else numbers[0]}  {marked(numbers)}; {what}"
 
 
 def _python_system_lines(guess: Draft, module: str) -> list[str]:
@@ -366,8 +413,9 @@ def _equations(guess: Draft) -> str:
         "UNITS": ", ".join('"m"' if is_length else '"rad"' for is_length in guess.lengths) + trailing,
         "CIRCLES": tuple(i for i, is_length in enumerate(guess.lengths) if not is_length),
         "INPUTS": m,
-        "PUSHES": f"the first {m} of {n} positions" if m else "no position",
-        "REST": n - m,
+        "PUSHES": "the positions that they name" if guess.driven else f"the first {m} of {n} positions: a guess",
+        "POSITIONCOUNT": n,
+        "DRIVEN": guess.driven or list(range(m)),
     }
     machine = fill("covariant.verbs", "machine.py", words).splitlines()
     file = "cart_pole.py" if _is_cart_pole(guess) else "separate_masses.py"
@@ -376,6 +424,10 @@ def _equations(guess: Draft) -> str:
 
 def _sensor(guess: Draft) -> str:
     unit = _both(guess, "m", "rad")
+    if guess.is_ship:
+        x, y, turn = np.ravel(guess.noise)
+        noise = (max(x, y), max(x, y), turn)
+        return f"std = {_digits(noise, 3)}  # m, m, rad, at most: along, across, about; from third differences"
     if isinstance(guess.quantum, tuple) and guess.servos:
         return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick of each position of this log"
     if guess.quantum is not None:

@@ -74,7 +74,7 @@ def simulate(
         >>> import covariant
         >>> result = covariant.simulate("oscillator", duration=2.0, rate=100.0, q0=[1.0], noise=1e-3)
         >>> list(result.columns)
-        ['t', 'q', 'u1', 'true_q', 'true_v1']
+        ['t', 'q', 'u1', 'true_q', 'true_v']
     """
     scenario = Scenario(duration, rate, q0, v0, amplitude, frequency, noise, quantum, jitter, dropout, seed, push)
     check_scenario(scenario)
@@ -104,7 +104,7 @@ class SimulateResult(AbstractTable):
         >>> result
         <SimulateResult: 201 rows over 2 s of oscillator>
         >>> result.truth_columns, round(float(result.columns["q"][0]), 6)
-        (('true_v1',), 1.0)
+        (('true_v',), 1.0)
     """
 
     model_name: str

@@ -13,9 +13,10 @@ from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
 from covariant.verbs.base.estimates import EstimateResult, choose_observer, error_lines, head_lines, hole_lines
 from covariant.verbs.base.inputs import ColumnNames, Job, load, refuse_delays
-from covariant.verbs.base.outcome import KEPT, deviations, rounded, scored, with_units
+from covariant.verbs.base.outcome import deviations, rounded, scored, with_units
 from covariant.verbs.base.pages import AbstractEstimates, estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
+from covariant.verbs.base.start import KEPT
 from scalargraph.errors import InputError
 
 
@@ -120,7 +121,7 @@ class SmoothResult(AbstractEstimates):
         >>> result
         <SmoothResult: velocity from 201 rows by intrinsic-kalman, smoothed from 10 rows after each>
         >>> list(result.columns)
-        ['t', 'q1', 'v1', 'v1_std', 'q1_std', 'v1_filtered', 'v1_filtered_std']
+        ['t', 'q', 'v', 'v_std', 'q_std', 'v_filtered', 'v_filtered_std']
     """
 
     smoothed: EstimateResult
@@ -145,19 +146,19 @@ class SmoothResult(AbstractEstimates):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        table, kind = self.smoothed.columns, self.smoothed.loaded.kind
+        table, kind = {}, self.smoothed.loaded.kind
         table |= {f"{name}_std": std for name, std in zip(kind.positions.names, self.error_std.T, strict=False)}
         for suffix, values in (("", self.filtered.velocity), ("_std", deviations(self.filtered.run.info))):
             for name, column in zip(kind.estimates.names, np.asarray(values).T, strict=True):
                 table[f"{name}_filtered{suffix}"] = column
-        return table
+        return self.smoothed.columns | self.smoothed.loaded.file.columns.as_logged(table)
 
     @property
     def units(self) -> dict[str, str]:
         units = self.smoothed.units
         for name, unit in self.smoothed.loaded.kind.estimates.table.items():
             units |= {f"{name}_filtered": unit, f"{name}_filtered_std": unit}
-        return units
+        return units | self.smoothed.loaded.file.columns.units_of(units)
 
     @property
     def _estimated(self) -> EstimateResult:

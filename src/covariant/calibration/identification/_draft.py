@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
@@ -12,7 +13,15 @@ from jaxtyping import Float
 from covariant import logs
 from covariant.calibration.diagnosis import periods
 from covariant.calibration.identification._explained import driving, explained, odd_rates, quaternion, velocities
-from covariant.calibration.identification._names import LENGTHS, REGISTERS, TURNS, product_of
+from covariant.calibration.identification._names import (
+    DEGREES,
+    LENGTHS,
+    REGISTERS,
+    TURNS,
+    paired,
+    positions_of,
+    product_of,
+)
 from covariant.calibration.identification._roles import LogColumns, role
 from covariant.calibration.identification._servo_columns import (
     Inputs,
@@ -30,12 +39,11 @@ from covariant.calibration.identification._servo_units import (
     servos_of,
     units_of_commands,
 )
+from covariant.calibration.identification._ship_columns import ShipColumns, ship_columns
 from covariant.calibration.identification._stamp_columns import find_stamps, refuse_stamps, seconds, unit_of_time
 from covariant.scoring import unwrap
 from scalargraph.errors import InputError
 
-DEGREES = 50.0
-"""Span [rad] of an angle from which it is more likely in degrees."""
 HIDDEN = 50.0
 """Usual change of the steps from row to row, in ticks, from which noise hides these: they are how numbers were printed.
 """
@@ -72,6 +80,7 @@ class Draft(NamedTuple):
             "voltage", "temperature".
         remarks: Sentences on what was guessed of the inputs.
         entries: What the log calls the entries of lists, by column.
+        is_ship: Whether the positions are the pose of a ship in the plane, and the inputs its rudder and propeller.
 
     Example:
         >>> import numpy as np
@@ -102,12 +111,18 @@ class Draft(NamedTuple):
     registers: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     remarks: tuple[str, ...] = ()
     entries: Mapping[str, str] = MappingProxyType({})
+    is_ship: bool = False
 
     @property
     def unused(self) -> tuple[list[str], list[str]]:
         """Registers of a drive, and the other columns that are left out."""
         registers = [name for names in self.registers.values() for name in names]
         return registers, [name for name in self.left_out if name not in registers]
+
+    @property
+    def driven(self) -> list[int]:
+        """Indices of the positions that the inputs drive, by their names; empty if these do not say so."""
+        return positions_of(self.q, self.u)
 
     @property
     def units_of_positions(self) -> tuple[str, ...]:
@@ -170,6 +185,8 @@ def _drafted(log: LogColumns) -> Draft | None:
     attitude = () if "q" in log.given else quaternion(log)
     if attitude:
         return _draft_of_attitude(log, attitude) if log.t else None
+    if "q" not in log.given and (ship := ship_columns(log)):
+        return _draft_of_ship(log, ship) if log.t else None
     log, q, inputs = _positions_and_inputs(log)
     log, v, guessed = _labels(log, q, inputs)
     if not log.t:
@@ -179,7 +196,7 @@ def _drafted(log: LogColumns) -> Draft | None:
     q, v = tuple(q[i] for i in order), tuple(v[i] for i in order if v)
     inputs = inputs._replace(drives=tuple(inputs.drives[i] for i in order if inputs.drives))
     torques = {name: logs.unit_in_name(log.labels[name], ("N m",)) is not None for name in inputs.u}
-    u = inputs.u if "u" in log.given else tuple(sorted(inputs.u, key=torques.__getitem__))
+    u = inputs.u if "u" in log.given else tuple(sorted(paired(q, inputs.u), key=torques.__getitem__))
     guess = _roles_and_units(log, q, u, v)
     if "q" not in log.units:
         guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
@@ -216,6 +233,9 @@ def _read(
     }
     marks = {name: "desired" for name in desired if "d" in logs.words_of(name)}
     roles = {name: role(labels[name], entries.get(name, marks.get(name, ""))) for name in columns if name not in fixed}
+    # A JointState has the position of a joint under its name, beside what else is known of it.
+    beside = {name.rpartition("/")[0] for name, each in roles.items() if each in ("v", "u")}
+    roles |= {name: "q" for name, each in roles.items() if not each and name in beside}
     if product := product_of(columns):
         fields = roles | {name: field for field, names in given.items() for name in names}
         turns = {name: TURNS[each] for name, each in fields.items() if each in TURNS and labels[name] == name}
@@ -244,6 +264,10 @@ def _positions_and_inputs(log: LogColumns) -> tuple[LogColumns, tuple[str, ...],
     if "q" not in log.given:
         log, q = explained(log, q)
     log.ask(_one_family, "q", q, log, otherwise=None)
+    last = Counter("/".join(name.split("/")[-2:]) for name in q)
+    if "q" not in log.given and len(last) < len(q) and max(last.values()) > 1:
+        twice = ", ".join(name for name, count in last.items() if count > 1)
+        raise InputError(f'several topics have {twice}; name the positions of one by `columns["q"]`{log.listed}')
     refuse_poses(log, q)
     inputs = find_inputs(log, q)
     if "q" not in log.given:
@@ -379,6 +403,21 @@ def _noise(y: np.ndarray, lengths: Sequence[bool]) -> float:
     steps = np.where(lengths, steps, steps - 2 * np.pi * np.round(steps / (2 * np.pi)))
     # Third differences of white noise have 1 + 9 + 9 + 1 = 20 times its variance.
     return float(np.sqrt(np.nanmean(np.diff(steps, 2, axis=0) ** 2) / 20))
+
+
+def _draft_of_ship(log: LogColumns, ship: ShipColumns) -> Draft:
+    """Roles of the columns of a log of a ship with rudder and propeller."""
+    log = log.labelled({name: "m" for name in ship.pose[:2] if log.unit(name, "q") is None})
+    log = log.with_units("t", (log.t,)).with_units("q", ship.pose).with_units("u", ship.u).with_units("v", ship.v)
+    _ask_unknown_units(log, {"t": (log.t,), "q": ship.pose})
+    guess = _roles_and_units(log, ship.pose, ship.u, ship.v)
+    guess = _with_resolution(guess._replace(lengths=(True, True, False)), log)
+    x, y, turn = guess.units_of_positions
+    position = {"position": (x, y)} if (x, y) != ("m", "m") else {}
+    units = {"t": guess.units.get("t", ("s",))} | position | {"angle": (turn,)} | ship.units(log)
+    stated = {key: texts for key, texts in units.items() if any(logs.unit_factor(text) != 1 for text in texts)}
+    guessed = tuple({"q": "angle"}.get(each, each) for each in guess.guessed)
+    return guess._replace(units=stated, guessed=guessed, quantum=None, period=(), is_ship=True)
 
 
 def _draft_of_attitude(log: LogColumns, names: tuple[str, ...]) -> Draft:

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration.identification._commands import FEWEST_CHANGES
-from covariant.calibration.identification._names import EULER, point_in_plane
+from covariant.calibration.identification._names import EULER, paired, point_in_plane
 from covariant.calibration.identification._roles import LogColumns, role
+from covariant.calibration.identification._ship_columns import plane_and_heading
 from covariant.calibration.identification._stamp_columns import is_near
 from covariant.logs import Register, is_unit_of, without_unit, words_of
 from scalargraph.errors import InputError
@@ -48,17 +49,17 @@ def explained(log: LogColumns, q: tuple[str, ...]) -> tuple[LogColumns, tuple[st
             f'frame[["qx", "qy", "qz", "qw"]] = scipy.spatial.transform.Rotation.from_euler("ZYX", '
             f'frame[[{z!r}, {y!r}, {x!r}]]{degrees}).as_quat(), or name them by `columns["q"]` if they are joints'
         )
+    if pose := plane_and_heading(dataclasses.replace(log, roles=roles)):
+        x, y, turn = pose
+        raise InputError(
+            f"{x}, {y}, {turn} are the pose of a craft in the plane, and no joints: write a model file with the "
+            'system "ship" (u: a rudder and a thrust) or "hovercraft" (two thrusts) with '
+            f'position = ["{x}", "{y}"] and angle = ["{turn}"], or "manoeuvring_ship" (u: rudder and revolutions), '
+            f'"supply_vessel" or "cybership" (u: two forces and a moment) with q = ["{x}", "{y}", "{turn}"]; '
+            'or name them by `columns["q"]` if they are joints'
+        )
     plane = point_in_plane(words)
     if plane is not None:
-        turn = next((name for name in words if words[name] & (EULER[2] | {"theta"}) and name not in plane), None)
-        if turn is not None:
-            x, y = plane
-            raise InputError(
-                f"{x}, {y}, {turn} are the pose of a craft in the plane, and no joints: write a model file with the "
-                'system "manoeuvring_ship" (u: rudder and revolutions), "supply_vessel" or "cybership" (u: two forces '
-                f'and a moment), all with [columns] q = ["{x}", "{y}", "{turn}"], or "hovercraft" (two thrusts) with '
-                f'position = ["{x}", "{y}"] and angle = ["{turn}"]; or name them by `columns["q"]` if they are joints'
-            )
         log = log.labelled({name: "m" for name in plane if log.unit(name, "q") is None})
         roles |= dict.fromkeys(plane, "q")
     log = dataclasses.replace(log, roles=roles)
@@ -86,7 +87,7 @@ def odd_rates(log: LogColumns, q: tuple[str, ...], v: tuple[str, ...]) -> list[s
 
 def velocities(log: LogColumns, q: tuple[str, ...]) -> tuple[str, ...]:
     """The velocity of each position: of what is called so, or of what has no name, what follows its slope."""
-    named = tuple(name for name in log.of("v") if not Register.of(log[name]).negative)
+    named = paired(q, [name for name in log.of("v") if not Register.of(log[name]).negative])
     if len(named) == len(q):
         return named if not any(_is_off(log, *pair) for pair in zip(q, named, strict=True)) else ()
     found = []

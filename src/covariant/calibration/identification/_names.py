@@ -1,7 +1,7 @@
 """Names of columns: words by role, and the names that drives and programs give to what they log."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from covariant.logs import without_unit, words_of
 
@@ -32,8 +32,10 @@ LENGTHS = words_of("height altitude depth stroke travel slide cart")
 """Words of positions that are lengths."""
 FEED_FORWARD = words_of("ff feedforward feed forward")
 """Words of torques that a drive adds to those that follow from its command."""
-EULER = (words_of("roll phi"), words_of("pitch theta"), words_of("yaw psi heading"))
+EULER = (words_of("roll phi"), words_of("pitch theta"), words_of("yaw psi heading hdg"))
 """Words of the angles about x, y and z by which an attitude is logged."""
+DEGREES = 50.0
+"""Span [rad] of an angle from which it is more likely in degrees."""
 PLANE = ("x y", "px py", "north east", "n e", "easting northing")
 """Names of the two coordinates of a point in the plane, without the words for a position."""
 
@@ -62,3 +64,25 @@ def point_in_plane(names: Iterable[str]) -> tuple[str, str] | None:
     pairs = ((plain.get(first), plain.get(second)) for first, second in map(str.split, PLANE))
     found = next(((first, second) for first, second in pairs if first and second), None)
     return None if {"z", "pz", "down", "d"} & set(plain) else found
+
+
+def positions_of(q: Sequence[str], names: Sequence[str]) -> list[int]:
+    """Index of the position to which each input or velocity belongs by its words and numbers; empty if one is unclear.
+
+    So shoulder/effort is that of shoulder, and tau2 that of q2.
+    """
+    roles = words_of(" ".join(WORDS.values())) | words_of("measured actual estimate value data")
+
+    def joint(name: str) -> frozenset[str]:
+        plain = without_unit(name)
+        return frozenset(words_of(plain) - roles) | frozenset(re.findall("[0-9]+", plain))
+
+    places = {joint(name): k for k, name in enumerate(q)}
+    found = [places[joint(name)] for name in names if joint(name) in places]
+    return found if len(places) == len(q) and len({*found}) == len(found) == len(names) else []
+
+
+def paired(q: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Names of inputs or velocities in the order of their positions, if they say which these are."""
+    places = positions_of(q, names)
+    return tuple(name for _, name in sorted(zip(places, names, strict=True))) if places else tuple(names)

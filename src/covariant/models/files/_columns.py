@@ -69,7 +69,7 @@ def _in_coordinates(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
     check_model(model, n)
     m = input_count(model, n)
     servos = servos_in(model)
-    inputs = _numbered_names("u", m) if servos is None else servos.input_names
+    inputs = _input_names(model, m) if servos is None else servos.input_names
     columns = Columns(q=model.coordinates, u=inputs)._replace(**names)
     _check_count("q", columns.q, n, "coordinates")
     _check_count("u", columns.u, m, "inputs")
@@ -83,7 +83,7 @@ def _of_outputs(model: StateSpace, names: dict[str, Any]) -> Columns:
         raise InputError("the model names no coordinates; give it some: they say how many states it has")
     if names.get("v"):
         raise InputError("columns.v: a state-space model has no velocities; name its outputs in columns.q")
-    columns = Columns(q=model.outputs, u=_numbered_names("u", model.inputs))._replace(**names)
+    columns = Columns(q=model.outputs, u=_input_names(model, model.inputs))._replace(**names)
     _check_count("q", columns.q, len(model.outputs), "outputs")
     _check_count("u", columns.u, model.inputs, "inputs")
     _check_count("truth", columns.truth or model.coordinates, len(model.coordinates), "states")
@@ -102,7 +102,7 @@ def _on_manifold(model: MechanicalSystem, names: dict[str, Any]) -> Columns:
         raise InputError(f"columns.{attitudes[0]}: the model has no attitude in space; {needs.remedy}")
     columns = Columns(
         q=model.coordinates if needs.q else (),
-        u=_numbered_names("u", inputs),
+        u=_input_names(model, inputs),
         position=("px", "py", "pz")[: needs.position],
         angle=_numbered_names("angle", needs.angle) if needs.angle != 1 else ("angle",),
     )._replace(**names)
@@ -157,6 +157,10 @@ def _check_units(model: Model, columns: Columns) -> None:
                 check_unit(columns.unit_of(key, i) or unit, unit)
             except InputError as error:
                 raise InputError(f"units.{key}: {error}") from error
+
+
+def _input_names(model: Model, count: int) -> tuple[str, ...]:
+    return model.input_names or _numbered_names("u", count)
 
 
 def _numbered_names(letter: str, count: int) -> tuple[str, ...]:

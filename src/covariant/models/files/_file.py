@@ -45,10 +45,13 @@ def _complete_file(loaded: ModelFile, name: str, content: dict[str, Any]) -> Mod
     model: Any = loaded.model
     if loaded.mechanical and model.manifold.commuting:
         check_metric(model, _points(len(columns.q)))
-    # On a group, errors are components in the body frame and not logged columns, so one number serves for all.
+    velocities = len(model.velocities if loaded.mechanical else ()) or len(columns.q)
     counts = {
+        # All parts of a pose are read together, so that one delay serves for all of them.
         "coordinate": len(columns.q) if model.manifold.commuting else 1,
-        "velocity": len(model.velocities if loaded.mechanical else ()) or len(columns.q),
+        # On a group, errors are components in the body frame and not logged columns.
+        "component": len(columns.q) if model.manifold.commuting else velocities,
+        "velocity": velocities,
         "state": 0 if loaded.mechanical else len(model.coordinates),
         "input": len(columns.u),
     }

@@ -11,7 +11,8 @@ from scalargraph.errors import InputError
 _EXPECTED = {POSITIVE: "positive number", ZERO_OR_MORE: "number ≥ 0", ANY_SIGN: "finite number"}
 
 Counts = Mapping[str, int]
-"""Length of a list with one number for each "coordinate", "velocity", "state" or "input"; 0 if the model has none."""
+"""Length of a list with one number for each "coordinate", "velocity", "state" or "input", or for each "component" of an
+error of measured configurations; 0 if the model has none."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Number:
 
     path: str
     least: float = POSITIVE
-    each: Literal["", "coordinate", "velocity", "state", "input"] = ""
+    each: Literal["", "coordinate", "component", "velocity", "state", "input"] = ""
     replaces: tuple[str, ...] = ()
     whole: bool = False
 

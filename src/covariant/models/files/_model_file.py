@@ -122,7 +122,7 @@ class ModelFile(NamedTuple):
     input_lead: Annotated[Several, Number("inputs.lead", ANY_SIGN, "input")] = 0.0
     input_kind: Annotated[str, Choice("inputs.kind", ("torque", "command"))] = "torque"
     input_between: Annotated[str, Choice("inputs.between", ("held", "linear"))] = "held"
-    measurement_std: Annotated[Unknown, Number("measurement.std", each="coordinate", replaces=("quantum",))] = None
+    measurement_std: Annotated[Unknown, Number("measurement.std", each="component", replaces=("quantum",))] = None
     delay: Annotated[Several, Number("measurement.delay", ZERO_OR_MORE, "coordinate")] = 0.0
     quantum: Annotated[Unknown, Number("measurement.quantum", each="coordinate", replaces=("std",))] = None
     period: Annotated[Several, Number("measurement.period", ZERO_OR_MORE, "coordinate")] = 0.0

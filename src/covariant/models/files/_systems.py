@@ -32,6 +32,7 @@ SYSTEMS = {
     "robot": "robots:load",
     "satellite": "systems._satellite:satellite",
     "satellite_arm": "systems._satellite_arm:satellite_arm",
+    "ship": "marine:ship",
     "supply_vessel": "marine:supply_vessel",
     "underwater_vehicle": "systems._underwater_vehicle:underwater_vehicle",
     "unknown_frequency": "systems._unknown_frequency:unknown_frequency",

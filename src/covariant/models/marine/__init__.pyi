@@ -10,6 +10,7 @@ from ._craft import (
 from ._dynamic_positioning import Station as Station, Waves as Waves
 from ._manoeuvring import manoeuvring_ship as manoeuvring_ship
 from ._odin import odin as odin
+from ._ship import ship as ship
 from ._ships import cybership as cybership, supply_vessel as supply_vessel, surface_ship as surface_ship
 
 __all__ = ["Craft", "Station", "Waves", "euler_rotation", "odin", "supply_vessel"]

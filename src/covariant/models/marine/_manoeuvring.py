@@ -19,36 +19,17 @@ from covariant.models.marine._craft import yaw_rotation
 
 _MMG = "Yasukawa & Yoshimura 2015, KVLCC2"
 
-HULL = {
-    "R0": 0.022,
-    "Xvv": -0.040,
-    "Xvr": 0.002,
-    "Xrr": 0.011,
-    "Xvvvv": 0.771,
-    "Yv": -0.315,
-    "Yr": 0.083,
-    "Yvvv": -1.607,
-    "Yvvr": 0.379,
-    "Yvrr": -0.391,
-    "Yrrr": 0.008,
-    "Nv": -0.137,
-    "Nr": -0.049,
-    "Nvvv": -0.030,
-    "Nvvr": -0.294,
-    "Nvrr": 0.055,
-    "Nrrr": -0.013,
-}
+HULL = (
+    {"R0": 0.022, "Xvv": -0.040, "Xvr": 0.002, "Xrr": 0.011, "Xvvvv": 0.771}
+    | {"Yv": -0.315, "Yr": 0.083, "Yvvv": -1.607, "Yvvr": 0.379, "Yvrr": -0.391, "Yrrr": 0.008}
+    | {"Nv": -0.137, "Nr": -0.049, "Nvvv": -0.030, "Nvvr": -0.294, "Nvrr": 0.055, "Nrrr": -0.013}
+)
 """Dimensionless hydrodynamic derivatives of the hull: forces by ½ρLdU², moments by ½ρL²dU², velocities by U and U/L."""
 
 PROPELLER = {"k0": 0.2931, "k1": -0.2753, "k2": -0.1385, "deduction": 0.220, "C1": 2.0, "C2+": 1.6, "C2-": 1.1}
 """Thrust `K_T = k0 + k1 J + k2 J²`, thrust deduction, and the wake that changes with the inflow angle."""
 
-RUDDER = {
-    "deduction": 0.387,
-    "hull": 0.312,
-    "place": -0.464,
-    "straightening+": 0.640,
-    "straightening-": 0.395,
+RUDDER = {"deduction": 0.387, "hull": 0.312, "place": -0.464, "straightening+": 0.640, "straightening-": 0.395} | {
     "arm": -0.710,
     "wake": 1.09,
     "jet": 0.50,
@@ -111,6 +92,9 @@ def manoeuvring_ship(
     # The source assumes the radius of gyration L/4; the moment is about midships, hence Steiner's term.
     turning = mass * (length / 4) ** 2 + centre**2 * mass + added["z"]
     ratio = propeller_diameter / rudder_height
+    stated = {"length": (length, "m"), "draught": (draught, "m"), "displacement": (displacement, "m^3")}
+    stated |= {"centre": (centre, "m"), "propeller_diameter": (propeller_diameter, "m"), "wake": (wake, "1")}
+    stated |= {"rudder_height": (rudder_height, "m"), "rudder_area": (rudder_area, "m^2")}
     return StateSpace(
         Parametric(
             _f,
@@ -133,20 +117,12 @@ def manoeuvring_ship(
         coordinates=("north", "east", "heading", "surge", "sway", "yaw_rate"),
         units=("m", "m", "rad", "m/s", "m/s", "rad/s"),
         outputs=("north", "east", "heading"),
-        inputs=2,
+        inputs={"rudder": "rad", "revolutions": "1/s"},
         circles=(2,),
-        parameters={
-            "length": Parameter(length, "m", _MMG),
-            "draught": Parameter(draught, "m", _MMG),
-            "displacement": Parameter(displacement, "m^3", _MMG),
-            "centre": Parameter(centre, "m", _MMG),
-            "propeller_diameter": Parameter(propeller_diameter, "m", _MMG),
-            "rudder_height": Parameter(rudder_height, "m", _MMG),
-            "rudder_area": Parameter(rudder_area, "m^2", _MMG),
-            "wake": Parameter(wake, "1", _MMG),
-            "hull": Parameter(list(h.values()), "1", f"{_MMG}: {', '.join(h)}"),
-            "propeller": Parameter(list(p.values()), "1", f"{_MMG}: {', '.join(p)}"),
-            "rudder": Parameter(list(r.values()), "1", f"{_MMG}: {', '.join(r)}"),
+        parameters={name: Parameter(value, unit, _MMG) for name, (value, unit) in stated.items()}
+        | {
+            name: Parameter(list(each.values()), "1", f"{_MMG}: {', '.join(each)}")
+            for name, each in (("hull", h), ("propeller", p), ("rudder", r))
         },
     )
 

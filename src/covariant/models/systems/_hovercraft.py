@@ -47,7 +47,7 @@ def hovercraft(
         Parametric(_drag, coefficients=drag),
         velocities=("surge", "sway", "yaw_rate"),
         units=("m/s", "m/s", "rad/s"),
-        inputs=2,
+        inputs={"right_thrust": "N", "left_thrust": "N"},
         parameters={
             "mass": Parameter(mass, "kg", _SOURCE),
             "inertia": Parameter(inertia, "kg m^2", _SOURCE),

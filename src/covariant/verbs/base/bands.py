@@ -53,7 +53,7 @@ def _larger(job: Job, info: Any, outcome: Outcome) -> str | None:
 
 def _narrow(loaded: Loaded, info: Any, outcome: Outcome) -> list[str]:
     cov, innovation = known(info, "innovation_cov"), known(info, "innovation")
-    names = loaded.kind.rates.names
+    names = loaded.kind.estimates.names
     if cov is None or innovation is None or innovation.shape[1] != len(names):
         return []
     used = (np.asarray(info.result) < StepCode.OUTLIER) & np.any(innovation != 0, axis=1)

@@ -103,7 +103,7 @@ class Design(NamedTuple):
 
     @property
     def _gate_units(self) -> dict[str, tuple[str, ...]]:
-        units = kind_of(self.file).innovation_units
+        units = kind_of(self.file).measured.units
         return {"noise": units, "speed": tuple(f"{unit}/s" for unit in units)}
 
     def explain_gate(self) -> tuple[str, str]:

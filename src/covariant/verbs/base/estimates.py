@@ -20,7 +20,7 @@ from covariant.verbs.base.bands import narrow_bands
 from covariant.verbs.base.design import design, widens
 from covariant.verbs.base.determined import Determinacy
 from covariant.verbs.base.holes import LONGEST_SHOWN
-from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known, tells_noise
+from covariant.verbs.base.inputs import INFORMED, Job, Loaded, last_known, tells_noise, with_acting_inputs
 from covariant.verbs.base.outcome import (
     Outcome,
     Pushes,
@@ -38,6 +38,7 @@ from covariant.verbs.base.outcome import (
 from covariant.verbs.base.pages import AbstractEstimates, accuracy, estimate_report
 from covariant.verbs.base.refusals import LISTED, Refusal, refusals, refused_text
 from covariant.verbs.base.sensors import SensorCount, sensor_counts
+from covariant.verbs.base.start import Started
 from covariant.verbs.base.without_model import WithoutModel, without_model
 
 
@@ -60,8 +61,8 @@ class EstimateResult(AbstractEstimates):
         >>> result = covariant.estimate("oscillator", log, alpha=40.0, beta=800.0)
         >>> result
         <EstimateResult: velocity from 201 rows by intrinsic>
-        >>> list(result.columns), result.units["v1"]
-        (['t', 'q1', 'v1'], 'm/s')
+        >>> list(result.columns), result.units["v"]
+        (['t', 'q', 'v'], 'm/s')
         >>> bool((result.codes == covariant.StepCode.OK).all())
         True
     """
@@ -78,6 +79,13 @@ class EstimateResult(AbstractEstimates):
     def run(self) -> Run:
         """Stamps, estimates and diagnostics of every sample."""
         return self.outcome.run
+
+    @property
+    def observer(self) -> AbstractObserver:
+        """The observer, for an `engine.Stream`: it takes inputs as they are sent, and starts at rest."""
+        driven: Any = self.outcome.driven
+        inner = driven.observer if isinstance(driven, Started) else driven
+        return with_acting_inputs(inner, self.loaded.file, self.loaded.rate, self.loaded)
 
     @property
     def t(self) -> np.ndarray:
@@ -123,13 +131,14 @@ class EstimateResult(AbstractEstimates):
     @property
     def columns(self) -> dict[str, np.ndarray]:
         kind = self.loaded.kind
-        return self._columns(kind.positions.names, kind.estimates.names)
+        return self.loaded.file.columns.as_logged(self._columns(kind.positions.names, kind.estimates.names))
 
     @property
     def units(self) -> dict[str, str]:
         table = self.loaded.kind.estimates.table | self.loaded.kind.positions.table
         units = {"t": "s"} | table | {f"{name}_std": unit for name, unit in table.items()}
-        return units | {name: unit for name, (unit, _) in self._torques.items()}
+        units |= {name: unit for name, (unit, _) in self._torques.items()}
+        return units | self.loaded.file.columns.units_of((*units, *self.loaded.file.columns.measured))
 
     @functools.cached_property
     def _torques(self) -> dict[str, tuple[str, np.ndarray]]:
@@ -347,7 +356,10 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
     if f"{what}_rmse" in result:
         errors = with_units(result[f"{what}_rmse"], loaded.kind.estimates.units)
         lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
-    units = loaded.kind.innovation_units
+    if "start_rows" in result:
+        first = float(loaded.record.t[result["start_rows"] - 1] - loaded.record.t[0])
+        lines.append(f"the first {first:.3g} s determine the start, and are not scored")
+    units = loaded.kind.measured.units
     lines.append(f"innovation RMS: {with_units(result['innovation_rms'], units)}")
     if "innovation_rms_refused" in result:
         refused = with_units(result["innovation_rms_refused"], units)

@@ -494,7 +494,7 @@ def _details(
 ) -> dict[str, Any]:
     """Numbers before and after a fit, those that are still placeholders, and its errors on what is held out."""
     file = logs.logs[0].loaded.file
-    names, units = coordinates(file) if file.mechanical else (file.columns.q, ("",) * len(file.columns.q))
+    names, units = coordinates(file) if file.mechanical else (file.columns.q, logs.logs[-1].loaded.kind.measured.units)
     reference = logs.logs[-1].loaded.reference
     ratio = error_growth(before, after)
     # The number of a machine, viscous@arm1, is no longer the placeholder of the file if one machine shows it.

@@ -5,6 +5,7 @@ are scored against, for observers and their noise, and for measurements of a sel
 """
 
 import abc
+import re
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -22,6 +23,11 @@ from covariant.verbs.base.arguments import Amounts
 def numbered(letter: str, count: int) -> tuple[str, ...]:
     """Names from a letter and a number that counts from 1, such as "q1", "q2"."""
     return tuple(f"{letter}{i + 1}" for i in range(count))
+
+
+def rate_name(coordinate: str) -> str:
+    """Name of the rate of a coordinate: v1 of q1, and elbow_dot of elbow."""
+    return re.sub("^q", "v", coordinate) if re.fullmatch(r"q\d*", coordinate) else f"{coordinate}_dot"
 
 
 class Labels(NamedTuple):
@@ -77,9 +83,9 @@ class AbstractKind(abc.ABC):
 
     @property
     def estimates(self) -> Labels:
-        """Names and units of the estimates: velocities, v1, v2, … where the model names none, or states."""
+        """Names and units of the estimates: velocities, after the coordinates where the model names none, or states."""
         names, units, n = self.model.sought.names, self.model.sought.units, self.file.dimension
-        return Labels(names or numbered("v", n), units or ("1/s",) * n)
+        return Labels(names or tuple(map(rate_name, self.axes.names)), units or ("1/s",) * n)
 
     @property
     def axes(self) -> Labels:
@@ -88,13 +94,6 @@ class AbstractKind(abc.ABC):
             return Labels(self.model.sought.names, self.model.sought.units)
         names = self.model.coordinates or numbered("q", self.file.dimension)
         return Labels(names, self.model.units or ("",) * len(names))
-
-    @property
-    def rates(self) -> Labels:
-        """Names and units of the estimates for headings of a table, such as "dangle/dt"."""
-        if self.model.sought.names:
-            return self.axes
-        return self.axes.called("d{}/dt")._replace(units=tuple(f"{unit}/s" for unit in self.axes.units))
 
     @property
     def force_units(self) -> tuple[str, ...]:
@@ -114,13 +113,8 @@ class AbstractKind(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def innovation_units(self) -> tuple[str, ...]:
-        """Units of the innovations, "" where they are not known."""
-
-    @property
-    def noise_axes(self) -> tuple[str, ...]:
-        """Names of the components of a measurement's noise."""
-        return self.file.columns.q
+    def measured(self) -> Labels:
+        """Names of the components of a measurement and of its innovation, and their units, "" where not known."""
 
     def check(self, y: np.ndarray) -> None:  # noqa: B027  most kinds have nothing to check
         """Check the model at measurements (T, *n); raises `ValueError` where it makes no sense there."""

@@ -57,11 +57,6 @@ class AbstractMechanical(AbstractKind):
     )
     gates = " All are behind a gate that refuses outliers."
 
-    @property
-    def innovation_units(self) -> tuple[str, ...]:
-        units = self.axes.units
-        return tuple(f"{unit} s".replace("/s s", "").strip() for unit in units) if self.model.velocities else units
-
     def slopes(self, log: logs.Log) -> tuple[np.ndarray, str]:
         full, at = log.all_rows, np.asarray(log.record.t)
         t, y, order = np.asarray(full.t), self.complete(np.asarray(full.y)), int(self.file.reference_order)
@@ -143,6 +138,8 @@ class AbstractMechanical(AbstractKind):
     def _input_labels(self, inputs: int) -> Labels:
         # A system of this library with as many inputs as velocities takes generalised forces.
         names = _input_names(self.file, inputs)
+        if self.model.input_units:
+            return Labels(names, self.model.input_units)
         if self.file.system and inputs == self.file.dimension:
             return Labels(names, self.force_units)
         stated = [self.file.columns.unit_of("u", place) for place in range(inputs)]
@@ -154,7 +151,11 @@ class InCoordinates(AbstractMechanical):
 
     @property
     def positions(self) -> Labels:
-        return Labels(numbered("q", self.file.dimension), self.model.units)
+        return self.axes
+
+    @property
+    def measured(self) -> Labels:
+        return Labels(self.file.columns.q, self.axes.units)
 
     @property
     def message_columns(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -235,8 +236,10 @@ class OnGroup(AbstractMechanical):
     has_ticks = False
 
     @property
-    def noise_axes(self) -> tuple[str, ...]:
-        return self.model.velocities
+    def measured(self) -> Labels:
+        # An innovation is a displacement along each velocity.
+        units = (unit.removesuffix("/s") if unit.endswith("/s") else "" for unit in self.model.velocity_units)
+        return Labels(self.model.velocities, tuple(units))
 
     @property
     def _start_names(self) -> tuple[str, ...]:
@@ -297,8 +300,8 @@ class InStates(AbstractKind):
     without_gate = "It has no gate, on a log either, and refuses no measurement."
 
     @property
-    def innovation_units(self) -> tuple[str, ...]:
-        return ("",) * len(self.file.columns.q)  # a model states no units of its outputs
+    def measured(self) -> Labels:
+        return Labels(self.file.columns.q, self.model.output_units)
 
     def slopes(self, log: logs.Log) -> None:
         return None
@@ -328,7 +331,9 @@ class InStates(AbstractKind):
         return np.asarray(jax.lax.scan(step, first_estimate(self.file)[0], times)[1])
 
     def signals(self, inputs: int, sensors: tuple[str, ...]) -> Signals:
-        return Signals(self.file.columns.q, _input_names(self.file, inputs), (("x", self.estimates.headings),))
+        y = Labels(self.file.columns.q, self.model.output_units).headings
+        u = Labels(_input_names(self.file, inputs), self.model.input_units).headings
+        return Signals(y, u, (("x", self.estimates.headings),))
 
     def start(self, q0: Amounts | None, v0: Amounts | None) -> Any:
         if v0 is not None:

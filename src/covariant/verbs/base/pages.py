@@ -107,8 +107,9 @@ def _states(outcome: Outcome) -> np.ndarray:
 
 
 def _used_innovation(outcome: Outcome) -> np.ndarray:
-    """The innovations, NaN in rows without a measurement."""
+    """The innovations, NaN in rows without a measurement and in those that determine the start."""
     innovation = np.array(outcome.run.info.innovation, float)
+    innovation[: outcome.start] = np.nan
     innovation[np.asarray(outcome.run.info.result) == StepCode.COASTED] = np.nan
     return innovation
 

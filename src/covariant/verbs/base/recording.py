@@ -25,9 +25,10 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
     kind, t = result.loaded.kind, result.t
     drawn = kind.drawn(np.asarray(result.loaded.record.y))
     measured = {} if drawn is None else dict(zip(kind.positions.names, np.asarray(drawn).T, strict=False))
+    measured = result.loaded.file.columns.as_logged(measured)
     curves = []
     for name, values in measured.items():
-        unit = kind.positions.table.get(name, "")
+        unit = result.units.get(name, "")
         curves.append(PlottedCurve(("position", name), _label("measured", unit), values, MEASURED, 1.0, points=True))
     units = result.units | slow_units(result.loaded)
     for name, values in columns.items():

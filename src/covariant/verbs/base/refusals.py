@@ -65,7 +65,7 @@ def refusals(loaded: Loaded, outcome: Outcome) -> list[Refusal]:
     ordinary = codes < StepCode.OUTLIER
     used = np.sqrt(np.mean(innovation[ordinary] ** 2, axis=0)) if ordinary.any() else 1.0
     worst = np.argmax(np.abs(innovation) / np.maximum(used, np.finfo(float).tiny), axis=1)
-    columns, units = loaded.kind.noise_axes, loaded.kind.innovation_units
+    columns, units = loaded.kind.measured
     has_readings = y.shape == innovation.shape
     names = columns if has_readings and len(columns) == innovation.shape[1] else loaded.kind.axes.names
     rows, listed = np.flatnonzero(refused), []

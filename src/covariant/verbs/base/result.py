@@ -233,7 +233,7 @@ class AbstractTable(AbstractResult):
         >>> table = covariant.simulate("oscillator", duration=1.0, rate=10.0)
         >>> isinstance(table, covariant.verbs.AbstractTable)
         True
-        >>> table.columns["q"].shape, table.units["true_v1"]
+        >>> table.columns["q"].shape, table.units["true_v"]
         ((11,), 'm/s')
     """
 

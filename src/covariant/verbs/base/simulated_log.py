@@ -141,8 +141,8 @@ def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: np.ndarray) -> t
 def _sensor(name: str, kind: AbstractKind, scenario: Scenario) -> PositionSensor:
     if np.any(scenario.quantum) and not kind.has_ticks:
         raise InputError(f"quantum: encoders step in coordinates, and {name} is on a group; use noise")
-    noise = amounts("noise", scenario.noise, kind.noise_axes)
-    quantum = amounts("quantum", scenario.quantum, kind.noise_axes) if kind.has_ticks else 0.0
+    noise = amounts("noise", scenario.noise, kind.measured.names)
+    quantum = amounts("quantum", scenario.quantum, kind.measured.names) if kind.has_ticks else 0.0
     return PositionSensor(scenario.rate, noise, quantum, scenario.jitter, scenario.dropout)
 
 

@@ -4,8 +4,8 @@ def friction(q, v, viscous, coulomb):
 
 
 def drive(t, q, u):
-    """The force of the inputs (n,), here on xPUSHESx: a guess."""
-    return jnp.concatenate([u, jnp.zeros(xRESTx, u.dtype)])
+    """The force of the inputs (n,), here on xPUSHESx."""
+    return jnp.zeros(xPOSITIONCOUNTx, u.dtype).at[jnp.array(xDRIVENx, int)].set(u)
 
 
 def machine(energy, potential, viscous, coulomb):
