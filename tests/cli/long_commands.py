@@ -12,7 +12,7 @@ from test_commands import MODEL, READ, folder, inside, simulate
 from covariant import logs
 from covariant.models import load
 from covariant.observers import EKF, run
-from covariant.verbs.base.start import KEPT
+from covariant.verbs.base.outcome import KEPT
 
 SWING = ("--duration", "2", "--rate", "200", "--v0", "3.0", "--amplitude", "0.5")
 
@@ -99,7 +99,7 @@ def test_a_wrapped_log_gives_the_same_velocities(estimated):
 def test_machines_get_the_documented_keys(estimated):
     assert list(estimated) == [
         *("model", "log", "observer", "rows", "engine", "scored_against", "design"),
-        *("velocity_rmse", "velocity_median_error", "start_rows", "innovation_rms", "nis", "nees", "results"),
+        *("velocity_rmse", "velocity_median_error", "innovation_rms", "nis", "nees", "results"),
         *("without_model", "report", "out"),
     ]
     assert estimated["nis"] is estimated["nees"] is None  # the observer has no covariance

@@ -16,7 +16,7 @@ def swing(noise: float = 1e-3):
 @pytest.fixture(scope="module")
 def smoothed(tmp_path_factory):
     log = swing().save(tmp_path_factory.mktemp("smooth") / "log.csv")
-    return covariant.smooth("oscillator", log, overrides=NOISE, columns={"truth": "true_v"}), log
+    return covariant.smooth("oscillator", log, overrides=NOISE, columns={"truth": "true_v1"}), log
 
 
 def test_the_names_are_those_of_the_filters_with_a_covariance_and_a_gate():

@@ -18,7 +18,6 @@ from covariant.scoring import SETTLED
 from covariant.verbs.base.design import log_sheet
 from covariant.verbs.base.estimates import hole_doubts
 from covariant.verbs.base.inputs import INFORMED, ColumnNames, Job, Loaded, load, with_sensor_delays
-from covariant.verbs.base.kind import Labels
 from covariant.verbs.base.outcome import (
     Outcome,
     drive,

@@ -13,10 +13,9 @@ from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
 from covariant.verbs.base.estimates import EstimateResult, choose_observer, error_lines, head_lines, hole_lines
 from covariant.verbs.base.inputs import ColumnNames, Job, load, refuse_delays
-from covariant.verbs.base.outcome import deviations, rounded, scored, with_units
+from covariant.verbs.base.outcome import KEPT, deviations, rounded, scored, with_units
 from covariant.verbs.base.pages import AbstractEstimates, estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
-from covariant.verbs.base.start import KEPT
 from scalargraph.errors import InputError
 
 

@@ -515,10 +515,9 @@ def with_velocity(state: Any, v: Vector) -> Any:
     """State of an observer, or of an inner one, with another velocity."""
     if "v" in state._fields:
         return state._replace(v=v)
-    inner = [name for name in ("inner", "now", "known") if name in state._fields]
-    if not inner:
+    if "inner" not in state._fields:
         raise InputError(f"{type(state).__name__}: the state of this observer has no velocity to start with")
-    return state._replace(**{name: with_velocity(getattr(state, name), v) for name in inner})
+    return state._replace(inner=with_velocity(state.inner, v))
 
 
 def time_since_measurement(state: Any) -> Scalar:

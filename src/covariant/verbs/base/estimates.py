@@ -38,7 +38,6 @@ from covariant.verbs.base.outcome import (
 from covariant.verbs.base.pages import AbstractEstimates, accuracy, estimate_report
 from covariant.verbs.base.refusals import LISTED, Refusal, refusals, refused_text
 from covariant.verbs.base.sensors import SensorCount, sensor_counts
-from covariant.verbs.base.start import Started
 from covariant.verbs.base.without_model import WithoutModel, without_model
 
 
@@ -83,9 +82,7 @@ class EstimateResult(AbstractEstimates):
     @property
     def observer(self) -> AbstractObserver:
         """The observer, for an `engine.Stream`: it takes inputs as they are sent, and starts at rest."""
-        driven: Any = self.outcome.driven
-        inner = driven.observer if isinstance(driven, Started) else driven
-        return with_acting_inputs(inner, self.loaded.file, self.loaded.rate, self.loaded)
+        return with_acting_inputs(self.outcome.observer, self.loaded.file, self.loaded.rate, self.loaded)
 
     @property
     def t(self) -> np.ndarray:
@@ -356,9 +353,6 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
     if f"{what}_rmse" in result:
         errors = with_units(result[f"{what}_rmse"], loaded.kind.estimates.units)
         lines.append(f"{what} RMSE against the {result['scored_against']}: {errors}")
-    if "start_rows" in result:
-        first = float(loaded.record.t[result["start_rows"] - 1] - loaded.record.t[0])
-        lines.append(f"the first {first:.3g} s determine the start, and are not scored")
     units = loaded.kind.measured.units
     lines.append(f"innovation RMS: {with_units(result['innovation_rms'], units)}")
     if "innovation_rms_refused" in result:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from covariant.engine import EngineName as Engine
+from covariant.engine import EngineName as Engine, run_log
 from covariant.models import ModelFile
 from covariant.observers import AbstractObserver
 from covariant.observers.base import Diagnostics
@@ -18,8 +18,12 @@ from covariant.scoring import SETTLED
 from covariant.signals import Run, StepCode
 from covariant.verbs.base.inputs import INFORMED, Job, Loaded, numbered
 from covariant.verbs.base.model_text import advice
-from covariant.verbs.base.start import run_through, with_start
 
+KEPT = (
+    *("innovation", "innovation_cov", "distance", "result", "nis", "noise_scale", "sensors"),
+    *("velocity_std", "state_std", "slow", "slow_std"),
+)
+"""What the commands use of the info of an observer."""
 MARGIN = 2.0
 """How far above the band of a right model the mean NIS is before it is called too large: noise is seldom known well."""
 LARGE, SMALL = 3.0, 0.1
@@ -71,8 +75,7 @@ class Outcome(NamedTuple):
         microseconds: Computing time of a sample [µs] without compilation; NaN where it was not measured.
         engine: What computed the run, "c" or "jax", with the reason where C could not.
         slow_names: Names of what was estimated along with the motion, such as an external force.
-        start: Number of the first rows that determine where the observer starts; 0 if it starts at rest.
-        driven: The observer with this start.
+        observer: The observer; None for one that was stored.
     """
 
     run: Run
@@ -82,8 +85,7 @@ class Outcome(NamedTuple):
     microseconds: float
     engine: str = ""
     slow_names: tuple[str, ...] = ()
-    start: int = 0
-    driven: AbstractObserver | None = None
+    observer: Any = None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -107,10 +109,8 @@ class Outcome(NamedTuple):
 
 def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto") -> Outcome:
     """Run an observer on a log and score it."""
-    record = loaded.record_for(observer)
-    driven, start = with_start(observer, record, engine)
-    run, by = run_through(driven, record, engine)
-    return scored(observer, jax.block_until_ready(run), loaded, by, start)._replace(driven=driven)
+    run, by = run_log(observer, loaded.record_for(observer), KEPT, engine)
+    return scored(observer, jax.block_until_ready(run), loaded, by)._replace(observer=observer)
 
 
 ROUNDS = 9
@@ -127,19 +127,16 @@ def timed(
             began = time.perf_counter()
             # The engine that did the first run, by its name: what it compiled is used again.
             engine = "c" if outcome.engine == "c" else "jax"
-            jax.block_until_ready(
-                run_through(outcome.driven or observers[name], loaded.record_for(observers[name]), engine)[0]
-            )
+            jax.block_until_ready(run_log(observers[name], loaded.record_for(observers[name]), KEPT, engine)[0])
             least[name] = min(least[name], time.perf_counter() - began)
     return {name: each._replace(microseconds=1e6 * least[name] / len(each.run.t)) for name, each in outcomes.items()}
 
 
-def scored(observer: AbstractObserver, run: Run, loaded: Loaded, engine: str, start: int = 0) -> Outcome:
-    """Score a run of an observer on a log, without the first rows that determine its start."""
+def scored(observer: AbstractObserver, run: Run, loaded: Loaded, engine: str) -> Outcome:
+    """Score a run of an observer on a log."""
     velocity = np.asarray(loaded.model.sought.of(run.estimate))
-    score = None if loaded.reference is None else _score(velocity, run.info, loaded, start)
-    nis = mean_nis(run.info, loaded)
-    return Outcome(run, velocity, nis, score, math.nan, engine, _slow_names(observer), start)
+    score = None if loaded.reference is None else _score(velocity, run.info, loaded)
+    return Outcome(run, velocity, mean_nis(run.info, loaded), score, math.nan, engine, _slow_names(observer))
 
 
 def _slow_names(observer: AbstractObserver) -> tuple[str, ...]:
@@ -164,7 +161,7 @@ def deviations(info: Diagnostics) -> np.ndarray | None:
     return next((std for std in fields if std is not None), None)
 
 
-def _score(velocity: np.ndarray, info: Diagnostics, loaded: Loaded, start: int) -> Score:
+def _score(velocity: np.ndarray, info: Diagnostics, loaded: Loaded) -> Score:
     reference: Any = loaded.reference
     std, holes = deviations(info), loaded.holes
 
@@ -175,8 +172,7 @@ def _score(velocity: np.ndarray, info: Diagnostics, loaded: Loaded, start: int) 
         nees = math.nan if std is None else float(np.mean((off / std[rows]) ** 2))
         return Score(np.sqrt(np.mean(off**2, axis=0)), nees, np.median(np.abs(off), axis=0))
 
-    later = reference.scored & (np.arange(len(velocity)) >= start)
-    score: Any = of(later if later.any() else reference.scored)
+    score: Any = of(reference.scored)
     if holes is None:
         return score
     known = reference.scored & np.isfinite(reference.v).all(1)
@@ -217,7 +213,6 @@ def summary(outcome: Outcome, what: str = "velocity") -> dict[str, Any]:
     used, refused = innovation_rms(outcome)
     return {
         **scored,
-        **({"start_rows": outcome.start} if outcome.start else {}),
         "innovation_rms": rounded(used),
         **({} if refused is None else {"innovation_rms_refused": rounded(refused)}),
         **{name: plain(value) for name, value in consistency.items()},

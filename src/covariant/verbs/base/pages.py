@@ -107,9 +107,8 @@ def _states(outcome: Outcome) -> np.ndarray:
 
 
 def _used_innovation(outcome: Outcome) -> np.ndarray:
-    """The innovations, NaN in rows without a measurement and in those that determine the start."""
+    """The innovations, NaN in rows without a measurement."""
     innovation = np.array(outcome.run.info.innovation, float)
-    innovation[: outcome.start] = np.nan
     innovation[np.asarray(outcome.run.info.result) == StepCode.COASTED] = np.nan
     return innovation
 
