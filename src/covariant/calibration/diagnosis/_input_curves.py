@@ -14,15 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration.diagnosis._block_regression import weighted_least_squares
-from covariant.calibration.diagnosis._case import (
-    Case,
-    Residual,
-    accelerations,
-    acting,
-    averaged,
-    best_window,
-    smoothed,
-)
+from covariant.calibration.diagnosis._case import Case, Residual, accelerations, acting, averaged, best_window, smoothed
 from covariant.calibration.diagnosis._finding import Finding, later_line
 from covariant.calibration.diagnosis._missing_torques import by_joints, friction_columns, weights
 from covariant.calibration.diagnosis._smooth import Smooth, held_inputs
@@ -46,6 +38,8 @@ SHIFTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 """Rows by which inputs may act later or earlier than logged."""
 RICHER = 0.7
 """What the richest curve leaves at most where it chooses, relative to the line, for any curve to be looked for."""
+ACTS = 0.3
+"""What a curve leaves of the deviation of an input at least."""
 NUDGE = 1e-3
 """Change of a number of a curve for the derivative in it, relative to the range of the input."""
 KNOWN = 1e-6
@@ -184,9 +178,10 @@ class Balance(NamedTuple):
         made = cls(case, log, before, effects, np.empty((0, 0)))
         weight = by_joints(case.model, log, np.asarray(weights(case.model, log.q)))
         columns = [*(averaged(log, each) for each in (idle, *weight)), *friction_columns(case.model, log)]
-        if case.effects is not None and before.misfit > THRESHOLDS["guesses"].least:
+        if case.effects is not None:
             columns += case.effects(log)
-        return made._replace(columns=np.stack([made.sized(each) for each in columns], axis=1))
+        sized = (made.sized(each) for each in columns)
+        return made._replace(columns=np.stack([each for each in sized if np.isfinite(each).all()], axis=1))
 
     @property
     def moving(self) -> list[int]:
@@ -341,8 +336,9 @@ def _suspicions(rest: Rest, signs: bool) -> Iterator[tuple[Suspicion, Float[np.n
             values = rest.likeliest(numbers, np.array([numbers_of.get(each, 0.0) for each in numbers]))
             stds, curve = rest.std(numbers, values), Curve.of(numbers, values)
             numbers_of |= dict(zip(numbers, values.tolist(), strict=True))
-            # A number without an effect has no error.
-            if (np.abs(values) > CURVE_ERRORS * stds).all() and stds.all():
+            # A number without an effect has no error, and a curve that hardly lets an input act is none of its own.
+            acts = np.std(curve(rest.u)) > ACTS * np.std(rest.u)
+            if acts and (np.abs(values) > CURVE_ERRORS * stds).all() and stds.all():
                 sizes = (f"{value:.3g} ± {std:.2g}" for value, std in zip(values, stds, strict=True))
                 said = (WORDS[each].format(size) for each, size in zip(numbers, sizes, strict=True))
                 line = f"write {curve.expression(names.u[j], factor)} into the column {names.u[j]} of the log"

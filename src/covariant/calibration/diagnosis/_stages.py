@@ -1,19 +1,18 @@
 """The stages of a diagnosis, in their order: each removes what would hide the faults that the later ones look for."""
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from covariant.calibration.diagnosis._broken_parts import broken_parts
 from covariant.calibration.diagnosis._case import (
     Case,
     Residual,
     best_window,
     busiest,
     case_without_outliers,
-    clearly,
     in_coordinates,
     long_enough,
     names_of,
@@ -21,13 +20,17 @@ from covariant.calibration.diagnosis._case import (
     smoothed_residual,
 )
 from covariant.calibration.diagnosis._clock import set_forward, stamps
-from covariant.calibration.diagnosis._columns import COLUMNS
+from covariant.calibration.diagnosis._corrections import (
+    LATE,
+    composed,
+    correct_columns,
+    correct_curves,
+    correct_guesses,
+)
 from covariant.calibration.diagnosis._edges import edge_findings
 from covariant.calibration.diagnosis._finding import Finding, Rows
 from covariant.calibration.diagnosis._guesses import NUMBERS, other_numbers
-from covariant.calibration.diagnosis._input_curves import Balance, input_curve, late_inputs
 from covariant.calibration.diagnosis._jumps import (
-    moved_zeros,
     period_findings,
     periods,
     second_sender,
@@ -35,32 +38,16 @@ from covariant.calibration.diagnosis._jumps import (
     without_full_turns,
 )
 from covariant.calibration.diagnosis._missing_torques import friction_beside_scales, missing_torques
-from covariant.calibration.diagnosis._moving_zeros import moving_zero
 from covariant.calibration.diagnosis._on_group import clock_findings, group_findings
 from covariant.calibration.diagnosis._on_legs import late_encoders
 from covariant.calibration.diagnosis._readings import known_ticks, missing_cells, readings, still_findings
-from covariant.calibration.diagnosis._repeats import find_repeats, made_rows, stuck
+from covariant.calibration.diagnosis._repeats import find_repeats, made_rows
 from covariant.calibration.diagnosis._sensor_checks import sensor_checks
 from covariant.calibration.diagnosis._sensor_findings import NOISIER, sensor_findings, standstill
 from covariant.calibration.diagnosis._sensor_motion import Beside
 from covariant.calibration.diagnosis._servo_faults import servo_findings
-from covariant.calibration.diagnosis._suspicion import (
-    Comparison,
-    Suspicion,
-    choose,
-    clearly_unexplained,
-    compare_all,
-    judge,
-    unexplained_at,
-)
-from covariant.calibration.diagnosis._thresholds import (
-    BARELY,
-    EXPLAINED,
-    FEW_ROWS,
-    MOST_ROWS,
-    PLAUSIBLE_OF_SERVOS,
-    THRESHOLDS,
-)
+from covariant.calibration.diagnosis._suspicion import judge, unexplained_at
+from covariant.calibration.diagnosis._thresholds import BARELY, FEW_ROWS, MOST_ROWS, PLAUSIBLE_OF_SERVOS, THRESHOLDS
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
 from covariant.calibration.diagnosis._unexplained import constant_inputs, unexplained
 from covariant.models import ModelFile
@@ -72,13 +59,6 @@ SHIFTED = (1.0, 2.0, 4.0)
 """Half-widths of windows in which to look for shifts by whole rows, as multiples of the one that explains most."""
 NOISY = 0.01
 """Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
-MOST_PAIRS = 6
-"""Largest number of suspicions of missing torques to try, alone or with one about a column; the best come first."""
-AROUND_PART, FEWEST_AROUND = 3, 150
-"""If many rows around do not confirm a fault in a part of the log, it is judged on so many times its own length on
-either side, and on at least so many rows."""
-MOST_CHANGES = 3
-"""Suspicions about columns that are accepted one after another."""
 BETTER = 0.5
 """What other numbers of the model leave at most, relative to what a fault leaves, to be the cause instead of it."""
 COMPARED = (
@@ -86,8 +66,6 @@ COMPARED = (
     *("friction and rotor inertia", "accelerations"),
 )
 """Checks that compare accelerations."""
-LATE = ("delay", "delay against the inputs")
-"""Findings on delays, which friction that the model lacks can imitate."""
 
 
 @dataclass
@@ -194,7 +172,7 @@ def look_for_senders(log: Examination) -> bool:
 
 def mend_broken_parts(log: Examination) -> bool:
     """Parts of the log in which a position is stuck, or after which its zero has shifted."""
-    broken = [] if log.file.input_kind == "command" else _broken_parts(log.case, log.y, log.rows)
+    broken = [] if log.file.input_kind == "command" else broken_parts(log.case, log.y, log.rows)
     for each, _ in broken:
         log.record = each.apply(log.case._replace(record=log.record)).record
     if broken:
@@ -236,12 +214,12 @@ def look_at_columns(log: Examination) -> bool:
     """Units, order and signs of columns, and then the readings in the units of the model."""
     y, ticks = log.y, log.as_read.ticks
     first = log.case
-    corrections, changes, log.case = _correct_guesses(log.case, log.family)
-    curves, log.case = _correct_curves(log.case)
+    corrections, changes, log.case = correct_guesses(log.case, log.family)
+    curves, log.case = correct_curves(log.case)
     if curves and changes:  # beside any curve the inputs, and with them the numbers, may be too large together
-        _, numbers, log.case = _correct_guesses(log.case._replace(model=first.model, file=first.file), log.family)
+        _, numbers, log.case = correct_guesses(log.case._replace(model=first.model, file=first.file), log.family)
         changes = [each for each in changes if each.what != NUMBERS] + numbers
-    further, columns, log.case = _correct_columns(log.case)
+    further, columns, log.case = correct_columns(log.case)
     corrections, changes = corrections + further, changes + columns
     for each in corrections:
         log.as_read = each.apply(log.as_read) if each.what.startswith("unit of") else log.as_read
@@ -329,131 +307,6 @@ def _periods(log: Examination, case: Case, ticks: np.ndarray) -> list[Finding]:
     return period_findings(without_full_turns(log.wraps, case.model.circles), ticks, case.names)
 
 
-def _broken_parts(case: Case, read: np.ndarray, rows: Rows) -> list[tuple[Suspicion, Finding]]:
-    """Accepted suspicions about parts of the log in which a position is stuck, or after which its zero has shifted.
-
-    The readings suggest which rows are faulty, and the model decides on the rows around them: a joint may rest, and its
-    readings may jump across rows that are missing.
-    """
-    found: list[tuple[Suspicion, Finding]] = []
-    for _ in range(MOST_CHANGES):
-        suspicions = itertools.chain(stuck(case, read, rows), moved_zeros(case, read, rows))
-        judged = [one for each in suspicions if (one := _judge_around(case, each)) is not None]
-        if not judged:
-            break
-        # An encoder that recovers jumps, and a turning point beside a jump can look stuck.
-        accepted = min(judged, key=_certainly_stuck)
-        found.append(accepted)
-        case = accepted[0].apply(case)
-        read = np.asarray(accepted[0].apply(case.with_readings(read)).record.y)
-    # Rows before the first fault are right as logged, so only its finding may advise to keep them.
-    found.sort(key=lambda each: each[1].numbers["begin"])
-    return [
-        (each, one if k == 0 else one._replace(line=one.line.split("; or ")[-1])) for k, (each, one) in enumerate(found)
-    ]
-
-
-def _certainly_stuck(accepted: tuple[Suspicion, Finding]) -> tuple[bool, float]:
-    """Sort key of faulty parts of a log: a span that no motion looks like first, then what leaves least."""
-    suspicion, finding = accepted
-    certain = suspicion.what == "repeated rows" and suspicion.threshold == "certain"
-    return not certain, finding.numbers["unexplained_after"]
-
-
-def _judge_around(case: Case, suspicion: Suspicion) -> tuple[Suspicion, Finding] | None:
-    """Judge a suspicion about a part of the log on many rows around it, or, if it is short, on few."""
-    t = np.asarray(case.record.t)
-    begin, end = np.searchsorted(t, [suspicion.numbers["begin"], suspicion.numbers["end"]])
-    # Of 30 blocks of so few rows some that are held out see it.
-    few = int(AROUND_PART * (end - begin + 2 * case.file.reference_half / case.spacing))
-    for beside in (FEW_ROWS // 2, np.clip(few, FEWEST_AROUND, FEW_ROWS // 2)):
-        near = slice(max(begin - beside, 0), min(end, begin + FEW_ROWS) + beside)
-        around = case._replace(record=Record(*(np.asarray(a)[near] for a in case.record[:3])))
-        if (accepted := judge(around, [suspicion], clearly_unexplained)) is not None:
-            return accepted
-    return None
-
-
-def _correct_guesses(case: Case, family: Callable[[], Any] | None) -> tuple[list[Suspicion], list[Finding], Case]:
-    """The same beside other numbers of the model: at most one finding, on a change of columns or on the numbers."""
-    short = case._replace(record=busiest(case.record, FEW_ROWS))
-    changes = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
-    found = None if family is None else other_numbers(short, family, changes)
-    if found is None:
-        return [], [], case
-    fitted, change, finding = found
-    case = case if change is None else change.apply(case)
-    return [] if change is None else [change], [finding], fitted(case)
-
-
-def _correct_curves(case: Case) -> tuple[list[Finding], Case]:
-    """Findings on inputs that act by a curve and on zeros that move, and the case without these."""
-    findings = []
-    while len(findings) < MOST_CHANGES and (balance := Balance.of(case)) is not None:
-        found = [one for one in (input_curve(balance, signs=False), moving_zero(balance)) if one is not None]
-        if not found and case.effects is not None and LATE[1] not in {each.what for each in findings}:
-            found = [one for one in [late_inputs(balance)] if one is not None]
-        if not found:
-            break
-        shares = [one[1].numbers["unexplained_after"] for one in found]
-        # An offset of an input and a zero of a position look alike: the input is the simpler one.
-        suspicion, finding = found[int(shares[0] > THRESHOLDS["curve"].alike * min(shares))]
-        case = suspicion.apply(case)
-        findings.append(finding)
-    return findings, case
-
-
-def _correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
-    """The accepted corrections of columns, the findings on them, and the corrected case."""
-    accepted, findings = [], []
-    # One after another: in wrong units a swap of columns explains nothing.
-    for _ in range(MOST_CHANGES):
-        # Many are tried, and such faults are large, so that fewer rows show them.
-        short = case._replace(record=busiest(case.record, FEW_ROWS))
-        suspicions = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
-        tried = compare_all(short, suspicions, clearly_unexplained)
-        best = choose(tried)
-        columns = {id(each): each for each, _ in tried}
-        if tried and not (best and best[1].numbers["unexplained_after"] < EXPLAINED):
-            pairs = _with_torques(short, tried)
-            columns |= {id(pair): column for pair, column in pairs}
-            best = choose([*tried, *compare_all(short, [pair for pair, _ in pairs], clearly_unexplained)])
-        change = None if best is None else columns[id(best[0])]
-        if best is None or change is None:
-            break
-        accepted.append(change)
-        findings.append(best[1])
-        case = change.apply(case)
-    return accepted, findings, case
-
-
-def _with_torques(
-    case: Case, tried: Sequence[tuple[Suspicion, Comparison]]
-) -> list[tuple[Suspicion, Suspicion | None]]:
-    """Pairs of a suspicion and the part of it about a column: torques alone, with None, or with a column.
-
-    Missing torques are reported later, in narrower windows; here they keep a wrong column from being blamed for them.
-    """
-    pairs: list[tuple[Suspicion, Suspicion | None]] = []
-    for column in (None, *(each for each, _ in tried)):
-        changed = case if column is None else column.apply(case)
-        log = clearly(changed)
-        for torques in missing_torques(changed, log) if log is not None else ():
-            if column is None:
-                pairs.append((torques, None))
-            elif torques.threshold != "rotors":
-                words, apply = f"{column.words} and {torques.words}", _both(column, torques)
-                pair = column._replace(words=words, apply=apply, threshold="columns and torques")
-                pairs.append((pair._replace(expected=torques.expected), column))
-    best = sorted(pairs, key=lambda pair: pair[0].expected)[:MOST_PAIRS]
-    # Torques alone come first: without gravity, its zero and its sign are nothing.
-    return sorted(best, key=lambda pair: pair[1] is not None)
-
-
-def _both(first: Suspicion, second: Suspicion) -> Callable[[Case], Case]:
-    return lambda case: second.apply(first.apply(case))
-
-
 def _until_fitted(delay: Finding) -> Finding:
     """Turn a delay that explains little beside missing torques into a note: untried friction looks like one."""
     evidence = f"{delay.evidence}; friction that is not fitted yet looks like this"
@@ -477,7 +330,7 @@ def _torques_or_timing(case: Case, half: float, as_it_is: Residual) -> tuple[lis
     for each in (*torques, *beside):
         later = fit_timing(each.apply(case), half)
         if later.suspicions:
-            both.append(each._replace(apply=_both(each, later.together), threshold="torques and fitted"))
+            both.append(each._replace(apply=composed(each, later.together), threshold="torques and fitted"))
             timings[id(both[-1])] = each
     accepted = judge(case, [*plain, timing.together, *rotors, *both], unexplained_at(half))
     if accepted is None or id(accepted[0]) not in timings:

@@ -47,7 +47,7 @@ THRESHOLDS = {
     # A column and torques together, where neither explains the log alone.
     "columns and torques": Threshold(0.15, 1 / 5, 0.15),
     # Curves of an input, beside all that a model may have wrong: so a curve explains nothing that these do.
-    "curve": Threshold(2e-4, 1 / 2, 0.15, sure=3.0, alike=1.5, rest=0.01),
+    "curve": Threshold(2e-4, 1 / 2, 0.15, sure=3.0, alike=1.5, rest=0.03),
     # Zeros that move, of which many paths are tried, beside a model whose numbers may be wrong.
     "moving zero": Threshold(1e-3, 1 / 4, 0.05, alike=1.5),
     # Delays by whole rows, and the course of inputs between rows, are small faults. 1 % of the size of the
