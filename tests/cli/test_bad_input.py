@@ -202,7 +202,10 @@ BARE = ("log.csv", "-o", "out/v.csv")
         (("estimate", "hovercraft", *BARE, "--set", 'columns.matrix=["a"]'), ["no attitude", "position and angle"]),
         (
             (*ATTITUDE, "--observer", "savitzky-golay"),
-            ["savitzky-golay does not fit", "geodesic, lagrangian-metric, copy, intrinsic-kalman, ekf, ukf, salcudean"],
+            [
+                "savitzky-golay does not fit",
+                "geodesic, lagrangian-metric, copy, intrinsic-kalman, ekf, ukf, tracking-loop, salcudean",
+            ],
         ),
         ((*ATTITUDE, "--observer", "ekf", "--alpha", "3", "--beta", "1"), ["ekf", "intrinsic, intrinsic2"]),
         ((*ATTITUDE, "--set", "measurement.std=0"), ["measurement.std", "positive"]),
@@ -219,9 +222,10 @@ def test_a_bad_argument_on_a_group(folder, arguments, named):
 
 
 def test_only_what_fits_a_pose_is_offered(folder):
-    (folder / "log.csv").write_text(UNIT.replace("qw,qx,qy,qz,u1,u2,u3", "px,py,angle,u1,u2,a,b"))
+    (folder / "log.csv").write_text(UNIT.replace("qw,qx,qy,qz,u1,u2,u3", "px,py,angle,right_thrust,left_thrust,a,b"))
     message = refused("estimate", "hovercraft", *BARE, "--observer", "salcudean")
-    these = "intrinsic, intrinsic2, intrinsic-force, geodesic, lagrangian-metric, copy, intrinsic-kalman, ekf, ukf"
+    these = "intrinsic, intrinsic2, intrinsic-force, geodesic, "
+    these += "lagrangian-metric, copy, intrinsic-kalman, ekf, ukf, tracking-loop"
     assert f"salcudean does not fit hovercraft; these do: {these}\n" in message
 
 
