@@ -159,3 +159,13 @@ def test_checks_that_a_standstill_hides_are_named(pendulum, clean):
     still = clean._replace(y=np.tile(clean.y[:1], (len(clean.t), 1)))
     assert "delays" in diagnose(pendulum, still).skipped
     assert diagnose(pendulum, clean).skipped == ()
+
+
+def test_velocities_of_a_machine_without_inputs_are_compared():
+    t = np.arange(0.0, 10.0, 0.01)
+    free = load("pendulum_chain", {"parameters.mass": [1.0], "parameters.length": [9.81], "parameters.actuated": []})
+    free = free._replace(columns=free.columns._replace(q=("q1",), u=(), v=("v1",)))
+    swing, speed = 0.05 * np.cos(t)[:, None], -0.05 * np.sin(t)[:, None]
+    record = Record(t, np.zeros((len(t), 0)), swing + 1e-5 * np.random.default_rng(0).normal(size=swing.shape))
+    assert not [each for each in diagnose(free, record, v=speed).findings if each.wrong]
+    assert "unit of velocities" in {each.what for each in diagnose(free, record, v=np.rad2deg(speed)).findings}

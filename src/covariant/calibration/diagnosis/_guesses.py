@@ -21,6 +21,7 @@ from covariant.calibration.diagnosis._smooth import Smooth
 from covariant.calibration.diagnosis._suspicion import HELD_OUT, Comparison, Suspicion, Unexplained, blocks_of
 from covariant.calibration.diagnosis._thresholds import EXPLAINED, GUESS, THRESHOLDS
 from covariant.models import Family, MechanicalSystem, acceleration
+from scalargraph.errors import InputError
 
 NUMBERS = "numbers of the model"
 """Name of the finding on them."""
@@ -95,7 +96,10 @@ def other_numbers(
     as_it_is, limit = compared(case), THRESHOLDS[threshold]
     if as_it_is is None or not as_it_is.told.any() or as_it_is.misfit < limit.least:
         return None
-    guesses = Guesses.of(family())
+    try:
+        guesses = Guesses.of(family())
+    except InputError:  # its function takes plain numbers only, or refuses some of these
+        return None
     accelerate, now = _with_slopes(guesses), Unexplained.of(as_it_is)
 
     def attempt(change: Suspicion | None, curves: bool = False) -> Iterator[_Tried]:

@@ -184,7 +184,7 @@ class _Output(NamedTuple):
         count = len(log.t)
         rows = np.minimum(np.arange(-(-count // size) * size), count - 1)
         arrays = [np.asarray(each)[rows] for each in (log.q, log.v, log.a, log.u, log.t)]
-        pieces = zip(*(each.reshape(-1, size, *each.shape[1:]) for each in arrays), strict=True)
+        pieces = zip(*(each.reshape(len(each) // size, size, *each.shape[1:]) for each in arrays), strict=True)
         return np.concatenate([np.asarray(self.values(*map(jnp.asarray, piece))) for piece in pieces])[:count]
 
     def at(self, log: Smooth, points: np.ndarray) -> tuple[np.ndarray, ...]:
