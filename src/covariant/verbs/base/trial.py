@@ -1,5 +1,7 @@
 """What rivals are tuned on and judged by: a part of a log that moves and has no faults, and slopes of its positions."""
 
+import math
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -102,7 +104,7 @@ def trial_part(loaded: Loaded, reference: ReferenceVelocity) -> tuple[Trial | No
 
 def _flat(y: np.ndarray) -> np.ndarray:
     """The entries of every measurement side by side."""
-    return y.reshape(len(y), -1)
+    return y.reshape(len(y), math.prod(y.shape[1:]))
 
 
 def moving_part(
