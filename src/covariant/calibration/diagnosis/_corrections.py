@@ -4,8 +4,6 @@ import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
 from covariant.calibration.diagnosis._broken_parts import MOST_CHANGES
 from covariant.calibration.diagnosis._case import Case, busiest, clearly
 from covariant.calibration.diagnosis._columns import COLUMNS
@@ -14,14 +12,7 @@ from covariant.calibration.diagnosis._guesses import other_numbers
 from covariant.calibration.diagnosis._input_curves import Balance, input_curve, late_inputs
 from covariant.calibration.diagnosis._missing_torques import missing_torques
 from covariant.calibration.diagnosis._moving_zeros import moving_zero
-from covariant.calibration.diagnosis._suspicion import (
-    BLOCKS,
-    Comparison,
-    Suspicion,
-    choose,
-    clearly_unexplained,
-    compare_all,
-)
+from covariant.calibration.diagnosis._suspicion import Comparison, Suspicion, choose, clearly_unexplained, compare_all
 from covariant.calibration.diagnosis._thresholds import EXPLAINED, FEW_ROWS, THRESHOLDS
 
 MOST_PAIRS = 6
@@ -32,12 +23,9 @@ LATE = ("delay", "delay against the inputs")
 
 def correct_guesses(case: Case, family: Callable[[], Any] | None) -> tuple[list[Suspicion], list[Finding], Case]:
     """Like `correct_columns`, beside other numbers of the model: at most one finding, on a column or on the numbers."""
+    if family is None:
+        return [], [], case
     short = case._replace(record=busiest(case.record, FEW_ROWS))
-    left = None if family is None else clearly_unexplained(short)
-    if family is None or left is None or not left.known.any():
-        return [], [], case
-    if left.share(np.ones(BLOCKS, bool), left.known) < THRESHOLDS["guesses"].least:
-        return [], [], case
     changes = list(itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS))
     if any(one.after < EXPLAINED for _, one in compare_all(short, changes, clearly_unexplained)):
         return [], [], case  # which `correct_columns` finds, without other numbers

@@ -170,21 +170,14 @@ def _fit(
     parts = [corner_parts(column) for column in log.u.T] if curves else []
 
     def some(values: np.ndarray) -> np.ndarray:
-        return (values / size.reshape(-1, *np.ones(values.ndim - 2, int)))[told.used][chosen][:, told.told].reshape(
-            -1, *values.shape[2:]
-        )
+        sized = values / size.reshape(-1, *np.ones(values.ndim - 2, int))
+        return sized[told.used][chosen][:, told.told].reshape(-1, *values.shape[2:])
 
     def at(x):
         modelled, slopes = map(np.asarray, accelerate(x, log.t, log.q, log.v, idle if curves else log.u))
-        units = [
-            np.asarray(accelerate(x, log.t, log.q, log.v, idle + one)[0])
-            for one in np.eye(log.u.shape[1])[: len(parts)]
-        ]
-        acting = [
-            averaged(log, part[:, None] * (unit - modelled))
-            for unit, each in zip(units, parts, strict=True)
-            for part in each
-        ]
+        units = (accelerate(x, log.t, log.q, log.v, idle + one)[0] - modelled for one in np.eye(len(log.u.T)))
+        pairs = ((part, unit) for each, unit in zip(parts, units, strict=False) for part in each)  # no parts, no curves
+        acting = [averaged(log, part[:, None] * np.asarray(unit)) for part, unit in pairs]
         modelled = averaged(log, modelled)
         columns = some(np.stack([averaged(log, each) for each in np.moveaxis(slopes, -1, 0)], axis=-1))
         left = some(log.a - modelled)
