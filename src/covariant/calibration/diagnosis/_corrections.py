@@ -27,8 +27,9 @@ def correct_guesses(case: Case, family: Callable[[], Any] | None) -> tuple[list[
         return [], [], case
     short = case._replace(record=busiest(case.record, FEW_ROWS))
     changes = list(itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS))
-    if any(one.after < EXPLAINED for _, one in compare_all(short, changes, clearly_unexplained)):
-        return [], [], case  # which `correct_columns` finds, without other numbers
+    torques = [pair for pair, _ in _with_torques(short, [])]
+    if any(one.after < EXPLAINED for _, one in compare_all(short, [*changes, *torques], clearly_unexplained)):
+        return [], [], case  # by one of them alone, which is found later
     found = other_numbers(short, family, changes)
     if found is None:
         return [], [], case

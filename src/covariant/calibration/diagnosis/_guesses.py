@@ -121,7 +121,7 @@ def other_numbers(
     # The first of those that need about the least: a log without a fault comes first.
     nearest = min(one.farthest for one in alike) + np.log(2)
     best = next(one for one in alike if one.farthest <= nearest)
-    if best.change is None and best.farthest > GUESS:
+    if best.change is None and not MOVED < best.farthest < GUESS:
         return None
     words = guesses.words(best.x)
     if best.change is None:

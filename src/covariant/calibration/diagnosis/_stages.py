@@ -213,10 +213,11 @@ def look_at_servos(log: Examination) -> bool:
 def look_at_columns(log: Examination) -> bool:
     """Units, order and signs of columns, and then the readings in the units of the model."""
     y, ticks = log.y, log.as_read.ticks
+    plain, log.case = correct_curves(log.case)
     first = log.case
     corrections, changes, log.case = correct_guesses(log.case, log.family)
-    curves, log.case = correct_curves(log.case)
-    if curves and changes:  # beside any curve the inputs, and with them the numbers, may be too large together
+    curves, log.case = correct_curves(log.case) if changes else ([], log.case)
+    if curves:  # beside any curve the inputs, and with them the numbers, may be too large together
         _, numbers, log.case = correct_guesses(log.case._replace(model=first.model, file=first.file), log.family)
         changes = [each for each in changes if each.what != NUMBERS] + numbers
     further, columns, log.case = correct_columns(log.case)
@@ -233,7 +234,16 @@ def look_at_columns(log: Examination) -> bool:
         _, log.repeated = find_repeats(changed, ticks, case.names.q, log.rows)
     noise = np.maximum(np.nan_to_num(readings(log.record._replace(y=changed), case.model.circles).std), ticks)
     forward = set_forward(log.rows.t, unwrap(changed, case.model.circles), noise, log.rows)
-    log.findings += [*forward, *log.still, *_periods(log, case, ticks), *log.outliers, *log.repeated, *curves, *changes]
+    log.findings += [
+        *forward,
+        *log.still,
+        *_periods(log, case, ticks),
+        *log.outliers,
+        *log.repeated,
+        *plain,
+        *curves,
+        *changes,
+    ]
     # In another unit of time the readings have other rates too: they are judged once it is right.
     log.sensors = () if any(each.what == "unit of time" for each in changes) else log.sensors
     log.checks += ("sensors beside the positions",) if log.sensors else ()
