@@ -39,7 +39,7 @@ KINDS = {
         "ball_and_beam",
         ("--q0", "0.1,0.05", "--v0", "0,0.3", "--noise", "1e-4", "--dropout", "0.02"),
         ("--set", "measurement.std=1e-4", "--set", "uncertainty.acceleration=0.5"),
-        "true_v1,true_v2",
+        "true_r_dot,true_theta_dot",
     ),
     "group": Kind(
         str(EXAMPLES / "heavy_top.toml"),

@@ -42,7 +42,7 @@ def columns_of(path: Path) -> dict[str, np.ndarray]:
 
 def test_curves_of_a_recording_are_the_columns_of_the_result(result, tmp_path):
     columns = columns_of(result.rerun(tmp_path / "run.rrd"))
-    entity = rerun.new_entity_path(["velocity", "v1", "estimated [m/s]"])
+    entity = rerun.new_entity_path(["velocity", "v", "estimated [m/s]"])
     assert np.array_equal(columns[entity], result.velocity[:, 0])
     assert len(columns) == 3  # measured, and estimated position and velocity
 

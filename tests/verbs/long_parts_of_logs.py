@@ -14,7 +14,7 @@ def test_a_thinned_log_is_as_consistent_as_a_whole_one(frequency, every):
         table(frequency=frequency),
         observer="intrinsic-kalman",
         overrides=NOISE,
-        columns={"truth": "true_v1"},
+        columns={"truth": "true_v"},
         every=every,
         anyway=True,
     )
@@ -32,7 +32,7 @@ def test_a_log_that_is_cut_keeps_what_was_on_its_way():
         table(overrides={"inputs.delay": 0.25}),
         observer="intrinsic-kalman",
         overrides=overrides,
-        columns={"truth": "true_v1"},
+        columns={"truth": "true_v"},
         start=2.0,
         anyway=True,
     )

@@ -160,13 +160,11 @@ def _fit(
     """Logarithms (p,) by which guesses move, and what the model then leaves of a smoothed log, by Levenberg and
     Marquardt's method on the blocks that choose; None for a log without accelerations. With `curves` each input acts by
     any curve, which is eliminated in each step."""
-    none = np.zeros_like(log.a)
-    told = Residual(log.a, none, log.used & np.isfinite(log.a).all(axis=1), log.a_noise)
+    told = Residual(log.a, np.zeros_like(log.a), log.used & np.isfinite(log.a).all(axis=1), log.a_noise)
     if not told.told.any():
         return None
-    size = np.sqrt(2 * told.scale)
+    size, idle = np.sqrt(2 * told.scale), np.zeros_like(log.u)
     chosen = ~HELD_OUT[blocks_of(int(told.used.sum()))]
-    idle = np.zeros_like(log.u)
     parts = [corner_parts(column) for column in log.u.T] if curves else []
 
     def some(values: np.ndarray) -> np.ndarray:
