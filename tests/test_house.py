@@ -198,11 +198,20 @@ def test_public_names_are_few():
     assert len(names) <= MOST_PUBLIC
 
 
+def tracked() -> list[str]:
+    """Paths of all files in git; none outside a checkout."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    return listed.stdout.splitlines()
+
+
+def test_no_output_of_a_command_is_a_part_of_the_project():
+    outputs = {".csv", ".parquet", ".html", ".png", ".json", ".toml"}
+    stray = [name for name in tracked() if "/" not in name and Path(name).suffix in outputs]
+    assert stray in ([], ["pyproject.toml"])
+
+
 def tracked_texts():
-    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split(
-        "\n"
-    )
-    paths = [ROOT / name for name in listed if name] or list(SOURCE.rglob("*"))
+    paths = [ROOT / name for name in tracked()] or list(SOURCE.rglob("*"))
     for path in paths:
         if (
             path.is_file()

@@ -72,3 +72,29 @@ def test_all_rows_of_bursts_are_emptied():
     assert wrong[burst, 0].mean() > 0.9
     assert not wrong[~burst].any()
     assert found(record._replace(y=y))[0].what == "outliers"
+
+
+ASSERTING = """
+import jax.numpy as jnp
+from covariant import models
+
+
+def spring(mass, stiffness):
+    assert mass > 0, "a mass is positive"
+    return models.Lagrangian(
+        lambda q: mass * jnp.eye(1),
+        lambda q: stiffness * q[0] ** 2 / 2,
+        lambda t, q, u: u,
+        coordinates=("x",),
+        inputs=1,
+    )
+"""
+
+
+def test_a_model_whose_numbers_cannot_be_changed_is_compared_as_it_is(tmp_path, monkeypatch):
+    (tmp_path / "asserting_spring.py").write_text(ASSERTING)
+    monkeypatch.syspath_prepend(tmp_path)
+    swing = covariant.simulate("oscillator", duration=10.0, rate=100.0, amplitude=2.0, noise=1e-4).record
+    stated = {"parameters.mass": 1.0, "parameters.stiffness": 9.0, "measurement.std": 1e-4}
+    findings = covariant.check("asserting_spring:spring", swing, overrides=stated).findings
+    assert findings[0].what != NUMBERS
