@@ -17,7 +17,7 @@ QUICK := tests/laws/test_every_observer.py tests/calibration/test_estimators.py 
 EVERY_FILE := -o python_files='test_*.py long_*.py'
 PARALLEL := -n 2 --dist loadgroup --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench firmware mutants peers ros docs wheel-check lock clean
+.PHONY: env demo test test-all long exhaustive matrix matrix-short quick format lint types tests gallery bench velbench firmware mutants peers ros docs wheel-check lock clean
 
 env: .venv/dev
 
@@ -86,6 +86,12 @@ gallery: env
 
 bench: env
 	$(BIN)/pytest benchmarks --benchmark-only -o addopts=
+
+# Estimators of velocities on recorded logs and simulated ones, and the table of docs/velocity-benchmark.md. What was
+# computed is kept in build/velocity. COVARIANT_DATA names the folder with recorded logs.
+velbench: env
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -r benchmarks/velocity/requirements.txt
+	$(BIN)/python -m benchmarks.velocity
 
 # An exported observer on an emulated microcontroller; needs arm-none-eabi-gcc and qemu-system-arm.
 firmware: env

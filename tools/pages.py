@@ -114,10 +114,15 @@ def _paper_test(test: str) -> str:
 def benchmarks_table() -> str:
     """Every script and study in `benchmarks` with the first sentence of its text, and the pages with its numbers."""
     folder = ROOT / "benchmarks"
-    paths = [*sorted(folder.glob("*.py")), *sorted(folder.glob("studies/*.toml"))]
-    named = [(path.relative_to(folder).as_posix(), text) for path in paths if (text := _about(path))]
+    paths = [path for kind in ("*.py", "*/__main__.py", "studies/*.toml") for path in sorted(folder.glob(kind))]
+    named = [(_script(path.relative_to(folder)), text) for path in paths if (text := _about(path))]
     rows = [f"| `{name}` | {_sentence(text)} | {_pages_with(name)} |" for name, text in named]
     return "\n".join(["| script | what it measures | numbers |", "|---|---|---|", *rows])
+
+
+def _script(path: Path) -> str:
+    """A script by its path, a folder that runs as one by its name."""
+    return (path.parent if path.stem == "__main__" else path).as_posix()
 
 
 def _about(path: Path) -> str:

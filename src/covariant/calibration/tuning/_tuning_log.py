@@ -73,8 +73,11 @@ def prepared(model: MechanicalSystem, record: Record, velocity: np.ndarray) -> T
         wrong = outliers(t, y, model.circles)[0]
         wrong[0] = False  # a record begins with a whole measurement
         y = np.where(wrong, np.nan, y)
-    border = t[0] + FITTED * (t[-1] - t[0])
-    valid = scored_window(t) & np.isfinite(velocity).all(axis=1)
+    span = t[-1] - t[0]
+    border = t[0] + FITTED * span
+    # Of a short log less is left out, since many of them together may be enough.
+    settling = min(1.0, span / 5)
+    valid = scored_window(t, settling, settling / 5) & np.isfinite(velocity).all(axis=1)
     holes = find_holes(t, np.asarray(np.isfinite(y.reshape(len(y), -1)).any(1)))
     for counts in (valid & ~near_holes(t, holes), valid):  # errors of holes are not those of noise and gains
         tuned, held_out = counts & (t < border), counts & (t >= border)

@@ -153,7 +153,7 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         )
 
     tables = _tables(file, tuning, rate)
-    new, known = _tuned_file(file, tables), {}
+    new, known = tuned_file(file, tables), {}
     for name in filters:
         known[name] = velocities(new, name)
         if tells_noise(file) and not tuning.noise_kept and judge(known[name], old := velocities(file, name)).is_worse:
@@ -162,7 +162,7 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
             after = before._replace(one_step=after.one_step, gains_error=after.gains_error, relative=relative)
             tuning, known = tuning._replace(noise_kept="velocities", after=after), {name: old}
             tables = _tables(file, tuning, rate)
-            new = _tuned_file(file, tables)
+            new = tuned_file(file, tables)
     default = WITH_FORCE if tuning.force_rate else estimators(file.model)[0]
     velocity, best = velocities(new, default), KALMAN[0]
     if best in filters:
@@ -183,7 +183,7 @@ def _held_out(one: Loaded) -> np.ndarray:
     return clear if clear.sum() >= FEWEST else late
 
 
-def _tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:
+def tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:
     """The model file with the tuned numbers."""
     pairs = {f"{table}.{key}": value for table, numbers in tables.items() for key, value in numbers.items()}
     if "uncertainty" in tables:
@@ -223,7 +223,7 @@ def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, di
     ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
     if file.quantum is None or np.any(np.asarray(tuning.noise.measurement) > COARSER * ticks):
         std = [_short(value) for value in np.asarray(tuning.noise.measurement)]
-        tables = {"measurement": {"std": std if file.model.manifold.commuting and len(std) > 1 else std[0]}, **tables}
+        tables = {"measurement": {"std": std if len(std) > 1 else std[0]}, **tables}
     return tables
 
 
