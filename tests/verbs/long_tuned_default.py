@@ -74,3 +74,28 @@ def test_tune_estimate_and_compare_name_one_filter_and_what_they_say_is_true(tun
     assert free.verdict.is_better
     low, high = tuned.tuning.same
     assert low <= tuned.tuning.natural_frequency <= high
+
+
+def test_many_short_logs_are_tuned_as_one():
+    """121 rows each, which begin at speed: alone each is too short."""
+    each = [
+        covariant.simulate(
+            models.pendulum_chain(), duration=1.2, noise=1e-3, q0=[0.4 + 0.2 * k, 0.3], v0=[2.0, -1.0], rate=100.0
+        )
+        for k in range(4)
+    ]
+    records = [Record(*log.record[:3]) for log in each]
+    result = covariant.tune(RIGHT, records, overrides={"measurement.std": 4e-3})
+    assert result.tuning.rows == 4 * 55
+    np.testing.assert_allclose(result.lines["measurement"]["std"], 1e-3, rtol=0.3)
+    assert result.summary["held_out"]["after"]["relative"][1] < 0.05
+    with pytest.raises(ValueError, match="too short to tune on"):
+        covariant.tune(RIGHT, records[0])
+
+
+def test_each_component_of_a_pose_has_its_own_noise():
+    log = covariant.simulate("hovercraft", duration=6.0, noise=1e-3, rate=50.0, amplitude=[1.0, 0.5]).record
+    result = covariant.tune(
+        "hovercraft", Record(*log[:3]), overrides={"measurement.std": 1e-3, "uncertainty.acceleration": 0.3}
+    )
+    assert np.shape(result.lines["measurement"]["std"]) == (3,)
