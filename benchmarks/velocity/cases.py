@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from benchmarks import twins
 from jaxtyping import Bool, Float
 
+from benchmarks import twins
 from covariant import Record
 from covariant.verbs.base.inputs import Job, Loaded, ReferenceVelocity, load
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from benchmarks.velocity.cases import Case, case, entries
 from benchmarks.velocity.estimators import AbstractEstimator, Estimate, estimators
 from benchmarks.velocity.scores import ratio, scores

@@ -7,8 +7,8 @@ a log is the root mean square over its coordinates.
 from typing import Any
 
 import numpy as np
-from benchmarks.velocity.cases import Case
 
+from benchmarks.velocity.cases import Case
 from covariant.calibration import ErrorRatio
 
 LAGS = np.arange(-5.0, 20.25, 0.25)

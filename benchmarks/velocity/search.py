@@ -1,10 +1,11 @@
 """Searches the numbers of an estimator on the rows of a log that tune, with the same budget for all."""
 
 import numpy as np
+from scipy.stats import qmc
+
 from benchmarks.velocity.cases import Case
 from benchmarks.velocity.estimators import AbstractEstimator, Numbers
 from benchmarks.velocity.scores import relative_error
-from scipy.stats import qmc
 
 ROUNDS = (12, 8, 4)
 """Sets of numbers that are tried in each round."""

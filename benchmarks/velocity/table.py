@@ -9,13 +9,15 @@ import numpy as np
 
 DOCS = Path(__file__).parents[2] / "docs"
 RESULTS = Path(__file__).with_name("results.json")
+TUNED = ("covariant", "covariant-kalman")
+"""Estimators that `covariant tune` tunes, without true velocities."""
 Result = dict[str, Any]
 
 
 def best(result: Result, knows_model: bool | None = None) -> str:
-    """Name of the estimator with the least error, among all but the default, or among those with or without a model."""
+    """Name of the estimator with the least error of those that are searched, or of these with or without a model."""
     rows = result["estimators"]
-    names = [name for name in rows if name != "covariant" and knows_model in (None, rows[name]["knows_model"])]
+    names = [name for name in rows if name not in TUNED and knows_model in (None, rows[name]["knows_model"])]
     return min(names, key=lambda name: rows[name]["error"])
 
 
@@ -140,7 +142,7 @@ def draw(results: list[Result], path: Path) -> None:
             (k, row["error"] / one["estimators"][best(one)]["error"])
             for k, one in enumerate(ordered)
             for name, row in one["estimators"].items()
-            if name != "covariant" and row["knows_model"] == knows and np.isfinite(row["error"])
+            if name not in TUNED and row["knows_model"] == knows and np.isfinite(row["error"])
         ]
         axes.scatter(*zip(*points, strict=True), s=26, color=colour, marker=marker, alpha=0.75, lw=0, label=label)
     default = [excess(one) for one in ordered]

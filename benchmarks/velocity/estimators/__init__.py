@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from benchmarks.velocity.cases import Case
 from jaxtyping import Bool, Float
+
+from benchmarks.velocity.cases import Case
 
 Numbers = dict[str, float]
 """Numbers of an estimator by name."""

@@ -3,30 +3,43 @@
 from collections.abc import Sequence
 
 import numpy as np
-from benchmarks.velocity.cases import Case
-from benchmarks.velocity.estimators import AbstractEstimator, Estimate, Numbers, until
 
 import covariant
+from benchmarks.velocity.cases import Case
+from benchmarks.velocity.estimators import AbstractEstimator, Estimate, Numbers, until
+from covariant.models import ModelFile
 from covariant.signals import Record
 from covariant.verbs.base.tune_to_logs import tuned_file
 
+TUNED: dict[str, tuple[ModelFile, str]] = {}
+"""Tuned model files and the observers that they name, by the checksum of the log."""
+
+
+def tuned(case: Case) -> tuple[ModelFile, str]:
+    """The model file after `tune`, and its default observer."""
+    if case.key not in TUNED:
+        part = Record(*(np.asarray(each)[: until(case.tune)] for each in case.loaded.log.record[:3]))
+        lines = covariant.tune(case.loaded.file, part, anyway=True).lines
+        TUNED[case.key] = tuned_file(case.loaded.file, lines), lines["design"]["observer"]
+    return TUNED[case.key]
+
 
 class Default(AbstractEstimator):
-    """The default observer of the tuned file."""
+    """An observer of the tuned file, by default the one that it names."""
 
-    name, knows_model, source = "covariant", True, "`covariant tune`, then `covariant estimate`"
+    knows_model, source = True, "`covariant tune`, then `covariant estimate`"
+
+    def __init__(self, name: str, observer: str | None = None):
+        self.name, self.observer = name, observer
 
     def fits(self, case: Case) -> bool:
         return True
 
     def run(self, case: Case, numbers: Sequence[Numbers], rows: np.ndarray) -> list[Estimate]:
-        count, log = until(case.tune), case.loaded.log.record
-        part = Record(*(np.asarray(each)[:count] for each in log[:3]))
-        file = case.loaded.file
-        tuned = covariant.tune(file, part, anyway=True)
-        result = covariant.estimate(tuned_file(file, tuned.lines), Record(*map(np.asarray, log[:3])), anyway=True)
-        found = Estimate(result.velocity, result.velocity_std, tuned.lines["design"]["observer"])
-        return [found for _ in numbers]
+        file, chosen = tuned(case)
+        record = Record(*map(np.asarray, case.loaded.log.record[:3]))
+        result = covariant.estimate(file, record, observer=self.observer, anyway=True)
+        return [Estimate(result.velocity, result.velocity_std, self.observer or chosen) for _ in numbers]
 
 
-ESTIMATORS = [Default()]
+ESTIMATORS = [Default("covariant"), Default("covariant-kalman", "intrinsic-kalman")]

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
+
 from benchmarks.velocity.cases import Case
 from benchmarks.velocity.estimators import AbstractEstimator, Estimate, Numbers, until
-
 from covariant.scoring import unwrap
 
 LONGEST = 100

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+
 from benchmarks.velocity.cases import Case
 from benchmarks.velocity.estimators import AbstractEstimator, Estimate, Numbers
 from benchmarks.velocity.estimators.differences import readings
-
 from covariant.models import Motion, advance
 
 

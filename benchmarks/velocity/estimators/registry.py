@@ -5,10 +5,10 @@ from typing import Any
 
 import jax
 import numpy as np
+
 from benchmarks.velocity.cases import Case
 from benchmarks.velocity.estimators import AbstractEstimator, Estimate, Numbers, until
 from benchmarks.velocity.estimators.differences import readings
-
 from covariant.calibration import DataSheet, gated, tuned_estimators
 from covariant.calibration.tuning._filters import even_velocity
 from covariant.codegen import Recipe, program
