@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.velocity.cases import Case, case, entries
-from benchmarks.velocity.estimators import AbstractEstimator, Estimate, estimators
+from benchmarks.velocity.estimators import AbstractEstimator, Estimate, Numbers, estimators
 from benchmarks.velocity.scores import ratio, scores
 from benchmarks.velocity.search import searched
 
@@ -54,6 +54,14 @@ def judge(name: str) -> dict[str, Any] | None:
     }
 
 
+def _operations(estimator: AbstractEstimator, log: Case, numbers: Numbers) -> int | None:
+    """Operations of a step in C; None for a step whose work is not fixed."""
+    try:
+        return estimator.operations(log, numbers)
+    except ValueError:
+        return None
+
+
 def _kept(estimator: AbstractEstimator, log: Case, folder: Path, rows: dict) -> tuple[dict[str, Any], Estimate]:
     """Scores and velocities of an estimator, from an earlier run if nothing changed since."""
     path, key = folder / f"{estimator.name}.npz", f"{code_key()} {log.key}"
@@ -71,7 +79,7 @@ def _kept(estimator: AbstractEstimator, log: Case, folder: Path, rows: dict) -> 
         missing = np.full((len(log.t) - length, estimate.v.shape[1]), np.nan)
         whole = Estimate(*(each if each is None else np.concatenate([each, missing]) for each in estimate[:2]))
         row |= {"numbers": numbers, "note": estimate.note} | scores(log, whole.v, whole.std)
-        row["operations"] = estimator.operations(log, numbers)
+        row["operations"] = _operations(estimator, log, numbers)
     except (ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
         row |= {"error": np.inf, "note": f"failed: {str(error).splitlines()[0]}"}
         whole = Estimate(np.full(log.v.shape, np.nan))

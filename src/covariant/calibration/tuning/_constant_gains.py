@@ -186,8 +186,11 @@ class Judge(NamedTuple):
         # A variance that rounding made negative has a root that is NaN: such a row does not count.
         rows = np.all(std <= VAGUER * np.nanmedian(std, axis=0), axis=1)
         size = np.sqrt(np.mean(log.velocity[log.tuned | log.held_out] ** 2, axis=0))
-        smooth = run.corrected(smoothed_errors(run.system, noise, speed))
-        return cls(run.corrected(errors), smooth, np.asarray(rows), np.maximum(size, np.finfo(float).tiny))
+        smooth, later = run.corrected(smoothed_errors(run.system, noise, speed)), run.corrected(errors)
+        if not ((rows & log.tuned).any() and (rows & log.held_out).any()):
+            # What a servo or strong friction damps fast grows in reversed time, until it tells nothing.
+            later, rows = smooth, np.isfinite(smooth).all(axis=1)
+        return cls(later, smooth, np.asarray(rows), np.maximum(size, np.finfo(float).tiny))
 
     def distances(self, v: Float[np.ndarray, "K n"], rows: Bool[np.ndarray, "T"]) -> Float[np.ndarray, "R 2"]:
         """Squared distances of the velocities of the first K rows to both, where `rows` count."""
