@@ -109,9 +109,8 @@ class Likelihood(NamedTuple):
 
         scores = sums(np.einsum("ti,tip->tp", weight * e, slope))
         loss = sums(np.sum(loss + np.log(size), axis=1))
-        return Blocks(
-            loss, scores, np.sum(curvatures(weight), axis=0), curvatures(weight**3), Kept(z, run, system, pushes)
-        )
+        majorised = np.sum(curvatures(weight), axis=0)
+        return Blocks(loss, scores, majorised, curvatures(weight**3), Kept(z, run, system, pushes))
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
         """Unknowns (p,) after a step."""
