@@ -129,10 +129,5 @@ def trade_off(certificate: ContractionCertificate, count: Count = 40) -> TradeOf
         return rate_of(alpha, beta, q), conditioning(beta, q)
 
     pairs = np.array(sorted(rate_and_condition(q) for q in matrices))
-    return TradeOff(
-        pairs[:, 0],
-        pairs[:, 1],
-        rate_and_condition(certificate.q),
-        rate_and_condition(lyapunov(alpha, beta)),
-        certificate.rate,
-    )
+    at_lyapunov = rate_and_condition(lyapunov(alpha, beta))
+    return TradeOff(*pairs.T, rate_and_condition(certificate.q), at_lyapunov, certificate.rate)
