@@ -62,7 +62,8 @@ def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Find
     if not np.isfinite(beside.readings).any():
         return []
     seen = pair(case, t, beside, late)
-    name, spacing = beside.sensor.name, float(np.median(np.diff(t[np.isfinite(beside.readings).any(axis=1)])))
+    name = beside.sensor.name
+    spacing = float(np.median(np.diff(t[np.isfinite(beside.readings).any(axis=1)])))
     if seen is None:
         evidence = "too few readings, or too short a motion, to compare it with the positions"
         return [Finding("sensor not judged", name, evidence, "", False, {})]

@@ -52,10 +52,8 @@ def _angle_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> 
     for unit in ("degrees", "turns") if off.any() else ():
         position, inputs = np.where(angles, ANGLES[unit], 1.0), np.ones(len(names.u))
         inputs[column] = position[JointServos.of(case).joint]
-        change, words = (
-            Change.none(case)._replace(position=position, inputs=inputs),
-            f"with positions and commands in {unit}",
-        )
+        change = Change.none(case)._replace(position=position, inputs=inputs)
+        words = f"with positions and commands in {unit}"
         line = f"{names.line('q', position)}; {names.line('u', inputs)}"
         yield Suspicion("unit of positions", "", words, line, change.apply, "servo")
 

@@ -209,7 +209,8 @@ def errors(case: Case, prepared: Prepared, servos: JointServos, i: int, delay: f
 
 def _prepare(case: Case) -> Prepared:
     servos = JointServos.of(case)
-    record, delay = case.record._replace(u=np.zeros((len(case.record.t), 0))), np.asarray(case.file.delay, float)
+    record = case.record._replace(u=np.zeros((len(case.record.t), 0)))
+    delay = np.asarray(case.file.delay, float)
     log = smooth(record, case.file.reference_half, case.model.circles, delay, case.ticks)
     motion, weight, slopes = _rigid(case.model, log.q.shape[1])(log.q, log.v, log.a)
     columns, least, most, weighs = [], [], [], []

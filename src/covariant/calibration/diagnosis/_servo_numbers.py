@@ -131,9 +131,8 @@ def _first_guesses(case: Case, judge: CommandErrors) -> Iterator[Finding]:
         listed = ", ".join(f"{name} {100 * s:.3g} % and {100 * b:.2g} %" for name, _, s, b in poorly_explained)
         evidence = "of the squares of the errors of commands the numbers of the model leave, and the best ones would: "
         fitted = ",".join(f"servo.{joint}" for _, joint, _, _ in poorly_explained)
-        line = (
-            f"covariant fit MODEL LOG --parameters {'servo' if len(poorly_explained) == len(servos.joint) else fitted}"
-        )
+        every = len(poorly_explained) == len(servos.joint)
+        line = f"covariant fit MODEL LOG --parameters {'servo' if every else fitted}"
         numbers = {name: {"stated": s, "best": b} for name, _, s, b in poorly_explained}
         yield Finding("servo", ", ".join(numbers), evidence + listed, line, False, numbers)
 
@@ -141,7 +140,8 @@ def _first_guesses(case: Case, judge: CommandErrors) -> Iterator[Finding]:
 def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     """A static error that grows with the weight, but not as the stated stiffness predicts."""
     prepared, servos, fit = judge.prepared(case), JointServos.of(case), judge.fit(case, i)
-    table, first = prepared.columns[i][prepared.rows], WEIGHT_INDEX
+    table = prepared.columns[i][prepared.rows]
+    first = WEIGHT_INDEX
     if table.shape[1] <= first or not np.ptp(table[:, first]) > 0 or not prepared.weighs[i]:
         return
     sag = table[:, first:] @ fit.multiples[first:]

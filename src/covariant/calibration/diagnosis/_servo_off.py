@@ -1,5 +1,6 @@
 """The suspicion that a servo is off for a while, and cases in which its torque is multiplied by a factor."""
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -57,9 +58,8 @@ def lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
         line = f"start = {log.t[spans[0][1]]:.4g} keeps the rows after that, or {line}"
     claim = f"{joint} does not follow its command from {listed}, as if its torque were off"
     numbers = {"off": [[float(log.t[begin]), float(log.t[end])] for begin, end in spans]}
-    yield Suspicion(
-        "servo off", joint, "then", line, lambda case: with_strength(case, i, on), "servo change", claim, numbers
-    )
+    change = functools.partial(with_strength, i=i, strength=on)
+    yield Suspicion("servo off", joint, "then", line, change, "servo change", claim, numbers)
 
 
 def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, int]], float]:

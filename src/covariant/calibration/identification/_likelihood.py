@@ -21,13 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import known_rms
 from covariant.calibration._least_squares import STD_OF_MEDIAN, Blocks, robust
-from covariant.calibration.identification._error_model import (
-    VAGUE,
-    ErrorModel,
-    NoiseLevels,
-    kalman,
-    smoothed,
-)
+from covariant.calibration.identification._error_model import VAGUE, ErrorModel, NoiseLevels, kalman, smoothed
 from covariant.calibration.identification._predict import FAR, PredictionErrors
 from covariant.calibration.identification._rows import Rows
 from covariant.calibration.identification._unknowns import Unknowns

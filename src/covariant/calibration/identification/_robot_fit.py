@@ -23,13 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from covariant import scoring
 from covariant._linalg import solve
-from covariant.calibration._least_squares import (
-    PRIOR,
-    STD_OF_MEDIAN,
-    block_covariance,
-    minimise_above_bounds,
-    robust,
-)
+from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, minimise_above_bounds, robust
 from covariant.calibration.diagnosis import held_inputs
 from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._robot_combinations import Combinations

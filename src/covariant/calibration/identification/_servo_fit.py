@@ -15,15 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration._least_squares import (
-    PRIOR,
-    Blocks,
-    Fixed,
-    Point,
-    block_covariance,
-    minimise,
-    robust,
-)
+from covariant.calibration._least_squares import PRIOR, Blocks, Fixed, Point, block_covariance, minimise, robust
 from covariant.calibration.identification._robot_fit import RobotFit, scale_of
 from covariant.calibration.identification._robot_torques import Determined, usual_sizes
 from covariant.calibration.identification._servo_motion import ServoLog

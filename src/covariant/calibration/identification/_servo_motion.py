@@ -63,7 +63,8 @@ class Drive(NamedTuple):
             "stribeck_velocity": none + 1.0,
         }
         viscous = known["damping"] + law["viscous"]
-        friction, force = (known["coordinates"], viscous, known["friction"], law), model.force
+        friction = (known["coordinates"], viscous, known["friction"], law)
+        force = model.force
         return cls(force.servos, force.motors, *friction, model.space.tree.armature)
 
 

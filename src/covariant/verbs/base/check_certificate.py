@@ -49,7 +49,8 @@ def check_certificate(
         checked = certificates.check_globally(path, content, model=model, progress=counted)
         if checked is not None:
             return CertificateCheckResult(path, model, checked, 0, "none in ball arithmetic")
-        document, processes = certificates.parse(path, content), int(above_zero("processes", processes))
+        document = certificates.parse(path, content)
+        processes = int(above_zero("processes", processes))
         checked = certificates.check(document, model=model, processes=processes, progress=counted)
         return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
     except InputError as refusal:

@@ -161,10 +161,9 @@ class EstimateResult(AbstractEstimates):
         """
         outcome, info = self.outcome, self.outcome.run.info
         table = {"t": self.t} | self.loaded.kind.configuration(outcome.run.estimate, positions)
-        for names, values, std in (
-            (velocities, outcome.velocity, deviations(info)),
-            (outcome.slow_names, *(known(info, name) for name in ("slow", "slow_std"))),
-        ):
+        motion = velocities, outcome.velocity, deviations(info)
+        slow = outcome.slow_names, known(info, "slow"), known(info, "slow_std")
+        for names, values, std in (motion, slow):
             for suffix, each in (("", values), ("_std", std)):
                 if each is not None and each.size:
                     table |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}

@@ -192,9 +192,11 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods, missing_inputs, absent))
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
     lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, MOST_MISSING)
-    record = _around_missing(
-        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead), lagging
-    )
+
+    def acting(whole: Record) -> Record:
+        return acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead)
+
+    record = _around_missing(acting, lagging)
     if not job.anyway:
         whole = kind.complete(np.asarray(record.y))
         known = log._replace(record=_with_inputs_only(log.record._replace(y=whole)))

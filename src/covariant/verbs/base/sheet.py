@@ -53,9 +53,8 @@ def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
     """What the model file has estimated along with the motion, beside an external force."""
     components = ()
     if file.family is not None:
-        stds = [
-            file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
-        ]
+        keys = [next(key for key in file.uncertain if _stands_for(key, name)) for name in file.family.names]
+        stds = [file.uncertain[key] for key in keys]
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)

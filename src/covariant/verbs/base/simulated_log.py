@@ -80,7 +80,8 @@ def simulated_log(
         inputs = acting.at(np.maximum(row - 1, 0), acting.begin[row])
         columns |= part.to_columns(sensed(machine, part, then, inputs, acting.begin[row], (scenario.seed, i)))
     columns |= {f"true_{key}": column for key, column in (configuration | hidden).items()}
-    names, units = tuple(f"true_{key}" for key in hidden), _units(file, layout, tuple(hidden))
+    names = tuple(f"true_{key}" for key in hidden)
+    units = _units(file, layout, tuple(hidden))
     units |= {name: unit for part in beside for name, unit in part.si_units.items()}
     if force is not None:
         forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]

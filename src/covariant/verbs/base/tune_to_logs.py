@@ -82,7 +82,8 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
         progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
 
     try:
-        names, model = [Path(job.log_name).name for job in jobs], loaded[0].model
+        names = [Path(job.log_name).name for job in jobs]
+        model = loaded[0].model
         tuning = tune(model, records, velocities, std=known, before=before, progress=report, runs=runs, names=names)
     except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
