@@ -405,10 +405,10 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Constants, np.ndarray]:
     """The constants for e and x̃ multiplied by `scales`, and the point at which λ_q is attained."""
     extremes = {name: _least(form, scales, search) for name, form in forms.items()}
-    small, large, c3, lambda_q, m1, gamma1, gamma2 = (value for value, _ in extremes.values())
-    gammas = (math.sqrt(max(-least, 0.0)) for least in (gamma1, gamma2))
+    small, large, c3, lambda_q, m1, *couplings = (value for value, _ in extremes.values())
+    gamma1, gamma2 = (math.sqrt(max(-least, 0.0)) for least in couplings)
     # Half the extreme eigenvalues of P, since V_con = ½eᵀPe.
-    return Constants(small / 2, -large / 2, c3, -large, lambda_q, *gammas, m1), extremes["error"][1]
+    return Constants(small / 2, -large / 2, c3, -large, lambda_q, gamma1, gamma2, m1), extremes["error"][1]
 
 
 def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:

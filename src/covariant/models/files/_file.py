@@ -224,7 +224,9 @@ def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
     if content.get("system") not in ("robot", "legged_base"):
         return content
     parameters = content.get("parameters")
-    stated = parameters.get("path") if isinstance(parameters, dict) else None
+    if not isinstance(parameters, dict):
+        return content
+    stated = parameters.get("path")
     if not isinstance(stated, str) or stated in ROBOTS:
         return content
     return content | {"parameters": parameters | {"path": str(path.parent / stated)}}
