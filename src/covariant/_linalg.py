@@ -205,9 +205,8 @@ def cholesky(a: Matrix) -> Matrix:
     """Cholesky factor: lower triangular L with `a = L Lᵀ`."""
     columns = []
     for k, step in enumerate(ldl(a)):
-        columns.append(
-            jnp.concatenate([jnp.zeros((k, 1), a.dtype), jnp.ones_like(step.d), step.below]) * jnp.sqrt(step.d)
-        )
+        column = jnp.concatenate([jnp.zeros((k, 1), a.dtype), jnp.ones_like(step.d), step.below])
+        columns.append(column * jnp.sqrt(step.d))
     return jnp.concatenate(columns, axis=1)
 
 

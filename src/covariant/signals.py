@@ -340,9 +340,8 @@ def lag_inputs(record: Record, time_constant: float) -> Record:
 
     def lagged(column):
         first, *later = column.tolist()  # a recursion, for which Python's floats are quicker than NumPy's
-        return list(
-            accumulate(zip(decay, later, strict=True), lambda u, k: k[0] * u + (1 - k[0]) * k[1], initial=first)
-        )
+        steps = zip(decay, later, strict=True)
+        return list(accumulate(steps, lambda u, k: k[0] * u + (1 - k[0]) * k[1], initial=first))
 
     u = np.asarray(record.u, float)
     return record._replace(u=np.array([lagged(column) for column in u.T]).T.reshape(u.shape))

@@ -23,13 +23,8 @@ def state_noise(file: ModelFile, rate: float) -> StateNoise:
         )
     states, outputs = file.dimension, len(file.columns.q)
     start, deviation = first_estimate(file)
-    return StateNoise(
-        jnp.diag(_each(file.process_std, states) ** 2),
-        jnp.diag(_each(file.measurement_std, outputs) ** 2),
-        start,
-        jnp.diag(deviation**2),
-        rate,
-    )
+    process, measurement = _each(file.process_std, states), _each(file.measurement_std, outputs)
+    return StateNoise(jnp.diag(process**2), jnp.diag(measurement**2), start, jnp.diag(deviation**2), rate)
 
 
 def first_estimate(file: ModelFile) -> tuple[jnp.ndarray, jnp.ndarray]:

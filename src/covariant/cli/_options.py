@@ -101,9 +101,8 @@ class Option(NamedTuple):
         )
         kind = self.kind.type | None if self.default is None else self.kind.type
         default = inspect.Parameter.empty if self.default is REQUIRED else self.default
-        return inspect.Parameter(
-            self.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, setting]
-        )
+        annotation = Annotated[kind, setting]
+        return inspect.Parameter(self.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 POSITIONAL = {
@@ -176,10 +175,9 @@ def _option(name: str, argument: Argument) -> Option:
     kind = OBSERVER if name == "observer" else KINDS[argument.annotation]
     if kind in (OBSERVER, TEXT) and len(names) > 1:
         kind = Kind(str, functools.partial(_parse.one_of, names=names), f"<{'|'.join(names)}>", names)
-    # A text, as it would be typed, where it is parsed like one.
-    default = (
-        str(argument.default) if kind.type is str and argument.default not in (None, REQUIRED) else argument.default
-    )
+    default = argument.default
+    if kind.type is str and default not in (None, REQUIRED):
+        default = str(default)  # as it would be typed, where it is parsed like a text
     first_sentence = re.split(r"(?<=\.) (?=[A-Z])", argument.text)[0]
     flags = (f"--{flag}/--no-{flag}" if default is True else f"--{flag}",)
     return Option(name, kind, first_sentence, default, flags, LEAST.get(name))

@@ -205,9 +205,8 @@ def _variables(program: Program, y: np.ndarray) -> Iterator[UnitVariable]:
         unit = program.units.get(key, "1")
         # A unit such as "kg, kg m^2" belongs to numbers of several kinds.
         known = () if unit == "1" or "," in unit else (unit,)
-        yield UnitVariable(
-            f"parameters.{key}", "parameter", np.shape(value), tuple(np.ravel(value).tolist()), "", known
-        )
+        start = tuple(np.ravel(value).tolist())
+        yield UnitVariable(f"parameters.{key}", "parameter", np.shape(value), start, "", known)
     for leaf in (*program.x, *program.told):
         of = DEVIATION_OF.get(leaf.name, leaf.name)
         about = program.signals.of(of)

@@ -95,6 +95,6 @@ def backend(observer: Any, y: np.ndarray, inputs: int, asked: EngineName) -> tup
     """Engine and backend for a stream of an observer."""
     # A stream has no last row, so its number of rows is infinite.
     chosen, (numbers,) = choose_open([observer], KernelForm(y.shape, inputs), math.inf, asked)
-    return str(chosen), JaxBackend(observer, y, inputs) if chosen.kernel is None else CBackend(
-        chosen.kernel, numbers, observer.input_at_end
-    )
+    if chosen.kernel is None:
+        return str(chosen), JaxBackend(observer, y, inputs)
+    return str(chosen), CBackend(chosen.kernel, numbers, observer.input_at_end)

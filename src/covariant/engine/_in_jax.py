@@ -53,9 +53,8 @@ def compiled(function: Callable, *arguments: object) -> Callable:
     lowered = lower(function, *shapes, loops="any")
     if not lowered.inputs * len(lowered.outputs):
         raise InputError("compiled: the function needs at least one number as argument and one as result")
-    rows_of = _rows(
-        _register_target(lowered, REALS[dtype]), len(lowered.outputs), getattr(function, "__name__", "function")
-    )
+    target = _register_target(lowered, REALS[dtype])
+    rows_of = _rows(target, len(lowered.outputs), getattr(function, "__name__", "function"))
 
     @functools.wraps(function)
     def call(*values: Any) -> Any:

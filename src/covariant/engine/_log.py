@@ -145,10 +145,12 @@ def _by_c(
     blocks = [order[k : k + lanes] for k in range(0, len(order), lanes)]
     # Identity is the key, so that a log used in many runs is converted once.
     rows = {id(log): _Rows.of(log, input_at_end) for log in logs}
+
+    def through(block: list[int]) -> list[Run]:
+        return _through(kernel, form, numbers[block], [rows[id(logs[k])] for k in block])
+
     with ThreadPoolExecutor(min(len(blocks), cores)) as pool:  # C releases Python's global lock while it runs
-        results = pool.map(
-            lambda block: _through(kernel, form, numbers[block], [rows[id(logs[k])] for k in block]), blocks
-        )
+        results = pool.map(through, blocks)
         runs = dict(zip(order, itertools.chain(*results), strict=True))
     return [runs[k] for k in range(len(logs))]
 

@@ -205,10 +205,12 @@ class Leaf(AbstractSpace):
 
         def left(w):
             """Normal parts of the covariant derivatives of w along a and b, in rows (2, m)."""
+
             # Computed from forces: A g⁻¹ of a force is a product with raised rows, and no linear system is transposed.
-            return jax.vmap(
-                lambda along: normals.raised @ space.connection_force(x, along, w) - self._change(x, along, w)
-            )(jnp.stack([a, b]))
+            def normal(along):
+                return normals.raised @ space.connection_force(x, along, w) - self._change(x, along, w)
+
+            return jax.vmap(normal)(jnp.stack([a, b]))
 
         of_a, of_b = jax.vmap(lambda rows: solve(normals.gram, rows))(left(c))
 

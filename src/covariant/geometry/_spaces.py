@@ -280,9 +280,8 @@ class Product(AbstractMetric):
 
     def shoot(self, p: Vector, q: Vector, guess: Vector | None = None, budget: Budget = Budget()) -> Shot:
         guesses = [None] * len(self.sizes) if guess is None else split(guess, self.sizes)
-        shots = [
-            space.shoot(*parts, first, budget) for (space, *parts), first in zip(self._each(p, q), guesses, strict=True)
-        ]
+        pairs = zip(self._each(p, q), guesses, strict=True)
+        shots = [space.shoot(*parts, first, budget) for (space, *parts), first in pairs]
         velocity, arrival = (jnp.concatenate([s[i] for s in shots]) for i in (0, 1))
         # Factors are orthogonal, so squares of lengths add up; the largest result code is the worst one.
         residual = jnp.sqrt(sum(s.residual**2 for s in shots))

@@ -57,19 +57,16 @@ def by_entries(source: LogSource, path: Path | None = None) -> LogSource:
         columns, names = [], []
         for name, column in zip(table.column_names, table.columns, strict=True):
             for entry in [each for each in dict.fromkeys(asked) if entries.get(each, (each, 0))[0] == name]:
-                columns.append(
-                    pyarrow().compute.list_element(column, entries[entry][1]) if entry in entries else column
-                )
+                listed = entry in entries
+                columns.append(pyarrow().compute.list_element(column, entries[entry][1]) if listed else column)
                 names.append(entry)
         return pyarrow().table(columns, names=names)
 
-    units = {name: text for name, text in source.units.items() if name not in entries} | {
-        entry: source.units[column] for entry, (column, _) in entries.items() if column in source.units
-    }
+    units = {name: text for name, text in source.units.items() if name not in entries}
+    units |= {entry: source.units[column] for entry, (column, _) in entries.items() if column in source.units}
     labels = {} if path is None else _labels(path, lengths)
-    return source._replace(
-        names=expand(source.names), shown=expand(source.shown), load=load, units=units, labels=labels
-    )
+    names, shown = expand(source.names), expand(source.shown)
+    return source._replace(names=names, shown=shown, load=load, units=units, labels=labels)
 
 
 def _labels(path: Path, lengths: Mapping[str, int]) -> dict[str, str]:

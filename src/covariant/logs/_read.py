@@ -241,10 +241,8 @@ def _of_columns(asked: _Asked) -> Log:
 
     unit = columns.unit_of("t", 0)
     t, origin = stamps(_where(name, columns.t, unit), table.column(columns.t), unit)
-    u, y = (
-        stack(columns, "u", needed=not asked.missing_inputs),
-        from_cells(name, columns, stack(columns, *MEASURED, empty=False)),
-    )
+    u = stack(columns, "u", needed=not asked.missing_inputs)
+    y = from_cells(name, columns, stack(columns, *MEASURED, empty=False))
     v, truth = (stack(columns, field) if getattr(columns, field) else None for field in OPTIONAL)
     read = tuple(readings(each, si) if each in present else None for each, si in sensors)
     try:
@@ -391,9 +389,8 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     for column_name in [each for each in named if each in table.column_names]:
         column = table.column(column_name)
         with contextlib.suppress(LogError):
-            columns[column_name] = (
-                stamps(name, column, None).t if timed(column) else numbers(name, column, needed=False)
-            )
+            is_time = timed(column)
+            columns[column_name] = stamps(name, column, None).t if is_time else numbers(name, column, needed=False)
     if source.first_line:
         remarks.append(no_header(source))
     return LogSurvey(columns, source.units, tuple(remarks), source.labels)
@@ -468,12 +465,12 @@ def _open_source(name: str, log: Any) -> LogSource:
         with pyarrow().parquet.ParquetFile(path) as file:
             schema = file.schema_arrow
             check_log(path, file.metadata.num_rows)
+
+        def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
+            return _parquet(path, [*wanted, *beside])
+
         names, lists = list(schema.names), [field.name for field in schema if is_list(field.type)]
-        source = LogSource(
-            *(names, names, lambda wanted, held, beside: _parquet(path, [*wanted, *beside]), stated_units(schema)),
-            lists=lists,
-        )
-        return by_entries(source, path)
+        return by_entries(LogSource(names, names, load, stated_units(schema), lists=lists), path)
     text = sheet(path)
     return LogSource(
         text.header,

@@ -72,9 +72,8 @@ def _shape_fault(cells: Cells) -> tuple[np.ndarray, Callable[[int], str]]:
         if off[k] > TOLERANCE:
             worst = stretch[k, np.abs(stretch[k] - 1).argmax()]
             return f"the matrix is not orthogonal, it stretches {worst:.3g} times; check the order of its columns"
-        return (
-            f"the matrix is a reflection, its determinant is {determinant[k]:.3g}: swap or negate one left-handed axis"
-        )
+        size = f"its determinant is {determinant[k]:.3g}"
+        return f"the matrix is a reflection, {size}: swap or negate one left-handed axis"
 
     return (off > TOLERANCE) | (determinant < 0), words
 

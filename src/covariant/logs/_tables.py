@@ -91,13 +91,11 @@ def table_source(name: str, log: Any) -> LogSource:
     places = dict(zip(names, frame.columns, strict=True))
 
     def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
-        return pyarrow().table(
-            {column: _arrow(name, column, frame[places[column]].to_arrow) for column in (*wanted, *beside)}
-        )
+        asked = (*wanted, *beside)
+        return pyarrow().table({column: _arrow(name, column, frame[places[column]].to_arrow) for column in asked})
 
-    return LogSource(
-        names, names, load, units, lists=[str(name) for name in frame.columns if _may_hold_lists(frame[name])]
-    )
+    lists = [str(column) for column in frame.columns if _may_hold_lists(frame[column])]
+    return LogSource(names, names, load, units, lists=lists)
 
 
 def _may_hold_lists(cells: Any) -> bool:
@@ -164,12 +162,10 @@ def _dataset_source(name: str, log: Any) -> LogSource:
     }
 
     def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
-        return pyarrow().table(
-            {
-                key: _arrow(name, key, lambda v=columns[key]: pyarrow().array(np.asarray(v.values)))
-                for key in (*wanted, *beside)
-            }
-        )
+        def arrow(key: str) -> Any:
+            return _arrow(name, key, lambda: pyarrow().array(np.asarray(columns[key].values)))
+
+        return pyarrow().table({key: arrow(key) for key in (*wanted, *beside)})
 
     return LogSource(list(columns), list(columns), load, units)
 

@@ -252,9 +252,8 @@ def unknown_unit(name: str, meant: Sequence[str], others: Sequence[str] = ()) ->
             is_unit = _is_stated(text) or any(_words(text)) or text[0].isdigit()
             is_unit |= not text.isascii() if is_unit_of("s", meant) else re.match(r"[AVW]\W", text) is not None
             return text if is_unit else None
-        keys = {
-            other["square"] for other in map(_BRACKETS.fullmatch, others) if other and other["stem"] == match["stem"]
-        }
+        matches = [other for other in map(_BRACKETS.fullmatch, others) if other and other["stem"] == match["stem"]]
+        keys = {other["square"] for other in matches}
         return text if _is_stated(text) or match["space"] or len(keys) < 2 else None
     stem = name if match is None else match["stem"]
     is_time, is_force = is_unit_of("s", meant), is_unit_of("N", meant) or is_unit_of("N m", meant)

@@ -123,9 +123,8 @@ class Axis(NamedTuple):
     def _spaced(self) -> bool:
         if self.designs or not all(isinstance(value, int | float) for value in self.values):
             return False
-        return bool(np.allclose(np.diff(self.values), self.values[1] - self.values[0], atol=0)) and (
-            self.values[0] < self.values[1]
-        )
+        step = self.values[1] - self.values[0]
+        return step > 0 and bool(np.allclose(np.diff(self.values), step, atol=0))
 
     def at(self, x: Array) -> Array:
         """Value at a coordinate of the store."""

@@ -174,12 +174,8 @@ class SweepResult(AbstractTable):
                 varied = {axis.key: value for axis, value in zip(outer, each, strict=True)}
                 rows.append({"observer": name, **varied, **{key: float(part[k]) for key, part in values.items()}})
         names = dict.fromkeys(key for row in rows for key in row)
-        return {
-            key: np.array(
-                [row.get(key, math.nan) for row in rows], object if isinstance(rows[0].get(key), str) else None
-            )
-            for key in names
-        }
+        kinds = {key: object if isinstance(rows[0].get(key), str) else None for key in names}
+        return {key: np.array([row.get(key, math.nan) for row in rows], kind) for key, kind in kinds.items()}
 
     @property
     def runs(self) -> int:
@@ -188,10 +184,8 @@ class SweepResult(AbstractTable):
 
     @property
     def _rows(self) -> list[dict[str, Any]]:
-        return [
-            dict(zip(self.columns, row, strict=True))
-            for row in zip(*(c.tolist() for c in self.columns.values()), strict=True)
-        ]
+        rows = zip(*(c.tolist() for c in self.columns.values()), strict=True)
+        return [dict(zip(self.columns, row, strict=True)) for row in rows]
 
     @property
     def summary(self) -> dict[str, Any]:

@@ -205,9 +205,8 @@ def _load(model: str, fixed: Mapping[str, Any], changes: Mapping[str, Any], plac
                 models.load(model, {**fixed, key: value})
             except InputError as error:
                 table, known = key.partition(".")[0], (*STATES, *KEYS)
-                hint = (
-                    f" {table} is a key of the study, not of a model." if table in known else did_you_mean(table, known)
-                )
+                of_study = f" {table} is a key of the study, not of a model."
+                hint = of_study if table in known else did_you_mean(table, known)
                 raise InputError(f"{place}{key}:{hint} {error}") from error
         raise
 
@@ -297,9 +296,8 @@ def _family(model: Any, observers: Sequence[Any], inputs: int, driven: bool, noi
         return _Family(step, init, numbers, tells)
     state = jax.eval_shape(init, first, origin)
     at = jnp.zeros(())
-    compiled = engine.compiled(
-        step, first, at, origin, zero, state, jnp.zeros(inputs), (zero, jnp.zeros((FINE, *zero.shape))), zero, at
-    )
+    force = (zero, jnp.zeros((FINE, *zero.shape)))
+    compiled = engine.compiled(step, first, at, origin, zero, state, jnp.zeros(inputs), force, zero, at)
     return _Family(compiled, init, numbers, tells)
 
 

@@ -69,9 +69,11 @@ def survey(
     planes = rng.normal(size=(samples, 2, n))
     # The mean length of a normal vector (3,) is about 1.6 standard deviations: rotations of 2.5 rad on average.
     steps[:, : n - count] = rng.normal(size=(samples, n - count), scale=np.pi / 2)
-    matrices, curvatures = evaluate_batch(
-        lambda s, w: _at_configuration(model, model.manifold.retract(origin, s), w), steps, planes
-    )
+
+    def at_configuration(s, w):
+        return _at_configuration(model, model.manifold.retract(origin, s), w)
+
+    matrices, curvatures = evaluate_batch(at_configuration, steps, planes)
     eigenvalues = np.full((samples, n), np.nan)
     finite = np.isfinite(matrices).all((1, 2))  # LAPACK fails for matrices that are not finite
     eigenvalues[finite] = np.linalg.eigvalsh(matrices[finite])

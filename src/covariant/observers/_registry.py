@@ -102,16 +102,13 @@ def intrinsic_kalman(
     """Intrinsic Kalman filter: for encoders that count ticks if their tick is known, else for Gaussian noise."""
     n = measurement.shape[0]
     velocity = jnp.diag(jnp.broadcast_to(jnp.asarray(speed, float), n) ** 2)
+    made = partial(IntrinsicKalman, sensors=sensors, inputs=inputs)
     if quantum is None or not model.manifold.commuting:
-        return IntrinsicKalman(
-            model, process, measurement, velocity, slow, sensors=sensors, inputs=inputs, adaptive=True
-        )
+        return made(model, process, measurement, velocity, slow, adaptive=True)
     # A reading is an interval here, so the only noise is that of the positions of edges. The error of a reading repeats
     # from row to row, as with a wrong model, so the filter cannot learn the size of the unknown from it.
     ticks = jnp.broadcast_to(jnp.asarray(quantum, float), n)
-    return IntrinsicKalman(
-        model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks, sensors=sensors, inputs=inputs
-    )
+    return made(model, process, jnp.diag((EDGE * ticks) ** 2), velocity, slow, ticks)
 
 
 class _NoForce(Functional):

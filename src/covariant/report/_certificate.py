@@ -113,10 +113,9 @@ def _legend(ax: "matplotlib.axes.Axes", **options) -> None:
 
 def _draw_region(ax: "matplotlib.axes.Axes", projected: Projection, certificate: ContractionCertificate) -> None:
     collection = optional("matplotlib.collections").PolyCollection
-    for order, (boxes, colour, fill, label) in enumerate(
-        ((projected.proved, _PROVED, 0.18, "boxes proved"), (projected.open, _OPEN, 0.55, "boxes not decided")),
-        start=1,
-    ):
+    proved = projected.proved, _PROVED, 0.18, "boxes proved"
+    undecided = projected.open, _OPEN, 0.55, "boxes not decided"
+    for order, (boxes, colour, fill, label) in enumerate((proved, undecided), start=1):
         if len(boxes):
             shown = boxes[:_MOST_RECTANGLES]
             (left, bottom), (right, top) = shown[:, 0].T, shown[:, 1].T
@@ -175,17 +174,9 @@ def _draw_tube(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: Co
     ax.plot([], [], "s", color=tube, markersize=9, label=f"proved tube, ± {half[0]:.2g}{of} and ± {half[1]:.2g}{of}/s")
     ax.plot(x, y, color=INK, linewidth=1.6, zorder=4, label="motion of the model")
     for k in range(len(motion.estimated_positions)):
-        ax.plot(
-            motion.estimated_positions[k, :, i],
-            motion.estimated_velocities[k, :, i],
-            color=_ESTIMATE,
-            linewidth=0.9,
-            zorder=3,
-            label=None if k else "estimates from its border",
-        )
-        ax.plot(
-            motion.estimated_positions[k, 0, i], motion.estimated_velocities[k, 0, i], ".", color=_ESTIMATE, zorder=5
-        )
+        q, v = motion.estimated_positions[k, :, i], motion.estimated_velocities[k, :, i]
+        _draw_estimate(ax, q, v, k)
+        ax.plot(q[0], v[0], ".", color=_ESTIMATE, zorder=5)
     unit = f" [{units[i]}]" if units[i] else ""
     ax.set_xlabel(f"{names[i]}{unit}")
     ax.set_ylabel(f"d{names[i]}/dt" + (f" [{units[i]}/s]" if units[i] else " [1/s]"))
@@ -198,31 +189,27 @@ def _draw_velocity(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate
     names, units = _names(certificate)
     v, half = motion.velocities[:, i], motion.half_widths[i + n]
     tube = _mix_with_white(_TUBE, 0.35)
-    ax.fill_between(
-        motion.t, v - half, v + half, color=tube, linewidth=0, label=f"proved tube, ± {half:.2g} {units[i]}", zorder=1
-    )
+    label = f"proved tube, ± {half:.2g} {units[i]}"
+    ax.fill_between(motion.t, v - half, v + half, color=tube, linewidth=0, label=label, zorder=1)
     ax.plot(motion.t, v, color=INK, linewidth=1.6, label="motion of the model", zorder=4)
     for k, estimated in enumerate(motion.estimated_velocities[:, :, i]):
-        ax.plot(
-            motion.t,
-            estimated,
-            color=_ESTIMATE,
-            linewidth=0.9,
-            zorder=3,
-            label=None if k else "estimates from its border",
-        )
+        _draw_estimate(ax, motion.t, estimated, k)
     ax.set_xlabel("t [s]")
     ax.set_ylabel(f"{names[i]} [{units[i]}]" if units[i] else names[i])
     _legend(ax, loc="best")
+
+
+def _draw_estimate(ax: "matplotlib.axes.Axes", x: np.ndarray, y: np.ndarray, k: int) -> None:
+    label = None if k else "estimates from its border"
+    ax.plot(x, y, color=_ESTIMATE, linewidth=0.9, zorder=3, label=label)
 
 
 def _draw_distances(ax: "matplotlib.axes.Axes", motion: Trajectories, certificate: ContractionCertificate) -> None:
     distances = motion.distances
     smallest = distances.high[:, 0].max() * 1e-4
     for k, curves in enumerate(zip(distances.high, distances.low, strict=True)):
-        for distance, colour, dash, where in zip(
-            curves, (_ESTIMATE, INK), ("-", (0, (2, 5))), ("above", "below"), strict=True
-        ):
+        sides = zip(curves, (_ESTIMATE, INK), ("-", (0, (2, 5))), ("above", "below"), strict=True)
+        for distance, colour, dash, where in sides:
             ax.plot(
                 distances.t,
                 np.where(distance > smallest, distance, np.nan),
@@ -232,14 +219,8 @@ def _draw_distances(ax: "matplotlib.axes.Axes", motion: Trajectories, certificat
                 zorder=2 + (where == "below"),
                 label=None if k else f"estimates, bounded from {where}",
             )
-    ax.plot(
-        distances.t,
-        distances.bound[0],
-        color=_WRONG,
-        linewidth=2,
-        zorder=4,
-        label=f"proved: {certificate.radius:.2g} exp(−λt/2), λ/2 = {certificate.decay:.3g} 1/s",
-    )
+    label = f"proved: {certificate.radius:.2g} exp(−λt/2), λ/2 = {certificate.decay:.3g} 1/s"
+    ax.plot(distances.t, distances.bound[0], color=_WRONG, linewidth=2, zorder=4, label=label)
     ax.set_yscale("log")  # an exponential decay is a straight line
     ax.set_ylim(smallest, 2 * certificate.radius)
     ax.set_xlabel("t [s]")

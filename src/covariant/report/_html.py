@@ -114,9 +114,8 @@ def _sections(
         for i, name in enumerate(report.coordinates):
             figures.append(correlogram(found, i, styled[label]))
             title = f"{name}: autocorrelation of the innovation"
-            sections.append(
-                _section(title, f"{title} over lag in milliseconds, with 95 % bounds of white noise", "lag")
-            )
+            about = f"{title} over lag in milliseconds, with 95 % bounds of white noise"
+            sections.append(_section(title, about, "lag"))
     return sections, figures
 
 
@@ -224,9 +223,8 @@ def _notes(report: EstimateReport, panels: dict[str, Quantity]) -> str:
     notes = list(report.notes)
     samples, drawn = len(report.t), len(panels["velocity"].curves[0].t)
     if drawn < samples:
-        notes.append(
-            f"Of each {2 * samples / drawn:.3g} of the {samples} samples the smallest and the largest are drawn."
-        )
+        share = f"Of each {2 * samples / drawn:.3g} of the {samples} samples"
+        notes.append(f"{share} the smallest and the largest are drawn.")
     return "<ul>" + "".join(f"<li>{escape(note)}</li>" for note in notes) + "</ul>\n" if notes else ""
 
 

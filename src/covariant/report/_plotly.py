@@ -152,9 +152,8 @@ def _log_ticks(limits: AxisRange | None) -> dict[str, Any]:
         power = 10.0 ** math.floor(math.log10(size))
         step = max(k * power for k in (1, 2, 5) if k * power <= size)
         return {"dtick": f"L{step:g}", "tickformat": "~g"}
-    powers = range(
-        math.floor(math.log10(limits.low)), math.ceil(math.log10(limits.high)) + 1, max(1, round(decades / 5))
-    )
+    lowest, highest = math.floor(math.log10(limits.low)), math.ceil(math.log10(limits.high))
+    powers = range(lowest, highest + 1, max(1, round(decades / 5)))
     ticks = [k * 10.0**power for power in powers for k in ((1, 2, 5) if decades < 2.5 else (1,))]
     return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
 

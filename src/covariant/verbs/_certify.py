@@ -152,9 +152,8 @@ def certify(
         given["disturbed"] = {"noise": noise, "disturbance": disturbance, "jerk": jerk}
         every = None if sampling is None else (1 / above_zero("sampling", sampling),) * 2
         period = every if interval is None else tuple(interval)
-        return certify_globally(
-            name, file, pair, region, progress, within, rate=rate, interval=period, velocity=velocity, **given
-        )
+        given |= {"rate": rate, "interval": period, "velocity": velocity}
+        return certify_globally(name, file, pair, region, progress, within, **given)
     if error is None:
         raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
     if np.any(jerk):
@@ -304,10 +303,8 @@ class CertifyResult(AbstractResult):
         lines = [] if cert.start is None else ["every start is covered whose errors are, all at once, within"]
         lines += [] if cert.start is None else [f"  {line}" for line in cert.start.lines]
         lines.append(f"tube of the radius ε = {cert.radius:.4g}: every estimate in it stays within")
-        for what, widths, each in (
-            ("position", cert.half_widths[:n], turns),
-            ("velocity", cert.half_widths[n:], rates),
-        ):
+        position, velocity = ("position", cert.half_widths[:n], turns), ("velocity", cert.half_widths[n:], rates)
+        for what, widths, each in (position, velocity):
             rows = zip(names[:n], widths, each, strict=True)
             lines += [f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}" for name, w, unit in rows]
         return lines
@@ -423,12 +420,11 @@ def _prove(
         steps = lost + 1 if lost_rows == "missing" else 1
         longest = steps * certificates.check_interval(interval, lost, lost_rows)[1]
         observer = designed.with_substeps_for(settings["velocity"], longest)
-    return certificates.certify(
-        observer,
-        recipe=recipe,
-        progress=lambda what, share, count: progress(f"proving {what}, {count} boxes", share),
-        **settings,
-    )
+
+    def shown(what: str, share: float, count: int) -> None:
+        progress(f"proving {what}, {count} boxes", share)
+
+    return certificates.certify(observer, recipe=recipe, progress=shown, **settings)
 
 
 def _metric(entries: Sequence[float | int] | None) -> Float[np.ndarray, "2 2"] | None:

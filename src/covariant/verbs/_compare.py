@@ -246,13 +246,9 @@ class CompareResult(AbstractTable):
         return write_report(page, path)
 
     @property
-    def _badness(self) -> dict[str, float]:
-        return badness(self.outcomes, self.loaded)
-
-    @property
     def _equals(self) -> tuple[str, ...]:
         """The best estimator, and those whose errors are as small up to `EQUAL`."""
-        total = self._badness
+        total = badness(self.outcomes, self.loaded)
         return tuple(name for name in self.ranking if total[name] <= EQUAL * total[self.ranking[0]])
 
     @property
@@ -265,7 +261,7 @@ class CompareResult(AbstractTable):
     @property
     def _verdict(self) -> str:
         """Who is best, who is as good, and how far those with the model differ."""
-        total, equals = self._badness, self._equals
+        total, equals = badness(self.outcomes, self.loaded), self._equals
         text = f"{', '.join(equals)} {'are equally good' if len(equals) > 1 else 'is best'}"
         text += f" (within {100 * (EQUAL - 1):.0f} %)" * (len(equals) > 1)
         informed = [total[name] for name in self.ranking if name in INFORMED and np.isfinite(total[name])]
@@ -288,8 +284,7 @@ class CompareResult(AbstractTable):
     def _rows(self) -> tuple[dict[str, str | float], ...]:
         """The rows of the printed table, with units in their headings."""
         loaded, kind = self.loaded, self.loaded.kind
-        labels = kind.estimates if loaded.reference else kind.measured
-        labels = labels.called("RMSE {}")
+        labels = (kind.estimates if loaded.reference else kind.measured).called("RMSE {}")
         return tuple(
             {
                 "estimator": name,
@@ -350,16 +345,14 @@ DRAWN = 4
 
 def rank(outcomes: dict[str, Outcome], loaded: Loaded) -> list[str]:
     """Order estimators by error, diverged ones last."""
-    total = badness(outcomes, loaded)
-    return sorted(outcomes, key=lambda name: total[name])
+    return sorted(outcomes, key=badness(outcomes, loaded).__getitem__)
 
 
 def badness(outcomes: dict[str, Outcome], loaded: Loaded) -> dict[str, float]:
     """Errors relative to the motion, as one number for each estimator; ∞ where it diverged."""
     reference = loaded.reference
-    if reference is None:
-        scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
-    else:
+    scale = np.nanstd(np.asarray(loaded.record.y), axis=0)
+    if reference is not None:
         scale = np.sqrt(np.mean(reference.v[reference.scored] ** 2, axis=0))
     size = np.where(scale > 0, scale, 1.0)  # a column at rest has no size to divide by
     totals = {name: float(np.sqrt(np.mean((rmse(each) / size) ** 2))) for name, each in outcomes.items()}

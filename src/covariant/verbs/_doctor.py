@@ -41,18 +41,9 @@ def doctor() -> "DoctorResult":
         >>> [part.name for part in examined.parts][:2]
         ['covariant', 'Python']
     """
-    return DoctorResult(
-        (
-            Part("covariant", metadata.version("covariant")),
-            Part("Python", f"{platform.python_version()} on {platform.system()} {platform.machine()}"),
-            *_packages(),
-            *_extras(),
-            _compiler(),
-            _cache(),
-            _threads(),
-            _device(),
-        )
-    )
+    python = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
+    versions = Part("covariant", metadata.version("covariant")), Part("Python", python), *_packages(), *_extras()
+    return DoctorResult((*versions, _compiler(), _cache(), _threads(), _device()))
 
 
 @dataclass(frozen=True, repr=False)

@@ -360,7 +360,8 @@ class _Proof(NamedTuple):
             return whole, "", self.statement, ""
         if self.is_bound(real) and whole is runs:
             bounded = self.certificate.bounded(runs, radius=self.certificate.radius)
-            statement = "\n".join([self.statement, *_list_premises()])
+            values = (f"- {int(each)}: {each.message}" for each in certificates.Premise)
+            statement = "\n".join([self.statement, "", "Values of `premise`:", "", *values])
             return bounded, f" {_describe_start(self.certificate)}", statement, ""
         reason = "is about measurements without delays and periods, and inputs that act as they are sent"
         if self.substeps is None:
@@ -382,20 +383,13 @@ def _describe_start(certificate: certificates.ContractionCertificate) -> str:
     )
 
 
-def _list_premises() -> list[str]:
-    """List what the numbers of `premise` mean, for the data sheet."""
-    return ["", "Values of `premise`:", "", *(f"- {int(each)}: {each.message}" for each in certificates.Premise)]
-
-
 def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: Design, rate: float) -> _Proof:
     """Check a saved certificate of this observer; raises `ValueError`."""
     document, name = certificates.parse(path), models.spec_name(model)
     if not isinstance(model, str | os.PathLike) or document.recipe != (recipe := models.recipe(name, overrides)):
         raise InputError(f"{path}: the certificate is for another model, or other numbers, than {name}")
-    if document.observer["kind"] != designed.name:
-        raise InputError(
-            f"{path}: the certificate is for the observer {document.observer['kind']}, not for {designed.name}"
-        )
+    if (kind := document.observer["kind"]) != designed.name:
+        raise InputError(f"{path}: the certificate is for the observer {kind}, not for {designed.name}")
     certificates.check_observer(document._replace(recipe=recipe), designed.inner)
     sampling = document.sampling
     time = "in continuous time" if sampling is None else "with sampled measurements"

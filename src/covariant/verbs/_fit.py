@@ -311,9 +311,8 @@ class FitResult(AbstractTable):
                 **{
                     f"{kind.replace('_', ' ')}, {when}": result["held_out_errors"][when][kind][i]
                     for kind in ("position", "velocity")
-                    if any(
-                        result["held_out_errors"]["before"][kind]
-                    )  # outputs of a state-space model have no velocities
+                    # Outputs of a state-space model have no velocities.
+                    if any(result["held_out_errors"]["before"][kind])
                     for when in ("before", "after")
                 },
             }

@@ -22,6 +22,7 @@ from scalargraph.errors import InputError
 from scalargraph.files import utf8, write_together
 from scalargraph.template import fill
 
+DRY_FRICTION = "times atan(100 v): dry friction, divided by pi/2"
 SETTABLE = ("units.t", "units.q", "units.u", "units.v", "parameters.path")
 """Values of a draft that may be given before it is written."""
 
@@ -65,9 +66,8 @@ def init(
     for key in settings:
         if key not in SETTABLE:
             raise InputError(f"{key} is no value of a draft; write it into its file. There are {', '.join(SETTABLE)}")
-    units = {
-        key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in content.get("units", {}).items()
-    }
+    pairs = content.get("units", {}).items()
+    units = {key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in pairs}
     robot = str(settings.get("parameters.path", ""))
     survey = logs.survey(log)
     try:
@@ -350,7 +350,7 @@ def _chain(guess: Draft) -> list[str]:
         _guess_line("com", 0.15, n, "m, from joint to centre of mass"),
         _guess_line("inertia", 0.01, n, "kg m^2, about the centre of mass"),
         _guess_line("viscous", 0.01, n, "N m s/rad, friction in each joint"),
-        _guess_line("coulomb", 0.01, n, "N m, times atan(100 v): dry friction, divided by pi/2"),
+        _guess_line("coulomb", 0.01, n, f"N m, {DRY_FRICTION}"),
     ]
     if len(guess.u) < n:
         how = "as they are named" if guess.driven else "the first ones are guessed"
@@ -388,9 +388,7 @@ def _python_system_lines(guess: Draft, module: str) -> list[str]:
     return [
         *lines,
         _guess_line("viscous", 0.01, n, f"{_both(guess, 'N s/m', 'N m s/rad')}, friction"),
-        _guess_line(
-            "coulomb", 0.01, n, f"{_both(guess, 'N', 'N m')}, times atan(100 v): dry friction, divided by pi/2"
-        ),
+        _guess_line("coulomb", 0.01, n, f"{_both(guess, 'N', 'N m')}, {DRY_FRICTION}"),
     ]
 
 

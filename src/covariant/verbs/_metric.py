@@ -136,9 +136,8 @@ def design_metric(
             on_progress=report,
         )
     except KeyboardInterrupt as stopped:
-        raise KeyboardInterrupt(
-            f"stopped after {done} of {axes.size} points; the same command goes on where it stopped"
-        ) from stopped
+        text = f"stopped after {done} of {axes.size} points; the same command goes on where it stopped"
+        raise KeyboardInterrupt(text) from stopped
     seconds = time.perf_counter() - began
     return MetricResult(name, store, axes.size, seconds, float(equation.rate), metric_summary(store))
 

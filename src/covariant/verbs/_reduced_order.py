@@ -60,13 +60,9 @@ def design_reduced_order(
     ends = box_of(name, system, region)
     named = bounds("inputs", inputs or {}, numbered("u", system.inputs), "input", equal=True)
     progress("proving")
-    design = reduced_order(
-        system,
-        rate,
-        box=[ends[each] for each in system.coordinates],
-        inputs=[named.get(each, (0.0, 0.0)) for each in numbered("u", system.inputs)],
-        full=full,
-    )
+    box = [ends[each] for each in system.coordinates]
+    ranges = [named.get(each, (0.0, 0.0)) for each in numbered("u", system.inputs)]
+    design = reduced_order(system, rate, box=box, inputs=ranges, full=full)
     return ReducedOrderResult(name, float(rate), design)
 
 

@@ -143,9 +143,8 @@ class SimulateResult(AbstractTable):
     def summary(self) -> dict[str, Any]:
         truth, forces = ",".join(self.truth_columns), ",".join(self.force_columns)
         pushed = {"force_columns": forces} if forces else {}
-        return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth, **pushed} | (
-            {"warnings": list(self.warnings)} if self.warnings else {}
-        )
+        warned = {"warnings": list(self.warnings)} if self.warnings else {}
+        return {"model": self.model_name, "rows": len(self.record.t), "truth_columns": truth, **pushed, **warned}
 
     def __str__(self) -> str:
         use = 'score against `columns["truth"]`' if self.mechanical else "the true state is in"

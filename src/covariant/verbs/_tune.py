@@ -180,9 +180,8 @@ class TuneResult(AbstractResult):
             table(tuple(_rows(result))),
         ]
         gains, kalman = result["held_out"]["after"]["relative"]
-        lines.append(
-            f"Velocity errors as parts of the velocity: constant gains {gains:.3g}, Kalman filter {kalman:.3g}."
-        )
+        errors = f"constant gains {gains:.3g}, Kalman filter {kalman:.3g}"
+        lines.append(f"Velocity errors as parts of the velocity: {errors}.")
         engine = () if self.asked_engine == "auto" else (f"engine: {result['engine']}",)
         return "\n".join([*lines, *result["notes"], *self.warnings, "", *_lines(result), *engine])
 

@@ -66,10 +66,8 @@ def c_function(
     """
     lowered = simplified(lowered)
     chosen = signature or _flat(lowered, Words(real, prefix, lanes).real)
-    for role, names, count in (
-        ("inputs", chosen.inputs, lowered.inputs),
-        ("results", chosen.outputs, len(lowered.outputs)),
-    ):
+    counts = {"inputs": (chosen.inputs, lowered.inputs), "results": (chosen.outputs, len(lowered.outputs))}
+    for role, (names, count) in counts.items():
         if len(names) != count:
             raise InputError(f"{name}: the function has {count} {role}; the signature names {len(names)}")
     most = most_statements or (MOST_STATEMENTS if lanes == 1 else MOST_IN_LANES)

@@ -79,13 +79,11 @@ def to_c(function: Callable, *examples: Any, name: str = "f", real: Real = "doub
     lowered = lower(function, *shapes, loops="any")
     if not lowered.results:
         raise InputError(f"{name}: the function returns no array, so there is nothing to compute")
-    ins = _name_arguments(
-        "in", [pair for label, tree in zip(labels, shapes, strict=True) for pair in _label_arrays(label, tree)]
-    )
+    labelled = [pair for label, tree in zip(labels, shapes, strict=True) for pair in _label_arrays(label, tree)]
+    ins = _name_arguments("in", labelled)
     outs = _name_arguments("out", _label_arrays("result", jax.tree.unflatten(lowered.tree, lowered.results)))
-    declared = ", ".join(
-        [*(f"const {real} *{array.name}" for array in ins), *(f"{real} *{array.name}" for array in outs)]
-    )
+    arrays = [*(f"const {real} *{array.name}" for array in ins), *(f"{real} *{array.name}" for array in outs)]
+    declared = ", ".join(arrays)
     passed = tuple(array.name for array in (*ins, *outs))
     signature = Signature(declared, passed, _entries(ins), _entries(outs))
     text = c_function(lowered, name, signature, real, prefix=f"{name}_")

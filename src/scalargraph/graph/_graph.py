@@ -368,9 +368,8 @@ class Graph:
     def _condition(self, kind: Kind, node: int, op: str) -> None:
         target = self.nodes[node]
         # A constant neither crosses an integer nor jumps, and an input is bounded by its box.
-        settled = (target.op == "constant" and (kind != "true" or target.value)) or (
-            kind == "finite" and target.op == "input"
-        )
+        constant = target.op == "constant" and (kind != "true" or target.value)
+        settled = constant or (kind == "finite" and target.op == "input")
         if not settled and (kind, node) not in self.conditions:
             self.conditions[kind, node] = Condition(kind, node, f"{op} {self.line()}".strip())
 
@@ -452,10 +451,8 @@ def _needs(graph: Graph, op: str, x: tuple[int, ...], nodes: list[Node]) -> Iter
     def apart(a: int, b: int) -> tuple[Kind, int]:
         return "true", graph.apply("or", graph.apply("lt", a, b), graph.apply("lt", b, a))
 
-    if any(n.op == "constant" and _is_invalid(n.value, op in ANYTHING) for n in nodes) and op not in (
-        "select",
-        "either",
-    ):
+    invalid = any(n.op == "constant" and _is_invalid(n.value, op in ANYTHING) for n in nodes)
+    if invalid and op not in ("select", "either"):
         yield "true", graph.constant(False)
     match op:
         case "div":

@@ -340,9 +340,8 @@ class Interpreter:
 
         def turn(graph: Graph, values: list[Value]):
             left = values[count:]
-            results = Interpreter(graph, self.loops).run(
-                scan.body, [*values[:count], *(_take(value, 0) for value in left)]
-            )
+            now = [*values[:count], *(_take(value, 0) for value in left)]
+            results = Interpreter(graph, self.loops).run(scan.body, now)
             return [*results, *(_rotate_rows(value) for value in left)], None
 
         types = [atom.aval.dtype for atom in scan.body.jaxpr.invars]
@@ -405,11 +404,9 @@ class Interpreter:
             if not going.any():
                 return carry
             advanced = self.run(loop.body, [*body, *carry])
-            carry = (
-                advanced
-                if going.all()
-                else [self.write.chosen(going, *pair) for pair in zip(advanced, carry, strict=True)]
-            )
+            if not going.all():
+                advanced = [self.write.chosen(going, *pair) for pair in zip(advanced, carry, strict=True)]
+            carry = advanced
         raise LoweringError(f"a 'while' loop of more than {MOST_ITERATIONS} iterations is too long to unroll")
 
     def branch(self, bodies: Sequence[ClosedJaxpr], values: list[Value]) -> list[Value]:

@@ -79,9 +79,9 @@ def at_places(write: Writer, eqn: JaxprEquation, values: list) -> list[Value]:
             if value is None:
                 chosen = write.graph.apply("and", chosen, write.graph.apply("eq", node, write.graph.constant(number)))
         ids = result_at(combination)
-        result = (
-            ids if result is None else write.map("select", Scalars(np.array(chosen)), Scalars(ids), Scalars(result)).ids
-        )
+        if result is not None:
+            ids = write.map("select", Scalars(np.array(chosen)), Scalars(ids), Scalars(result)).ids
+        result = ids
     assert result is not None
     return [Scalars(result)]
 

@@ -108,9 +108,8 @@ def _values(file: str, content: bytes) -> Any:
 
     try:
         # Numbers beyond the range of doubles become infinite here, and are refused when they are used.
-        return json.loads(
-            text, object_pairs_hook=functools.partial(_once, file), parse_constant=float, parse_int=_whole
-        )
+        once = functools.partial(_once, file)
+        return json.loads(text, object_pairs_hook=once, parse_constant=float, parse_int=_whole)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise InputError(f"{file} is not JSON: {error.msg} at {where}; {REMEDY}") from error
@@ -223,10 +222,8 @@ class Field(NamedTuple):
             The fields of the entries by key.
         """
         self.need(isinstance(self.value, dict), f"an object with {', '.join(keys)}")
-        for wrong, how in (
-            (self.value.keys() - set(keys), "is not known"),
-            (set(keys) - self.value.keys(), "is missing"),
-        ):
+        given, wanted = self.value.keys(), set(keys)
+        for wrong, how in ((given - wanted, "is not known"), (wanted - given, "is missing")):
             if wrong:
                 key = f"{self.key}.{brief(min(wrong))}" if self.key else brief(min(wrong))
                 raise InputError(f"{self.file}: the key {key} {how}; wanted are {', '.join(keys)}; {REMEDY}")

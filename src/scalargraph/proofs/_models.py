@@ -222,9 +222,7 @@ def curve(op: str, x: TaylorModel, *given: float) -> TaylorModel:
     whole = TaylorModel.within(_enclose_outputs(graph, outputs[:1], x.bounds)[0])
     if not x.on:
         return whole
-    value, slope, bend = (
-        TaylorModel.within(result) for result in _enclose_outputs(graph, outputs[:3], Interval(x.at, x.at))
-    )
+    value, slope, bend = map(TaylorModel.within, _enclose_outputs(graph, outputs[:3], Interval(x.at, x.at)))
     third = TaylorModel.within(_enclose_outputs(graph, outputs[3:], x.bounds)[0])
     deviation = TaylorModel(x.on, np.zeros_like(x.at), x.line, x.bend, x.rest, x.shares)
     # Only the middle of the second derivative is halved. Its remainder `bend.rest` may be too large, not too small.
@@ -356,9 +354,8 @@ def polynomials(
                 result = _apply(node, nodes, arguments)
                 _blame(blame, owners, result, arguments)
                 values[number] = _with_symbol(result, owners) if _steep(result) else result
-            for (
-                a
-            ) in node.arguments:  # values that no later operation reads are freed, so that the others stay in the cache
+            # Values that no later operation reads are freed, so that the others stay in the cache.
+            for a in node.arguments:
                 uses[a] -= 1
                 if not uses[a]:
                     del values[a]

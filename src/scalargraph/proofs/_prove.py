@@ -187,10 +187,8 @@ def prove_at_corners(
         raise InputError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)}: it has a kink, by {kink}")
     # A jointly affine matrix is a convex combination of its values at the corners, and the cone S > 0 is convex.
     derivatives = expand(formed.entries, indices.tolist(), 2)
-    entries = np.array([not derivatives.graph.is_zero(i) for i in derivatives.outputs]).reshape(
-        -1, len(formed.entries.outputs)
-    )
-    enters_block = [bool(row.any()) for row in entries]
+    entries = np.array([not derivatives.graph.is_zero(i) for i in derivatives.outputs])
+    enters_block = [bool(row.any()) for row in entries.reshape(-1, len(formed.entries.outputs))]
     if any(enters_block[1 + len(indices) :]):
         raise InputError(f"prove_at_corners: the matrix is not affine in {', '.join(affine)} together")
     # A variable that does not enter the matrix needs one end only.
@@ -337,9 +335,8 @@ def _search(map_judge: Callable, tree: Tree, effort: _Effort, progress) -> np.nd
         lots = [lot for _ in range(ROUND_OF_LOTS) if (lot := tree.next()) is not None]
         if not lots:
             return None
-        for lot, (codes, counterexample) in zip(
-            lots, map_judge(*zip(*(lot[1:3] for lot in lots), strict=True)), strict=True
-        ):
+        judged = map_judge(*zip(*(lot[1:3] for lot in lots), strict=True))
+        for lot, (codes, counterexample) in zip(lots, judged, strict=True):
             if counterexample is not None:
                 return counterexample
             tree.take(lot, codes)

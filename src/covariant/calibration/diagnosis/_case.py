@@ -229,9 +229,8 @@ def smoothed_residual(case: Case, half: float) -> Residual:
 def acting(case: Case) -> Record:
     """The record with the inputs that act in each step."""
     file = case.file
-    return acting_inputs(
-        lag_inputs(case.record, file.input_lag), file.input_between, file.input_delay, lead=file.input_lead
-    )
+    lagging = lag_inputs(case.record, file.input_lag)
+    return acting_inputs(lagging, file.input_between, file.input_delay, lead=file.input_lead)
 
 
 def long_enough(case: Case, half: float) -> bool:

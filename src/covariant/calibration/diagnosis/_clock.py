@@ -62,11 +62,10 @@ def mended_clock(record: Record) -> Mended:
         line = "keep one row of each stamp, or log stamps with more digits; here the first of each is compared"
         findings.append(Finding("repeated stamps", "", evidence, line, True, {"rows": len(same)}))
     if len(back):
-        evidence = (
-            f"time goes back in {counted(len(back), 'place')}, by up to {-steps.min():.4g} s: {rows.listed(back)}"
-        )
+        longest = float(-steps.min())
+        evidence = f"time goes back in {counted(len(back), 'place')}, by up to {longest:.4g} s: {rows.listed(back)}"
         line = f"{MONOTONIC}; split this log there: each part is a log by itself"
-        numbers = {"places": len(back), "longest": float(-steps.min())}
+        numbers = {"places": len(back), "longest": longest}
         findings.append(Finding("clock set back", "", evidence, line, True, numbers))
     mended = t[0] + np.concatenate([[0.0], np.cumsum(np.where(steps < 0, usual, steps))])
     kept = np.concatenate([[True], steps != 0])
@@ -109,19 +108,15 @@ def set_forward(
         before = (y[k] - y[k - 3]) / (t[k] - t[k - 3])
         after = (y[k + 4] - y[k + 1]) / (t[k + 4] - t[k + 1])
         rate, moved = (before + after) / 2, y[k + 1] - y[k]
-        scale = np.where(noise > 0, noise, np.inf)
-        displacement = np.linalg.norm((rate * steps[k] / scale)[np.isfinite(rate + moved)])
-        usually, whole = (
-            np.linalg.norm(((moved - rate * h) / scale)[np.isfinite(rate + moved)]) for h in (usual, steps[k])
-        )
+        scale, seen = np.where(noise > 0, noise, np.inf), np.isfinite(rate + moved)
+        displacement = np.linalg.norm((rate * steps[k] / scale)[seen])
+        usually, whole = (np.linalg.norm(((moved - rate * h) / scale)[seen]) for h in (usual, steps[k]))
         if displacement > SEEN and usually < CONTINUES * whole:
             jumps.append(k + 1)
     if not jumps:
         return []
     longest = float(max(steps[k - 1] for k in jumps))
-    evidence = (
-        f"in {counted(len(jumps), 'place')} the stamps go on by up to {longest:.4g} s, and the motion only by the "
-    )
-    evidence += f"usual step of {usual:.4g} s: {rows.listed(jumps)}"
+    evidence = f"in {counted(len(jumps), 'place')} the stamps go on by up to {longest:.4g} s, and the motion only by "
+    evidence += f"the usual step of {usual:.4g} s: {rows.listed(jumps)}"
     numbers = {"places": len(jumps), "longest": longest}
     return [Finding("clock set forward", "", evidence, MONOTONIC, True, numbers)]

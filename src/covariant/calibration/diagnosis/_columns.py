@@ -50,8 +50,9 @@ class Change(NamedTuple):
     time: float = 1.0
 
     @classmethod
-    def none(cls, n: int, m: int) -> "Change":
-        """The change that leaves n positions and m inputs unchanged."""
+    def none(cls, case: Case) -> "Change":
+        """The change that leaves the n positions and m inputs of a case as they are."""
+        n, m = len(case.names.q), len(case.names.u)
         return cls(np.ones(n), np.arange(n), np.zeros(n), np.ones(m), np.arange(m))
 
     def apply(self, case: Case) -> Case:
@@ -71,7 +72,7 @@ class Change(NamedTuple):
 
 def units(case: Case) -> Iterator[Suspicion]:
     """Stamps that are not in seconds, angles that are not in radians, or both."""
-    names, none = case.names, _none(case)
+    names, none = case.names, Change.none(case)
     step = float(np.median(np.diff(np.asarray(case.record.t))))
     # A clock that makes the step implausible is not tried: it could match by chance, and would cost a smoothing.
     clocks = {clock: factor for clock, factor in CLOCKS.items() if SHORTEST <= factor * step <= LONGEST or factor == 1}
@@ -96,7 +97,7 @@ def units(case: Case) -> Iterator[Suspicion]:
 
 def input_units(case: Case) -> Iterator[Suspicion]:
     """Inputs, one or all of them, in a unit with another prefix."""
-    names, none = case.names, _none(case)
+    names, none = case.names, Change.none(case)
     count = len(names.u)
     groups = [np.ones(count, bool)] * bool(count)
     groups += [np.arange(count) == i for i in range(count)] if count > 1 else []
@@ -141,7 +142,7 @@ def input_signs(
     if which is None and len(signs) > 1:
         signs.append((", ".join(case.names.u), np.full(len(signs), -1.0)))
     for name, factors in signs if which is None else [signs[j] for j in which]:
-        change, line = _none(case)._replace(inputs=factors), case.names.line("u", factors)
+        change, line = Change.none(case)._replace(inputs=factors), case.names.line("u", factors)
         yield Suspicion(f"sign of {what}", name, f"with {name} with the other sign", line, change.apply, threshold)
 
 
@@ -149,13 +150,13 @@ def swapped_inputs(case: Case, i: int, j: int, what: str = "inputs", threshold: 
     """Two inputs in each other's place."""
     u, order = case.names.u, _transposition(case.names.u, i, j)
     words, line = f"with {u[i]} and {u[j]} in each other's place", f"[columns] u = {quoted_list(u[k] for k in order)}"
-    change = _none(case)._replace(input_order=order)
+    change = Change.none(case)._replace(input_order=order)
     return Suspicion(f"swapped {what}", f"{u[i]}, {u[j]}", words, line, change.apply, threshold)
 
 
 def swaps(case: Case) -> Iterator[Suspicion]:
     """Swapped columns: two positions, two inputs, or positions and inputs of two joints."""
-    (q, u), none = (case.names.q, case.names.u), _none(case)
+    (q, u), none = (case.names.q, case.names.u), Change.none(case)
     for i, j in itertools.combinations(range(len(q)), 2):
         positions, inputs = (_transposition(columns, i, j) for columns in (q, u))
         in_q = f"q = {quoted_list(q[k] for k in positions)}"
@@ -165,18 +166,16 @@ def swaps(case: Case) -> Iterator[Suspicion]:
         if len(q) != len(u):
             continue  # input i belongs to joint i only if there are as many inputs as joints
         yield swapped_inputs(case, i, j)
-        in_u, words = (
-            f"u = {quoted_list(u[k] for k in inputs)}",
-            f"with joints {i + 1} and {j + 1} in each other's place",
-        )
+        line = f"[columns] {in_q}, u = {quoted_list(u[k] for k in inputs)}"
+        words = f"with joints {i + 1} and {j + 1} in each other's place"
         change = none._replace(order=positions, input_order=inputs)
-        yield Suspicion("swapped joints", f"{q[i]}, {q[j]}", words, f"[columns] {in_q}, {in_u}", change.apply)
+        yield Suspicion("swapped joints", f"{q[i]}, {q[j]}", words, line, change.apply)
 
 
 def position_signs(case: Case) -> Iterator[Suspicion]:
     """Positions with the other sign."""
     for name, factors in _one_by_one(case.names.q, -1.0):
-        change, line = _none(case)._replace(position=factors), case.names.line("q", factors)
+        change, line = Change.none(case)._replace(position=factors), case.names.line("q", factors)
         yield Suspicion("sign of a position", name, f"with {name} with the other sign", line, change.apply)
 
 
@@ -185,7 +184,7 @@ def zeros(case: Case) -> Iterator[Suspicion]:
     for (name, factors), angle in zip(_one_by_one(case.names.q, 0.0), case.names.angles, strict=True):
         if angle:
             line = f"add {np.pi:.9g} to {name}, or write the other zero into [parameters]"
-            change = _none(case)._replace(offset=np.where(factors == 0, np.pi, 0.0))
+            change = Change.none(case)._replace(offset=np.where(factors == 0, np.pi, 0.0))
             yield Suspicion("zero of a position", name, f"with {name} half a turn on", line, change.apply)
 
 
@@ -193,7 +192,7 @@ def single_degrees(case: Case) -> Iterator[Suspicion]:
     """One of several angles in degrees."""
     for (name, factors), angle in zip(_one_by_one(case.names.q, ANGLES["degrees"]), case.names.angles, strict=True):
         if angle and len(factors) > 1:
-            change, line = _none(case)._replace(position=factors), case.names.line("q", factors)
+            change, line = Change.none(case)._replace(position=factors), case.names.line("q", factors)
             yield Suspicion("unit of positions", name, f"with {name} in degrees", line, change.apply)
 
 
@@ -207,10 +206,6 @@ COLUMNS: tuple[Callable[[Case], Iterator[Suspicion]], ...] = (
     single_degrees,
 )
 """Suspicions about columns, in order of preference: the first of several that explain about as much is reported."""
-
-
-def _none(case: Case) -> Change:
-    return Change.none(len(case.names.q), len(case.names.u))
 
 
 def _one_by_one(names: tuple[str, ...], factor: float) -> Iterator[tuple[str, np.ndarray]]:

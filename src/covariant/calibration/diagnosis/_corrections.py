@@ -1,7 +1,7 @@
 """Corrections of a case, one after another: other numbers of the model, curves of inputs, columns."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from covariant.calibration.diagnosis._broken_parts import MOST_CHANGES
@@ -19,18 +19,28 @@ MOST_PAIRS = 6
 """Largest number of suspicions of missing torques to try, alone or with one about a column; the best come first."""
 LATE = ("delay", "delay against the inputs")
 """Findings on delays, which friction that the model lacks can imitate."""
+Compared = list[tuple[Suspicion, Comparison]]
+"""Suspicions with what each explains."""
 
 
-def correct_guesses(case: Case, family: Callable[[], Any] | None) -> tuple[list[Suspicion], list[Finding], Case]:
+def compare_columns(case: Case) -> Compared:
+    """The changes of columns that may be right, with what each explains."""
+    short = _few_rows(case)
+    return compare_all(short, _changes(short), clearly_unexplained)
+
+
+def correct_guesses(
+    case: Case, family: Callable[[], Any] | None, tried: Compared
+) -> tuple[list[Suspicion], list[Finding], Case]:
     """Like `correct_columns`, beside other numbers of the model: at most one finding, on a column or on the numbers."""
     if family is None:
         return [], [], case
-    short = case._replace(record=busiest(case.record, FEW_ROWS))
-    changes = list(itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS))
-    torques = [pair for pair, _ in _with_torques(short, [])]
-    if any(one.after < EXPLAINED for _, one in compare_all(short, [*changes, *torques], clearly_unexplained)):
+    short = _few_rows(case)
+    torques = (pair for pair, _ in _with_torques(short, []))
+    alone = itertools.chain(tried, compare_all(short, torques, clearly_unexplained))
+    if any(one.after < EXPLAINED for _, one in alone):
         return [], [], case  # by one of them alone, which is found later
-    found = other_numbers(short, family, changes)
+    found = other_numbers(short, family, _changes(short))
     if found is None:
         return [], [], case
     fitted, change, finding = found
@@ -56,18 +66,16 @@ def correct_curves(case: Case) -> tuple[list[Finding], Case]:
     return findings, case
 
 
-def correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
+def correct_columns(case: Case, tried: Compared) -> tuple[list[Suspicion], list[Finding], Case]:
     """The accepted corrections of columns, the findings on them, and the corrected case."""
     accepted, findings = [], []
     # One after another: in wrong units a swap of columns explains nothing.
     for _ in range(MOST_CHANGES):
-        # Many are tried, and such faults are large, so that fewer rows show them.
-        short = case._replace(record=busiest(case.record, FEW_ROWS))
-        suspicions = itertools.chain.from_iterable(suspect(short) for suspect in COLUMNS)
-        tried = compare_all(short, suspicions, clearly_unexplained)
+        tried = compare_columns(case) if accepted else tried
         best = choose(tried)
         columns = {id(each): each for each, _ in tried}
         if tried and not (best and best[1].numbers["unexplained_after"] < EXPLAINED):
+            short = _few_rows(case)
             pairs = _with_torques(short, tried)
             columns |= {id(pair): column for pair, column in pairs}
             best = choose([*tried, *compare_all(short, [pair for pair, _ in pairs], clearly_unexplained)])
@@ -80,9 +88,16 @@ def correct_columns(case: Case) -> tuple[list[Suspicion], list[Finding], Case]:
     return accepted, findings, case
 
 
-def _with_torques(
-    case: Case, tried: Sequence[tuple[Suspicion, Comparison]]
-) -> list[tuple[Suspicion, Suspicion | None]]:
+def _few_rows(case: Case) -> Case:
+    """The case with few rows: many changes of columns are tried, and such faults are so large that these show them."""
+    return case._replace(record=busiest(case.record, FEW_ROWS))
+
+
+def _changes(case: Case) -> Iterator[Suspicion]:
+    return itertools.chain.from_iterable(suspect(case) for suspect in COLUMNS)
+
+
+def _with_torques(case: Case, tried: Compared) -> list[tuple[Suspicion, Suspicion | None]]:
     """Pairs of a suspicion and the part of it about a column: torques alone, with None, or with a column.
 
     Missing torques are reported later, in narrower windows; here they keep a wrong column from being blamed for them.

@@ -141,10 +141,8 @@ class Names(NamedTuple):
 
     def in_units(self, field: str, factors: Sequence[float] | np.ndarray) -> tuple[str, ...]:
         """Units to state for the columns of a field, so that their numbers are multiplied by these factors."""
-        kinds = [self._kind(field, i) for i in range(len(factors))]
-        return tuple(
-            _unit_text(self.stated_unit(field, i), float(factor), kinds[i]) for i, factor in enumerate(factors)
-        )
+        stated = ((self.stated_unit(field, i), self._kind(field, i)) for i in range(len(factors)))
+        return tuple(_unit_text(unit, float(by), kind) for (unit, kind), by in zip(stated, factors, strict=True))
 
     def _kind(self, field: str, place: int) -> str:
         """Unit of a column in the model; "1" where it states none."""

@@ -21,13 +21,11 @@ def group_findings(model: MechanicalSystem, record: Record, line: str, rows: Row
     complete = np.flatnonzero(np.isfinite(y).reshape(len(y), -1).all(axis=1))
     if len(complete) < 3:
         return []
-    steps = np.abs(np.asarray(_displacements(model, jnp.asarray(y[complete]))))
+    q = jnp.asarray(y[complete])
+    displacements = jax.jit(jax.vmap(model.manifold.local))
+    steps = np.abs(np.asarray(displacements(q[:-1], q[1:])))
     same = (np.diff(y[complete].reshape(len(complete), -1), axis=0) == 0).all(axis=1)
     return [*clock_findings(np.asarray(record.t)[complete], steps, line), *_frozen(same, steps, complete, rows)]
-
-
-def _displacements(model: MechanicalSystem, y):
-    return jax.jit(jax.vmap(model.manifold.local))(y[:-1], y[1:])
 
 
 def clock_findings(

@@ -33,8 +33,8 @@ ALIKE = 0.05
 """Relative difference up to which the numbers of coordinates of one unit are reported as one."""
 ROUNDING = 1e-9
 """Differences of readings, relative to the largest of them, up to which they are rounding errors and no change."""
-UNEVEN = 10.0
-"""Largest noise around a reading relative to the usual one."""
+UNEVEN, HALF = 10.0, 25
+"""Largest noise around a reading relative to the usual one, and the rows on either side from which it is estimated."""
 AMID = 6
 """Rows on either side of one of which half are outliers, from which it belongs to their run."""
 TOGETHER = 5
@@ -114,9 +114,8 @@ def outliers(
             # In a long burst most neighbours are wrong too, but no noise is so many times as large as elsewhere.
             most = UNEVEN * max(float(np.median(np.abs(error))), float(np.median(floor)))
             scale = np.maximum(floor[candidates], np.minimum(local_std(error, candidates), most))
-            size[candidates] = np.where(
-                np.abs(error[candidates]) > FAR * np.where(scale > 0, scale, np.inf), np.abs(error[candidates]), 0.0
-            )
+            off = np.abs(error[candidates])
+            size[candidates] = np.where(off > FAR * np.where(scale > 0, scale, np.inf), off, 0.0)
             # Only the worst of seven neighbours is removed at a time: it spoils the predictions of the others.
             bad = (size > 0) & (size == np.max([np.roll(size, k) for k in (-3, -2, -1, 0, 1, 2, 3)], axis=0))
             if not bad.any():
@@ -131,11 +130,8 @@ def outliers(
             scale = float(np.median(np.maximum(floor[sampled], local_std(error, sampled))))
             wrong[_readmit_rows(t, column, remaining, removed, scale), i] = False
             places = np.flatnonzero(wrong[:, i])
-            sizes[i] = (
-                np.median(np.abs(y[places, i] - np.interp(t[places], t[remaining], y[remaining, i])))
-                if len(places)
-                else 0.0
-            )
+            off = np.abs(y[places, i] - np.interp(t[places], t[remaining], y[remaining, i]))
+            sizes[i] = np.median(off) if len(places) else 0.0
     return wrong, sizes
 
 
@@ -212,10 +208,10 @@ def _readmit_rows(t, y, remaining: np.ndarray, removed: np.ndarray, scale: float
     return removed[np.abs(error) < FAR * scale]
 
 
-def local_std(error: np.ndarray, rows: np.ndarray, half: int = 25) -> np.ndarray:
+def local_std(error: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Robust standard deviation of the errors around each of some rows."""
-    padded = np.pad(np.abs(error), half, mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+    padded = np.pad(np.abs(error), HALF, mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * HALF + 1)
     return 1.4826 * np.median(windows[rows], axis=1)
 
 
@@ -270,11 +266,8 @@ def still_findings(
     values = ", ".join(f"{names[i]} is {np.nanmin(y[:, i]):.6g} {units[i]}".rstrip() for i in still)
     what, line = "nothing moves", "log a motion: nothing can be told from this log"
     if not whole:
-        what, line = (
-            "a position does not move",
-            "look at its sensor and its column, or hold that joint in the model as ",
-        )
-        line += "well: nothing can be told from it"
+        what = "a position does not move"
+        line = "look at its sensor and its column, or hold that joint in the model as well: nothing can be told from it"
     where, evidence = ", ".join(names[i] for i in still), f"{values} in all {len(y)} rows"
     return [Finding(what, where, evidence, line, whole, {"rows": len(y)})], whole
 

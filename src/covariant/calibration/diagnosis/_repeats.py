@@ -64,10 +64,8 @@ def find_repeats(
         # Distances between changes of the reading are the lengths of its runs.
         runs = np.diff(np.flatnonzero(np.append(~whole, True)))
         usual = int(np.median(runs[runs > 1]))
-        evidence = (
-            f"{len(places)} of {len(y)} rows ({100 * share:.2g} %) repeat the readings of the row before, usually "
-        )
-        evidence += f"{usual} in a row have the same: {rows.listed(places)}"
+        evidence = f"{len(places)} of {len(y)} rows ({100 * share:.2g} %) repeat the readings of the row before, "
+        evidence += f"usually {usual} in a row have the same: {rows.listed(places)}"
         where, numbers = ", ".join(np.array(names)[moving]), {"rows": len(places), "share": share, "in_a_row": usual}
         findings.append(Finding("repeated rows", where, evidence, line, share > FEW_REPEATED, numbers))
     for i in np.flatnonzero(ticks > 0):
@@ -77,10 +75,8 @@ def find_repeats(
             continue
         repeated[:, i] = same[:, i] & fast
         places = np.flatnonzero(repeated[:, i])
-        evidence = (
-            f"of {fast.sum()} rows between which {names[i]} moves by more than a tick, {100 * share:.2g} % repeat "
-        )
-        evidence += f"the reading of the row before: {rows.listed(places)}"
+        evidence = f"of {fast.sum()} rows between which {names[i]} moves by more than a tick, {100 * share:.2g} % "
+        evidence += f"repeat the reading of the row before: {rows.listed(places)}"
         if not moving.any():
             numbers = {"rows": len(places), "share": share}
             findings.append(Finding("repeated rows", names[i], evidence, line, True, numbers))
@@ -142,9 +138,8 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
         where = ", ".join(case.names.q[i] for i in held)
         texts = (f"{case.names.q[i]} reads {value:.6g} {case.names.units[i]}".rstrip() for i, value in held.items())
         claim = f"{' and '.join(texts)} in all rows from {rows.named(begin)} to {rows.named(end)}"
-        line = (
-            f"leave the cells of {where} empty there; look at the sensor and its cable, and at what may hold the joint"
-        )
+        line = f"leave the cells of {where} empty there; look at the sensor and its cable, and at what may hold the "
+        line += "joint"
         if end >= len(t) - 1 - HELD_ROWS:
             line = f"until = {stated_time(t[begin])} keeps the rows before that; or {line}"
         elif begin <= HELD_ROWS:

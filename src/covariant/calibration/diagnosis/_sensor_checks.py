@@ -62,7 +62,8 @@ def _findings(case: Case, t: np.ndarray, beside: Beside, late: Any) -> list[Find
     if not np.isfinite(beside.readings).any():
         return []
     seen = pair(case, t, beside, late)
-    name, spacing = beside.sensor.name, _spacing(t, beside.readings)
+    name = beside.sensor.name
+    spacing = float(np.median(np.diff(t[np.isfinite(beside.readings).any(axis=1)])))
     if seen is None:
         evidence = "too few readings, or too short a motion, to compare it with the positions"
         return [Finding("sensor not judged", name, evidence, "", False, {})]
@@ -167,9 +168,8 @@ def _pose_rotation_finding(seen: Pair, beside: Beside) -> Finding | None:
     if other is not None:
         again, share = _common_turn(predicted, _reorder_quaternions(read, other))
         if share > 1 - UNEXPLAINED / 2 and _degrees(again) < np.rad2deg(TURNED):
-            evidence = (
-                f"its attitudes are {_degrees(turn):.3g}° off, and {_degrees(again):.2g}° in the order of {other}"
-            )
+            off, then = _degrees(turn), _degrees(again)
+            evidence = f"its attitudes are {off:.3g}° off, and {then:.2g}° in the order of {other}"
             line = f'[sensors.{beside.sensor.name}] attitude = "{other}"'
             return Finding("axes of a sensor", beside.sensor.name, evidence, line, True, {"attitude": other})
     if explained < 1 - UNEXPLAINED / 2:
@@ -207,11 +207,9 @@ def _scale_finding(beside: Beside, verdict: Verdict, off: np.ndarray, after: str
         alone = "all signs" if off.all() and len(off) > 1 else f"the sign of {which}"
         evidence, line = f"{after} with {alone} reversed", f"{where} {_units_line(beside, scale)}"
         return Finding("sign of a sensor", name, evidence, line, True, numbers)
-    values = ", ".join(
-        f"{value:.4g} ± {std:.2g}" for value, std in zip(scale[off], verdict.scale_std[off], strict=True)
-    )
-    evidence = f"{which}: readings are {values if not beside.checks.vector else values.split(', ')[0]} times what "
-    evidence += f"the positions say; {after} with that scale"
+    values = [f"{value:.4g} ± {std:.2g}" for value, std in zip(scale[off], verdict.scale_std[off], strict=True)]
+    evidence = f"{which}: readings are {values[0] if beside.checks.vector else ', '.join(values)} times what the "
+    evidence += f"positions say; {after} with that scale"
     units = _units_line(beside, scale)
     line = f"{where} {units}"
     if beside.checks.coordinates and not any(letter.isalpha() for letter in units.split("=")[1]):
@@ -330,10 +328,6 @@ def _first(seen: Pair, count: int) -> Pair:
     """The first numbers of a pair."""
     cut = {name: getattr(seen, name)[..., :count] for name in Pair._fields if name not in ("t", "used", "half")}
     return seen._replace(**cut)
-
-
-def _spacing(t: np.ndarray, readings: np.ndarray) -> float:
-    return float(np.median(np.diff(t[np.isfinite(readings).any(axis=1)])))
 
 
 def _degrees(rotation: np.ndarray) -> float:

@@ -54,10 +54,8 @@ def standstill(record: Record, circles: tuple[int, ...], columns: Names, ticks: 
         f"{name} by {np.nanmax(c) - np.nanmin(c):.3g} {unit}".rstrip()
         for name, c, unit in zip(columns.q, y.T, columns.units, strict=True)
     ]
-    evidence = (
-        f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell an "
-    )
-    evidence += "acceleration from noise"
+    evidence = f"in {t[-1] - t[0]:.3g} s of {len(t)} rows {', '.join(ranges)} moved: too little or too short to tell "
+    evidence += "an acceleration from noise"
     line = "log a motion that is large against the noise: accelerations, on which units, signs, order and delays are "
     line += "judged, cannot be compared in this log"
     # Of known encoders that are too coarse for this motion nothing is wrong with the log.

@@ -42,7 +42,7 @@ def _command_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -
         factors = np.ones(len(names.u))
         factors[servos.column[chosen]] = known[unit]
         where = ", ".join(names.u[j] for j in servos.column[chosen])
-        line, change = names.line("u", factors), Change.none(len(names.q), len(names.u))._replace(inputs=factors)
+        line, change = names.line("u", factors), Change.none(case)._replace(inputs=factors)
         yield Suspicion("unit of a command", where, f"with {where} in {unit}", line, change.apply, "servo")
 
 
@@ -52,11 +52,9 @@ def _angle_units(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]) -> 
     for unit in ("degrees", "turns") if off.any() else ():
         position, inputs = np.where(angles, ANGLES[unit], 1.0), np.ones(len(names.u))
         inputs[column] = position[JointServos.of(case).joint]
-        change = Change.none(len(names.q), len(names.u))._replace(position=position, inputs=inputs)
-        line, words = (
-            f"{names.line('q', position)}; {names.line('u', inputs)}",
-            f"with positions and commands in {unit}",
-        )
+        change = Change.none(case)._replace(position=position, inputs=inputs)
+        words = f"with positions and commands in {unit}"
+        line = f"{names.line('q', position)}; {names.line('u', inputs)}"
         yield Suspicion("unit of positions", "", words, line, change.apply, "servo")
 
 
@@ -84,9 +82,8 @@ def _wrapped_commands(case: Case, prepared: Prepared, off: Bool[np.ndarray, "k"]
         changed[:, j] -= 2 * np.pi * np.nan_to_num(turns)
         words = f"with {names.u[j]} within half a turn of the position"
         line = f"unwrap {names.u[j]} and {names.q[q]} in the log alike: one of them begins anew after a turn"
-        yield Suspicion(
-            "period of a command", names.u[j], words, line, lambda case, u=changed: case.with_inputs(u), "servo"
-        )
+        apply = lambda case, u=changed: case.with_inputs(u)  # noqa: E731  bound to these inputs
+        yield Suspicion("period of a command", names.u[j], words, line, apply, "servo")
 
 
 COMMANDS = (_command_units, _angle_units, _command_signs, _swapped_commands, _wrapped_commands)

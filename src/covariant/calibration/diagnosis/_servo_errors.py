@@ -7,6 +7,7 @@ as a fault of the log. At rest, dry friction takes any value up to its size, her
 """
 
 import functools
+import itertools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -207,15 +208,10 @@ def errors(case: Case, prepared: Prepared, servos: JointServos, i: int, delay: f
 
 
 def _prepare(case: Case) -> Prepared:
-    servos, t = JointServos.of(case), np.asarray(case.record.t)
-    nothing = np.zeros((len(t), 0))
-    log = smooth(
-        case.record._replace(u=nothing),
-        case.file.reference_half,
-        case.model.circles,
-        np.asarray(case.file.delay, float),
-        case.ticks,
-    )
+    servos = JointServos.of(case)
+    record = case.record._replace(u=np.zeros((len(case.record.t), 0)))
+    delay = np.asarray(case.file.delay, float)
+    log = smooth(record, case.file.reference_half, case.model.circles, delay, case.ticks)
     motion, weight, slopes = _rigid(case.model, log.q.shape[1])(log.q, log.v, log.a)
     columns, least, most, weighs = [], [], [], []
     for j, gear in zip(servos.joint, servos.gear, strict=True):
@@ -247,9 +243,7 @@ def _prepare(case: Case) -> Prepared:
     used = np.flatnonzero(log.used)
     rows = used[:: max(1, -(-len(used) // MAX_POINTS))]
     resolved = np.maximum(log.noise, case.ticks)[servos.joint] * np.abs(servos.gear)
-    known = np.array(
-        [len(rows) > 0 and np.ptp(position[used, i]) > MIN_RANGE * resolved[i] for i in range(len(resolved))]
-    )
+    known = np.ptp(position[used], axis=0) > MIN_RANGE * resolved if len(used) else np.zeros(len(resolved), bool)
     std = np.maximum(np.where(case.ticks > 0, case.ticks / np.sqrt(12), log.noise)[servos.joint] * servos.gear, 1e-12)
     return Prepared(
         log, position, rate, columns, least, most, moves, np.array(weighs), known, rows, blocks_of(len(rows)), std**2
@@ -282,10 +276,8 @@ def fit_servo(case: Case, prepared: Prepared, servos: JointServos, i: int) -> Se
         nonlocal best, least
         error = cut(errors(case, prepared, servos, i, delay), prepared.rate[:, i], level, damping)
         # If most errors are beyond the limit, they are clipped to a constant, which explains anything.
-        if (
-            np.isfinite(level)
-            and np.mean(np.abs(error[prepared.rows] - damping * prepared.rate[prepared.rows, i]) >= level) > MAX_LIMITED
-        ):
+        beyond = np.abs(error - damping * prepared.rate[:, i])[prepared.rows] >= level
+        if np.isfinite(level) and np.mean(beyond) > MAX_LIMITED:
             return np.zeros(1)
         x, left = _solve(prepared, i, error, plain, always)
         if left < least:
@@ -301,12 +293,9 @@ def fit_servo(case: Case, prepared: Prepared, servos: JointServos, i: int) -> Se
         for _ in range(REFINEMENTS):
             # The limit clips the torque with the damping, which is estimated where the limit is not reached.
             delay, level, damping = best
-            for other in (
-                {damping, *(DAMPING_FRACTIONS * _damping(case, prepared, servos, i, best))}
-                if np.isfinite(level)
-                else ()
-            ):
-                for factor in LIMIT_FACTORS:
+            if np.isfinite(level):
+                dampings = {damping, *(DAMPING_FRACTIONS * _damping(case, prepared, servos, i, best))}
+                for other, factor in itertools.product(dampings, LIMIT_FACTORS):
                     attempt(delay, level * factor, float(other))
     delay, level, damping = best
 

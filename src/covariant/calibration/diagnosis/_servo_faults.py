@@ -76,8 +76,7 @@ def _best(case: Case, judge: CommandErrors, done: set[tuple[str, str]]) -> tuple
 
 def _edges(prepared: Prepared) -> np.ndarray:
     """Rows at which blocks begin, without those near the ends of the log."""
-    begins = np.searchsorted(prepared.blocks, np.arange(EDGE_BLOCKS, BLOCKS - EDGE_BLOCKS + 1))
-    return np.unique(begins)
+    return np.unique(np.searchsorted(prepared.blocks, np.arange(EDGE_BLOCKS, BLOCKS - EDGE_BLOCKS + 1)))
 
 
 def _moved_zero(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:

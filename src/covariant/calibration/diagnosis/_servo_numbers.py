@@ -83,13 +83,10 @@ def _delay(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     if delay > MAX_DELAY:  # in slow motions damping looks like a long delay
         return
     name, q = names.u[servos.column[i]], names.q[servos.joint[i]]
-    evidence = f"{q} follows {name} after {1e3 * delay:.3g} ms ± {1e3 * std:.2g} ms, "
-    evidence += (
-        f"{abs(off) / case.spacing:.2g} rows {'later' if off > 0 else 'earlier'} than the model says; with that "
-    )
-    evidence += (
-        f"delay the best numbers of the servo leave {100 * (1 - gain):.2g} % of what they leave with the stated one"
-    )
+    rows = f"{abs(off) / case.spacing:.2g} rows {'later' if off > 0 else 'earlier'}"
+    evidence = f"{q} follows {name} after {1e3 * delay:.3g} ms ± {1e3 * std:.2g} ms, {rows} than the model says; with "
+    evidence += f"that delay the best numbers of the servo leave {100 * (1 - gain):.2g} % of what they leave with the "
+    evidence += "stated one"
     line = f"[servo.{joint_name(case, i)}] delay = {delay:.2g}"
     if delay < 0:
         line = f"subtract {-delay:.2g} s from the stamps of {name}: it acts before its row"
@@ -133,15 +130,11 @@ def _first_guesses(case: Case, judge: CommandErrors) -> Iterator[Finding]:
     if poorly_explained:
         listed = ", ".join(f"{name} {100 * s:.3g} % and {100 * b:.2g} %" for name, _, s, b in poorly_explained)
         evidence = "of the squares of the errors of commands the numbers of the model leave, and the best ones would: "
-        line = (
-            f"covariant fit MODEL LOG --parameters {','.join(f'servo.{joint}' for _, joint, _, _ in poorly_explained)}"
-        )
-        if len(poorly_explained) == len(servos.joint):
-            line = "covariant fit MODEL LOG --parameters servo"
+        fitted = ",".join(f"servo.{joint}" for _, joint, _, _ in poorly_explained)
+        every = len(poorly_explained) == len(servos.joint)
+        line = f"covariant fit MODEL LOG --parameters {'servo' if every else fitted}"
         numbers = {name: {"stated": s, "best": b} for name, _, s, b in poorly_explained}
-        yield Finding(
-            "servo", ", ".join(name for name, *_ in poorly_explained), evidence + listed, line, False, numbers
-        )
+        yield Finding("servo", ", ".join(numbers), evidence + listed, line, False, numbers)
 
 
 def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
@@ -155,9 +148,8 @@ def _sag(case: Case, judge: CommandErrors, i: int) -> Iterator[Finding]:
     sag, by_weight = sag - sag.mean(), (table[:, first] - table[:, first].mean()) / servos.stiffness[i]
     ratio = float(sag @ by_weight / (by_weight @ by_weight))
     alike = float(sag @ by_weight) / max(float(np.linalg.norm(sag) * np.linalg.norm(by_weight)), 1e-300)
-    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < MIN_SAG_TO_RESIDUAL * max(
-        np.sqrt(prepared.noise[i]), np.std(fit.left)
-    ):
+    rest = max(np.sqrt(prepared.noise[i]), np.std(fit.left))
+    if prepared.moves[prepared.rows, i].sum() < 4 * BLOCKS or np.std(sag) < MIN_SAG_TO_RESIDUAL * rest:
         return
     q, unit, joint = case.names.q[servos.joint[i]], case.names.units[servos.joint[i]], joint_name(case, i)
     evidence = f"{q} sags under its weight by {np.std(sag):.2g} {unit} (standard deviation), where the model says "

@@ -1,5 +1,6 @@
 """The suspicion that a servo is off for a while, and cases in which its torque is multiplied by a factor."""
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -57,9 +58,8 @@ def lets_go(case: Case, judge: CommandErrors, i: int) -> Iterator[Suspicion]:
         line = f"start = {log.t[spans[0][1]]:.4g} keeps the rows after that, or {line}"
     claim = f"{joint} does not follow its command from {listed}, as if its torque were off"
     numbers = {"off": [[float(log.t[begin]), float(log.t[end])] for begin, end in spans]}
-    yield Suspicion(
-        "servo off", joint, "then", line, lambda case: with_strength(case, i, on), "servo change", claim, numbers
-    )
+    change = functools.partial(with_strength, i=i, strength=on)
+    yield Suspicion("servo off", joint, "then", line, change, "servo change", claim, numbers)
 
 
 def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, int]], float]:
@@ -104,16 +104,9 @@ def _spans_off(case: Case, prepared: Prepared, i: int) -> tuple[list[tuple[int, 
         resting = np.ptp(position) + np.ptp(command) < far / 3
         # Dry friction lets a joint take only a part of small steps.
         spread = np.std(position) * np.std(command)
-        alike = (
-            spread > 0
-            and np.mean((position - position.mean()) * (command - command.mean())) > FOLLOWING_CORRELATION * spread
-        )
-        return bool(
-            resting
-            or alike
-            or far < MIN_ERROR_RATIO * np.std(on)
-            or np.std(part) < MIN_ERROR_TO_COMMAND * np.std(command)
-        )
+        alike = np.mean((position - position.mean()) * (command - command.mean())) > FOLLOWING_CORRELATION * spread > 0
+        small = far < MIN_ERROR_RATIO * np.std(on) or np.std(part) < MIN_ERROR_TO_COMMAND * np.std(command)
+        return bool(resting or alike or small)
 
     spans = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if not follows(int(a), int(b))]
 
@@ -139,13 +132,10 @@ def _refined(edges: np.ndarray, left: Callable[[np.ndarray], float], count: int)
     """Edges of spans, moved one by one while that leaves less unexplained; edges at an end of the log stay."""
     least = left(edges) if len(edges) else 0.0
     for k, step in itertools.product(range(len(edges)), EDGE_STEPS):
-        for tried in (edges + step * (np.arange(len(edges)) == k), edges - step * (np.arange(len(edges)) == k)):
-            if (
-                END_POINTS < edges[k] < count - END_POINTS
-                and (np.diff(tried) > 1).all()
-                and tried[0] > 0
-                and tried[-1] < count
-            ):
+        move = step * (np.arange(len(edges)) == k)
+        for tried in (edges + move, edges - move):
+            ordered = (np.diff(tried) > 1).all() and tried[0] > 0 and tried[-1] < count
+            if ordered and END_POINTS < edges[k] < count - END_POINTS:
                 now = left(tried)
                 edges, least = (tried, now) if now < least else (edges, least)
     return edges
@@ -153,15 +143,9 @@ def _refined(edges: np.ndarray, left: Callable[[np.ndarray], float], count: int)
 
 def _explained(prepared: Prepared, i: int, error: np.ndarray, off: np.ndarray, now: ServoFit) -> np.ndarray:
     """Explained error (K,) from a fit to the points at which the servo is on."""
-    held = settle(
-        prepared._replace(rows=prepared.rows[~off[prepared.rows]], blocks=prepared.blocks[~off[prepared.rows]]),
-        i,
-        error,
-        now.delay,
-        now.size,
-        now.level,
-    )
-    return held.explained
+    on = ~off[prepared.rows]
+    part = prepared._replace(rows=prepared.rows[on], blocks=prepared.blocks[on])
+    return settle(part, i, error, now.delay, now.size, now.level).explained
 
 
 def _off(t: np.ndarray, rows: np.ndarray, score: np.ndarray) -> np.ndarray:
@@ -185,7 +169,7 @@ def with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
     """The case with a switch of servo i in its model, and factors `strength` on its torque in its log."""
     servos: Any = case.model.force.servos  # pyright: ignore[reportFunctionMemberAccess]
     u, names = np.asarray(case.record.u), case.names
-    place = servos.switches[i]
+    place, command, name = servos.switches[i], JointServos.of(case).column[i], f"on_{joint_name(case, i)}"
     if place >= 0:
         changed = u.copy()
         changed[:, place] *= strength
@@ -193,20 +177,15 @@ def with_strength(case: Case, i: int, strength: np.ndarray) -> Case:
     column = u.shape[1]
     switches = tuple(column if k == i else each for k, each in enumerate(servos.switches))
     commands = jnp.pad(jnp.asarray(servos.commands), ((0, 0), (0, 1)))
-    delay = jnp.append(jnp.asarray(servos.delay), servos.delay[JointServos.of(case).column[i]])
-    lead = jnp.append(jnp.asarray(servos.lead), servos.lead[JointServos.of(case).column[i]])
-    names_units = {
-        "input_names": (*servos.input_names, f"on_{joint_name(case, i)}"),
-        "input_units": (*servos.input_units, "1"),
-    }
-    changed = replace(servos, commands=commands, switches=switches, delay=delay, lead=lead, **names_units)
-    model = with_servos(case, changed)
+    delay, lead = (jnp.append(jnp.asarray(each), each[command]) for each in (servos.delay, servos.lead))
+    named = {"input_names": (*servos.input_names, name), "input_units": (*servos.input_units, "1")}
+    model = with_servos(case, replace(servos, commands=commands, switches=switches, delay=delay, lead=lead, **named))
     delays = np.broadcast_to(np.asarray(case.file.input_delay, float), column)
-    file = case.file._replace(input_delay=(*delays.tolist(), float(delays[JointServos.of(case).column[i]])))
+    file = case.file._replace(input_delay=(*delays.tolist(), float(delays[command])))
     stated = dict(names.stated)
     if len(stated.get("u", ())) > 1:
         stated["u"] = (*stated["u"], "1")
-    names = names._replace(u=(*names.u, f"on_{joint_name(case, i)}"), stated=stated)
+    names = names._replace(u=(*names.u, name), stated=stated)
     return case._replace(file=file, model=model, names=names).with_inputs(np.column_stack([u, strength]))
 
 

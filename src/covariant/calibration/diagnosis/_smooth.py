@@ -84,9 +84,8 @@ def smooth(
     noise, removed = _noise(t, y, grid, c, delay)
     # Coefficient c is the c-th derivative divided by c!.
     q, v, a, held = c[:, 0], c[:, 1], 2 * c[:, 2], held_inputs(t, u, grid, step)
-    a_noise = np.maximum(
-        gain(half, spacing, 2) * noise, _tick_noise(t, y, grid, c, delay, half, np.broadcast_to(ticks, n), used)
-    )
+    of_ticks = _tick_noise(t, y, grid, c, delay, half, np.broadcast_to(ticks, n), used)
+    a_noise = np.maximum(gain(half, spacing, 2) * noise, of_ticks)
     return Smooth(grid, q, v, a, held, used, _kernel(half), noise, removed, a_noise, half, step)
 
 
@@ -141,10 +140,9 @@ def held_inputs(t, u, grid, step):
 
 def derivative_weights(offsets, half, order=2):
     """Weights of samples at some offsets in a derivative at zero of the polynomial through a window."""
+    coefficients = scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[0]
     # Coefficient c is the c-th derivative divided by c!.
-    return (1, 1, 2)[order] * scoring.local_polynomials(offsets, np.eye(len(offsets)), np.zeros(1), half, ORDER)[
-        0, order
-    ]
+    return (1, 1, 2)[order] * coefficients[order]
 
 
 @functools.lru_cache  # the search for delays smooths a log a dozen times over windows of the same width

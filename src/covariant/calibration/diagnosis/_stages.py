@@ -22,6 +22,7 @@ from covariant.calibration.diagnosis._case import (
 from covariant.calibration.diagnosis._clock import set_forward, stamps
 from covariant.calibration.diagnosis._corrections import (
     LATE,
+    compare_columns,
     composed,
     correct_columns,
     correct_curves,
@@ -214,13 +215,14 @@ def look_at_columns(log: Examination) -> bool:
     """Units, order and signs of columns, and then the readings in the units of the model."""
     y, ticks = log.y, log.as_read.ticks
     plain, log.case = correct_curves(log.case)
-    first = log.case
-    corrections, changes, log.case = correct_guesses(log.case, log.family)
+    first, tried = log.case, compare_columns(log.case)
+    corrections, changes, log.case = correct_guesses(log.case, log.family, tried)
     curves, log.case = correct_curves(log.case) if changes else ([], log.case)
     if curves:  # beside any curve the inputs, and with them the numbers, may be too large together
-        _, numbers, log.case = correct_guesses(log.case._replace(model=first.model, file=first.file), log.family)
+        case = log.case._replace(model=first.model, file=first.file)
+        _, numbers, log.case = correct_guesses(case, log.family, compare_columns(case))
         changes = [each for each in changes if each.what != NUMBERS] + numbers
-    further, columns, log.case = correct_columns(log.case)
+    further, columns, log.case = correct_columns(log.case, tried if log.case is first else compare_columns(log.case))
     corrections, changes = corrections + further, changes + columns
     for each in corrections:
         log.as_read = each.apply(log.as_read) if each.what.startswith("unit of") else log.as_read

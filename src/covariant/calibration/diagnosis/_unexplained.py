@@ -96,14 +96,9 @@ def twin(model: MechanicalSystem, log: Smooth, record: Record, ticks: Float[np.n
     at = int(np.argmin(np.abs(log.t - t[0])))
     missing = ROWS - len(t)
     steps = np.clip(np.ceil(np.median(np.diff(t)) / STEP), 1, MOST_STEPS).astype(int)
-    q = _simulate_positions(
-        model,
-        np.concatenate([t, np.full(missing, t[-1])]),
-        np.concatenate([u, np.repeat(u[-1:], missing, axis=0)]),
-        Motion(jnp.asarray(log.q[at]), jnp.asarray(log.v[at])),
-        steps,
-    )
-    q = np.asarray(q)[: len(t)]
+    times, inputs = (np.concatenate([each, np.repeat(each[-1:], missing, axis=0)]) for each in (t, u))
+    first = Motion(jnp.asarray(log.q[at]), jnp.asarray(log.v[at]))
+    q = np.asarray(_simulate_positions(model, times, inputs, first, steps))[: len(t)]
     if not np.isfinite(q).all():
         return None
     noisy = q + np.random.default_rng(0).normal(size=q.shape) * np.where(ticks > 0, 0.0, log.noise)

@@ -206,9 +206,8 @@ def acting(unknowns: Any, z: Array, rows: Rows) -> tuple[Float[Array, "T m"], Fl
     if not isinstance(first.make(first.values(own_z))[1], Tracer):
         u = behind(own_z, 0)
         return u, jnp.zeros((*u.shape, len(own_z)))
-    u, change = (
-        jnp.stack([of(own_z, m) for m, (_, own_z, _) in enumerate(each)]) for of in (behind, jax.jacfwd(behind))
-    )
+    machines = [(own_z, m) for m, (_, own_z, _) in enumerate(each)]
+    u, change = (jnp.stack([of(*machine) for machine in machines]) for of in (behind, jax.jacfwd(behind)))
     machine, row = jnp.asarray(rows.machine)[jnp.asarray(rows.block)], jnp.arange(len(at))
     return u[machine, row], change[machine, row]
 

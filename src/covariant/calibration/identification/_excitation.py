@@ -98,10 +98,8 @@ class JointLimits(NamedTuple):
 
     def within(self, margin: float) -> "JointLimits":
         """A fraction of the limits, about the same middle."""
-        reach = margin * self.room
-        return JointLimits(
-            self.names, self.middle - reach, self.middle + reach, margin * self.velocity, margin * self.effort
-        )
+        reach, velocity, effort = (margin * each for each in (self.room, self.velocity, self.effort))
+        return JointLimits(self.names, self.middle - reach, self.middle + reach, velocity, effort)
 
 
 class ExcitationPlan(NamedTuple):
@@ -286,16 +284,14 @@ class _Problem(NamedTuple):
         inner = limits.within(plan.margin)
         idle = np.linalg.norm(inverse_inputs(model).force, axis=0) == 0
         if idle.any():
-            raise InputError(
-                f"no motor moves joint {limits.names[int(np.argmax(idle))]!r}: lock it, or give it a motor"
-            )
+            name = limits.names[int(np.argmax(idle))]
+            raise InputError(f"no motor moves joint {name!r}: lock it, or give it a motor")
         # The speed that a middle harmonic has at the largest amplitude.
         omega = 2 * np.pi * plan.frequency * (plan.harmonics + 1) / 2
         amplitude = np.minimum(inner.room, inner.velocity / omega)
         torques = Torques.of(family)
-        problem = cls(
-            family, model, torques, inner, sensing, plan, half, resting_basis(plan.harmonics), amplitude, np.ones(0)
-        )
+        basis = resting_basis(plan.harmonics)
+        problem = cls(family, model, torques, inner, sensing, plan, half, basis, amplitude, np.ones(0))
         plain = one_sine_a_joint(plan.frequency, plan.harmonics, problem.places()[0], inner.room, inner.velocity)
         q, v, a = plain.at(problem.times(COARSE))
         torque = in_batches(efforts, model, q, v, a)
@@ -414,10 +410,8 @@ def _compiled(problem: _Problem) -> Callable[..., _Point]:
         fractions = np.stack(problem.limits.fractions(q, v, torque))
         # Derivatives (3, n, 3, K, n) of each bound in positions, velocities and torques.
         by_fraction = np.asarray(slack_slopes(fractions))
-        limits = problem.limits
-        by_q, by_v, by_torque = (
-            by_fraction[:, :, d] / size for d, size in enumerate((limits.room, limits.velocity, limits.effort))
-        )
+        sizes = problem.limits.room, problem.limits.velocity, problem.limits.effort
+        by_q, by_v, by_torque = (by_fraction[:, :, d] / size for d, size in enumerate(sizes))
         bounds = np.concatenate([by_q, by_v, np.zeros_like(by_q)], axis=-1)
         bounds += np.einsum("cikj,kjr->cikr", by_torque, d_torque)
         jacobian = to_unknowns(bounds.reshape(3 * n, *bounds.shape[2:]))

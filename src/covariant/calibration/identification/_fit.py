@@ -16,14 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant.calibration._least_squares import (
-    PRIOR,
-    UNKNOWN,
-    Fixed,
-    Point,
-    combination_rows,
-    minimise,
-)
+from covariant.calibration._least_squares import PRIOR, UNKNOWN, Fixed, Point, combination_rows, minimise
 from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._error_model import NoiseLevels
 from covariant.calibration.identification._likelihood import GAINED, Likelihood, first_noise

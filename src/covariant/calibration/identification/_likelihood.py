@@ -21,13 +21,7 @@ from jaxtyping import Array, Bool, Float
 
 from covariant._linalg import known_rms
 from covariant.calibration._least_squares import STD_OF_MEDIAN, Blocks, robust
-from covariant.calibration.identification._error_model import (
-    VAGUE,
-    ErrorModel,
-    NoiseLevels,
-    kalman,
-    smoothed,
-)
+from covariant.calibration.identification._error_model import VAGUE, ErrorModel, NoiseLevels, kalman, smoothed
 from covariant.calibration.identification._predict import FAR, PredictionErrors
 from covariant.calibration.identification._rows import Rows
 from covariant.calibration.identification._unknowns import Unknowns
@@ -109,9 +103,8 @@ class Likelihood(NamedTuple):
 
         scores = sums(np.einsum("ti,tip->tp", weight * e, slope))
         loss = sums(np.sum(loss + np.log(size), axis=1))
-        return Blocks(
-            loss, scores, np.sum(curvatures(weight), axis=0), curvatures(weight**3), Kept(z, run, system, pushes)
-        )
+        majorised = np.sum(curvatures(weight), axis=0)
+        return Blocks(loss, scores, majorised, curvatures(weight**3), Kept(z, run, system, pushes))
 
     def moved(self, z: NumpyArray, dz: NumpyArray) -> NumpyArray:
         """Unknowns (p,) after a step."""

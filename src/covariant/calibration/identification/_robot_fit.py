@@ -23,13 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from covariant import scoring
 from covariant._linalg import solve
-from covariant.calibration._least_squares import (
-    PRIOR,
-    STD_OF_MEDIAN,
-    block_covariance,
-    minimise_above_bounds,
-    robust,
-)
+from covariant.calibration._least_squares import PRIOR, STD_OF_MEDIAN, block_covariance, minimise_above_bounds, robust
 from covariant.calibration.diagnosis import held_inputs
 from covariant.calibration.identification._contradictions import Evidence, contradictions
 from covariant.calibration.identification._robot_combinations import Combinations
@@ -326,10 +320,8 @@ class _Search(NamedTuple):
         """Gauss–Newton step from a point, with the covariance of the numbers."""
         rows = self._weighed(point)
         z, counts, weight = rows.slopes, rows.counts, rows.weight
-        information, curvature = (
-            rows.thinned * np.einsum("kjp,kj,kjq->pq", z, counts * each, z, optimize=True)
-            for each in (weight, weight**3)
-        )
+        sums = (np.einsum("kjp,kj,kjq->pq", z, counts * each, z, optimize=True) for each in (weight, weight**3))
+        information, curvature = (rows.thinned * each for each in sums)
         prior = np.eye(len(self.sizes)) / PRIOR**2
         gradient = np.sum(rows.scores, axis=0) + prior @ (point.x / self.sizes)
         covariance = block_covariance(rows.scores, curvature, np.linalg.inv(curvature + prior), prior)

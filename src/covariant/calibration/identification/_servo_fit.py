@@ -15,15 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant.calibration._least_squares import (
-    PRIOR,
-    Blocks,
-    Fixed,
-    Point,
-    block_covariance,
-    minimise,
-    robust,
-)
+from covariant.calibration._least_squares import PRIOR, Blocks, Fixed, Point, block_covariance, minimise, robust
 from covariant.calibration.identification._robot_fit import RobotFit, scale_of
 from covariant.calibration.identification._robot_torques import Determined, usual_sizes
 from covariant.calibration.identification._servo_motion import ServoLog
@@ -164,17 +156,14 @@ class _Search(NamedTuple):
         inertia = body.inertia + np.diag(np.asarray(drive.armature))
         torque = np.einsum("tij,tj->ti", inertia, motion[2]) + body.coriolis + body.slope
         directions, commanded = np.asarray(drive.servos.rows), np.asarray(drive.servos.commands)
-        errors = np.concatenate([log.u for log in logs]) @ commanded.T - motion[0] @ directions.T
-        servo_torques = (
-            (errors - np.asarray(drive.servos.zero)) * np.asarray(drive.servos.stiffness) @ np.abs(directions)
-        )
-        sizes, _ = usual_sizes(family, servo_torques, torque, *motion[1:])
+        zero, stiffness = np.asarray(drive.servos.zero), np.asarray(drive.servos.stiffness)
+        errors = np.concatenate([log.u for log in logs]) @ commanded.T - motion[0] @ directions.T - zero
+        sizes, _ = usual_sizes(family, errors * stiffness @ np.abs(directions), torque, *motion[1:])
         # If the file states a stiffness, a speed or a limit, that value is its usual size.
         has_positive_number = np.array([number.number in POSITIVE_NUMBERS for number in family.numbers])
         sizes = np.where(has_positive_number & (np.abs(family.first) > 0), np.abs(family.first), sizes)
-        least = np.where(
-            has_positive_number, np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first)), family.least
-        )
+        above_zero = np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first))
+        least = np.where(has_positive_number, above_zero, family.least)
         rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS)
         counted, unscaled = tuple(count for count in counts if count), np.ones(logs[0].q.shape[1])
         return cls(logs, rows, counted, sizes, least, rigid, length, unscaled)
@@ -188,11 +177,8 @@ class _Search(NamedTuple):
         tried, losses, search = [], [], self
         for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
-            candidates = [
-                np.where(is_stiffness, (factor - 1) * family.first, x)
-                for factor in STIFFNESS_FACTORS[: 3 if is_stiffness.any() else 1]
-            ]
-            candidates = [np.maximum(candidate, self.least) for candidate in candidates]
+            stiffer = [(factor - 1) * family.first for factor in STIFFNESS_FACTORS[: 3 if is_stiffness.any() else 1]]
+            candidates = [np.maximum(np.where(is_stiffness, each, x), self.least) for each in stiffer]
             # Batches have the size of a point's batch, so that one compiled program serves both.
             batch = (candidates * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
             residuals = self._residuals(batch, batch[0], [], np.zeros((len(batch), len(self.rigid))))
@@ -221,11 +207,8 @@ class _Search(NamedTuple):
         """Coordinates with changed delays, and with leads that compensate for the change."""
         family = self.logs[0].family
         at = {(n.target, n.number): i for i, n in enumerate(family.numbers) if n.group == "servo"}
-        leads = [
-            (i, at[target, "delay"], target)
-            for (target, kind), i in at.items()
-            if kind == "feedforward" and (target, "delay") in at
-        ]
+        fed = {target: i for (target, kind), i in at.items() if kind == "feedforward"}
+        leads = [(i, at[target, "delay"], target) for target, i in fed.items() if (target, "delay") in at]
         if not leads:
             return []
         values, servos = np.asarray(family.values(x)), self.logs[0].drive(x).servos
@@ -295,12 +278,8 @@ class _Search(NamedTuple):
 
     @property
     def _measured(self) -> np.ndarray:
-        return np.concatenate(
-            [
-                log.y[rows[:count]][:, self._skipped(log) :]
-                for log, rows, count in zip(self.logs, self.rows, self.counts, strict=True)
-            ]
-        )
+        parts = zip(self.logs, self.rows, self.counts, strict=True)
+        return np.concatenate([log.y[rows[:count]][:, self._skipped(log) :] for log, rows, count in parts])
 
     @property
     def _alike(self) -> float:

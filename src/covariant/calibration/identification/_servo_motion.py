@@ -63,10 +63,9 @@ class Drive(NamedTuple):
             "stribeck_velocity": none + 1.0,
         }
         viscous = known["damping"] + law["viscous"]
-        armature = model.space.tree.armature
-        return cls(
-            model.force.servos, model.force.motors, known["coordinates"], viscous, known["friction"], law, armature
-        )
+        friction = (known["coordinates"], viscous, known["friction"], law)
+        force = model.force
+        return cls(force.servos, force.motors, *friction, model.space.tree.armature)
 
 
 class RigidBody(NamedTuple):
@@ -206,10 +205,8 @@ class ServoLog(NamedTuple):
         eps = 1e-4
         lower, higher = (integral(end - delays - eps)[2] for end in ends)
         width = width[..., None]
-        rate = (high - low) / width
-        return np.stack(
-            [(last - first) / width, -(after - before) / width, rate, ((higher - lower) / width - rate) / eps], axis=-2
-        )
+        mean, slope, rate = (last - first) / width, -(after - before) / width, (high - low) / width
+        return np.stack([mean, slope, rate, ((higher - lower) / width - rate) / eps], axis=-2)
 
 
 _Compiled = tuple[Callable[[Any], Drive], Callable[..., RigidBody]]
@@ -313,8 +310,6 @@ def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: An
     for _ in range(SWEEPS):
         for j in range(v.shape[0]):
             net_impulse = impulse[j] - (inertia[j] @ w - diagonal[j] * w[j])
-            friction_impulse = jnp.clip(
-                net_impulse, -h * (friction_size[j] - asymmetry[j]), h * (friction_size[j] + asymmetry[j])
-            )
-            w = w.at[j].set((net_impulse - friction_impulse) / effective_inertia[j])
+            least, most = h * (asymmetry[j] - friction_size[j]), h * (asymmetry[j] + friction_size[j])
+            w = w.at[j].set((net_impulse - jnp.clip(net_impulse, least, most)) / effective_inertia[j])
     return q + h * w, w, w - v

@@ -82,13 +82,8 @@ class Unknowns(eqx.Module, OfMotions):
 
     @classmethod
     def of(cls, family: Family) -> "Unknowns":
-        return cls(
-            family.make,
-            jnp.asarray(family.first),
-            family.positive,
-            jnp.asarray(family.parts),
-            family.file.model.manifold,
-        )
+        first, parts = jnp.asarray(family.first), jnp.asarray(family.parts)
+        return cls(family.make, first, family.positive, parts, family.file.model.manifold)
 
     @classmethod
     def none(cls, model: MechanicalSystem) -> "Unknowns":
@@ -103,11 +98,8 @@ class Unknowns(eqx.Module, OfMotions):
     def of_machine(self, machine: Any, z: Array) -> tuple["Unknowns", Array, Array]:
         """Unknowns of one machine, their relative changes (k,), and where they are among all."""
         part = jnp.asarray(self.parts)[machine]
-        return (
-            dataclasses.replace(self, first=self.first[part], positive=jnp.asarray(self.positive)[part]),
-            z[part],
-            part,
-        )
+        own = dataclasses.replace(self, first=self.first[part], positive=jnp.asarray(self.positive)[part])
+        return own, z[part], part
 
     @property
     def size(self) -> Float[Array, "p"]:

@@ -138,9 +138,8 @@ def candidates(
         white = max(float(noise.acceleration), 1e-9 * std * rate**1.5) * np.sqrt(rate)
         three = gains(std, rate, white, force_std=force**0.5, force_time=None if np.isinf(time) else time)
         designs["three poles"] = (*as_frequency(three.alpha, three.beta), three.force_rate)
-    return {
-        name: (_within(w / rate, FREQUENCIES) * rate, _within(z, DAMPINGS), r) for name, (w, z, r) in designs.items()
-    }
+    found = designs.items()
+    return {name: (_within(w / rate, FREQUENCIES) * rate, _within(z, DAMPINGS), r) for name, (w, z, r) in found}
 
 
 def as_frequency(alpha: float, beta: float) -> tuple[float, float]:

@@ -56,12 +56,10 @@ def joint_noise(sheet: DataSheet, rate: float, trial: Trial | None = None) -> tu
     With those of the data sheet it is the best linear filter; on a trial the accelerations are optimised.
     """
 
-    def kind(motion_std):
-        return JointKalman(motion_std, sheet.motion_time, sheet.measurement_std)
-
+    rest = sheet.motion_time, sheet.measurement_std
     # Steps of a tenth of a decade: the error is flat about its minimum.
     stds = [sheet.motion_std] if trial is None else (sheet.motion_std * np.geomspace(1e-3, 1e3, 61)).tolist()
-    return _nearby(stds, kind, sheet, rate, trial), sheet.motion_time, sheet.measurement_std
+    return _nearby(stds, lambda std: JointKalman(std, *rest), sheet, rate, trial), *rest
 
 
 def jerk_bound(sheet: DataSheet, trial: Trial | None = None) -> float:
@@ -82,8 +80,7 @@ def loop_bandwidth(sheet: DataSheet, rate: float, trial: Trial | None, kind: Cal
 def _best_by_runs(kind: Callable[[Any], Any], numbers: np.ndarray, trial: Trial) -> float:
     """The number whose filter has the least velocity error on a trial when it is run."""
     y, late = trial.y.copy(), _late(trial.t)
-    first = y.reshape(len(y), -1).T
-    y[0] = np.reshape([column[np.isfinite(column)][0] for column in first], y.shape[1:])  # from where it starts
+    y[0] = np.reshape([each[np.isfinite(each)][0] for each in y.reshape(len(y), -1).T], y.shape[1:])  # where it starts
     velocities = _run_filters(kind, *map(jnp.asarray, (numbers, np.diff(trial.t), y)))
     errors = [relative_error(v[late], trial.v[late]) for v in np.asarray(velocities)]
     return float(numbers[np.argmin(errors)])

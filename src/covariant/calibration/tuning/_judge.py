@@ -61,10 +61,11 @@ class ErrorRatio(NamedTuple):
         """
         count = sum(map(len, squares))
         size = max(SHORTEST, -(-count // BLOCKS))
-        first, second = (
-            np.array([block.sum() for one in each for block in np.array_split(one, max(1, len(one) // size))])
-            for each in (squares, others)
-        )
+
+        def sums(each: Sequence[Float[np.ndarray, "_"]]) -> Float[np.ndarray, "K"]:
+            return np.array([part.sum() for one in each for part in np.array_split(one, max(1, len(one) // size))])
+
+        first, second = sums(squares), sums(others)
         error, other = (float(np.sqrt(each.sum() / max(count, 1))) for each in (first, second))
         if len(first) < FEWEST:
             return cls(error, other, 0.0, np.inf)
@@ -87,9 +88,8 @@ class ErrorRatio(NamedTuple):
         Returns:
             The errors, root mean square over the coordinates too, and the interval.
         """
-        return cls.of(
-            *([relative_squares(*pair) for pair in zip(each, true, strict=True)] for each in (velocities, others))
-        )
+        squares = ([relative_squares(*pair) for pair in zip(each, true, strict=True)] for each in (velocities, others))
+        return cls.of(*squares)
 
     @property
     def is_better(self) -> bool:

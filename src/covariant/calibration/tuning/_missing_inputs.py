@@ -56,10 +56,9 @@ def _correlation(t: np.ndarray, u: np.ndarray, step: float, lags: np.ndarray) ->
     pairs = [(z[:-lag], z[lag:]) for lag in lags]
     # Of the same pairs, so that an input that is not quite stationary has no correlation beyond one.
     powers = [np.nansum(np.where(np.isfinite(a * b), a**2 + b**2, 0.0)) for a, b in pairs]
+    products = [2 * np.nansum(a * b) for a, b in pairs]
     # An input that never changes, such as the switch of a servo that stays on, has none.
-    return np.array(
-        [2 * np.nansum(a * b) / power if power else np.nan for (a, b), power in zip(pairs, powers, strict=True)]
-    )
+    return np.array([product / power if power else np.nan for product, power in zip(products, powers, strict=True)])
 
 
 def _kernel(times: np.ndarray, correlation: np.ndarray) -> tuple[float, float]:

@@ -120,4 +120,4 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     tried = [total_loss(z, systems, held_out, speed)[0] for z in (plain, forced)]
     # Schwarz's criterion for n + 1 parameters more, and what is held out has to confirm them.
     confirmed = without - lower_loss > (n + 1) * np.log(count) and tried[1] < tried[0]
-    return levels(forced if confirmed else plain, n, n)._replace(**({} if confirmed else {"force": jnp.asarray(0.0)}))
+    return levels(forced, n, n) if confirmed else levels(plain, n, n)._replace(force=jnp.asarray(0.0))

@@ -26,11 +26,9 @@ def contraction_statement(of: Resolved, evidence: Evidence, checker: Hypothesis 
     draft = Statement("", (), hypotheses, document.rate, str(of.domain), point)
     # There is no tube without a proof, so its radius is not printed.
     data = tuple(_description(of, document.radius if draft.verdict == "holds" else 0.0))
-    claim = (
-        _converges(document)
-        if draft.verdict == "holds"
-        else f"squared lengths shrink at {document.rate:.4g} 1/s or faster on the region"
-    )
+    claim = f"squared lengths shrink at {document.rate:.4g} 1/s or faster on the region"
+    if draft.verdict == "holds":
+        claim = _converges(document)
     if draft.verdict == "undecided":
         reasons = [h.place for h in hypotheses if h.verdict == "undecided" and h.place]
         claim += f"; {reasons[0]}" if reasons else ""
@@ -86,33 +84,27 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
         if select(document.claims, PredictionClaim):
             yield _steps(document, evidence)
     if document.sampling is None:
-        yield Hypothesis(
-            "over these positions, inputs and times the force stays within the bounds of the domain", evidence
-        )
+        text = "over these positions, inputs and times the force stays within the bounds of the domain"
+        yield Hypothesis(text, evidence)
     if document.sampling is not None or len(facts.domain.names) > 4 * n:
         read, acting = ("velocities", "friction") if document.sampling is None else ("inputs and velocities", "forces")
-        yield Hypothesis(
-            f"over these {read}, {acting} and the slopes of friction stay within the bounds of the domain",
-            evidence,
-        )
+        text = f"over these {read}, {acting} and the slopes of friction stay within the bounds of the domain"
+        yield Hypothesis(text, evidence)
     model = facts.observer.model
     if not model.manifold.commuting:
         yield Hypothesis(SYMMETRIC, evidence)
     elif model.circles:
         yield Hypothesis(PERIODIC, evidence)
-    yield Hypothesis(
-        "the errors are below half a turn, so that the shortest path to the measurement is unique", evidence
-    )
+    text = "the errors are below half a turn, so that the shortest path to the measurement is unique"
+    yield Hypothesis(text, evidence)
     described = "flow" if document.sampling is None else "prediction and correction"
-    yield Hypothesis(
-        f"the observer is {type(facts.observer).__name__} itself, whose {described} is the one described", evidence
-    )
+    text = f"the observer is {type(facts.observer).__name__} itself, whose {described} is the one described"
+    yield Hypothesis(text, evidence)
 
 
 def _assumptions(document: Document) -> Iterator[Hypothesis]:
-    yield from (
-        Hypothesis(line, "assumed") for line in (ASSUMED if document.sampling is None else ASSUMED_WITH_SAMPLES)
-    )
+    always = ASSUMED if document.sampling is None else ASSUMED_WITH_SAMPLES
+    yield from (Hypothesis(line, "assumed") for line in always)
     if document.radius and select(document.claims, RemainderClaim):
         yield Hypothesis(_geodesic(document), "assumed")
     if document.sampling is not None:
@@ -124,10 +116,8 @@ def _remainder(document: Document, evidence: Evidence) -> Hypothesis:
     """That the exact observer converges where its approximation does, on what is left of the rate."""
     text = "the exact observer differs little enough from its approximation (5), which is proved to contract"
     if document.radius:
-        left = rounded_down(document.decay)
-        return Hypothesis(
-            f"{text}: of {document.rate / 2:.4g} 1/s it leaves {left} 1/s", evidence, margin=document.decay
-        )
+        text += f": of {document.rate / 2:.4g} 1/s it leaves {rounded_down(document.decay)} 1/s"
+        return Hypothesis(text, evidence, margin=document.decay)
     reason = (
         "the exact observer may differ too much from its approximation (5), by tensors whose bounds are above; ask for "
         "a higher rate, give a smaller velocity, error, position or input, or certify Intrinsic"
@@ -162,11 +152,8 @@ def _steps(document: Document, evidence: Evidence) -> Hypothesis:
     """State that errors of the Runge–Kutta steps alone do not lead out of the tube."""
     text = "the errors of the Runge–Kutta steps of predictions do not lead out of the tube"
     if document.drift < document.radius:
-        return Hypothesis(
-            f"{text}: alone they lead at most {document.drift:.2g} away",
-            evidence,
-            margin=document.radius - document.drift,
-        )
+        text += f": alone they lead at most {document.drift:.2g} away"
+        return Hypothesis(text, evidence, margin=document.radius - document.drift)
     reason = f"alone they may lead {document.drift:.4g} away, out of the tube; use more substeps or a shorter interval"
     return Hypothesis(text, evidence, "undecided", None, reason)
 
@@ -174,11 +161,8 @@ def _steps(document: Document, evidence: Evidence) -> Hypothesis:
 def _radius(document: Document, evidence: Evidence) -> Hypothesis:
     """State that the tube exists, and that noise does not lead out of it."""
     if document.radius > document.steady:
-        return Hypothesis(
-            "the tube has a radius, and noise and unknown forces alone do not lead out of it",
-            evidence,
-            margin=document.radius - document.steady,
-        )
+        text = "the tube has a radius, and noise and unknown forces alone do not lead out of it"
+        return Hypothesis(text, evidence, margin=document.radius - document.steady)
     reason = f"noise and disturbance alone lead {document.steady:.4g} away, out of the tube; make them smaller"
     return Hypothesis("noise and unknown forces alone do not lead out of the tube", evidence, "undecided", None, reason)
 
@@ -198,32 +182,27 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     if radius:
         rate = document.rate if document.sampling is None else 2 * document.decay
         right_after = "" if document.sampling is None else " right after a measurement"
-        yield (
-            f"rate λ = {rounded_down(rate)} 1/s of squared lengths, radius ε = {rounded_down(radius)} in this metric"
-            f"{right_after}"
-        )
+        lengths = f"rate λ = {rounded_down(rate)} 1/s of squared lengths"
+        yield f"{lengths}, radius ε = {rounded_down(radius)} in this metric{right_after}"
     start = start_of(radius, facts.domain, document.claims) if radius else None
     if start is not None:
         yield f"errors of a start that are within ε, all at once: {start}"
     if model.manifold.commuting:
         named = zip(model.coordinates, *given.positions.tolist(), strict=True)
-        yield "true positions: " + ", ".join(
-            _range_line(name, low, high, unit_of.get(name, "")) for name, low, high in named
-        )
+        ranges = (_range_line(name, low, high, unit_of.get(name, "")) for name, low, high in named)
+        yield f"true positions: {', '.join(ranges)}"
     else:
         yield f"true positions: entries of the matrices from {_list(given.positions[0])} to {_list(given.positions[1])}"
     first = document.first_velocity
-    speeds, errors = facts.domain.names[first : first + n], facts.domain.names[first + n : first + 2 * n]
-    yield "true velocities up to: " + _up_to(speeds, document.velocity, unit_of)
-    yield "errors of the estimated position up to: " + _up_to(
-        errors, facts.domain.high[first + n : first + 2 * n], unit_of
-    )
+    speeds, errors = slice(first, first + n), slice(first + n, first + 2 * n)
+    yield "true velocities up to: " + _up_to(facts.domain.names[speeds], document.velocity, unit_of)
+    off = _up_to(facts.domain.names[errors], facts.domain.high[errors], unit_of)
+    yield f"errors of the estimated position up to: {off}"
     pairs = enumerate(zip(*given.inputs.tolist(), strict=True), start=1)
     yield f"inputs: {', '.join(_range_line(f'u{i}', low, high, '') for i, (low, high) in pairs) or 'none'}"
     first, last = given.times
-    yield f"times: {exact(first)} to {exact(last)} s" + (
-        ", or any, where the force does not read them" if first == last else ""
-    )
+    unread = ", or any, where the force does not read them" if first == last else ""
+    yield f"times: {exact(first)} to {exact(last)} s{unread}"
     yield f"errors of the measured position up to: {_list(given.noise)}"
     yield f"unknown forces up to: {_list(given.disturbance)}"
     yield f"domain of the proofs: {facts.domain}"

@@ -176,9 +176,8 @@ class Resolved(NamedTuple):
     def _stated(self, claim: AbstractClaim) -> AbstractClaim:
         low, high = self.document.bounds(claim)
         names, units = claim.variables(self.about.names, self.about.units, len(self.document.velocity))
-        return dataclasses.replace(
-            claim, proof=Proof.stated(Box(names, units, low, high), from_letters(claim.levels)), letters=()
-        )
+        proof = Proof.stated(Box(names, units, low, high), from_letters(claim.levels))
+        return dataclasses.replace(claim, proof=proof, letters=())
 
 
 def parse(path: str | Path, content: bytes | None = None) -> Document:
@@ -217,15 +216,12 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
         counts = [6 * n + 1] if in_coordinates else list(range(5 * n + 1, len(LETTERS) + 1))
     else:  # in coordinates friction and its slopes may be variables too, which their number says
         counts = [4 * n, 6 * n] if in_coordinates else [3 * n]
-    fields["velocity"].need(
-        bool(counts) and counts[0] <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
-    )
+    fewer = f"fewer velocities: there are letters for {len(LETTERS)} variables"
+    fields["velocity"].need(bool(counts) and counts[0] <= len(LETTERS), fewer)
     low, high = fields["box"].pair(counts[0], counts[-1])
     variables = len(low)
     fields["box"].need(variables in counts, f"bounds of {' or '.join(map(str, counts))} variables")
-    fields["velocity"].need(
-        variables <= len(LETTERS), f"fewer velocities: there are letters for {len(LETTERS)} variables"
-    )
+    fields["velocity"].need(variables <= len(LETTERS), fewer)
     given = _read_bounds(fields["given"], n)
     claims = _claims(fields["claims"], Setting(low, high, n, sampling, given, observer.get("order")))
     return Document(
@@ -386,10 +382,8 @@ def _claims(field: Field, setting: Setting) -> tuple[AbstractClaim, ...]:
     numbers = {name: b if name in optional else a for name, (a, b) in counts.items()}
     order = [name for name, count in numbers.items() for _ in range(count)]
     rows[-1].need(len(rows) <= len(order), "the last claim")
-    claims = [
-        _claim(row, name, k - order.index(name), setting)
-        for k, (row, name) in enumerate(zip(rows, order, strict=False))
-    ]
+    places = enumerate(zip(rows, order, strict=False))
+    claims = [_claim(row, name, k - order.index(name), setting) for k, (row, name) in places]
     if sum(len(level) for claim in claims for level in claim.levels) > MOST_LETTERS:
         raise InputError(
             f"{field.file}: the levels of {field.key} hold more than {MOST_LETTERS} letters; ask for the file as it "

@@ -46,10 +46,9 @@ def force_bounds(
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), real=True)
     assert lowered.conditions is not None
     # Conditions on smoothness are dropped, since the bound is also valid for a force that jumps.
-    defined = lowered.conditions._replace(
-        conditions=tuple(c for c in lowered.conditions.conditions if c.kind in ("true", "finite"))
-    )
-    _need_conditions("the force of the model is not defined", defined, region)
+    defined = tuple(c for c in lowered.conditions.conditions if c.kind in ("true", "finite"))
+    conditions = lowered.conditions._replace(conditions=defined)
+    _need_conditions("the force of the model is not defined", conditions, region)
     enclosure = enclose(lowered, region.low[None], region.high[None])
     bounds = np.concatenate([enclosure.low, enclosure.high])
     if not np.isfinite(bounds).all():
@@ -93,9 +92,8 @@ def force_reads_time(model: MechanicalSystem, n: int) -> bool:
 def _force_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float, float]) -> Box:
     """Time, positions and inputs as one box."""
     names = ("t", *places.names, *(f"u{i + 1}" for i in range(inputs.shape[1])))
-    low, high = (
-        np.concatenate([[t], ends, u]) for t, ends, u in zip(times, (places.low, places.high), inputs, strict=True)
-    )
+    both = zip(times, (places.low, places.high), inputs, strict=True)
+    low, high = (np.concatenate([[t], ends, u]) for t, ends, u in both)
     return check_box(Box(names, ("s", *places.units, *("",) * inputs.shape[1]), low, high))
 
 

@@ -67,14 +67,8 @@ def in_frame_along(error_system: ErrorSystem, formula: Callable[[Array, Array, A
         state = range(1, count + 1)
         # The derivative along the flow: time has the rate 1, the state has x', and z is constant.
         along = {0: derivatives.graph.constant(1.0), **dict(zip(state, flow.tolist(), strict=True))}
-        return (
-            coframe,
-            frame,
-            gram,
-            derivatives.each(flow, state, frame),
-            derivatives.along(coframe, along),
-            derivatives.along(gram, along),
-        )
+        changes = (derivatives.along(each, along) for each in (coframe, gram))
+        return coframe, frame, gram, derivatives.each(flow, state, frame), *changes
 
     def whole(coframe, frame, gram, image, turn, change):
         return formula(coframe, gram, change, turn @ frame + coframe @ image)

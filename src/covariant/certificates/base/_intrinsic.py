@@ -233,7 +233,7 @@ def need_steady_friction(model: MechanicalSystem) -> None:
     """Check that the dissipation depends on neither time nor input, since these are not variables of a region."""
     if not model.dissipation_is_driven:
         return
-    q = jnp.zeros(dimension(model)) if model.manifold.commuting else model.manifold.origin()
+    q = any_configuration(model)
     v = model.manifold.zero(q)
     u = jnp.zeros(input_count(model, v.size))
     read = entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
@@ -265,9 +265,8 @@ def need_joint_friction(model: MechanicalSystem) -> None:
     q = any_configuration(model)
     friction = functools.partial(friction_of, model)
     if any(i < q.size for i in entries_read(friction, q, jnp.zeros(n))):
-        raise InputError(
-            "the friction of this model depends on the position; covered here is friction of the velocity alone"
-        )
+        covered = "covered here is friction of the velocity alone"
+        raise InputError(f"the friction of this model depends on the position; {covered}")
     expansion = expand(lower(functools.partial(friction, q), jnp.zeros(n)), range(n), 1)
     slopes = expansion.nodes()[1].reshape(n, n)
     if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
@@ -301,13 +300,8 @@ def check_unique(observer: Intrinsics, error: Float[np.ndarray, "n"]) -> None:
 def observer_document(observer: Intrinsics) -> dict[str, Any]:
     """Convert an observer without its model to data."""
     kind = next(name for name, cls in OBSERVER_KINDS.items() if type(observer) is cls)
-    frame = frame_of(observer.model)
-    content: dict[str, Any] = {
-        "kind": kind,
-        "frame": frame,
-        "alpha": float(observer.alpha),
-        "beta": float(observer.beta),
-    }
+    content: dict[str, Any] = {"kind": kind, "frame": frame_of(observer.model)}
+    content |= {"alpha": float(observer.alpha), "beta": float(observer.beta)}
     for field in dataclasses.fields(observer):
         value = getattr(observer, field.name)
         if field.name in OBSERVERS[kind]:

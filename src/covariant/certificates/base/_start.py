@@ -15,7 +15,7 @@ from covariant.certificates.base._error_system import ErrorSystem
 from covariant.certificates.base._inequalities import start_bound
 from covariant.models import MechanicalSystem
 from scalargraph import numbers
-from scalargraph.proofs import Box
+from scalargraph.proofs import Box, Form
 
 MARGIN = 1.05
 """Margin on the sampled factor, so that it can be proved quickly."""
@@ -108,12 +108,13 @@ def start_claim(
     metric = -values.reshape(-1, len(squares), len(squares)) * np.outer(scale, scale)
     square = MARGIN * float(np.linalg.eigvalsh(metric)[:, -1].max())
     little = dataclasses.replace(effort, boxes=min(effort.boxes, BOXES))
-    claim = little.prove_claim(
-        "a start",
-        StartClaim(UNPROVED, square),
-        lambda claim: start_bound(system, squares, claim.square),
-        lambda claim, point: dataclasses.replace(claim, square=claim.square * MARGIN**2),
-        TRIES,
-    )
+
+    def matrix(claim: StartClaim) -> Form:
+        return start_bound(system, squares, claim.square)
+
+    def longer(claim: StartClaim, point: np.ndarray) -> StartClaim:
+        return dataclasses.replace(claim, square=claim.square * MARGIN**2)
+
+    claim = little.prove_claim("a start", StartClaim(UNPROVED, square), matrix, longer, TRIES)
     effort.boxes -= min(effort.boxes, BOXES) - little.boxes
     return [claim] if claim.proof.verdict == "holds" else []

@@ -243,9 +243,8 @@ def tangent_metric(metric: MatrixField, q: Annotated[TwoByTwo, FINITE]) -> State
 
     def connection(x):
         position, v = jnp.split(x, 2)
-        return jax.vmap(lambda e: geometry.connection(position, v, e), out_axes=1)(
-            jnp.eye(position.shape[0], dtype=x.dtype)
-        )
+        directions = jnp.eye(position.shape[0], dtype=x.dtype)
+        return jax.vmap(lambda e: geometry.connection(position, v, e), out_axes=1)(directions)
 
     # Θ = [[I, 0], [Γ, I]], whose inverse has −Γ: hence the sign.
     def coframe(t, x, sign=1.0):

@@ -213,10 +213,8 @@ def _jobs(document: Document) -> Iterator[Job]:
             yield Job(what, *pinned[:, None])
     # Fixed zeros for time and state, which are inputs of every claim, see `everything`.
     pins = np.zeros((2, 2 * n + 1))
-    yield Job(
-        "the definedness of the observer, without jumps,",
-        *np.concatenate([[document.low, document.high], pins], axis=1)[:, None],
-    )
+    pinned = np.concatenate([[document.low, document.high], pins], axis=1)
+    yield Job("the definedness of the observer, without jumps,", *pinned[:, None])
     if document.joint_friction:
         yield from itertools.starmap(Job, sampled.friction_jobs(document))
     yield from itertools.starmap(Job, sampled.sampled_jobs(document, pins))

@@ -37,16 +37,14 @@ def friction_jobs(document: Document) -> Iterator[tuple]:
 
 def friction_matrix(document: Document, model: MechanicalSystem, what: str) -> TaylorEnclosure:
     """Build the matrix of one of `FRICTION_JOBS`, which must be shown positive definite."""
-    n, speeds = len(document.velocity), _speeds(document)
-    watch: Literal["", "smooth"] = ""
+    n, (low, high) = len(document.velocity), _speeds(document)
     friction = matrices.friction(model, n)
-    if what == FRICTION_JOBS[0]:
-        function = _within(document, friction, 4)
-    elif what == FRICTION_JOBS[1]:
-        function = _within(document, matrices.friction_slopes(model, n), 5)
-    else:
-        function, watch = friction, "smooth"
-    return TaylorEnclosure(function, speeds[0], speeds[1], np.zeros(n), watch)
+    functions = {
+        FRICTION_JOBS[0]: _within(document, friction, 4),
+        FRICTION_JOBS[1]: _within(document, matrices.friction_slopes(model, n), 5),
+        FRICTION_JOBS[2]: friction,
+    }
+    return TaylorEnclosure(functions[what], low, high, np.zeros(n), "smooth" if what == FRICTION_JOBS[2] else "")
 
 
 def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chosen: slice = slice(None)) -> Any:
@@ -102,21 +100,16 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
         return TaylorEnclosure(whole, ends[0], ends[1], np.zeros(ends.shape[1]), "smooth")
     joint = int(what.rpartition(" ")[2]) - 1 if what[-1].isdigit() else 0
     one = slice(joint, joint + 1)
+    both = np.concatenate([inputs, speeds], axis=1)
     force, friction = matrices.input_force(model, n), matrices.friction(model, n)
+    # A force that the model lacks may add to both.
+    joint_force = _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance, one)
+    slope = _within(document, matrices.friction_slopes(model, n), 5, chosen=one)
     kinds: dict[str, tuple[Any, np.ndarray, Literal["", "defined", "smooth"]]] = {
         "the bound of the input's force": (_within(document, force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
-        f"the bound of the joint force {joint + 1}": (
-            # A force that the model lacks may add to both.
-            _within(document, lambda y: force(y[:-n]) + friction(y[-n:]), 4, document.given.disturbance, one),
-            np.concatenate([inputs, speeds], axis=1),
-            "",
-        ),
-        f"the bound of the friction's slope {joint + 1}": (
-            _within(document, matrices.friction_slopes(model, n), 5, chosen=one),
-            speeds,
-            "",
-        ),
+        f"the bound of the joint force {joint + 1}": (joint_force, both, ""),
+        f"the bound of the friction's slope {joint + 1}": (slope, speeds, ""),
     }
     function, box, watch = kinds[what]
     return TaylorEnclosure(function, box[0], box[1], np.zeros(box.shape[1]), watch)
@@ -125,9 +118,8 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
 def predicted_values(document: Document, observer: Any) -> TaylorEnclosure:
     """Build the values of a prediction that must be defined and smooth."""
     low, high = document.bounds(select(document.claims, PredictionClaim)[0])
-    return TaylorEnclosure(
-        step_values(matrices.prediction_of_steps(document, observer), jacobian), low, high, np.zeros(len(low)), "smooth"
-    )
+    values = step_values(matrices.prediction_of_steps(document, observer), jacobian)
+    return TaylorEnclosure(values, low, high, np.zeros(len(low)), "smooth")
 
 
 def need_sampled_box(document: Document, in_coordinates: bool) -> slice:

@@ -193,21 +193,18 @@ def certify(
     start = time.monotonic()
     assumed = _check_assumptions(observer, velocity, error, noise, disturbance)
     matrix, target, *slower = metric_and_rates(observer, q, rate, interval is not None, bool(assumed.noise.any()))
-    sampling = (
-        None if interval is None else check_sampling(observer, interval, lost, lost_rows, q, len(assumed.velocity))
-    )
-    if (
-        sampling is not None
-        and (assumed.noise.any() or assumed.disturbance.any())
-        and not observer.model.manifold.commuting
-    ):
+    sampling = None
+    if interval is not None:
+        sampling = check_sampling(observer, interval, lost, lost_rows, q, len(assumed.velocity))
+    disturbed = bool(assumed.noise.any() or assumed.disturbance.any())
+    if sampling is not None and disturbed and not observer.model.manifold.commuting:
         raise InputError(
             "certify: with interval, noise and disturbance are covered in coordinates only; leave them out"
         )
     if interval is None and (lost or lost_rows != "empty"):
         raise InputError("certify: lost samples need interval, the shortest and longest time between two samples")
     exact = isinstance(observer, Geodesic)
-    if exact and (assumed.noise.any() or assumed.disturbance.any()):
+    if exact and disturbed:
         raise InputError(
             "certify: noise and disturbance are not covered for Geodesic; leave them out, or certify Intrinsic"
         )
@@ -215,9 +212,8 @@ def certify(
     check_recipe(observer.model, recipe)
     effort = Effort(Box((), (), np.zeros(0), np.zeros(0)), boxes, seconds, processes, progress)
     if sampling is None:
-        system, domain, bounds, first = _in_continuous_time(
-            first_order(observer), matrix, target, assumed, region, effort
-        )
+        approximate = first_order(observer)
+        system, domain, bounds, first = _in_continuous_time(approximate, matrix, target, assumed, region, effort)
         corrections = []
     else:
         # The force depends on the input alone, so that no error of the position changes it.
@@ -479,9 +475,8 @@ def sampled_widths(about: ErrorSystem, domain: Box, count: int = 2000) -> Float[
 
 def _sampled_disturbance(about: ErrorSystem, domain: Box, sizes: np.ndarray, count: int = 2000) -> float:
     """The largest squared change of the flow by errors in the unit ball, at random points and corners."""
-    matrices = _sample_function(
-        disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries, domain, count
-    )
+    entries = disturbance_bound(about, sizes, 0.0).graph(jnp.asarray(domain.low)).entries
+    matrices = _sample_function(entries, domain, count)
     # With square = 0 the matrix is −BᵀMB; its least eigenvalue is the largest squared length, with opposite sign.
     return float(-np.linalg.eigvalsh(matrices).min())
 

@@ -128,11 +128,6 @@ def trade_off(certificate: ContractionCertificate, count: Count = 40) -> TradeOf
     def rate_and_condition(q) -> tuple[float, float]:
         return rate_of(alpha, beta, q), conditioning(beta, q)
 
-    pairs = np.array(sorted(rate_and_condition(q) for q in matrices))
-    return TradeOff(
-        pairs[:, 0],
-        pairs[:, 1],
-        rate_and_condition(certificate.q),
-        rate_and_condition(lyapunov(alpha, beta)),
-        certificate.rate,
-    )
+    proved, conditions = np.array(sorted(rate_and_condition(q) for q in matrices)).T
+    chosen, at_lyapunov = (rate_and_condition(q) for q in (certificate.q, lyapunov(alpha, beta)))
+    return TradeOff(proved, conditions, chosen, at_lyapunov, certificate.rate)

@@ -185,9 +185,8 @@ class SampledBound(eqx.Module):
     def within(self, position: Any, velocity: Any) -> float:
         """Bound the distance, given bounds of the initial errors; infinite if it may exceed the radius."""
         try:
-            errors = np.concatenate(
-                [np.broadcast_to(np.asarray(b, float), self.velocity.shape) for b in (position, velocity)]
-            )
+            shape = self.velocity.shape
+            errors = np.concatenate([np.broadcast_to(np.asarray(b, float), shape) for b in (position, velocity)])
             valid = (errors >= 0).all()
         except (TypeError, ValueError):  # no numbers, or more than there are positions
             errors, valid = np.zeros(0), False

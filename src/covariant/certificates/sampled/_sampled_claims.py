@@ -177,21 +177,21 @@ def _prove(
     squares: Sequence[Float[np.ndarray, "k"]],
 ) -> list[AbstractClaim]:
     """The claims on flow and correction; after the first one that does not hold, the others are not tried."""
+
+    def matrix(claim: CorrectionClaim) -> Form:
+        return correction(system, noise if claim.squares else None, claim.squares)
+
+    def larger(claim: CorrectionClaim, point: np.ndarray) -> CorrectionClaim:
+        return dataclasses.replace(claim, squares=tuple(1.2 * s for s in claim.squares))
+
     claims: list[AbstractClaim] = [ContractionClaim(effort.prove("contraction", contraction(system, rate)))]
     for lost in range(sampling.lost + 1):
         if claims[-1].proof.verdict != "holds":
             break
         claim = CorrectionClaim(UNPROVED, lost, tuple(np.asarray(squares[lost]).tolist()) if noise.any() else ())
-        claims.append(
-            effort.prove_claim(
-                f"correction after {lost} lost",
-                claim,
-                lambda claim: correction(system, noise if claim.squares else None, claim.squares),
-                lambda claim, point: dataclasses.replace(claim, squares=tuple(1.2 * s for s in claim.squares)),
-                SEARCHES if claim.squares else 0,
-                _domain_of(claim, effort.domain, len(noise), sampling),
-            )
-        )
+        domain = _domain_of(claim, effort.domain, len(noise), sampling)
+        tries = SEARCHES if claim.squares else 0
+        claims.append(effort.prove_claim(f"correction after {lost} lost", claim, matrix, larger, tries, domain))
     return claims
 
 

@@ -111,20 +111,14 @@ class SampledMetric:
         def together(*blocks):
             return jnp.concatenate([block.ravel() for block in blocks])
 
-        self.flow = in_frame_along(
-            system,
-            lambda coframe, gram, change, jacobian: together(jacobian, gram[:n, :n], change[:n, :n]),
-        ).graph(start)
-        if len(self.joints):
-            step = at_noisy_correction(
-                system,
-                lambda before, after, jacobian, errors: together(jacobian, before[:n, :n], after[:n, :n], errors),
-            )
-        else:
-            step = at_correction(
-                system, lambda before, after, jacobian: together(jacobian, before[:n, :n], after[:n, :n])
-            )
-        self.step = step.graph(start)
+        def along(coframe, gram, change, jacobian):
+            return together(jacobian, gram[:n, :n], change[:n, :n])
+
+        def corrected(before, after, jacobian, *errors):
+            return together(jacobian, before[:n, :n], after[:n, :n], *errors)
+
+        at = at_noisy_correction if len(self.joints) else at_correction
+        self.flow, self.step = (form.graph(start) for form in (in_frame_along(system, along), at(system, corrected)))
         alpha, beta = float(observer.alpha), float(observer.beta)
         fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
         values, vectors = np.linalg.eigh(optimal_lyapunov(alpha, beta, fastest * 2 / 3))
@@ -158,20 +152,15 @@ class SampledMetric:
             if solution is None:
                 break  # the solver stalls on some points; what was found on fewer of them remains
             x = solution
-            more = (
-                self._flow_points(random_points(rng, domain, TRIED)),
-                self._step_points(self._aged(rng, domain, TRIED)),
-            )
+            more = self._both(rng, domain, TRIED)
             # With noise the programme has no margin as its cost; instead it is solved for a faster rate.
             noisy, slower = len(self.joints) > 0, 0.0 if not len(self.joints) else FASTER / 2
             least = [np.linalg.eigvalsh(self._form(x, points, slower))[:, 0] for points in more]
             margin = min(float(values.min()) for values in least)
             if (margin > 0) if noisy else (x[-1] <= 0 or margin > SHARE * x[-1]):
                 break
-            flow, step = (
-                points.joined(others, np.argsort(values)[:ADDED])
-                for points, others, values in zip((flow, step), more, least, strict=True)
-            )
+            both = zip((flow, step), more, least, strict=True)
+            flow, step = (points.joined(others, np.argsort(values)[:ADDED]) for points, others, values in both)
         r = [self.root @ _matrix(x, k) @ self.root / self.sampling.oldest**k for k in range(DEGREE + 1)]
         r = [(each + each.T) / 2 for each in r]
         found = Found(r[0], np.array(r[1:]), margin)

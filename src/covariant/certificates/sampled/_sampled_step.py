@@ -90,9 +90,8 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
         need_symmetry(model)
         _check_forces(model, len(model.velocities))
         in_body = body_point(observer, bare, variables, q, sampling)
-        return ErrorSystem(
-            variables.names, variables.units, in_body, functools.partial(in_body, running=0.0), has_samples=True
-        )
+        standing = functools.partial(in_body, running=0.0)
+        return ErrorSystem(variables.names, variables.units, in_body, standing, has_samples=True)
     n = dimension(model)
     _check_forces(model, n)
 
@@ -101,9 +100,8 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
 
         def flow(t, x):
             # The joint force as a function of the velocity, with any slope of the friction within its bounds.
-            return jnp.concatenate(
-                [x[n:], acceleration(bare.model, t, x[:n], x[n:], total - drag * (x[n:] - velocity))]
-            )
+            joint_force = total - drag * (x[n:] - velocity)
+            return jnp.concatenate([x[n:], acceleration(bare.model, t, x[:n], x[n:], joint_force)])
 
         def corrected(x):
             t = jnp.zeros((), z.dtype)

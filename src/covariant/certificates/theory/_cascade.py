@@ -276,28 +276,22 @@ def _statement(c: Constants, growth: Growth | None, evidence: Evidence, domain: 
     """The conditions of the weighted theorem as hypotheses; only a growing error refutes the statement."""
 
     def premise(text: str, margin: float) -> Hypothesis:
-        return Hypothesis(
-            text, evidence, "holds" if margin > 0 else "undecided", margin if math.isfinite(margin) else None
-        )
+        verdict = "holds" if margin > 0 else "undecided"
+        return Hypothesis(text, evidence, verdict, margin if math.isfinite(margin) else None)
 
     shrinks = premise("the observer's error shrinks, λ_q > 0", c.lambda_q)
     if growth is not None:
         point = ", ".join(f"{name} = {value:.4g}" for name, value in growth.point.items())
         shrinks = Hypothesis(shrinks.text, "sampled", "fails", c.lambda_q, point)
+    bounded = "holds" if math.isfinite(c.gamma1) else "undecided"
+    surplus = c.c3 / c.c4 - c.gamma2 if c.c4 > 0 else -math.inf
     hypotheses = (
         premise("V_con is positive definite, c1 > 0", c.c1),
         premise("V_obs is positive definite, m1 > 0", c.m1),
         premise("the controlled plant alone is stable, c3 > 0", c.c3),
         shrinks,
-        premise(
-            "the coupling grows with e less than the plant decays, γ2 < c3/c4",
-            c.c3 / c.c4 - c.gamma2 if c.c4 > 0 else -math.inf,
-        ),
-        Hypothesis(
-            "the coupling with the observer's error is bounded, γ1",
-            evidence,
-            "holds" if math.isfinite(c.gamma1) else "undecided",
-        ),
+        premise("the coupling grows with e less than the plant decays, γ2 < c3/c4", surplus),
+        Hypothesis("the coupling with the observer's error is bounded, γ1", evidence, bounded),
         Hypothesis("the errors stay within the boxes", "assumed"),
         Hypothesis("controller, observer and coupling are those of one plant", "assumed"),
     )
@@ -411,13 +405,10 @@ def _forms(controller, observer, coupling) -> dict[str, _Form]:
 def _constants(forms: dict[str, _Form], scales, search: _Search) -> tuple[Constants, np.ndarray]:
     """The constants for e and x̃ multiplied by `scales`, and the point at which λ_q is attained."""
     extremes = {name: _least(form, scales, search) for name, form in forms.items()}
-    small, large, c3, lambda_q, m1, gamma1, gamma2 = (value for value, _ in extremes.values())
-    return (
-        Constants(  # half the extreme eigenvalues of P, since V_con = ½eᵀPe
-            small / 2, -large / 2, c3, -large, lambda_q, math.sqrt(max(-gamma1, 0.0)), math.sqrt(max(-gamma2, 0.0)), m1
-        ),
-        extremes["error"][1],
-    )
+    small, large, c3, lambda_q, m1, *couplings = (value for value, _ in extremes.values())
+    gamma1, gamma2 = (math.sqrt(max(-least, 0.0)) for least in couplings)
+    # Half the extreme eigenvalues of P, since V_con = ½eᵀPe.
+    return Constants(small / 2, -large / 2, c3, -large, lambda_q, gamma1, gamma2, m1), extremes["error"][1]
 
 
 def _least(form: _Form, scales, search: _Search) -> tuple[float, np.ndarray]:

@@ -62,19 +62,13 @@ def at_corners(matrix: Form, domain: Box, affine: Sequence[str], claim: str, *, 
     """
     proofs, hypotheses = [], []
     for part in blocks(matrix, domain):
-        at_block = prove_at_corners(
-            matrix.then(lambda whole, part=part: whole[part][:, part]), domain, affine, boxes=boxes
-        )
+        block = matrix.then(lambda whole, part=part: whole[part][:, part])
+        at_block = prove_at_corners(block, domain, affine, boxes=boxes)
         entries = ", ".join(str(k + 1) for k in part)
-        # The last proof decides, since the loop stops at the first corner that does not hold.
-        hypotheses.append(
-            Hypothesis(
-                f"the block of the entries {entries} is positive definite at {len(at_block)} corners",
-                "proved",
-                at_block[-1].verdict,
-                place="" if at_block[-1].verdict == "holds" else at_block[-1].reason or str(at_block[-1].box),
-            )
-        )
+        text = f"the block of the entries {entries} is positive definite at {len(at_block)} corners"
+        last = at_block[-1]  # it decides, since the loop stops at the first corner that does not hold
+        place = "" if last.verdict == "holds" else last.reason or str(last.box)
+        hypotheses.append(Hypothesis(text, "proved", last.verdict, place=place))
         proofs += at_block
     names = ", ".join(affine)
     affinity = Hypothesis(f"the matrix is affine in {names} together, without kinks, so that corners suffice", "proved")

@@ -162,19 +162,15 @@ class Decay(NamedTuple):
         # Over too short a time even a zero flow would satisfy any rate, within the tolerance.
         changes = np.maximum(*(np.abs(each - each[:, :1]).max(axis=1) for each in (self.bound, self.high)))
         still = not (changes > rounding.max(axis=1)).all()
+        margin = float(1 - share[k, i])
         place = f"pair {k + 1}, t = {self.t[i]:.4g} s"
-        premise = Hypothesis(
-            "the upper bound of each distance stays below its bound at each stamp",
-            "sampled",
-            "fails" if fails else "holds" if share[k, i] <= 1 and not still else "undecided",
-            margin := float(1 - share[k, i]),
-            "no stamp: bound and distance change by no more than the tolerance; follow a pair for longer"
-            if still and not fails
-            else place,
-        )
-        extent = (
-            f"{len(self.low)} pairs of solutions at {len(self.t)} stamps from {self.t[0]:.4g} to {self.t[-1]:.4g} s"
-        )
+        if still and not fails:
+            place = "no stamp: bound and distance change by no more than the tolerance; follow a pair for longer"
+        verdict = "fails" if fails else "holds" if share[k, i] <= 1 and not still else "undecided"
+        text = "the upper bound of each distance stays below its bound at each stamp"
+        premise = Hypothesis(text, "sampled", verdict, margin, place)
+        stamps = f"{len(self.t)} stamps from {self.t[0]:.4g} to {self.t[-1]:.4g} s"
+        extent = f"{len(self.low)} pairs of solutions at {stamps}"
         rest = Hypothesis("other pairs, and times between the stamps, do likewise", "assumed")
         return Statement("distances fall at least as fast as the rate says", (extent,), (premise, rest), margin, extent)
 

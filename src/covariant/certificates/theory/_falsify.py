@@ -72,20 +72,10 @@ def falsify(
     matrices = length_change(error_system, lambda coframe, gram, change: jnp.stack([gram, change]).ravel())
     value = matrices.graph(jnp.asarray(domain.low)).entries
     least, point = slowest(pencil(value, domain), domain, attempts, starts, seed)
-    premise = Hypothesis(
-        f"no slower point among {attempts}, nor where a descent from the {starts} slowest ends",
-        "sampled",
-        "holds" if least >= rate else "fails",
-        least - rate,
-    )
-    return Statement(
-        f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]",
-        (),
-        (premise,),
-        least,
-        str(domain),
-        tuple(point.tolist()),
-    )
+    text = f"no slower point among {attempts}, nor where a descent from the {starts} slowest ends"
+    premise = Hypothesis(text, "sampled", "holds" if least >= rate else "fails", least - rate)
+    claim = f"squared lengths shrink at no less than {rate:.4g} 1/s; the margin is the least rate found [1/s]"
+    return Statement(claim, (), (premise,), least, str(domain), tuple(point.tolist()))
 
 
 class _Rates(NamedTuple):

@@ -4,6 +4,7 @@ Source: Boyd, El Ghaoui, Feron & Balakrishnan 1994, Linear Matrix Inequalities i
 and 7: quadratic stability of a polytope of systems, and the change of variable Y = MK.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from fractions import Fraction
@@ -149,21 +150,14 @@ def _statement(m: np.ndarray, k: np.ndarray, f: np.ndarray, h: np.ndarray, rate:
         if not is_definite(form):
             wrong.append(i)
     worst = wrong[0] if wrong else int(np.argmin(margins))
+    least = float(np.linalg.eigvalsh(m)[0])
     pair, counted = _count_jacobians(f, h)
+    definite = "M is symmetric and positive definite, in rational arithmetic"
+    shrinks = f"squared lengths shrink faster than that for {counted}, in rational arithmetic"
+    verdict = "undecided" if wrong else "holds"
     hypotheses = (
-        Hypothesis(
-            "M is symmetric and positive definite, in rational arithmetic",
-            "proved",
-            "holds" if is_metric else "undecided",
-            float(np.linalg.eigvalsh(m)[0]),
-        ),
-        Hypothesis(
-            f"squared lengths shrink faster than that for {counted}, in rational arithmetic",
-            "proved",
-            "undecided" if wrong else "holds",
-            margins[worst],
-            f"{pair} {worst + 1}",
-        ),
+        Hypothesis(definite, "proved", "holds" if is_metric else "undecided", least),
+        Hypothesis(shrinks, "proved", verdict, margins[worst], f"{pair} {worst + 1}"),
         Hypothesis("the Jacobians of the system are among those given, or in their hull", "assumed"),
     )
     data = (f"M = {m.tolist()}", *([f"K = {k.tolist()}"] if k.size else []), f"{counted}, states: {len(m)}")
@@ -235,9 +229,8 @@ def minimise(
     cost: Float[np.ndarray, "d"], forms: list[AffineMatrix], tolerance: float = 1e-8
 ) -> Float[np.ndarray, "d"] | None:
     """Minimise a linear cost over unknowns for which all affine forms are positive semidefinite."""
-    clarabel, sparse = (
-        load_optional(m, use="designing a metric needs", extra="lmi") for m in ("clarabel", "scipy.sparse")
-    )
+    needed = functools.partial(load_optional, use="designing a metric needs", extra="lmi")
+    clarabel, sparse = map(needed, ("clarabel", "scipy.sparse"))
     d = len(cost)
     blocks, constants, cones = [], [], []
     for form in forms:
@@ -249,15 +242,8 @@ def minimise(
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix((d, d)),
-        cost,
-        sparse.csc_matrix(np.concatenate(blocks)),
-        np.concatenate(constants),
-        cones,
-        settings,
-    )
-    solution = solver.solve()
+    none, slopes = sparse.csc_matrix((d, d)), sparse.csc_matrix(np.concatenate(blocks))
+    solution = clarabel.DefaultSolver(none, cost, slopes, np.concatenate(constants), cones, settings).solve()
     solved = str(solution.status) in ("Solved", "AlmostSolved")
     return np.asarray(solution.x) if solved else None
 

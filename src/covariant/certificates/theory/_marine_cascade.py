@@ -49,9 +49,7 @@ def tracking(controller: Backstepping) -> ErrorSystem:
 
     def at(z):
         eta, desired, s = jnp.split(z, 3)
-        mass, kp, kd, lam = (
-            jnp.asarray(a, z.dtype) for a in (craft.mass, controller.kp, controller.kd, controller.lam)
-        )
+        mass, kp, kd, lam = _matrices(controller, z)
         j = craft.transform(eta)
 
         def flow(t, e):
@@ -104,9 +102,7 @@ def feedthrough(controller: Backstepping) -> Coupling:
 
     def jacobians(z: Array) -> tuple[Array, Array]:
         eta, desired_rate = jnp.split(z, 2)
-        mass, kp, kd, lam = (
-            jnp.asarray(a, z.dtype) for a in (craft.mass, controller.kp, controller.kd, controller.lam)
-        )
+        mass, kp, kd, lam = _matrices(controller, z)
         j = craft.transform(eta)
         # ν_r = J⁻¹(asked); its derivative is along the motion of η, whose velocity is that of the estimate.
         transform_change = jacobian(lambda y: solve_square(craft.transform(y), desired_rate), eta)
@@ -114,12 +110,16 @@ def feedthrough(controller: Backstepping) -> Coupling:
         gyric = jacobian(lambda nu: craft.coriolis(nu) @ nu_r, jnp.zeros_like(eta))
         through_velocity = solve(mass, kd - gyric) + solve_square(j, lam @ j) - transform_change @ j
         zero = jnp.zeros((n, n), z.dtype)
-        return (
-            jnp.block([[zero, zero], [solve(mass, j.T @ kp), through_velocity]]),
-            jnp.zeros((2 * n, 2 * n), z.dtype),
-        )
+        of_error = jnp.block([[zero, zero], [solve(mass, j.T @ kp), through_velocity]])
+        return of_error, jnp.zeros_like(of_error)
 
     return jacobians
+
+
+def _matrices(controller: Backstepping, z: Array) -> tuple[Array, ...]:
+    """Mass matrix and gains, in the precision of z."""
+    whole = controller.craft.mass, controller.kp, controller.kd, controller.lam
+    return tuple(jnp.asarray(each, z.dtype) for each in whole)
 
 
 def _square(craft: Craft) -> int:

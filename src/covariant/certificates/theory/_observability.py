@@ -317,21 +317,11 @@ def _contracting(sampled: _Sampled, rate: float, hidden: str, premises: tuple[Hy
     """The first condition."""
     k = int(sampled.rates.argmin())
     slowest, point = float(sampled.rates[k]), sampled.points[k]
-    contracts = Hypothesis(
-        f"f contracts the hidden directions faster than {rate:.4g} 1/s at each of the points",
-        "sampled",
-        "holds" if slowest > rate else "fails",
-        slowest - rate,
-        _text(point),
-    )
-    return Statement(
-        "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]",
-        (f"states: {sampled.domain}", f"directions that the output does not see: {hidden}"),
-        (contracts, *premises),
-        slowest,
-        sampled.domain,
-        tuple(point.tolist()),
-    )
+    text = f"f contracts the hidden directions faster than {rate:.4g} 1/s at each of the points"
+    contracts = Hypothesis(text, "sampled", "holds" if slowest > rate else "fails", slowest - rate, _text(point))
+    claim = "f contracts the metric in the directions the output does not see, at the rate of the margin [1/s]"
+    about = (f"states: {sampled.domain}", f"directions that the output does not see: {hidden}")
+    return Statement(claim, about, (contracts, *premises), slowest, sampled.domain, tuple(point.tolist()))
 
 
 def _totally_geodesic(
@@ -339,22 +329,12 @@ def _totally_geodesic(
 ) -> Statement:
     """The second condition."""
     largest, point = float(sampled.bends[sampled.worst]), sampled.points[sampled.worst]
-    geodesic_levels = Hypothesis(
-        "the level sets of the output do not bend at any of the points"
-        + ("" if single_output else "; of several outputs this is known of one at a time only"),
-        "sampled",
-        verdict,
-        largest,
-        _text(point),
-    )
-    return Statement(
-        "level sets of the output are totally geodesic; the margin is their largest principal curvature",
-        (f"states: {sampled.domain}",),
-        (geodesic_levels, *premises),
-        largest,
-        sampled.domain,
-        tuple(point.tolist()),
-    )
+    text = "the level sets of the output do not bend at any of the points"
+    text += "" if single_output else "; of several outputs this is known of one at a time only"
+    levels = Hypothesis(text, "sampled", verdict, largest, _text(point))
+    claim = "level sets of the output are totally geodesic; the margin is their largest principal curvature"
+    about, domain = (f"states: {sampled.domain}",), sampled.domain
+    return Statement(claim, about, (levels, *premises), largest, domain, tuple(point.tolist()))
 
 
 def _straight_fibres(sampled: _Sampled, premises: tuple[Hypothesis, ...]) -> Statement:
@@ -363,24 +343,19 @@ def _straight_fibres(sampled: _Sampled, premises: tuple[Hypothesis, ...]) -> Sta
     Velocities at one configuration are a totally geodesic set in the lift, and a geodesic's shadow only turns: while it
     turns by less than a right angle, the distance of its configurations grows, whatever the number of outputs.
     """
+    lift = "the metric is a lift, whose fibres, the level sets of the positions, are totally geodesic"
+    turns = "along geodesics the position turns by less than π/2 and has one shortest path to where it began"
     hypotheses = (
-        Hypothesis(
-            "the metric is a lift, whose fibres, the level sets of the positions, are totally geodesic", "proved"
-        ),
+        Hypothesis(lift, "proved"),
         Hypothesis("the output is the position at each of the points", "sampled"),
-        Hypothesis(
-            "along geodesics the position turns by less than π/2 and has one shortest path to where it began",
-            "assumed",
-        ),
+        Hypothesis(turns, "assumed"),
     )
-    return Statement(
-        "level sets of the output are totally geodesic, and along geodesics that turn by less than π/2 the distance of "
-        "the outputs grows",
-        (f"states: {sampled.domain}",),
-        (*hypotheses, *premises),
-        0.0,
-        f"{sampled.domain}, where geodesics turn by less than π/2",
+    claim = (
+        "level sets of the output are totally geodesic, and along geodesics that turn by less than π/2 the distance "
     )
+    claim += "of the outputs grows"
+    domain = f"{sampled.domain}, where geodesics turn by less than π/2"
+    return Statement(claim, (f"states: {sampled.domain}",), (*hypotheses, *premises), 0.0, domain)
 
 
 def _sees_positions(model: StateSpace, points: np.ndarray, u: Array | None) -> bool:

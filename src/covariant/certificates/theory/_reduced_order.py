@@ -19,6 +19,7 @@ Source: Sanfelice & Praly 2015, section I; Sanfelice & Praly 2012 and 2016, Conv
 with a Riemannian metric, parts I and II, IEEE TAC 57(7) and 61(10); own derivation of the above for constant P.
 """
 
+import contextlib
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -286,38 +287,28 @@ def _solved(slopes: np.ndarray, split: _Split, rate: float, effort: float) -> tu
     m = len(split.unmeasured)
     size = max(float(np.linalg.norm(s[:m], 2)) for s in slopes)
     f, h = slopes[:, :m], slopes[:, m:]
-    found = None
-    for margin in MARGINS:
-        try:
-            found = observer_gain(f, h, rate + margin * size, effort=effort)
-            break
-        except InputError:
-            continue
-    if found is None:
-        return None
     y, z = split.scales
-    return found.gain * z[:, None] / y[None, :], found.metric / np.outer(z, z)
+    for margin in MARGINS:
+        with contextlib.suppress(InputError):
+            found = observer_gain(f, h, rate + margin * size, effort=effort)
+            return found.gain * z[:, None] / y[None, :], found.metric / np.outer(z, z)
+    return None
 
 
 def _statement(
     split: _Split, injection: np.ndarray, metric: np.ndarray, rate: float, proof: Proof, everywhere: bool
 ) -> Statement:
     where = "anywhere" if everywhere else "in the box"
-    claim = (
-        f"squared distances of the reduced-order observer to the states that are not measured shrink at {rate:g} 1/s"
-    )
+    claim = "squared distances of the reduced-order observer to the states that are not measured shrink at "
+    claim += f"{rate:g} 1/s"
     hypotheses = (
         Hypothesis("f contracts the vectors that do not change the outputs, in the metric P", "proved", proof.verdict),
         Hypothesis("level sets of the outputs are totally geodesic: outputs are coordinates, P is constant", "proved"),
         Hypothesis(f"the motion stays in the box; estimates may be {where}", "assumed"),
         Hypothesis("the output is known at all times, and without noise", "assumed"),
     )
-    about = (
-        f"L = {injection.tolist()}",
-        f"P = {metric.tolist()}",
-        f"w = z - Ly, {_describe_split(split)}",
-        split.motion,
-    )
+    matrices = f"L = {injection.tolist()}", f"P = {metric.tolist()}"
+    about = (*matrices, f"w = z - Ly, {_describe_split(split)}", split.motion)
     return Statement(claim, about, hypotheses, rate, str(proof.box.free))
 
 
@@ -350,20 +341,12 @@ def _impossible(split: _Split, points: Sequence[np.ndarray], slopes: np.ndarray,
     direction = direction / direction[np.argmax(np.abs(direction))]
     at = ", ".join(f"{name} = {x:.4g}" for name, x in zip(split.names, point.tolist(), strict=True))
     along = ", ".join(f"{split.names[i]}: {x:.3g}" for i, x in zip(split.unmeasured, direction.tolist(), strict=True))
-    exact = _is_exact(split, point, direction, value)
-    reason = Hypothesis(
-        "f contracts the vectors that do not change the outputs",
-        "proved" if exact else "sampled",
-        "fails",
-        value,
-        f"{at}, along ({along})",
-    )
+    evidence = "proved" if _is_exact(split, point, direction, value) else "sampled"
+    text = "f contracts the vectors that do not change the outputs"
+    reason = Hypothesis(text, evidence, "fails", value, f"{at}, along ({along})")
     claim = f"squared distances of some reduced-order observer with a constant metric shrink at {rate:g} 1/s"
-    about = (
-        _describe_split(split),
-        "along that direction the outputs do not change, and it grows at its margin [1/s]",
-        split.motion,
-    )
+    grows = "along that direction the outputs do not change, and it grows at its margin [1/s]"
+    about = (_describe_split(split), grows, split.motion)
     statement = Statement(claim, about, (reason,), value, str(split.domain(split.used()).free), tuple(point.tolist()))
     return ReducedOrderDesign(split.model, split.measured, split.unmeasured, None, None, False, statement)
 
@@ -414,9 +397,8 @@ def _with_gain(
         return split.form(whole_matrix, range(split.n))
 
     points = [*points, *np.random.default_rng(1).uniform(split.low, split.high, (TRIED, len(split.low)))]
-    k, weights = _least_gain(
-        [tuple(map(np.asarray, blocks(slope))) for slope in split.derivatives(points)], split, metric, rate
-    )
+    parts = [tuple(map(np.asarray, blocks(slope))) for slope in split.derivatives(points)]
+    k, weights = _least_gain(parts, split, metric, rate)
     proof = prove(matrix(k, weights), whole, boxes=boxes)
     for _ in range(RAISES):
         if proof.verdict == "holds":
@@ -428,9 +410,8 @@ def _with_gain(
         Hypothesis("the motion and the estimate stay in the box", "assumed"),
         Hypothesis("the output is known at all times, and without noise", "assumed"),
     )
-    claim = (
-        f"squared distances of the full observer shrink at {rate:g} 1/s, for the gain k = {k:.6g} 1/s and larger ones"
-    )
+    gain = f"for the gain k = {k:.6g} 1/s and larger ones"
+    claim = f"squared distances of the full observer shrink at {rate:g} 1/s, {gain}"
     full = Statement(claim, (f"p = {weights.tolist()}",), premises, k, str(whole.free))
     return design._replace(gain=k if full.proved else None, weights=weights, full=full)
 
@@ -450,10 +431,8 @@ def _least_gain(
             lower_ = lower_ + lower_.T - rate * metric
             cross = np.diag(weights) @ b + c.T @ metric
             product = np.diag(weights) @ a
-            need = root @ (product + product.T + cross @ np.linalg.solve(lower_, cross.T)) @ root + rate * np.eye(
-                len(a)
-            )
-            least = max(least, float(np.linalg.eigvalsh(need)[-1]) / 2)
+            need = root @ (product + product.T + cross @ np.linalg.solve(lower_, cross.T)) @ root
+            least = max(least, float(np.linalg.eigvalsh(need + rate * np.eye(len(a)))[-1]) / 2)
         if least < best[0]:
             best = least, weights
     return 1.05 * max(best[0], rate), best[1]

@@ -67,19 +67,11 @@ def virtual(observer: Contracting, metric: OutputMetric | Numbers) -> ErrorSyste
 
     known = dict(zip(model.coordinates, model.units, strict=False))
     units = [known.get(name, "") for name in model.outputs]
+    outputs = (f"{letter}_{name}" for letter in ("z", "zdot") for name in model.outputs)
+    rates = (f"{unit}/s" if unit else "" for unit in units)
     return ErrorSystem(
-        (
-            *model.coordinates,
-            *(f"u_{i + 1}" for i in range(m)),
-            *(f"z_{name}" for name in model.outputs),
-            *(f"zdot_{name}" for name in model.outputs),
-        ),
-        (
-            *(model.units or ("",) * n),
-            *("",) * m,
-            *units,
-            *(f"{unit}/s" if unit else "" for unit in units),
-        ),
+        (*model.coordinates, *(f"u_{i + 1}" for i in range(m)), *outputs),
+        (*(model.units or ("",) * n), *("",) * m, *units, *rates),
         at,
         # For a constant measurement the rate of change is set to zero.
         lambda point: at(jnp.concatenate([point[: ends[-1]], jnp.zeros(p, point.dtype)])),

@@ -154,9 +154,8 @@ class MatrixGroup(AbstractGroup):
         scale = accuracy * max(1.0, float(np.abs(brackets).max()))
         if np.abs(constants @ flat - flat_brackets).max() > scale:
             raise InputError("MatrixGroup: the basis is not closed under the commutator, so it spans no algebra")
-        if structure is not None and (
-            np.shape(structure) != constants.shape or np.abs(structure - constants).max() > scale
-        ):
+        given = constants if structure is None else structure
+        if np.shape(given) != constants.shape or np.abs(given - constants).max() > scale:
             raise InputError("MatrixGroup: the structure constants C[i, j, k] are not those of the basis")
         self.basis = jnp.asarray(basis)
         self.dual = jnp.asarray((real + 1j * imaginary if np.iscomplexobj(basis) else real).reshape(basis.shape))

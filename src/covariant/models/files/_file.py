@@ -73,9 +73,8 @@ def _with_servos(file: ModelFile, content: dict[str, Any]) -> ModelFile:
             raise InputError(f"inputs.{key} states again what [servo.JOINT] says; keep one of them")
         if np.any(several):
             file = file._replace(**{f"input_{key}": tuple(np.asarray(several, float).tolist())})
-    backlash = [
-        table.get("backlash", 0.0) for table in (servo_tables(content).get(n, {}) for n in file.model.coordinates)
-    ]
+    tables = servo_tables(content)
+    backlash = [tables.get(name, {}).get("backlash", 0.0) for name in file.model.coordinates]
     if any(backlash) and file.measurement_std is not None:
         # An error distributed uniformly over the backlash has the variance backlash²/12.
         std = np.sqrt(np.square(file.measurement_std) + np.square(backlash) / 12)
@@ -164,10 +163,8 @@ def recipe_text(made: dict[str, Any]) -> str:
         name = f"{made['attribute']}, code that is not in this statement"
     else:
         name = str(made["system"])
-        arguments = inspect.signature(_source.system(name)).parameters.values()
-        defaults = {
-            argument.name: argument.default for argument in arguments if argument.default is not inspect.Parameter.empty
-        }
+        arguments = inspect.signature(_source.system(name)).parameters.items()
+        defaults = {key: each.default for key, each in arguments if each.default is not inspect.Parameter.empty}
         parameters = defaults | parameters
     texts = {key: "none" if value is None else written(_toml.plain(value)) for key, value in parameters.items()}
     return name + "".join(f", {key} = {text}" for key, text in texts.items())
@@ -224,16 +221,15 @@ def _document(spec: str) -> dict[str, Any]:
 
 def _relative_to_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
     """The document of a model file; a robot's path in it is relative to the folder of the model file."""
+    if content.get("system") not in ("robot", "legged_base"):
+        return content
     parameters = content.get("parameters")
-    if (
-        content.get("system") not in ("robot", "legged_base")
-        or not isinstance(parameters, dict)
-        or not isinstance(parameters.get("path"), str)
-    ):
+    if not isinstance(parameters, dict):
         return content
-    if parameters["path"] in ROBOTS:
+    stated = parameters.get("path")
+    if not isinstance(stated, str) or stated in ROBOTS:
         return content
-    return content | {"parameters": parameters | {"path": str(path.parent / parameters["path"])}}
+    return content | {"parameters": parameters | {"path": str(path.parent / stated)}}
 
 
 def text(path: Path) -> str:

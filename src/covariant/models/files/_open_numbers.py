@@ -178,10 +178,8 @@ def _payload(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     if rest and rest[0] not in OF_PAYLOAD:
         _refuse_rest(rest, f"payload.{links[0]}", OF_PAYLOAD)
     kinds = OF_PAYLOAD if not rest else tuple(rest[:1])
-    units, sizes = (
-        dict(zip(OF_PAYLOAD, ("kg", "m", "m", "m"), strict=True)),
-        {"mass": float(sum(body.mass for body in scene.robot.links.values()))},
-    )
+    units = dict(zip(OF_PAYLOAD, ("kg", "m", "m", "m"), strict=True))
+    sizes = {"mass": float(sum(body.mass for body in scene.robot.links.values()))}
     opened = []
     for link in links:
         first = dict(zip(OF_PAYLOAD, known.get(link) or first_load(scene.robot, link), strict=True))
@@ -210,14 +208,10 @@ def _inertia(scene: Scene, rest: list[str]) -> list[OpenNumber]:
     opened = []
     for link in links:
         if link not in scene.moving_links:
-            raise InputError(
-                f"inertia.{link}: it has no mass, or does not move; there are {', '.join(scene.moving_links)}"
-            )
-        first = numbers_of(_thick(scene.robot.links[link]))
-        opened += [
-            OpenNumber("inertia", link, kind, float(value), -np.inf, unit)
-            for kind, value, unit in zip(OF_INERTIA, first, units, strict=True)
-        ]
+            known = ", ".join(scene.moving_links)
+            raise InputError(f"inertia.{link}: it has no mass, or does not move; there are {known}")
+        numbers = zip(OF_INERTIA, numbers_of(_thick(scene.robot.links[link])), units, strict=True)
+        opened += [OpenNumber("inertia", link, kind, float(value), -np.inf, unit) for kind, value, unit in numbers]
     return opened
 
 

@@ -85,9 +85,8 @@ def _replace_value(text: str, table: str, key: str, value: object, old: object =
     begin, end = _span(text, table)
     if begin is None:
         return f"{text.rstrip()}\n\n[{table}]\n{key} = {written(value)}\n"
-    match = re.compile(rf"^[ \t]*(?:{re.escape(key)}|\"{re.escape(key)}\")[ \t]*=[ \t]*", re.MULTILINE).search(
-        text, begin, end
-    )
+    line = re.compile(rf"^[ \t]*(?:{re.escape(key)}|\"{re.escape(key)}\")[ \t]*=[ \t]*", re.MULTILINE)
+    match = line.search(text, begin, end)
     if match is None:
         drafted = re.compile(rf"^[ \t]*#[ \t]*{re.escape(key)}[ \t]*=[ \t]*", re.MULTILINE).search(text, begin, end)
         if drafted is not None and _is_value(text[drafted.end() : _value_end(text, drafted.end())]):

@@ -117,9 +117,8 @@ class RobotFamily(NamedTuple):
             The sizes; for example, a viscous friction that accounts for all the torque at the usual speed.
         """
         motion = np.stack([torque, speed, acceleration])
-        return np.array(
-            [n.size * float(np.prod(motion[:, n.joint] ** np.array(n.powers, float))) for n in self.numbers]
-        )
+        products = [float(np.prod(motion[:, n.joint] ** np.array(n.powers, float))) for n in self.numbers]
+        return np.array([n.size * product for n, product in zip(self.numbers, products, strict=True)])
 
     def values(self, x: Float[AnyArray, "p"]) -> Float[Array, "p"]:
         """The numbers (p,) at the coordinates x (p,), which may be traced."""

@@ -303,13 +303,8 @@ def euler_rates(angles: Float[Array, "3"]) -> Matrix:
     """
     (cr, cp, _), (sr, sp, _) = jnp.cos(angles), jnp.sin(angles)
     one, zero = jnp.ones_like(cr), jnp.zeros_like(cr)
-    return jnp.stack(
-        [
-            jnp.stack([one, sr * sp / cp, cr * sp / cp]),
-            jnp.stack([zero, cr, -sr]),
-            jnp.stack([zero, sr / cp, cr / cp]),
-        ]
-    )
+    rows = [one, sr * sp / cp, cr * sp / cp], [zero, cr, -sr], [zero, sr / cp, cr / cp]
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def euler_transform(eta: Float[Array, "6"]) -> Matrix:

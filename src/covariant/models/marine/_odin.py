@@ -92,6 +92,5 @@ def _restoring(eta, torque):
     # The number of coordinates says how the attitude is written.
     rotation = euler_rotation(eta[3:]) if eta.shape == (6,) else rotation_from_quaternion(eta[3:])
     # Moment of a weight below the buoyancy, by the direction of down in the body, the last row: Fossen 2011, (4.6).
-    return torque * jnp.concatenate(
-        [jnp.zeros(3, eta.dtype), jnp.stack([rotation[2, 1], -rotation[2, 0]]), jnp.zeros(1, eta.dtype)]
-    )
+    zero = jnp.zeros((), eta.dtype)
+    return torque * jnp.stack([zero, zero, zero, rotation[2, 1], -rotation[2, 0], zero])

@@ -82,9 +82,11 @@ def _refuse_other_gaps(mujoco: ModuleType, engine: Any, robot: Description) -> N
     poses = np.repeat(origin[None], len(SCALES), axis=0)
     q = poses.reshape(len(SCALES), -1)[:, 16 * space.floating + 9 * len(balls) :]
     q[:] = np.array(SCALES)[:, None] * rng.normal(size=q.shape)
-    angles, *gaps = evaluate_batch(
-        lambda x: [space.joint_angles(x), *(gap(space, each, x) for each in robot.loops)], poses
-    )
+
+    def at_pose(x):
+        return [space.joint_angles(x), *(gap(space, each, x) for each in robot.loops)]
+
+    angles, *gaps = evaluate_batch(at_pose, poses)
     for k, positions in enumerate(angles):
         data.qpos[:] = engine.qpos0
         for (name, _, _), position in zip(space.limits, positions, strict=True):

@@ -137,11 +137,11 @@ def dissipation(
         return of_joints
     law = free_joint.law or FrictionLaw()
     damping, friction = (0.0, 0.0) if free_joint.law else (free_joint.damping, free_joint.friction)
+    joints_friction = of_joints.parameters
     if not (free_joint.law or friction):
-        return Parametric(floating_damping, joints=of_joints.parameters, damping=damping)
-    return Parametric(
-        floating_friction, joints=of_joints.parameters, damping=damping, friction=friction, law=law._asdict()
-    )
+        return Parametric(floating_damping, joints=joints_friction, damping=damping)
+    given = {"damping": damping, "friction": friction, "law": law._asdict()}
+    return Parametric(floating_friction, joints=joints_friction, **given)
 
 
 def _dissipation_of_joints(joints: list[Joint], coordinates: np.ndarray, base: np.ndarray) -> Parametric:

@@ -164,9 +164,8 @@ def _body(read: _Reader, i: int, links: dict[str, BodyInertia], joints: list[Joi
     model = read.model
     axes = rotation_of(model.body_iquat[i])
     # The compiler gives moments along principal axes (`iquat`), about the centre of mass (`ipos`).
-    inertia = BodyInertia.of(
-        float(model.body_mass[i]), np.array(model.body_ipos[i]), axes @ np.diag(model.body_inertia[i]) @ axes.T
-    )
+    moments = axes @ np.diag(model.body_inertia[i]) @ axes.T
+    inertia = BodyInertia.of(float(model.body_mass[i]), np.array(model.body_ipos[i]), moments)
     read.doubts += doubts_on(read.bodies[i], inertia)
     read.used["body"] += 1
     parent = int(model.body_parentid[i])
@@ -261,10 +260,8 @@ def _with_actuators(read: _Reader, joints: list[Joint]) -> list[Joint]:
         for key, value in losses.items():
             if value:
                 read.used[f"actuator/{key}"] += 1
-        by_name[driven.name] = driven._replace(
-            armature=driven.armature + squared * losses["armature"],
-            damping=driven.damping + squared * losses["damping"],
-        )
+        added = {key: getattr(driven, key) + squared * losses[key] for key in ("armature", "damping")}
+        by_name[driven.name] = driven._replace(**added)
     return list(by_name.values())
 
 

@@ -371,11 +371,8 @@ def _with_servo(joint: Joint, table: Mapping[str, Any]) -> Joint:
     friction = {key: value for key, value in table.items() if key in FrictionLaw._fields}
     if friction and joint.law is not None:
         raise InputError(f"joint {name!r} has friction in [servo.{name}] and in [parameters]; state it in one of them")
-    return joint._replace(
-        servo=servo,
-        law=checked_law(name, friction) if friction else joint.law,
-        armature=table.get("armature", joint.armature),
-    )
+    law = checked_law(name, friction) if friction else joint.law
+    return joint._replace(servo=servo, law=law, armature=table.get("armature", joint.armature))
 
 
 def _check_number(name: str, key: str, value: Any) -> None:

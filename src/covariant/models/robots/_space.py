@@ -258,9 +258,8 @@ class RobotSpace(AbstractSpace):
 
         def moved(w):
             speed, spin = _split_twists(self._all_twists(joints, w))
-            return tuple(
-                self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in ((a, spin_a), (b, spin_b))
-            )
+            pairs = (a, spin_a), (b, spin_b)
+            return tuple(self._accelerations(joints, e, w, turn, spin, speed[0]) for e, turn in pairs)
 
         # `moved` is linear, so its transpose is the same at every w.
         return _solve_leaves_first(matrix, jax.vjp(moved, jnp.zeros_like(a))[1](onto)[0])
@@ -275,9 +274,8 @@ class RobotSpace(AbstractSpace):
             Rotations and origins.
         """
         tree = self.tree
-        rotation, place, turn, slide = (
-            part.astype(x.dtype) for part in (tree.rotation, tree.place, tree.turn, tree.slide)
-        )
+        parts = tree.rotation, tree.place, tree.turn, tree.slide
+        rotation, place, turn, slide = (part.astype(x.dtype) for part in parts)
         angles = self.joint_angles(x)
         along = turn[:, :, None] * turn[:, None, :]
         turns = jnp.any(tree.turn != 0, axis=1)

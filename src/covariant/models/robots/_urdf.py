@@ -122,11 +122,9 @@ def _joint(entry: Element, name: str) -> Joint:
         raise InputError(f"{where}: the axis must have a direction; got {axis.tolist()}")
     dynamics, limit, mimic = entry.find("dynamics"), entry.find("limit"), entry.find("mimic")
     # In the specification 0 means a limit that is not stated, and a continuous joint has no limits.
-    lower, upper = (
-        (-np.inf, np.inf)
-        if limit is None or kind in ("continuous", *WITHOUT_AXIS)
-        else (number(limit, key, where, 0.0) for key in ("lower", "upper"))
-    )
+    lower, upper = -np.inf, np.inf
+    if limit is not None and kind not in ("continuous", *WITHOUT_AXIS):
+        lower, upper = (number(limit, key, where, 0.0) for key in ("lower", "upper"))
     if lower > upper:
         raise InputError(f"{where}: the lower limit {lower:g} is above the upper one {upper:g}")
     losses = {key: 0.0 if dynamics is None else number(dynamics, key, where, 0.0) for key in ("damping", "friction")}

@@ -173,10 +173,8 @@ def sampled_gains(alpha: Number, beta: Number, dt: Number) -> tuple[Scalar, Scal
     fast_pole = alpha / 2 + half_gap
     # The slow pole is computed as β over the fast pole, since a difference would cancel.
     real_poles = jnp.expm1(-fast_pole * positive_dt) * jnp.expm1(-beta / fast_pole * positive_dt)
-    k2 = (
-        jnp.where(square < 0, real_poles, jnp.expm1(-alpha * positive_dt / 2) ** 2 + 4 * root * sine_square)
-        / positive_dt
-    )
+    complex_poles = jnp.expm1(-alpha * positive_dt / 2) ** 2 + 4 * root * sine_square
+    k2 = jnp.where(square < 0, real_poles, complex_poles) / positive_dt
     return jnp.where(dt > 0, -jnp.expm1(-alpha * positive_dt), 0.0), jnp.where(dt > 0, k2, 0.0)
 
 

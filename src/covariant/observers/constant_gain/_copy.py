@@ -88,8 +88,7 @@ class ModelCopy(AbstractMechanicalObserver):
         correction = sampled_correction(self.model.space, Motion(q, v), gains, waited, e, missing)
         new_q = self.model.manifold.retract(q, -correction.part * e)
         new_v = self.model.space.projected(new_q, v + correction.velocity)
-        result = outcome(
-            new_q, new_v, self.model.manifold.seen(q, y), step_result(correction, readability(self.model, q, y))
-        )
+        code = step_result(correction, readability(self.model, q, y))
+        result = outcome(new_q, new_v, self.model.manifold.seen(q, y), code)
         new = state._replace(q=new_q, v=new_v, age=aged(self.model, state, y))
         return new, Info(self.innovation(state, u, y), self.model.space.norm(q, e), result)

@@ -170,9 +170,8 @@ class AbstractGeodesicObserver(AbstractMechanicalObserver):
         space, q, displacement = self.model.space, state.q, part * path.log
         end = space.transport_along(q, displacement, velocity, self.budget)
         new_q = jnp.where(path.exact, end.q, space.manifold.retract(q, displacement))
-        new_v = jnp.where(
-            path.exact, end.w, space.projected(new_q, velocity - space.connection(q, displacement, turned))
-        )
+        moved = velocity - space.connection(q, displacement, turned)
+        new_v = jnp.where(path.exact, end.w, space.projected(new_q, moved))
         result = outcome(new_q, new_v, space.manifold.seen(q, y), code)
         info = GeodesicInfo(self.innovation(state, u, y), space.norm(q, path.log), path.residual, result)
         # The same geodesic seen from the measurement; it is shortened, so its initial velocity shrinks with its length.

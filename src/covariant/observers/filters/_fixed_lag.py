@@ -220,14 +220,15 @@ class FixedLag(AbstractWrapper):
         """
         before, root, carried = state.prediction
         now, info, step = recorded(self.observer, root, carried, state.now, u, y)
-        past, steps = jax.tree.map(
-            lambda buffer, last: jnp.concatenate([buffer[1:], last[None]]),
-            (state.past, state.steps),
-            (before, backward_map(step)),
-        )
-        oldest = jax.lax.scan(
-            lambda error, step: (error_before(error, step), None), self._error(now), steps, reverse=True
-        )
+
+        def appended(buffer, last):
+            return jnp.concatenate([buffer[1:], last[None]])
+
+        def back(error, step):
+            return error_before(error, step), None
+
+        past, steps = jax.tree.map(appended, (state.past, state.steps), (before, backward_map(step)))
+        oldest = jax.lax.scan(back, self._error(now), steps, reverse=True)
         smoothed, _ = smoothed_state(self.observer, jax.tree.map(lambda a: a[0], past), oldest[0])
         new = state._replace(now=now, smoothed=smoothed, past=past, steps=steps, prediction=None)
         return new, info._replace(**self.observer.deviations(smoothed))

@@ -259,9 +259,8 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
             return corrected
         # The covariance after the correction, but before the reset.
         after = solve_square(step.reset, self.root(step.state))
-        scale = state.noise_scale.corrected(
-            self.root(state), after, step.error, step.reset, restart, jnp.mean(state.gate.scale)
-        )
+        before, size = self.root(state), jnp.mean(state.gate.scale)
+        scale = state.noise_scale.corrected(before, after, step.error, step.reset, restart, size)
         return corrected._replace(noise_scale=scale)
 
     def cov(self, state: Any) -> Float[Array, "N N"]:
@@ -284,6 +283,5 @@ class AbstractMechanicalFilter(AbstractGatedFilter):
         return start(self.model.manifold, state.q, expected.innovation, expected.y, expected.present)
 
     def _result(self, state: Any, new: Any, y: Array, expected: Expectation, verdict: Judged) -> Code:
-        return verdict.result(
-            outcome(new.q, new.v, self._manifold.seen(state.q, y), uniqueness(self.model, state.q, expected.y))
-        )
+        code = uniqueness(self.model, state.q, expected.y)
+        return verdict.result(outcome(new.q, new.v, self._manifold.seen(state.q, y), code))

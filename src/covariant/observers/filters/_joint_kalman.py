@@ -144,9 +144,8 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
             The state, with the standard deviations s, στ and σ of position, velocity and acceleration.
         """
         rest = jnp.zeros_like(y)
-        return JointState(
-            y, rest, rest, self._first_root(isotropic(self.motion_std * self.motion_time, y)), GateMemory.at_start(y)
-        )
+        root = self._first_root(isotropic(self.motion_std * self.motion_time, y))
+        return JointState(y, rest, rest, root, GateMemory.at_start(y))
 
     def estimate(self, state: JointState) -> Float[Array, "two_n"]:
         return jnp.concatenate([state.q, state.v])
@@ -188,9 +187,8 @@ class JointKalman(AbstractGatedFilter, AbstractLinearFilter):
         return isotropic(self.motion_std * self.motion_time, state.v)
 
     def _used(self, state: JointState, y: Vector, expected: Expectation, used: Bool[Array, "n"]) -> Used:
-        gain, root = jax.vmap(updated, (0, 0, None, 0))(
-            state.root, state.root[:, :1], jnp.full((1, 1), self.noise**2), used[:, None]
-        )
+        noise = jnp.full((1, 1), self.noise**2)
+        gain, root = jax.vmap(updated, (0, 0, None, 0))(state.root, state.root[:, :1], noise, used[:, None])
         units = self._units.astype(y.dtype)
         error = (units / units[0])[:, None] * gain[..., 0].T * expected.innovation[None]
         new, reset = self.moved(state, error.reshape(-1))

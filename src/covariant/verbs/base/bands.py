@@ -33,21 +33,18 @@ def narrow_bands(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> t
 
 
 def _larger(job: Job, info: Any, outcome: Outcome) -> str | None:
-    scale = known(info, "noise_scale")
-    if scale is None:
+    if (scale := known(info, "noise_scale")) is None:
         return None
     sizes = np.sqrt(np.broadcast_to(scale, outcome.run.t.shape))
     usual, most = float(np.mean(sizes)), float(np.quantile(sizes, 1 - TENTH))
     # Within a factor of 2 on average, or of 4 in a tenth of the rows, noise may be that little known.
     if usual <= MARGIN and most <= MARGIN**2:
         return None
+    remedies = {"tune": "`covariant tune` finds sizes that fit", "fit": "`covariant fit` finds a better model"}
     return (
         f"what the model does not know is {usual:.2g} times as large in this log as the model file says, and "
         f"{most:.2g} times or more in a tenth of the rows; the filter follows with its gains and standard deviations. "
-        + (
-            advice(job.model, tune="`covariant tune` finds sizes that fit", fit="`covariant fit` finds a better model")
-            or "`covariant check` looks for what the model lacks"
-        )
+        + (advice(job.model, **remedies) or "`covariant check` looks for what the model lacks")
     )
 
 

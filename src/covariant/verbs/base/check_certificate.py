@@ -50,12 +50,8 @@ def check_certificate(
         if checked is not None:
             return CertificateCheckResult(path, model, checked, 0, "none in ball arithmetic")
         document = certificates.parse(path, content)
-        checked = certificates.check(
-            document,
-            model=model,
-            processes=int(above_zero("processes", processes)),
-            progress=counted,
-        )
+        processes = int(above_zero("processes", processes))
+        checked = certificates.check(document, model=model, processes=processes, progress=counted)
         return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
     except InputError as refusal:
         return CertificateCheckResult(path, model, None, 0, str(refusal))

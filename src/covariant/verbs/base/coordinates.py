@@ -22,10 +22,8 @@ def system_in_coordinates(name: str, file: ModelFile) -> StateSpace:
 def box_of(name: str, model: StateSpace, region: Region | None) -> dict[str, tuple[float, float]]:
     """Bounds of every state by name: from `region` if it has them, else from the model's own box."""
     # The box is empty where the model has none, so its length is not checked.
-    defaults = {
-        each: (float(low), float(high)) for each, (low, high) in zip(model.coordinates, model.box, strict=False)
-    }
-    ends = defaults | bounds("region", region or {}, model.coordinates)
+    ends = {name: (float(low), float(high)) for name, (low, high) in zip(model.coordinates, model.box, strict=False)}
+    ends |= bounds("region", region or {}, model.coordinates)
     missing = [each for each in model.coordinates if each not in ends]
     if missing:
         example = ",".join(f"{each}=LOW:HIGH" for each in model.coordinates)

@@ -148,9 +148,8 @@ def design(
     if gains is not None:
         available = with_gains(model, *gains)
         if name not in available:
-            known = (
-                f"they do to {', '.join(available)}" if available else "`alpha` and `beta` are for mechanical models"
-            )
+            known = f"they do to {', '.join(available)}"
+            known = known if available else "`alpha` and `beta` are for mechanical models"
             raise InputError(
                 f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}; "
                 f"{known}"

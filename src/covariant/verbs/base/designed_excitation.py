@@ -89,9 +89,8 @@ def designed_excitation(
             kind = {"motors": motors.tolist(), "window": windows}
         else:
             moving = motion_periods(plan) / plan.frequency
-            motion = design_excitation(
-                family, limits, sensing, plan._replace(duration=moving), file.reference_half, report
-            )
+            shorter = plan._replace(duration=moving)
+            motion = design_excitation(family, limits, sensing, shorter, file.reference_half, report)
             found = command_excitation(family, limits, sensing, plan, motion)
             u, q, v, third, *_ = found.designed
             kind = {"torques": _third_names(file), "moving": moving}
@@ -243,12 +242,11 @@ def _expected_errors(family: RobotFamily, after: ExpectedErrors, before: Expecte
     """Standard errors to expect, and what is not determined."""
     unknown = [name for name, error in zip(family.names, after.errors, strict=True) if np.isnan(error)]
     sentences = [f"no log of this motion shows {', '.join(unknown)} alone"] if unknown else []
-    near = [
+    sentences += [
         f"{name}: a tenth of its usual size cannot be told from zero, nor can its value, with ± {error:.2g}"
         for name, error, known in zip(family.names, after.errors, after.determined, strict=True)
         if not known and np.isfinite(error)
     ]
-    sentences += near
     return {
         "parameters": [
             {

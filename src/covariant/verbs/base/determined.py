@@ -93,9 +93,8 @@ def determined(observer: AbstractObserver, loaded: Loaded, outcome: Outcome) -> 
 
 def _unit(name: str, loaded: Loaded) -> str:
     """The unit of a slow state: that of a sensor for its bias, which is called after it."""
-    return next(
-        (part.unit for part in loaded.sensors if part.sensor.slow is not None and name in part.sensor.slow.names), ""
-    )
+    with_slow = ((part.unit, part.sensor.slow) for part in loaded.sensors)
+    return next((unit for unit, slow in with_slow if slow is not None and name in slow.names), "")
 
 
 @eqx.filter_jit

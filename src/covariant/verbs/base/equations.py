@@ -32,9 +32,8 @@ def write_equations(model: MechanicalSystem, name: str, inputs: Sequence[str]) -
     try:
         return "\n\n".join(_sections(model, name, [_symbol(u) for u in inputs]))
     except InputError as error:
-        raise InputError(
-            f"{name}: {error}, so its equations are not printed; `covariant export` writes its observer as C"
-        ) from error
+        how = "`covariant export` writes its observer as C"
+        raise InputError(f"{name}: {error}, so its equations are not printed; {how}") from error
 
 
 def _sections(model: MechanicalSystem, name: str, u: list[str]) -> Iterator[str]:

@@ -161,10 +161,9 @@ class EstimateResult(AbstractEstimates):
         """
         outcome, info = self.outcome, self.outcome.run.info
         table = {"t": self.t} | self.loaded.kind.configuration(outcome.run.estimate, positions)
-        for names, values, std in (
-            (velocities, outcome.velocity, deviations(info)),
-            (outcome.slow_names, *(known(info, name) for name in ("slow", "slow_std"))),
-        ):
+        motion = velocities, outcome.velocity, deviations(info)
+        slow = outcome.slow_names, known(info, "slow"), known(info, "slow_std")
+        for names, values, std in (motion, slow):
             for suffix, each in (("", values), ("_std", std)):
                 if each is not None and each.size:
                     table |= {f"{name}{suffix}": column for name, column in zip(names, each.T, strict=True)}
@@ -210,9 +209,8 @@ class EstimateResult(AbstractEstimates):
             result["pushes"] = len(self.pushes.starts)
             result["share_of_rows_pushed"] = plain(float(np.mean(self.pushes.rows)))
         if self.determined:
-            result["determined"] = [
-                {"name": each.name, "ratio": plain(each.ratio), **_stds(each)} for each in self.determined
-            ]
+            named = ({"name": each.name, "ratio": plain(each.ratio)} | _stds(each) for each in self.determined)
+            result["determined"] = list(named)
         free = self.without_model
         if not isinstance(free, str):
             result["without_model"] = free.data
@@ -388,18 +386,13 @@ def hole_doubts(loaded: Loaded, outcomes: Mapping[str, Outcome]) -> list[str]:
     if holes is None or not holes.of_inputs:
         return []
     widened = {"intrinsic-kalman"} if widens(loaded.file, loaded) else set()
-    rigid = [
-        name
-        for name, outcome in outcomes.items()
-        if name not in widened and name in INFORMED and deviations(outcome.run.info) is not None
-    ]
+    with_std = {name for name, outcome in outcomes.items() if deviations(outcome.run.info) is not None}
+    rigid = [name for name in outcomes if name in (with_std & INFORMED) - widened]
     if not rigid:
         return []
     verb, better = ("takes", "its") if len(rigid) == 1 else ("take", "their")
-    text = (
-        f"in the holes of the log {', '.join(rigid)} {verb} the last input as held, so that {better} standard "
-        "deviations are too small there"
-    )
+    text = f"in the holes of the log {', '.join(rigid)} {verb} the last input as held, so that {better} standard "
+    text += "deviations are too small there"
     return [text + "; those of intrinsic-kalman grow with what the inputs could have been" * bool(widened)]
 
 
@@ -410,8 +403,6 @@ def _longest(t: np.ndarray, coasted: np.ndarray) -> str:
     first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     # Lengths are negative, so the longest stretch comes first, and of equal ones the earliest.
     order = np.argsort(t[first] - t[last], kind="stable")[:LONGEST_SHOWN]
-    spans = [
-        f"{t[k]:.4g} s" if k == m else f"{t[k]:.4g} to {t[m]:.4g} s"
-        for k, m in zip(first[order], last[order], strict=True)
-    ]
+    ends = zip(first[order], last[order], strict=True)
+    spans = [f"{t[k]:.4g} s" if k == m else f"{t[k]:.4g} to {t[m]:.4g} s" for k, m in ends]
     return f"{'the longest at' if len(first) > LONGEST_SHOWN else 'at'} t = {', '.join(spans)}"

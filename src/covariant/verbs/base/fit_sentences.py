@@ -48,9 +48,8 @@ def misread_sentence(finding: Finding, log: str, machine: str) -> str:
     # The model file is that of all machines.
     place = " in overrides for these logs (from Python)" if machine and finding.line.startswith("[") else ""
     where = f"the logs of {machine}" if machine else log
-    return (
-        f"In {where} {finding.evidence}. Mend it: {finding.line}{place}, and fit again; `covariant check` looks closer"
-    )
+    mended = f"Mend it: {finding.line}{place}, and fit again; `covariant check` looks closer"
+    return f"In {where} {finding.evidence}. {mended}"
 
 
 def unlike_servos(family: RobotFamily, best: RobotFit, log: Aligned, left: Float[np.ndarray, "n"]) -> str:

@@ -254,9 +254,8 @@ class _PredictionProblem(_Problem):
 
     def gain(self, fits: dict[str, Solved]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""
-        held, linear = (
-            np.mean([block_losses(fits[word], other) for other in fits.values()], axis=0) for word in BETWEEN
-        )
+        losses = [[block_losses(fits[word], other) for other in fits.values()] for word in BETWEEN]
+        held, linear = np.mean(losses, axis=1)
         return Gain.of(held - linear)
 
     def errors(self, best: Solved | None, part: _Part) -> PredictionErrors:
@@ -351,10 +350,8 @@ class _ServoProblem(_Problem):
             )
         families = [models.robot_family(job.model_name, names, job.overrides) for job in jobs]
         for job, family in zip(jobs, families, strict=True):
-            differing = [
-                name for name, a, b in zip(family.names, family.first, families[0].first, strict=True) if a != b
-            ]
-            if differing:
+            pairs = zip(family.names, family.first, families[0].first, strict=True)
+            if differing := [name for name, a, b in pairs if a != b]:
                 raise InputError(
                     f"{job.log_name}: {', '.join(differing)} is fitted, and so is one number for all logs; "
                     "overrides of a log are for what is known, such as a gain or a payload"

@@ -12,7 +12,7 @@ from covariant.calibration import misfit
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, AbstractObserver, ActingInputs, Delayed
 from covariant.signals import LEAST_MISSING, MOST_MISSING, Record, acting_inputs, lag_inputs
-from covariant.verbs.base.arguments import ColumnNames as ColumnNames
+from covariant.verbs.base.arguments import Amounts, ColumnNames as ColumnNames
 from covariant.verbs.base.holes import Holes, holes_of
 from covariant.verbs.base.kind import AbstractKind, Labels, numbered as numbered
 from covariant.verbs.base.kinds import kind_of
@@ -192,9 +192,11 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods, missing_inputs, absent))
     # Lag, delay and means are those of the whole log: what was cut off or left out between two rows acts in them too.
     lagging = _around_missing(lambda whole: lag_inputs(whole, file.input_lag), log.all_rows, MOST_MISSING)
-    record = _around_missing(
-        lambda whole: acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead), lagging
-    )
+
+    def acting(whole: Record) -> Record:
+        return acting_inputs(whole, file.input_between, file.input_delay, log.record, file.input_lead)
+
+    record = _around_missing(acting, lagging)
     if not job.anyway:
         whole = kind.complete(np.asarray(record.y))
         known = log._replace(record=_with_inputs_only(log.record._replace(y=whole)))
@@ -274,9 +276,8 @@ def with_sensor_delays(observers: Mapping[str, AbstractObserver], loaded: Loaded
     if longest == 0:
         return dict(observers)
     if not loaded.kind.makes_up_for_delays:
-        raise InputError(
-            f"{loaded.file.name}: readings that are late are made up for in mechanical models and bases on legs only"
-        )
+        only = "mechanical models and bases on legs only"
+        raise InputError(f"{loaded.file.name}: readings that are late are made up for in {only}")
     rate = densest_rate(np.asarray(loaded.record.t), longest)
     wrapped = dict(observers)
     for name, observer in observers.items():
@@ -328,11 +329,7 @@ def with_acting_inputs(
 def describe_inputs(file: models.ModelFile) -> str:
     """Say how inputs are passed to a step, and when they act."""
     stated = {"delay": file.input_delay, "lag": file.input_lag, "lead": file.input_lead}
-    times = [
-        f"{name} {', '.join(f'{1e3 * each:g}' for each in np.atleast_1d(value))} ms"
-        for name, value in stated.items()
-        if np.any(value)
-    ]
+    times = [f"{name} {_in_ms(value)} ms" for name, value in stated.items() if np.any(value)]
     linear = file.input_between == "linear"
     when = "ends at its stamp, and linear in between" if linear else "begins at its stamp"
     held = f"; the step has their {', '.join(times)}" if times else ""
@@ -341,10 +338,11 @@ def describe_inputs(file: models.ModelFile) -> str:
 
 def _delay_note(file: models.ModelFile) -> str:
     """A sentence that says how late positions are, where they are."""
-    delays = np.atleast_1d(np.asarray(file.delay, float))
-    if not delays.any():
-        return ""
-    return f" Positions are read {', '.join(f'{1e3 * delay:g}' for delay in delays)} ms late."
+    return f" Positions are read {_in_ms(file.delay)} ms late." if np.any(file.delay) else ""
+
+
+def _in_ms(times: Amounts) -> str:
+    return ", ".join(f"{1e3 * each:g}" for each in np.atleast_1d(np.asarray(times, float)))
 
 
 def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Record) -> None:

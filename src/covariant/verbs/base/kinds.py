@@ -93,8 +93,7 @@ class AbstractMechanical(AbstractKind):
         if name == WITH_FORCE:
             del stated["the external force of [uncertainty]"]
         asked = [what for what, value in stated.items() if value is not None]
-        filters = observer.slow_names or observer.sensors
-        if asked and (name == WITH_FORCE or not filters):
+        if asked and (name == WITH_FORCE or not (observer.slow_names or observer.sensors)):
             text = f" It does not estimate {' and '.join(asked)}; intrinsic-kalman does."
         if file.torque_std is not None and name not in USE_TORQUES:
             text += f" It does not use the torque of [uncertainty]; {' and '.join(USE_TORQUES)} do."
@@ -250,11 +249,8 @@ class OnGroup(AbstractMechanical):
             return log
         # The model file of a body in free flight names no input columns.
         count = models.input_count(self.model, self.file.dimension)
-        record, whole = (
-            None if part is None else part._replace(u=np.zeros((len(part.t), count)))
-            for part in (log.record, log.whole)
-        )
-        return log._replace(record=record, whole=whole)
+        parts = {"record": log.record} | ({} if log.whole is None else {"whole": log.whole})
+        return log._replace(**{name: each._replace(u=np.zeros((len(each.t), count))) for name, each in parts.items()})
 
     def _slopes(self, t: np.ndarray, y: np.ndarray, at: np.ndarray, half: float, order: int) -> np.ndarray:
         # All parts of a pose are read at the same time, so there is one delay.
@@ -266,10 +262,9 @@ class OnGroup(AbstractMechanical):
         joints = logs.coordinates(columns, y)
         # The joints are the last columns of a configuration, and circles are counted over all of them.
         circles = tuple(i - (y.shape[1] - joints.shape[1]) for i in self.model.circles)
-        rates = (
-            [scoring.zero_phase_velocity(t, scoring.unwrap(joints, circles), at, half, order)] if joints.size else []
-        )
-        return np.concatenate([*twists, *rates], axis=1)
+        if joints.size:
+            twists.append(scoring.zero_phase_velocity(t, scoring.unwrap(joints, circles), at, half, order))
+        return np.concatenate(twists, axis=1)
 
     def configuration(self, x: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         return logs.to_columns(self.file.columns, np.asarray(x.q))

@@ -102,9 +102,8 @@ class Outcome(NamedTuple):
     def failure(self) -> str:
         """Where the estimate left the finite numbers first, and what to look at."""
         row = int(np.argmax(np.asarray(self.run.info.result) == StepCode.NOT_FINITE)) + 1
-        return (
-            f"row {row}: the estimate left the finite numbers; look at the inputs just before, then at model and units"
-        )
+        remedy = "look at the inputs just before, then at model and units"
+        return f"row {row}: the estimate left the finite numbers; {remedy}"
 
 
 def drive(observer: AbstractObserver, loaded: Loaded, engine: Engine = "auto") -> Outcome:
@@ -240,11 +239,8 @@ def plain(value: float) -> float | None:
 
 def with_units(values: Iterable[float | None], units: tuple[str, ...]) -> str:
     """Format numbers in one line, each with its unit."""
-    written = (
-        "—" if v is None else f"{v:.4g} {unit}".removesuffix(" 1").rstrip()
-        for v, unit in zip(values, units, strict=True)
-    )
-    return ", ".join(written)
+    pairs = zip(values, units, strict=True)
+    return ", ".join("—" if v is None else f"{v:.4g} {unit}".removesuffix(" 1").rstrip() for v, unit in pairs)
 
 
 class Pushes(NamedTuple):
@@ -313,10 +309,10 @@ def unexplained(job: Job, loaded: Loaded, observer: str, outcome: Outcome) -> st
         return None
     limit = MARGIN * mean_quantile(int(counted(outcome.run.info, loaded)[1]))
     if outcome.nis < SMALL and loaded.file.quantum is None:
+        remedy = advice(job.model, tune="; `covariant tune` finds noise that fits")
         return (
             f"NIS averages {outcome.nis:.3g} a measured number, where 1 is expected: the noise of the model file is "
-            "larger than that of the log, and standard deviations are too large"
-            + advice(job.model, tune="; `covariant tune` finds noise that fits")
+            f"larger than that of the log, and standard deviations are too large{remedy}"
         )
     if outcome.nis <= limit:
         return None

@@ -164,10 +164,8 @@ def made() -> dict[str, str]:
 def accuracy(loaded: Loaded, outcome: Outcome) -> tuple[dict[str, Any], ...]:
     """How good each velocity or state is, as rows of a table: errors, lag, and what the filter claims."""
     kind, score, reference = loaded.kind, outcome.score, loaded.reference
-    std, rows = deviations(outcome.run.info), []
-    lags = (
-        None if reference is None else lag(np.asarray(loaded.record.t), outcome.velocity, reference.v, reference.scored)
-    )
+    std, rows, t = deviations(outcome.run.info), [], np.asarray(loaded.record.t)
+    lags = None if reference is None else lag(t, outcome.velocity, reference.v, reference.scored)
     for i, heading in enumerate(kind.estimates.headings):
         row: dict[str, Any] = {kind.what: heading}
         if score is not None:

@@ -41,9 +41,9 @@ def write_recording(path: Path, title: str, columns: dict[str, np.ndarray], resu
         std = columns.get(f"{name}_std")
         if std is not None:
             for sign, end in ((1, "+2σ"), (-1, "−2σ")):
-                curves.append(
-                    PlottedCurve((quantity, plain), _label(f"{label} {end}", unit), values + sign * 2 * std, BAND, 0.7)
-                )
+                bound = values + sign * 2 * std
+                named = _label(f"{label} {end}", unit)
+                curves.append(PlottedCurve((quantity, plain), named, bound, BAND, 0.7))
         curves.append(PlottedCurve((quantity, plain), _label(label, unit), values, color, 3.0))
     codes = np.asarray(result.codes)
     changes = np.flatnonzero(np.r_[True, codes[1:] != codes[:-1]])

@@ -76,9 +76,8 @@ def refusals(loaded: Loaded, outcome: Outcome) -> list[Refusal]:
         read = float(y[first, k]) if has_readings else np.nan
         after = innovation[last + 1, k] / innovation[last, k] if last + 1 < len(t) else 0.0
         unit = units[k] if k < len(units) else ""
-        listed.append(
-            Refusal(names[k], unit, float(t[first]), len(stretch), read, read - off, off, bool(after > STAYED))
-        )
+        numbers = float(t[first]), len(stretch), read, read - off, off
+        listed.append(Refusal(names[k], unit, *numbers, bool(after > STAYED)))
     return listed
 
 

@@ -81,9 +81,8 @@ def match_joints(draft: Draft, path: str) -> Joints:
         guess += " is guessed from their order: compare names, and the signs of both"
     without_joint = [draft.q[i] for i in open_positions[len(open_joints) :]]
     if without_joint:
-        guess += (
-            f"{'; ' if guess else ''}{', '.join(without_joint)} have no joint in {Path(path).name}, and are left out"
-        )
+        guess += "; " if guess else ""
+        guess += f"{', '.join(without_joint)} have no joint in {Path(path).name}, and are left out"
     return Joints(path, names, tuple(matched[j] for j in names), tuple(j for j in joints if j not in matched), guess)
 
 
@@ -144,9 +143,8 @@ def robot_lines(draft: Draft, joints: Joints, path: str) -> list[str]:
     if len(driven) < len(joints.names):
         lines.append(f"actuated = [{', '.join(map(quoted, driven))}]  # the others have no command")
     if joints.locked:
-        lines.append(
-            f"lock = {{ {', '.join(f'{_key(name)} = 0.0' for name in joints.locked)} }}  # no column was found"
-        )
+        locked = ", ".join(f"{_key(name)} = 0.0" for name in joints.locked)
+        lines.append(f"lock = {{ {locked} }}  # no column was found")
     centred = _centres(draft)
     if any(centred):
         inside = ", ".join(f"{_key(n)} = {x:.6g}" for n, x in zip(joints.names, centred, strict=True) if x)

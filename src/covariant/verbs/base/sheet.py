@@ -11,6 +11,12 @@ from covariant.observers import SlowVariables, sensor_bias, uncertain_parameters
 from covariant.signals import Record
 from scalargraph.errors import InputError
 
+SAME = (
+    *("quantum", "external_force", "external_force_std", "external_force_time", "acceleration_std", "correlation_time"),
+    *("torque_std", "motion_std", "motion_time", "damping", "natural_frequency", "force_rate"),
+)
+"""Fields that a model file and a data sheet have alike."""
+
 
 def tells_noise(file: ModelFile) -> bool:
     """Whether a model file has the numbers of a data sheet, which a gate needs."""
@@ -23,23 +29,9 @@ def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
     missing = [key for key, value in needed.items() if value is None]
     if missing:
         raise InputError(f"{file.name}: gains need {' and '.join(missing)}; {_remedy(file, missing, record)}")
-    known = {
-        "measurement_std": file.typical_std,
-        "coordinate_stds": file.measurement_std if isinstance(file.measurement_std, tuple) else None,
-        "quantum": file.quantum,
-        "external_force": file.external_force,
-        "external_force_std": file.external_force_std,
-        "external_force_time": file.external_force_time,
-        "slow": _slow(file),
-        "acceleration_std": file.acceleration_std,
-        "correlation_time": file.correlation_time,
-        "torque_std": file.torque_std,
-        "motion_std": file.motion_std,
-        "motion_time": file.motion_time,
-        "damping": file.damping,
-        "natural_frequency": file.natural_frequency,
-        "force_rate": file.force_rate,
-    }
+    known: dict[str, Any] = {name: getattr(file, name) for name in SAME}
+    stds = file.measurement_std if isinstance(file.measurement_std, tuple) else None
+    known |= {"measurement_std": file.typical_std, "coordinate_stds": stds, "slow": _slow(file)}
     return DataSheet(**{name: value for name, value in known.items() if value is not None})
 
 
@@ -61,9 +53,8 @@ def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
     """What the model file has estimated along with the motion, beside an external force."""
     components = ()
     if file.family is not None:
-        stds = [
-            file.uncertain[next(key for key in file.uncertain if _stands_for(key, name))] for name in file.family.names
-        ]
+        keys = [next(key for key in file.uncertain if _stands_for(key, name)) for name in file.family.names]
+        stds = [file.uncertain[key] for key in keys]
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)

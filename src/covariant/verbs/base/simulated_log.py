@@ -81,9 +81,8 @@ def simulated_log(
         columns |= part.to_columns(sensed(machine, part, then, inputs, acting.begin[row], (scenario.seed, i)))
     columns |= {f"true_{key}": column for key, column in (configuration | hidden).items()}
     names = tuple(f"true_{key}" for key in hidden)
-    units = _units(file, layout, tuple(hidden)) | {
-        name: unit for part in beside for name, unit in part.si_units.items()
-    }
+    units = _units(file, layout, tuple(hidden))
+    units |= {name: unit for part in beside for name, unit in part.si_units.items()}
     if force is not None:
         forces = [f"true_{key}" for key in numbered(FORCE, file.dimension)]
         columns |= dict(zip(forces, np.asarray(jax.vmap(force)(jnp.asarray(t))).T, strict=True))
@@ -155,11 +154,8 @@ def _inputs(
     pace = 2 * np.pi * scenario.frequency * (1 + DETUNED * np.arange(len(names)))
     u = amplitude * np.sin(pace * t[:, None])
     stamps = np.round(t, DIGITS)
-    times = np.append(read.ravel(), stamps)
-    acting = simulation.logged_inputs(
-        stamps, u, file.input_between, file.input_delay, file.input_lag, times, file.input_lead
-    )
-    return u, acting
+    stated = file.input_between, file.input_delay, file.input_lag
+    return u, simulation.logged_inputs(stamps, u, *stated, np.append(read.ravel(), stamps), file.input_lead)
 
 
 def _add_push(name: str, file: ModelFile, scenario: Scenario) -> tuple[Any, Callable[[Any], Any] | None]:
@@ -203,8 +199,6 @@ def _units(file: ModelFile, layout: logs.Columns, hidden: tuple[str, ...]) -> di
     known = file.model.logged_units
     units = {layout.t: "s"} | dict(zip(layout.q, known.get("q", ()), strict=False))
     units |= dict.fromkeys(layout.position, "m") | dict.fromkeys(layout.angle, "rad")
-    return (
-        units
-        | {f"true_{name}": unit for name, unit in units.items() if name != layout.t}
-        | {f"true_{name}": unit for name, unit in zip(hidden, known.get("truth", ()), strict=False)}
-    )
+    truth = {name: unit for name, unit in units.items() if name != layout.t}
+    truth |= dict(zip(hidden, known.get("truth", ()), strict=False))
+    return units | {f"true_{name}": unit for name, unit in truth.items()}

@@ -82,14 +82,9 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
         progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
 
     try:
-        options = {
-            "std": known,
-            "before": before,
-            "progress": report,
-            "runs": runs,
-            "names": [Path(job.log_name).name for job in jobs],
-        }
-        tuning = tune(loaded[0].model, records, velocities, **options)
+        names = [Path(job.log_name).name for job in jobs]
+        model = loaded[0].model
+        tuning = tune(model, records, velocities, std=known, before=before, progress=report, runs=runs, names=names)
     except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     report("observers")
@@ -111,10 +106,10 @@ def tuned_page(title: str, job: Job, tuned: Tuned, notes: tuple[str, ...], **mor
     if tuned.before is not None:
         sheets = {"before": sheet, **sheets}
     name, n = "intrinsic-force", loaded.file.dimension
-    drawn = {
-        when: tuned_estimators(loaded.model, n, each, loaded.rate, names=(name,))[name] for when, each in sheets.items()
+    tuned_to = {
+        when: tuned_estimators(loaded.model, n, each, loaded.rate, names=(name,)) for when, each in sheets.items()
     }
-    observers = with_sensor_delays(drawn, loaded)
+    observers = with_sensor_delays({when: each[name] for when, each in tuned_to.items()}, loaded)
     runs = {when: drive(observer, loaded) for when, observer in observers.items()}
     return estimate_report(title, job, loaded, runs, notes, {"drawn": f"{name}, on {job.log_name}"}, **more)
 
@@ -148,9 +143,8 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         return [drive(each, one._replace(file=file)).velocity for each, one in zip(observers, loaded, strict=True)]
 
     def judge(new: list[np.ndarray], old: list[np.ndarray]) -> ErrorRatio:
-        return ErrorRatio.of_velocities(
-            *([v[at] for v, at in zip(each, rows, strict=True)] for each in (new, old, true))
-        )
+        parts = ([v[at] for v, at in zip(each, rows, strict=True)] for each in (new, old, true))
+        return ErrorRatio.of_velocities(*parts)
 
     tables = _tables(file, tuning, rate)
     new, known = tuned_file(file, tables), {}
@@ -278,7 +272,10 @@ def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confi
         "gains": {
             "from": tuning.source,
             "same": None if tuning.same is None else [_short(each) for each in tuning.same],
-            "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
+            "candidates": [
+                {key: value if isinstance(value, str) else _short(value) for key, value in each._asdict().items()}
+                for each in tuning.candidates
+            ],
         },
         "notes": notes(confirmed),
         "warning": warning(
@@ -287,10 +284,6 @@ def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confi
             advice(jobs[0].model, fit="run `covariant fit`") or "look for what it lacks by `covariant check`",
         ),
     }
-
-
-def _round_numbers(numbers: dict[str, Any]) -> dict[str, Any]:
-    return {key: value if isinstance(value, str) else _short(value) for key, value in numbers.items()}
 
 
 def notes(confirmed: Confirmed) -> list[str]:
@@ -322,14 +315,10 @@ def notes(confirmed: Confirmed) -> list[str]:
         why = "readings are likelier" if found.noise_kept == "likelihood" else "velocities are better"
         said.append(f"Held-out {why} with the noise of the model file, which is kept.")
     default, beside = confirmed.tables["design"]["observer"], confirmed.beside
-    said.append(
-        f"The default observer is {default}, "
-        + (
-            "which is clearly better than constant gains."
-            if default in KALMAN
-            else "than which no filter is clearly better."
-        )
+    why = (
+        "which is clearly better than constant gains" if default in KALMAN else "than which no filter is clearly better"
     )
+    said.append(f"The default observer is {default}, {why}.")
     if isinstance(beside, str) or not beside.verdict.is_worse:
         said.append(f"{beside if isinstance(beside, str) else beside.sentence(default)}.")
     return said
