@@ -12,6 +12,10 @@ smoother of a filter that does not depend on coordinates does not depend on them
 
 With a lag of L rows, each row is estimated from the L rows after it, by the same recursion, starting there from d = 0.
 
+In a long hole the filter's estimate drifts away from the motion, and the first readings after it may be refused. Such a
+hole is crossed by the most probable motion, found by relinearising; see `_holes`. The filter then continues from the
+end of that motion, and the recursion goes back along it.
+
 Steps are stored for one block of rows at a time. A first pass stores the filter's state before each block. The blocks
 are then run through again, the last one first; only d and Pˢ pass from one to the one before it. With a lag, blocks are
 processed in the order of time, in one pass.
@@ -22,14 +26,14 @@ Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 10.
 """
 
 import functools
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 from covariant._linalg import (
     lower_solve,
@@ -40,8 +44,9 @@ from covariant._linalg import (
     upper_solve,
 )
 from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
-from covariant.observers.base import AbstractObserver, AbstractWrapper, Report, Rows, checked, in_jax, kept, scan
+from covariant.observers.base import AbstractObserver, AbstractWrapper, Gate, Report, Rows, checked, in_jax, kept, scan
 from covariant.observers.filters._gated_filter import AbstractGatedFilter, State
+from covariant.observers.filters._holes import Crossing, Hole, Pass, Path, cross, find_windows, fine_rows, rounded_up
 from covariant.signals import Record, Run, StepCode
 from scalargraph.errors import InputError
 
@@ -62,6 +67,8 @@ class Smoothed(NamedTuple):
             in the frame, then slow states; for a `JointKalman` positions, velocities, accelerations; for a state-space
             model its states.
         root: Square roots (T, N, N) of the covariances of the same quantities; None if they are not stored.
+        holes: For each hole and coordinate whose number of turns the filter could not tell: `begin` and `end` [s], the
+            index of the `coordinate`, how many `turns` it moved, and their `probability`.
 
     Example:
         >>> import numpy as np
@@ -79,6 +86,22 @@ class Smoothed(NamedTuple):
     filtered: Run
     std: Float[Array, "T N"]
     root: Float[Array, "T N N"] | None
+    holes: tuple[Hole, ...] = ()
+
+
+class Reading(NamedTuple):
+    """How a filter took a measurement.
+
+    Attributes:
+        used: Which entries (n,) it used.
+        std, noise_std: Standard deviations (n,) of the innovation, and of the noise of the measurement.
+        restarted: Whether it restarted.
+    """
+
+    used: Bool[Array, "n"]
+    std: Vector
+    noise_std: Vector
+    restarted: Flag
 
 
 class Step(NamedTuple):
@@ -91,6 +114,7 @@ class Step(NamedTuple):
         error: Correction δ (N,).
         reset: Reset 𝒥 (N, N).
         restarted: Whether later rows contain no information on the error before the step.
+        nothing: Whether the step has no length, such as the first row and the rows added at the end.
     """
 
     root: Matrix
@@ -99,6 +123,7 @@ class Step(NamedTuple):
     error: Vector
     reset: Matrix
     restarted: Flag
+    nothing: Flag | bool = False
 
 
 class StepInfo(NamedTuple):
@@ -106,6 +131,7 @@ class StepInfo(NamedTuple):
 
     info: Any
     step: Step
+    reading: Reading
     result: Code
 
     @property
@@ -153,8 +179,8 @@ class Recorder(AbstractWrapper[State, Any]):
         """Predict and correct with the filter, and record the effect on the error."""
         predicted, carried = self.observer.carried(state, u, dt)
         new, info, step = recorded(self.observer, self.observer.root(state), carried, predicted, u, y)
-        # A step of zero length is the first row, or padding of the last block; it does not count as a step.
-        return new, StepInfo(info, step._replace(restarted=step.restarted | (dt == 0)), info.result)
+        reading = Reading(*self.observer.reading(predicted, new, u, y), step.restarted)
+        return new, StepInfo(info, step._replace(nothing=dt == 0), reading, info.result)
 
     def lost(self, state: State, info: StepInfo) -> Flag:
         return self.observer.lost(state, info.info)
@@ -182,12 +208,18 @@ def recorded(
 
 
 def smooth(
-    observer: AbstractObserver, record: Record, lag: int | None = None, keep: Collection[str] | None = None
+    observer: AbstractObserver,
+    record: Record,
+    lag: int | None = None,
+    keep: Collection[str] | None = None,
+    period: Sequence[float] = (),
 ) -> Smoothed:
     """Run a filter over a record, and estimate each of its states again with the rows after it.
 
-    Missing measurements, gaps, slow states, encoder ticks and refused outliers need no special treatment. If the filter
-    restarts, the rows before are estimated without those after.
+    Missing measurements, gaps, slow states, encoder ticks and refused outliers need no special treatment. After a long
+    hole the number of turns of an angle is the most probable one; see `Smoothed.holes`. That needs all rows, no further
+    sensors, and process noise that is not too small, since a model that claims too much is too sure of the turn. If the
+    filter restarts for another reason, the rows before are estimated without those after.
 
     Args:
         observer: A filter with a covariance and a gate: `IntrinsicKalman`, `EKF`, `UKF`, `JointKalman` or `StateEKF`.
@@ -195,6 +227,8 @@ def smooth(
         lag: Number of later rows from which each row is estimated; None (default) for all, 0 for the filter itself.
         keep: Names of the fields of the infos to store, as for `run`, and `"root"` for the square roots of all
             covariances, which take the most memory; None for all.
+        period: Period (n,) after which each reading repeats, 0 for none, if jumps by it were removed from the record;
+            angles on a full circle need none.
 
     Returns:
         The smoothed run, the run of the filter, and the covariances. In addition, memory is needed for the steps of
@@ -222,7 +256,10 @@ def smooth(
         )
     if lag is not None and lag < 0:
         raise InputError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
-    result = smoothed(observer, *in_jax(checked(observer, record)), lag, keep)
+    arrays = in_jax(checked(observer, record))
+    result, readings, _ = _smoothed_part(observer, *arrays, lag, keep)
+    if lag is None and not observer.sensors:
+        result = _with_holes(observer, arrays, result, readings, keep, period)
     largest, beside = (
         max(float(np.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
         for run in (result.run, result.filtered)
@@ -244,17 +281,40 @@ def smoothed(
     keep: Collection[str] | None = None,
 ) -> Smoothed:
     """Smooth arrays without checks, such as those of many runs at once under `jax.vmap`; see `smooth`."""
+    return _smoothed_part(observer, t, u, y, lag, keep)[0]
+
+
+def _smoothed_part(
+    observer: AbstractGatedFilter,
+    t: Array,
+    u: Array,
+    y: Array,
+    lag: int | None = None,
+    keep: Collection[str] | None = None,
+    state: Any = None,
+    later: Smoothing | None = None,
+) -> tuple[Smoothed, Reading, Smoothing | None]:
+    """Smooth rows that begin with a state, and whose last error is known from later rows; by default a whole log.
+
+    Also returned are the readings, and what is known of the error at the first row.
+    """
     count = len(t)
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
     blocks = -(-count // BLOCK)
-    size = _rounded_up(-(-count // blocks))
+    size = rounded_up(-(-count // blocks))
     # The rows added at the end are not steps, and do not affect any row of the log.
-    rows, state, later = _begin_smoothing(observer, *_lengthened((t, u, y), blocks * size + ahead - count))
+    rows, first = _begin_smoothing(observer, *_lengthened((t, u, y), blocks * size + ahead - count))
+    state = first if state is None else state
+    known = later is not None
+    if later is None:
+        root = observer.root(state)
+        later = Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
     fields = None if keep is None else frozenset(keep)
 
-    def block(k, state, later):
-        return _block(observer, state, _part(rows, k * size, size + ahead), later, lag, fields)
+    def block(k, state, later, known=True):
+        part = _part(rows, k * size, size + ahead)
+        return _block(observer, state, part, later, jnp.asarray(known), lag, fields)
 
     parts: list[Any] = [None] * blocks
     if lag is None:
@@ -262,12 +322,88 @@ def smoothed(
         for k in range(blocks - 1):
             states.append(_last(observer, states[-1], _part(rows, k * size, size)))
         for k in reversed(range(blocks)):
-            parts[k], later, _ = block(k, states[k], later)
+            parts[k], later, _ = block(k, states[k], later, known or k < blocks - 1)
     else:
         for k in range(blocks):
             parts[k], _, state = block(k, state, later)
-    estimate, info, std, root, filtered, filter_info = _join_blocks(parts, count)
-    return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root)
+    estimate, info, std, root, filtered, filter_info, readings = _join_blocks(parts, count)
+    return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root), readings, later
+
+
+def _with_holes(
+    observer: AbstractGatedFilter,
+    arrays: tuple[Array, Array, Array],
+    result: Smoothed,
+    readings: Reading,
+    keep: Collection[str] | None,
+    period: Sequence[float],
+) -> Smoothed:
+    """A smoothed log, smoothed again across the holes in which the filter's linearisation is in doubt."""
+    t, u, y = (np.array(a) for a in arrays)
+    used, std, noise_std, restarted = map(np.asarray, readings)
+    gate: Gate | None = observer.gate
+    circles = np.isin(np.arange(used.shape[1]), observer.turning)
+    periods = np.where(circles, 2 * np.pi, np.resize([*period, *np.zeros(len(circles))], len(circles)))
+    first, state, crossed = 0, None, list[tuple[int, Any, Crossing]]()
+    for window in find_windows(t, used, std / noise_std, restarted):
+        if window.first < first:
+            continue  # it begins among the readings that decided on the hole before
+        more = rounded_up(window.first + 1 - first) - (window.first + 1 - first)
+        part = (jnp.asarray(a[first : window.first + 1]) for a in (t, u, y))
+        rows, fresh = _begin_smoothing(observer, *_lengthened(part, more))
+        start = _last(observer, fresh if state is None else state, rows)
+        crossing = cross(observer, start, t, window, fine_rows(t, u, y, used, window, periods, circles), std)
+        count = int(used[window.first + 1 : window.last + 1].sum())
+        if gate is not None and crossing.cost > gate.limit(count) * max(1.0, float(start.gate.scale.max())):
+            continue  # no motion of the model leads across, as after a slip
+        for i in np.flatnonzero(window.columns & ~circles):
+            y[window.end[i] :, i] += crossing.shift[i]
+        crossed.append((first, state, crossing))
+        first, state = window.last, crossing.end
+    if not crossed:
+        return result
+    names = [name for name in observer.deviations(state) if getattr(result.run.info, name) is not None]
+
+    def smooth_rows(rows, state, later):
+        arrays = (jnp.asarray(a[rows]) for a in (t, u, y))
+        part, _, earlier = _smoothed_part(observer, *arrays, None, keep, state, later)
+        info = {name: getattr(part.run.info, name) for name in names}
+        return (part.run.estimate, info, part.std, part.root), earlier
+
+    part, later = smooth_rows(slice(first, None), state, None)
+    parts = [part]
+    for first, state, crossing in reversed(crossed):
+        (estimate, info, std, root), later = _smooth_across(observer, *crossing[:4], later)
+        part = estimate, {name: info[name] for name in names}, std, None if result.root is None else root
+        # The row of the end is the first of the rows after it.
+        parts.append(jax.tree.map(lambda a, rows=crossing.places[1:-1]: a[rows], part))
+        part, later = smooth_rows(slice(first, crossing.window.first + 1), state, later)
+        parts.append(part)
+    estimate, info, std, root = jax.tree.map(lambda *each: jnp.concatenate(each), *reversed(parts))
+    holes = tuple(hole for *_, crossing in crossed for hole in crossing.holes)
+    return result._replace(
+        run=result.run._replace(estimate=estimate, info=result.run.info._replace(**info)),
+        std=std,
+        root=root,
+        holes=holes,
+    )
+
+
+@eqx.filter_jit
+def _smooth_across(
+    observer: AbstractGatedFilter, start: State, error: Vector, path: Path, along: Pass, later: Smoothing
+) -> tuple[tuple, Smoothing]:
+    """Smoothed rows of a crossing, and the knowledge of the error at its start, given that at its end."""
+    eye = jnp.broadcast_to(jnp.eye(len(later.error), dtype=later.error.dtype), along.carried[1:].shape)
+    no = jnp.zeros(len(eye), bool)
+    steps = Step(along.root[:-1], along.carried[1:], along.predicted[1:], -along.predicted_mean[1:], eye, no, no)
+    maps = jax.vmap(backward_map)(steps)
+    # Errors are counted from the path here, and not from the mean of a filter.
+    first, smoothed = _error_at_rows(maps._replace(shift=maps.shift + along.mean[:-1]), later)
+    reset = observer.moved(start, error).reset
+    states = jax.tree.map(lambda a: a[:-1], path.states)
+    rows = jax.vmap(functools.partial(_smoothed_row, observer))(states, smoothed)
+    return rows, Smoothing(error + solve_square(reset, first.error), solve_square(reset, first.root))
 
 
 def _join_blocks(parts: list[Any], count: int) -> Any:
@@ -282,23 +418,15 @@ def _join_blocks(parts: list[Any], count: int) -> Any:
     return jax.tree.unflatten(tree, joined)
 
 
-def _rounded_up(count: int) -> int:
-    """A number of rows, rounded up such that few programs are needed: four per octave."""
-    step = 2 ** max(count.bit_length() - 3, 0)
-    return -(-count // step) * step
-
-
-def _lengthened(arrays: tuple[Array, ...], more: int) -> tuple[Array, ...]:
+def _lengthened(arrays: Iterable[Array], more: int) -> tuple[Array, ...]:
     """Arrays extended by this number of copies of their last entry."""
     return tuple(jnp.concatenate([a, jnp.broadcast_to(a[-1:], (more, *a.shape[1:]))]) for a in arrays)
 
 
 @eqx.filter_jit  # one program instead of about twenty small ones
-def _begin_smoothing(observer: AbstractGatedFilter, t: Array, u: Array, y: Array) -> tuple[Rows, Any, Smoothing]:
-    """The rows of a record, the state at the first row, and the knowledge of the error after the last row."""
-    state = observer.init(y[0], t[0])
-    root = observer.root(state)
-    return Rows.of(t, u, y), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
+def _begin_smoothing(observer: AbstractGatedFilter, t: Array, u: Array, y: Array) -> tuple[Rows, Any]:
+    """The rows of a record, and the state at the first row."""
+    return Rows.of(t, u, y), observer.init(y[0], t[0])
 
 
 @functools.partial(jax.jit, static_argnames="count")
@@ -318,13 +446,14 @@ def _block(
     state: State,
     rows: Rows,
     later: Smoothing,
+    known: Flag,
     lag: int | None,
     keep: frozenset[str] | None,
 ) -> tuple[tuple, Smoothing, State]:
     """Smoothed rows of a block, the knowledge of the error at its first row, and the state at its last row.
 
     The rows are those of the block and the later ones on which it depends directly. `later` is the knowledge of the
-    error at the first row of the next block; it is not needed with a lag.
+    error at the first row of the next block, which is `known` unless the log ends; it is not needed with a lag.
     """
     states, recorded = scan(Recorder(observer), state, rows)[1]
     steps = recorded.step
@@ -332,27 +461,40 @@ def _block(
     following = jax.tree.map(lambda a: a[1:], steps)
     maps = jax.vmap(backward_map)(following)
 
-    def earlier(now, step):
-        before = error_before(now, step)
-        return before, before
-
     if lag is None:
-        first, smoothed = jax.lax.scan(earlier, later, maps, reverse=True)
+        own = observer.root(jax.tree.map(lambda a: a[-1], states))
+        later = later._replace(root=jnp.where(known, later.root, own))
+        first, smoothed = _error_at_rows(maps, later)
     else:
         first, smoothed = later, _smooth_with_lag(following.root, maps, size, lag)
     states = jax.tree.map(lambda a: a[:size], states)
 
-    def moved(state, smoothing):
-        new, root = smoothed_state(observer, state, smoothing)
-        return observer.estimate(new), observer.deviations(new), jnp.sqrt(jnp.sum(root**2, axis=-1)), root
-
-    estimate, deviations, std, root = jax.vmap(moved)(states, smoothed)
+    estimate, deviations, std, root = jax.vmap(functools.partial(_smoothed_row, observer))(states, smoothed)
     info = jax.tree.map(lambda a: a[:size], recorded.info)._replace(result=recorded.result[:size])
     info = info._replace(**jax.vmap(observer.deviations)(states))  # also for the first row, which is not a step
     new_info = info._replace(**deviations)
     root = root if keep is None or "root" in keep else None
-    part = estimate, kept(new_info, keep), std, root, jax.vmap(observer.estimate)(states), kept(info, keep)
+    readings = jax.tree.map(lambda a: a[:size], recorded.reading)
+    part = estimate, kept(new_info, keep), std, root, jax.vmap(observer.estimate)(states), kept(info, keep), readings
     return part, first, jax.tree.map(lambda a: a[-1], states)
+
+
+def _error_at_rows(maps: Backward, last: Smoothing) -> tuple[Smoothing, Smoothing]:
+    """The knowledge of the error at the first row, and at all rows but the last one, given that at the last one."""
+
+    def earlier(now, step):
+        before = error_before(now, step)
+        return before, before
+
+    return jax.lax.scan(earlier, last, maps, reverse=True)
+
+
+def _smoothed_row(
+    observer: AbstractGatedFilter, state: State, smoothing: Smoothing
+) -> tuple[Any, dict, Vector, Matrix]:
+    """Estimate, deviations in the info, standard deviations and root of a smoothed state."""
+    new, root = smoothed_state(observer, state, smoothing)
+    return observer.estimate(new), observer.deviations(new), jnp.sqrt(jnp.sum(root**2, axis=-1)), root
 
 
 def _smooth_with_lag(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -> Smoothing:
@@ -387,8 +529,10 @@ def backward_map(step: Step) -> Backward:
     noise = step.root @ semidefinite_root(jnp.eye(n, dtype=ratio.dtype) - ratio.T @ ratio)
     # The columns of the solution of 𝒥ᵀ x = Cᵀ are the rows of C𝒥⁻¹.
     through = Backward(gain @ step.error, solve_square(step.reset.T, gain.T).T, noise)
-    nothing = Backward(jnp.zeros_like(step.error), jnp.zeros_like(gain), step.root)
-    return jax.tree.map(lambda a, b: jnp.where(step.restarted, a, b), nothing, through)
+    zero, eye = jnp.zeros_like(step.error), jnp.eye(n, dtype=ratio.dtype)
+    cut, still = Backward(zero, jnp.zeros_like(gain), step.root), Backward(zero, eye, jnp.zeros_like(gain))
+    through = jax.tree.map(lambda a, b: jnp.where(step.restarted, a, b), cut, through)
+    return jax.tree.map(lambda a, b: jnp.where(step.nothing, a, b), still, through)
 
 
 def error_before(after: Smoothing, step: Backward) -> Smoothing:
