@@ -52,6 +52,8 @@ from scalargraph.errors import InputError
 
 FARTHEST = 1e3
 """Size of smoothed estimates, relative to the filter's, above which a covariance was singular up to rounding."""
+SHORT = 256
+"""Number of rows up to which a part of a log is not worth a program of its own."""
 BLOCK = 4096
 """Number of rows whose steps are in memory at once; a longer log is run through twice, the second time from its end."""
 
@@ -257,9 +259,9 @@ def smooth(
     if lag is not None and lag < 0:
         raise InputError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
     arrays = in_jax(checked(observer, record))
-    result, readings, _ = _smoothed_part(observer, *arrays, lag, keep)
-    if lag is None and not observer.sensors:
-        result = _with_holes(observer, arrays, result, readings, keep, period)
+    whole = _smoothed_part(observer, *arrays, lag, keep)
+    across = lag is None and not observer.sensors
+    result = _with_holes(observer, arrays, whole, keep, period) if across else whole.smoothed
     largest, beside = (
         max(float(np.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
         for run in (result.run, result.filtered)
@@ -281,7 +283,23 @@ def smoothed(
     keep: Collection[str] | None = None,
 ) -> Smoothed:
     """Smooth arrays without checks, such as those of many runs at once under `jax.vmap`; see `smooth`."""
-    return _smoothed_part(observer, t, u, y, lag, keep)[0]
+    return _smoothed_part(observer, t, u, y, lag, keep).smoothed
+
+
+class Part(NamedTuple):
+    """Smoothed rows.
+
+    Attributes:
+        smoothed: The rows, and those of the filter.
+        readings: How the filter took their measurements.
+        first: The knowledge of the error at the first row.
+        state: State of the filter at the last row.
+    """
+
+    smoothed: Smoothed
+    readings: Reading
+    first: Smoothing
+    state: Any
 
 
 def _smoothed_part(
@@ -293,16 +311,19 @@ def _smoothed_part(
     keep: Collection[str] | None = None,
     state: Any = None,
     later: Smoothing | None = None,
-) -> tuple[Smoothed, Reading, Smoothing | None]:
+    of: int | None = None,
+) -> Part:
     """Smooth rows that begin with a state, and whose last error is known from later rows; by default a whole log.
 
-    Also returned are the readings, and what is known of the error at the first row.
+    Part of a log `of` so many rows is padded such that the programs for the whole log serve it too.
     """
     count = len(t)
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
-    blocks = -(-count // BLOCK)
-    size = rounded_up(-(-count // blocks))
+    size = rounded_up(-(-(of or count) // -(-(of or count) // BLOCK)))
+    while of is not None and size // 4 >= max(count, SHORT):
+        size //= 4
+    blocks = -(-count // size)
     # The rows added at the end are not steps, and do not affect any row of the log.
     rows, first = _begin_smoothing(observer, *_lengthened((t, u, y), blocks * size + ahead - count))
     state = first if state is None else state
@@ -322,71 +343,67 @@ def _smoothed_part(
         for k in range(blocks - 1):
             states.append(_last(observer, states[-1], _part(rows, k * size, size)))
         for k in reversed(range(blocks)):
-            parts[k], later, _ = block(k, states[k], later, known or k < blocks - 1)
+            parts[k], later, end = block(k, states[k], later, known or k < blocks - 1)
+            state = end if k == blocks - 1 else state
     else:
         for k in range(blocks):
             parts[k], _, state = block(k, state, later)
     estimate, info, std, root, filtered, filter_info, readings = _join_blocks(parts, count)
-    return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root), readings, later
+    return Part(Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root), readings, later, state)
 
 
 def _with_holes(
     observer: AbstractGatedFilter,
     arrays: tuple[Array, Array, Array],
-    result: Smoothed,
-    readings: Reading,
+    whole: Part,
     keep: Collection[str] | None,
     period: Sequence[float],
 ) -> Smoothed:
     """A smoothed log, smoothed again across the holes in which the filter's linearisation is in doubt."""
     t, u, y = (np.array(a) for a in arrays)
-    used, std, noise_std, restarted = map(np.asarray, readings)
+    result, (used, std, noise_std, restarted) = whole.smoothed, map(np.asarray, whole.readings)
     gate: Gate | None = observer.gate
     circles = np.isin(np.arange(used.shape[1]), observer.turning)
     periods = np.where(circles, 2 * np.pi, np.resize([*period, *np.zeros(len(circles))], len(circles)))
-    first, state, crossed = 0, None, list[tuple[int, Any, Crossing]]()
+
+    def smooth_rows(rows: slice, state: Any, later: Smoothing | None = None) -> Part:
+        return _smoothed_part(observer, *(jnp.asarray(a[rows]) for a in (t, u, y)), None, keep, state, later, len(t))
+
+    begun, state, crossed = 0, None, list[tuple[slice, Any, Crossing]]()
     for window in find_windows(t, used, std / noise_std, restarted):
-        if window.first < first:
+        if window.first < begun:
             continue  # it begins among the readings that decided on the hole before
-        more = rounded_up(window.first + 1 - first) - (window.first + 1 - first)
-        part = (jnp.asarray(a[first : window.first + 1]) for a in (t, u, y))
-        rows, fresh = _begin_smoothing(observer, *_lengthened(part, more))
-        start = _last(observer, fresh if state is None else state, rows)
+        rows = slice(begun, window.first + 1)
+        start = smooth_rows(rows, state).state
         crossing = cross(observer, start, t, window, fine_rows(t, u, y, used, window, periods, circles), std)
         count = int(used[window.first + 1 : window.last + 1].sum())
         if gate is not None and crossing.cost > gate.limit(count) * max(1.0, float(start.gate.scale.max())):
             continue  # no motion of the model leads across, as after a slip
         for i in np.flatnonzero(window.columns & ~circles):
             y[window.end[i] :, i] += crossing.shift[i]
-        crossed.append((first, state, crossing))
-        first, state = window.last, crossing.end
+        crossed.append((rows, state, crossing))
+        begun, state = window.last, crossing.end
     if not crossed:
         return result
     names = [name for name in observer.deviations(state) if getattr(result.run.info, name) is not None]
 
-    def smooth_rows(rows, state, later):
-        arrays = (jnp.asarray(a[rows]) for a in (t, u, y))
-        part, _, earlier = _smoothed_part(observer, *arrays, None, keep, state, later)
-        info = {name: getattr(part.run.info, name) for name in names}
-        return (part.run.estimate, info, part.std, part.root), earlier
+    def rows_of(part: Part) -> tuple:
+        run = part.smoothed.run
+        return run.estimate, {name: getattr(run.info, name) for name in names}, part.smoothed.std, part.smoothed.root
 
-    part, later = smooth_rows(slice(first, None), state, None)
-    parts = [part]
-    for first, state, crossing in reversed(crossed):
-        (estimate, info, std, root), later = _smooth_across(observer, *crossing[:4], later)
-        part = estimate, {name: info[name] for name in names}, std, None if result.root is None else root
+    part = smooth_rows(slice(begun, None), state)
+    parts = [rows_of(part)]
+    for rows, state, crossing in reversed(crossed):
+        (estimate, info, std, root), later = _smooth_across(observer, *crossing[:4], part.first)
+        across = estimate, {name: info[name] for name in names}, std, None if result.root is None else root
         # The row of the end is the first of the rows after it.
-        parts.append(jax.tree.map(lambda a, rows=crossing.places[1:-1]: a[rows], part))
-        part, later = smooth_rows(slice(first, crossing.window.first + 1), state, later)
-        parts.append(part)
+        parts.append(jax.tree.map(lambda a, places=crossing.places[1:-1]: a[places], across))
+        part = smooth_rows(rows, state, later)
+        parts.append(rows_of(part))
     estimate, info, std, root = jax.tree.map(lambda *each: jnp.concatenate(each), *reversed(parts))
+    run = result.run._replace(estimate=estimate, info=result.run.info._replace(**info))
     holes = tuple(hole for *_, crossing in crossed for hole in crossing.holes)
-    return result._replace(
-        run=result.run._replace(estimate=estimate, info=result.run.info._replace(**info)),
-        std=std,
-        root=root,
-        holes=holes,
-    )
+    return result._replace(run=run, std=std, root=root, holes=holes)
 
 
 @eqx.filter_jit
