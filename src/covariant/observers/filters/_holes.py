@@ -126,7 +126,7 @@ class Inputs(NamedTuple):
         rows: Steps (M,); measurements are filled by the readings closest in time, so that turns can be counted.
         used: Which entries (M, n) are used.
         period: Period (n,) of each entry, 0 for none.
-        on_circle: Whether the innovation of an entry is within half a period already.
+        on_circle: Whether an entry is an angle on a full circle, with innovations within half a turn.
         end: Row (n,) of the first reading after the hole of each entry, 0 if it has none.
     """
 
@@ -255,8 +255,8 @@ def _path(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Float[
     residual, slope, cov = jax.vmap(observer.seen)(states, u, y)
     # Counted from the start, so that its own displacement does not change the count.
     whole = jnp.concatenate([observer.innovation(start, u[0], y[0])[None], residual])
-    period = jnp.where(inputs.period > 0, inputs.period, 1.0)
-    residual = jnp.where(inputs.on_circle, period * jnp.unwrap(whole / period, axis=0, period=1.0)[1:], residual)
+    turned = jnp.unwrap(whole, axis=0, period=2 * np.pi)[1:]
+    residual = jnp.where(inputs.on_circle[None], turned, residual)
     return Path(states, transition, noise, residual, slope, cov)
 
 
@@ -335,7 +335,7 @@ def _improved(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Ar
     path = _path(observer, start, inputs, z)
     along = _smoothing_pass(path, z, inputs, shift)
     lengths = jnp.append(0.5 ** jnp.arange(HALVINGS, dtype=z.dtype), 0.0)
-    candidates = z + lengths[:, None, None] * (along.z - z)
+    candidates = jax.vmap(lambda length: z + length * (along.z - z))(lengths)
     costs = jax.vmap(lambda z: _cost(_path(observer, start, inputs, z), z, inputs, shift))(candidates)
     best = jnp.argmin(costs)
     return Improved(path, along, costs[-1], candidates[best], costs[best])
