@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -105,7 +106,7 @@ PLANTS = {
 }
 
 
-@jax.jit
+@eqx.filter_jit
 def simulated(true: models.MechanicalSystem, start: Motion, u: jax.Array, extra: jax.Array) -> Motion:
     """Motion at each row, with an acceleration for each of the parts of a row in addition to the model's."""
 
@@ -123,12 +124,12 @@ def simulated(true: models.MechanicalSystem, start: Motion, u: jax.Array, extra:
 def log_with_hole(plant: Plant, rows: int, seed: int) -> covariant.Record:
     """A log with a hole of so many rows; `x` is the true motion."""
     rng, count = np.random.default_rng(seed), BEFORE + rows + AFTER
-    n, inputs = len(plant.slowest), plant.model.inputs
+    n = len(plant.slowest)
     v = rng.uniform(plant.slowest, plant.fastest) * rng.choice([-1, 1], n)
     group = not plant.model.manifold.commuting
     q = lie.SO3.exp(jnp.asarray(rng.normal(size=3))) if group else jnp.asarray(rng.uniform(-3, 3, n))
     t, parts = STEP * np.arange(count), 4
-    u = np.sin(3 * t[:, None] + rng.uniform(0, 6, inputs)) * (8.0 if n == 1 else 1.0)
+    u = np.sin(3 * t[:, None] + rng.uniform(0, 6, n)) * (8.0 if n == 1 else 1.0)
     extra, forget = [plant.unmodelled * rng.normal(size=n)], STEP / parts / CORRELATION
     for _ in range(parts * count - 1):
         extra.append(extra[-1] * (1 - forget) + plant.unmodelled * np.sqrt(2 * forget) * rng.normal(size=n))

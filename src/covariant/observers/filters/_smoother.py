@@ -364,7 +364,8 @@ def _with_holes(
     result, (used, std, noise_std, restarted) = whole.smoothed, map(np.asarray, whole.readings)
     gate: Gate | None = observer.gate
     circles = np.isin(np.arange(used.shape[1]), observer.turning)
-    periods = np.where(circles, 2 * np.pi, np.resize([*period, *np.zeros(len(circles))], len(circles)))
+    given = np.resize([*period, *np.zeros(len(circles))], len(circles))
+    periods = np.where(circles & (given == 0), 2 * np.pi, given)
 
     def smooth_rows(rows: slice, state: Any, later: Smoothing | None = None) -> Part:
         return _smoothed_part(observer, *(jnp.asarray(a[rows]) for a in (t, u, y)), None, keep, state, later, len(t))
@@ -379,7 +380,7 @@ def _with_holes(
         count = int(used[window.first + 1 : window.last + 1].sum())
         if gate is not None and crossing.cost > gate.limit(count) * max(1.0, float(start.gate.scale.max())):
             continue  # no motion of the model leads across, as after a slip
-        for i in np.flatnonzero(window.columns & ~circles):
+        for i in np.flatnonzero(window.columns & (given > 0)):
             y[window.end[i] :, i] += crossing.shift[i]
         crossed.append((rows, state, crossing))
         begun, state = window.last, crossing.end
