@@ -54,7 +54,7 @@ def test_across_a_hole_it_is_the_most_probable_motion():
     """Found without the true turn, although the filter is elsewhere at the end of the hole."""
     record, smoothed = turning(), smooth(rod_ekf(rod()), turning())
     x, best = np.asarray(smoothed.run.estimate), best_motion()
-    best = best + [2 * np.pi * np.round((x[0, 0] - best[0, 0]) / (2 * np.pi)), 0.0]
+    best = best + np.array([2 * np.pi * np.round((x[0, 0] - best[0, 0]) / (2 * np.pi)), 0.0])
     errors = np.abs(x - best) / np.asarray(smoothed.std)
     assert errors.max() < 0.05
     missed = np.asarray(smoothed.filtered.estimate)[BEFORE + HOLE - 1] - best[BEFORE + HOLE - 1]

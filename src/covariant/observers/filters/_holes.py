@@ -17,8 +17,9 @@ process noise. If that is too small, they are too certain.
 Source: Bell 1994, The iterated Kalman smoother as a Gauss–Newton method, SIAM Journal on Optimization 4(3).
 """
 
+import functools
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,9 +28,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from covariant._linalg import half_solve, lower_solve, triangular_with_rank, upper_solve
-from covariant._typing import Code, Flag, Matrix, Scalar, Vector
-from covariant.observers.base import AbstractWrapper, Rows, updated
+from covariant._linalg import lower_solve, triangular_with_rank, upper_solve
+from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
+from covariant.observers.base import AbstractWrapper, Rows, normalised_square, updated
 from covariant.observers.filters._gated_filter import AbstractGatedFilter, State
 from covariant.scoring import longest_step
 
@@ -150,19 +151,13 @@ def fine_rows(
     dt = np.pad(np.repeat(steps / parts, parts), (0, more))
     taken = np.zeros((len(dt), used.shape[1]), bool)
     taken[places[1:] - 1] = used[near][1:]
-    # Before a reading, its own value stands in for it, and after the last one, that one.
-    source = np.searchsorted(places, np.arange(1, len(dt) + 1)).clip(max=len(steps))
-    filled = y[near].copy()
-    by_entry = filled.ndim == 2 and used.shape[1] == filled.shape[1]
-    known = used[near] if by_entry else np.broadcast_to(used[near].all(1)[:, None], (len(filled), 1))
-    flat = filled.reshape(len(filled), known.shape[1], -1)
-    for i, column in enumerate(known.T):
-        rows = np.flatnonzero(column)
-        if len(rows):
-            following = np.searchsorted(rows, np.arange(len(flat))).clip(max=len(rows) - 1)
-            flat[1:, i] = flat[rows[following[1:]], i]
-    held = np.repeat(u[near][:-1], parts, axis=0)
-    rows = Rows(np.concatenate([held, np.repeat(u[near][-1:], more, axis=0)]), flat.reshape(filled.shape)[source], dt)
+    # In the place of a missing reading is the next one.
+    flat = y[near].reshape(len(steps) + 1, -1)
+    known = np.isfinite(flat) & (used[near] if flat.shape == used[near].shape else used[near].all(1)[:, None])
+    row = np.minimum.accumulate(np.where(known, np.arange(len(flat))[:, None], len(steps))[:0:-1])[::-1]
+    filled = np.take_along_axis(flat, row, axis=0).reshape(-1, *y.shape[1:])
+    source = np.repeat(np.arange(len(steps)), np.append(parts[:-1], parts[-1] + more))
+    rows = Rows(u[near][source], filled[source], dt)
     end = np.where(window.columns, places[np.maximum(window.end - window.first, 0)], 0)
     return Inputs(*jax.tree.map(jnp.asarray, (rows, taken, period, circles, end))), places
 
@@ -173,21 +168,16 @@ def rounded_up(count: int) -> int:
     return -(-count // step) * step
 
 
-class Displaced(NamedTuple):
-    """Info of a step of a `_Displacing`: transition and noise root, in the frame of the new state."""
+class Stepwise(AbstractWrapper[State, Any]):
+    """A filter whose step is another function of its state, an input, a measurement and a time; estimates are states.
 
-    transition: Matrix
-    noise: Matrix
-    result: Code
-
-
-class _Displacing(AbstractWrapper[State, Displaced]):
-    """A filter whose estimate is displaced after each prediction by process noise that is z in units of its root."""
+    The infos of that function say in a field `lost` whether the state is.
+    """
 
     observer: AbstractGatedFilter
-    z: Vector
+    advanced: Callable[[Any, Array, Array, Scalar], tuple[Any, Any]]
 
-    def init(self, y: Array, t: Any = 0.0) -> State:
+    def init(self, y: Array, t: Number = 0.0) -> State:
         return self.observer.init(y, t)
 
     def predict(self, state: State, u: Array, dt: Scalar) -> State:
@@ -196,22 +186,23 @@ class _Displacing(AbstractWrapper[State, Displaced]):
     def correct(self, state: State, u: Array, y: Array) -> tuple[State, Any]:
         return self.observer.correct(state, u, y)
 
-    def estimate(self, state: State) -> Any:
-        return self.observer.estimate(state)
+    def advance(self, state: State, u: Array, y: Array, dt: Scalar) -> tuple[State, Any]:
+        return self.advanced(state, u, y, dt)
 
-    def lost(self, state: State, info: Displaced) -> Flag:
-        return jnp.zeros((), bool)  # so that J of a motion that diverges is not finite
+    def lost(self, state: State, info: Any) -> Flag:
+        return info.lost
 
-    def advance(self, state: State, u: Array, y: Array, dt: Scalar) -> tuple[State, Displaced]:
-        eye = jnp.eye(len(self.z), dtype=self.z.dtype)
-        # Without uncertainty before a step, that after it is the noise.
-        both, carried = jax.vmap(lambda root: self.observer.carried(self.observer.with_root(state, root), u, dt))(
-            jnp.stack([0 * eye, SMALL * eye])
-        )
-        predicted = jax.tree.map(lambda a: a[0], both)
-        noise = self.observer.root(predicted)
-        new, reset = self.observer.moved(predicted, noise @ self.z)
-        return new, Displaced(reset @ carried[1] / SMALL, reset @ noise, jnp.zeros((), jnp.int32))
+    def estimate(self, state: State) -> State:
+        return state
+
+
+class Displaced(NamedTuple):
+    """Info of a prediction that is displaced: transition and noise root, in the frame of the new state."""
+
+    transition: Matrix
+    noise: Matrix
+    result: Code
+    lost: Flag
 
 
 class Path(NamedTuple):
@@ -223,8 +214,6 @@ class Path(NamedTuple):
         residual: Innovations (M + 1, n), on the turn that is assumed.
         slope: Their derivatives (M + 1, n, N) with respect to the error of the row.
         cov: Covariances (M + 1, n, n) of the readings.
-        cost: J.
-        turns: Number (n,) of turns of the start's nearest reading.
     """
 
     states: Any
@@ -238,10 +227,21 @@ class Path(NamedTuple):
 def _path(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Float[Array, "M1 N"]) -> Path:
     root = observer.root(start)
     first, reset = observer.moved(start, root @ z[0])
+    eye = jnp.eye(len(root), dtype=root.dtype)
+    # Without uncertainty before a step, that after it is the noise. A motion that diverges counts as none.
+    roots, code, kept = jnp.stack([0 * eye, SMALL * eye]), jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+
+    def displaced(z, state, u, _, dt):
+        both, carried = jax.vmap(lambda root: observer.carried(observer.with_root(state, root), u, dt))(roots)
+        predicted = jax.tree.map(lambda a: a[0], both)
+        noise = observer.root(predicted)
+        new, reset = observer.moved(predicted, noise @ z)
+        return new, Displaced(reset @ carried[1] / SMALL, reset @ noise, code, kept)
 
     def step(state, row):
         z, row = row
-        new, info = _Displacing(observer, z).step(state, row.u, jnp.full_like(row.y, jnp.nan), row.dt)
+        stepwise = Stepwise(observer, functools.partial(displaced, z))
+        new, info = stepwise.step(state, row.u, jnp.full_like(row.y, jnp.nan), row.dt)
         return new, (new, info.transition, info.noise)
 
     states, transition, noise = jax.lax.scan(step, first, (z[1:], inputs.rows))[1]
@@ -261,12 +261,8 @@ def _path(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Float[
 
 
 def _cost(path: Path, z: Array, inputs: Inputs, shift: Vector) -> Scalar:
-    def square(residual, cov, used):
-        both = used[:, None] & used[None]
-        cov = jnp.where(both, cov, jnp.eye(len(used), dtype=cov.dtype))
-        return jnp.sum(half_solve(cov, jnp.where(used, residual + shift, 0.0)[:, None]) ** 2)
-
-    cost = jnp.sum(z**2) + jnp.sum(jax.vmap(square)(path.residual[1:], path.cov[1:], inputs.used))
+    residual = path.residual[1:] + shift[None]
+    cost = jnp.sum(z**2) + jnp.sum(jax.vmap(normalised_square)(path.cov[1:], residual, inputs.used))
     return jnp.where(jnp.isfinite(cost), cost, jnp.inf)
 
 
@@ -344,11 +340,11 @@ def _improved(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Ar
 def _fit(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Array, shift: np.ndarray) -> Improved:
     """Minimise J from a first guess z (M + 1, N), with readings shifted by whole turns."""
     for _ in range(MOST_STEPS):
-        step = _improved(observer, start, inputs, z, jnp.asarray(shift))
+        step, now = _improved(observer, start, inputs, z, jnp.asarray(shift)), z
         z = step.z
         if not step.cost - step.next_cost > CONVERGED * step.cost:
             break
-    return step
+    return step._replace(z=now)
 
 
 class Crossing(NamedTuple):
@@ -402,11 +398,11 @@ def cross(
 
     def fit(turns: tuple[int, ...], guess: Array) -> None:
         new = _fit(observer, start, inputs, guess, period * (nearest + turns))
-        if turns not in fits or new.next_cost < fits[turns].next_cost:
+        if turns not in fits or new.cost < fits[turns].cost:
             fits[turns] = new
 
     def cost(turns: tuple[int, ...]) -> float:
-        return float(fits[turns].next_cost)
+        return float(fits[turns].cost)
 
     best, before = (0,) * len(end), None
     fit(best, nothing)

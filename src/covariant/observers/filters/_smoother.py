@@ -43,10 +43,20 @@ from covariant._linalg import (
     triangular_with_rank,
     upper_solve,
 )
-from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
-from covariant.observers.base import AbstractObserver, AbstractWrapper, Gate, Report, Rows, checked, in_jax, kept, scan
+from covariant._typing import Code, Flag, Matrix, Vector
+from covariant.observers.base import AbstractObserver, Gate, Report, Rows, checked, in_jax, kept, scan
 from covariant.observers.filters._gated_filter import AbstractGatedFilter, State
-from covariant.observers.filters._holes import Crossing, Hole, Pass, Path, cross, find_windows, fine_rows, rounded_up
+from covariant.observers.filters._holes import (
+    Crossing,
+    Hole,
+    Pass,
+    Path,
+    Stepwise,
+    cross,
+    find_windows,
+    fine_rows,
+    rounded_up,
+)
 from covariant.signals import Record, Run, StepCode
 from scalargraph.errors import InputError
 
@@ -129,12 +139,13 @@ class Step(NamedTuple):
 
 
 class StepInfo(NamedTuple):
-    """Info of a step of a `Recorder`: the info of the filter, and the effect of the step on the error."""
+    """Info of a step: the info of the filter, and the effect of the step on the error."""
 
     info: Any
     step: Step
     reading: Reading
     result: Code
+    lost: Flag
 
     @property
     def innovation(self) -> Vector:
@@ -163,32 +174,16 @@ class Smoothing(NamedTuple):
     root: Matrix
 
 
-class Recorder(AbstractWrapper[State, Any]):
-    """A filter whose estimates are its states, and whose infos describe the effect of each step on the error."""
+def _recorder(observer: AbstractGatedFilter) -> Stepwise:
+    """A filter whose infos describe the effect of each step on the error."""
 
-    observer: AbstractGatedFilter[State, Any]
+    def advanced(state, u, y, dt):
+        predicted, carried = observer.carried(state, u, dt)
+        new, info, step = recorded(observer, observer.root(state), carried, predicted, u, y)
+        reading = Reading(*observer.reading(predicted, new, u, y), step.restarted)
+        return new, StepInfo(info, step._replace(nothing=dt == 0), reading, info.result, observer.lost(new, info))
 
-    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> State:
-        return self.observer.init(y, t)
-
-    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
-        return self.observer.predict(state, u, dt)
-
-    def correct(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[State, Any]:
-        return self.observer.correct(state, u, y)
-
-    def advance(self, state: State, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[State, StepInfo]:
-        """Predict and correct with the filter, and record the effect on the error."""
-        predicted, carried = self.observer.carried(state, u, dt)
-        new, info, step = recorded(self.observer, self.observer.root(state), carried, predicted, u, y)
-        reading = Reading(*self.observer.reading(predicted, new, u, y), step.restarted)
-        return new, StepInfo(info, step._replace(nothing=dt == 0), reading, info.result)
-
-    def lost(self, state: State, info: StepInfo) -> Flag:
-        return self.observer.lost(state, info.info)
-
-    def estimate(self, state: State) -> State:
-        return state
+    return Stepwise(observer, advanced)
 
 
 def recorded(
@@ -473,7 +468,7 @@ def _block(
     The rows are those of the block and the later ones on which it depends directly. `later` is the knowledge of the
     error at the first row of the next block, which is `known` unless the log ends; it is not needed with a lag.
     """
-    states, recorded = scan(Recorder(observer), state, rows)[1]
+    states, recorded = scan(_recorder(observer), state, rows)[1]
     steps = recorded.step
     size = len(rows.dt) - (1 if lag is None else lag + 1)
     following = jax.tree.map(lambda a: a[1:], steps)
