@@ -48,6 +48,8 @@ HALVINGS = 12
 """Number of lengths of a step that are tried, each half of the one before."""
 CONVERGED = 1e-6
 """Relative decrease of J below which the motion is found."""
+IMPLAUSIBLE = 100.0
+"""J for each reading above which Gauss–Newton steps have failed."""
 SMALL = 1e-4
 """Size of the root of a covariance by which the transition is measured, so small that sigma points are tangents."""
 
@@ -157,7 +159,7 @@ def fine_rows(
     row = np.minimum.accumulate(np.where(known, np.arange(len(flat))[:, None], len(steps))[:0:-1])[::-1]
     filled = np.take_along_axis(flat, row, axis=0).reshape(-1, *y.shape[1:])
     source = np.repeat(np.arange(len(steps)), np.append(parts[:-1], parts[-1] + more))
-    rows = Rows(u[near][source], filled[source], dt)
+    rows = Rows(*map(jnp.asarray, (u[near][source], filled[source], dt)))
     end = np.where(window.columns, places[np.maximum(window.end - window.first, 0)], 0)
     return Inputs(*jax.tree.map(jnp.asarray, (rows, taken, period, circles, end))), places
 
@@ -224,7 +226,7 @@ class Path(NamedTuple):
     cov: Array
 
 
-def _path(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Float[Array, "M1 N"]) -> Path:
+def _path(observer: AbstractGatedFilter, start: Any, inputs: Inputs, z: Float[Array, "M1 N"]) -> Path:
     root = observer.root(start)
     first, reset = observer.moved(start, root @ z[0])
     eye = jnp.eye(len(root), dtype=root.dtype)
@@ -250,7 +252,7 @@ def _path(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Float[
         (first, jnp.zeros_like(root), reset @ root),
         (states, transition, noise),
     )
-    u, y, _ = jax.tree.map(lambda a: jnp.concatenate([a[:1], a]), inputs.rows)
+    u, y = (jnp.concatenate([a[:1], a]) for a in inputs.rows[:2])
     u = jnp.where(jnp.isfinite(u), u, 0.0)
     residual, slope, cov = jax.vmap(observer.seen)(states, u, y)
     # Counted from the start, so that its own displacement does not change the count.
@@ -297,7 +299,8 @@ def _smoothing_pass(path: Path, z: Array, inputs: Inputs, shift: Vector) -> Pass
         predicted_mean = transition @ mean - noise @ z
         # The slope of an innovation is minus that of the output.
         gain, root = updated(predicted, -slope @ predicted, cov, used)
-        mean = predicted_mean + gain @ jnp.where(used, residual + shift + slope @ predicted_mean, 0.0)
+        innovation: Array = jnp.where(used, residual + shift + slope @ predicted_mean, 0.0)
+        mean = predicted_mean + gain @ innovation
         return (mean, root), (mean, predicted_mean, root, predicted, carried)
 
     nothing = jnp.zeros(count, z.dtype), jnp.zeros((count, count), z.dtype)
@@ -326,7 +329,7 @@ class Improved(NamedTuple):
 
 
 @eqx.filter_jit
-def _improved(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Array, shift: Vector) -> Improved:
+def _improved(observer: AbstractGatedFilter, start: Any, inputs: Inputs, z: Array, shift: Vector) -> Improved:
     """A Gauss–Newton step from z, as long as J falls most."""
     path = _path(observer, start, inputs, z)
     along = _smoothing_pass(path, z, inputs, shift)
@@ -337,14 +340,13 @@ def _improved(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Ar
     return Improved(path, along, costs[-1], candidates[best], costs[best])
 
 
-def _fit(observer: AbstractGatedFilter, start: State, inputs: Inputs, z: Array, shift: np.ndarray) -> Improved:
+def _fit(observer: AbstractGatedFilter, start: Any, inputs: Inputs, z: Array, shift: np.ndarray) -> Improved:
     """Minimise J from a first guess z (M + 1, N), with readings shifted by whole turns."""
-    for _ in range(MOST_STEPS):
-        step, now = _improved(observer, start, inputs, z, jnp.asarray(shift)), z
-        z = step.z
-        if not step.cost - step.next_cost > CONVERGED * step.cost:
-            break
-    return step._replace(z=now)
+    step, count = _improved(observer, start, inputs, z, jnp.asarray(shift)), 1
+    while step.cost - step.next_cost > CONVERGED * step.cost and count < MOST_STEPS:
+        z, count = step.z, count + 1
+        step = _improved(observer, start, inputs, z, jnp.asarray(shift))
+    return step._replace(z=z)
 
 
 class Crossing(NamedTuple):
@@ -377,7 +379,7 @@ class Crossing(NamedTuple):
 
 def cross(
     observer: AbstractGatedFilter,
-    start: State,
+    start: Any,
     t: np.ndarray,
     window: Window,
     fine: tuple[Inputs, Int[np.ndarray, "K"]],
@@ -404,8 +406,14 @@ def cross(
     def cost(turns: tuple[int, ...]) -> float:
         return float(fits[turns].cost)
 
-    best, before = (0,) * len(end), None
+    best, before, guess = (0,) * len(end), None, nothing
     fit(best, nothing)
+    if cost(best) > IMPLAUSIBLE * inputs.used.sum():
+        # Far away, as beyond half a turn of an attitude: lead the motion to the readings bit by bit.
+        missed = np.asarray(coasted)[end, columns] + period * nearest
+        for share in (0.75, 0.5, 0.25, 0.0):
+            guess = _fit(observer, start, inputs, guess, period * nearest - share * missed).z
+        fit(best, guess)
     # One coordinate at a time around the best, since all combinations of several would be too many.
     while best != before:
         before = best

@@ -363,7 +363,8 @@ def _with_holes(
     periods = np.where(circles & (given == 0), 2 * np.pi, given)
 
     def smooth_rows(rows: slice, state: Any, later: Smoothing | None = None) -> Part:
-        return _smoothed_part(observer, *(jnp.asarray(a[rows]) for a in (t, u, y)), None, keep, state, later, len(t))
+        part = jnp.asarray(t[rows]), jnp.asarray(u[rows]), jnp.asarray(y[rows])
+        return _smoothed_part(observer, *part, keep=keep, state=state, later=later, of=len(t))
 
     begun, state, crossed = 0, None, list[tuple[slice, Any, Crossing]]()
     for window in find_windows(t, used, std / noise_std, restarted):
@@ -404,7 +405,7 @@ def _with_holes(
 
 @eqx.filter_jit
 def _smooth_across(
-    observer: AbstractGatedFilter, start: State, error: Vector, path: Path, along: Pass, later: Smoothing
+    observer: AbstractGatedFilter, start: Any, error: Vector, path: Path, along: Pass, later: Smoothing
 ) -> tuple[tuple, Smoothing]:
     """Smoothed rows of a crossing, and the knowledge of the error at its start, given that at its end."""
     eye = jnp.broadcast_to(jnp.eye(len(later.error), dtype=later.error.dtype), along.carried[1:].shape)
@@ -502,9 +503,7 @@ def _error_at_rows(maps: Backward, last: Smoothing) -> tuple[Smoothing, Smoothin
     return jax.lax.scan(earlier, last, maps, reverse=True)
 
 
-def _smoothed_row(
-    observer: AbstractGatedFilter, state: State, smoothing: Smoothing
-) -> tuple[Any, dict, Vector, Matrix]:
+def _smoothed_row(observer: AbstractGatedFilter, state: Any, smoothing: Smoothing) -> tuple[Any, dict, Vector, Matrix]:
     """Estimate, deviations in the info, standard deviations and root of a smoothed state."""
     new, root = smoothed_state(observer, state, smoothing)
     return observer.estimate(new), observer.deviations(new), jnp.sqrt(jnp.sum(root**2, axis=-1)), root
