@@ -408,7 +408,7 @@ def cross(
 
     best, before, guess = (0,) * len(end), None, nothing
     fit(best, nothing)
-    if cost(best) > IMPLAUSIBLE * inputs.used.sum():
+    if cost(best) > IMPLAUSIBLE * int(inputs.used.sum()):
         # Far away, as beyond half a turn of an attitude: lead the motion to the readings bit by bit.
         missed = np.asarray(coasted)[end, columns] + period * nearest
         for share in (0.75, 0.5, 0.25, 0.0):
