@@ -155,7 +155,9 @@ def fine_rows(
     taken[places[1:] - 1] = used[near][1:]
     # In the place of a missing reading is the next one.
     flat = y[near].reshape(len(steps) + 1, -1)
-    known = np.isfinite(flat) & (used[near] if flat.shape == used[near].shape else used[near].all(1)[:, None])
+    known = np.isfinite(flat) & (
+        used[near] if flat.shape == used[near].shape else np.all(used[near], axis=1, keepdims=True)
+    )
     row = np.minimum.accumulate(np.where(known, np.arange(len(flat))[:, None], len(steps))[:0:-1])[::-1]
     filled = np.take_along_axis(flat, row, axis=0).reshape(-1, *y.shape[1:])
     source = np.repeat(np.arange(len(steps)), np.append(parts[:-1], parts[-1] + more))
@@ -299,7 +301,7 @@ def _smoothing_pass(path: Path, z: Array, inputs: Inputs, shift: Vector) -> Pass
         predicted_mean = transition @ mean - noise @ z
         # The slope of an innovation is minus that of the output.
         gain, root = updated(predicted, -slope @ predicted, cov, used)
-        innovation: Array = jnp.where(used, residual + shift + slope @ predicted_mean, 0.0)
+        innovation: Any = jnp.where(used, residual + shift + slope @ predicted_mean, 0.0)
         mean = predicted_mean + gain @ innovation
         return (mean, root), (mean, predicted_mean, root, predicted, carried)
 
