@@ -261,6 +261,6 @@ def test_one_program_serves_logs_of_similar_lengths(monkeypatch):
         assert len(result.run.t) == len(result.run.estimate) == len(result.std) == count
         np.testing.assert_allclose(result.run.estimate[-1], result.filtered.estimate[-1], rtol=1e-12)
     assert lengths == {57}
-    monkeypatch.setattr(_smoother, "_rounded_up", lambda count: count)
+    monkeypatch.setattr(_smoother, "rounded_up", lambda count: count)
     for exact, rounded in zip(jax.tree.leaves(smooth(ekf, part)), jax.tree.leaves(result), strict=True):
         np.testing.assert_allclose(exact, rounded, rtol=1e-9, atol=1e-12)

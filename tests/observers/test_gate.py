@@ -13,7 +13,7 @@ from covariant.observers import Gate
 @pytest.mark.parametrize("deviations", [3.0, 6.0])
 def test_what_is_measured_together_is_refused_as_seldom(n, deviations):
     exact = stats.chi2.isf(2 * stats.norm.sf(deviations), n)
-    assert Gate(deviations)._limit(n) == pytest.approx(exact, rel=1e-9)
+    assert Gate(deviations).limit(n) == pytest.approx(exact, rel=1e-9)
 
 
 def test_what_is_measured_together():

@@ -12,7 +12,7 @@ from covariant.calibration import estimators
 from covariant.models import Overrides
 from covariant.observers import SMOOTHED, smooth as smooth_record
 from covariant.verbs.base.estimates import EstimateResult, choose_observer, error_lines, head_lines, hole_lines
-from covariant.verbs.base.inputs import ColumnNames, Job, load, refuse_delays
+from covariant.verbs.base.inputs import ColumnNames, Job, load, periods_of, refuse_delays
 from covariant.verbs.base.outcome import KEPT, deviations, rounded, scored, with_units
 from covariant.verbs.base.pages import AbstractEstimates, estimate_report
 from covariant.verbs.base.progress import Progress, notebook_line
@@ -77,7 +77,8 @@ def smooth(
     refuse_delays(job, loaded, chosen, "a smoother does not compensate late readings")
     rows = None if lag is None else lag_rows(np.asarray(loaded.record.t), lag)
     progress(f"smoothing with {name}")
-    smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record_for(chosen), rows, KEPT))
+    periods = periods_of(job, loaded.file)
+    smoothed = jax.block_until_ready(smooth_record(chosen, loaded.record_for(chosen), rows, KEPT, periods))
     smoothed_result, filtered_result = (
         EstimateResult(job, loaded, name, notes, scored(chosen, jax.tree.map(np.asarray, run), loaded, "jax"), "auto")
         for run in (smoothed.run, smoothed.filtered)
@@ -86,7 +87,13 @@ def smooth(
         raise InputError(f"{job.log_name}: {filtered_result.outcome.failure}")
     if not (np.isfinite(smoothed_result.velocity).all() and np.isfinite(smoothed.std).all()):
         raise InputError(f"{job.log_name}: the estimate left the finite numbers; check model and units")
-    return SmoothResult(smoothed_result, filtered_result, np.asarray(smoothed.std), rows)
+    names = loaded.kind.measured.names
+    turns = tuple(hole._asdict() | {"coordinate": names[hole.coordinate]} for hole in smoothed.holes)
+    return SmoothResult(smoothed_result, filtered_result, np.asarray(smoothed.std), rows, turns)
+
+
+SURE = 0.95
+"""Probability of a number of turns below which it counts as unknown."""
 
 
 def lag_rows(t: np.ndarray, lag: float) -> int | None:
@@ -111,6 +118,8 @@ class SmoothResult(AbstractEstimates):
         error_std: Standard deviations (T, N) of the error of the smoothed estimates, as in
             `observers.Smoothed.std`.
         lag: Number of later rows that each estimate uses; None for all.
+        turns: How many turns a coordinate moved in a hole so long that the filter could not tell, and how probable that
+            is: for each `begin` and `end` [s], `coordinate`, `turns` and `probability`.
 
     Example:
         >>> import covariant
@@ -127,6 +136,7 @@ class SmoothResult(AbstractEstimates):
     filtered: EstimateResult
     error_std: np.ndarray
     lag: int | None
+    turns: tuple[dict[str, Any], ...] = ()
 
     @property
     def t(self) -> np.ndarray:
@@ -189,7 +199,8 @@ class SmoothResult(AbstractEstimates):
             {f"{what}_std": rounded(np.median(np.asarray(each.velocity_std), axis=0))}
             for each in (self.smoothed, self.filtered)
         )
-        return self.smoothed.summary | std | {"lag_rows": self.lag, "filter": filter_summary | filter_std}
+        turns = {"turns": list(self.turns)} if self.turns else {}
+        return self.smoothed.summary | std | {"lag_rows": self.lag, "filter": filter_summary | filter_std} | turns
 
     @property
     def headline(self) -> str:
@@ -204,10 +215,20 @@ class SmoothResult(AbstractEstimates):
     def warnings(self) -> tuple[str, ...]:
         return self.smoothed.warnings
 
+    @property
+    def _turn_lines(self) -> list[str]:
+        """A sentence on each number of turns in a hole."""
+        return [
+            f"hole from {each['begin']:.4g} to {each['end']:.4g} s: {each['coordinate']} "
+            + ("moved by" if each["probability"] >= SURE else "by an unknown number of turns, most probably")
+            + f" {each['turns']:.2f} turns, probability {each['probability']:.3f}"
+            for each in self.turns
+        ]
+
     def __str__(self) -> str:
         result, loaded = self.summary, self.smoothed.loaded
         what, units = loaded.kind.what, loaded.kind.estimates.units
-        lines = head_lines(result, loaded, f", {self._extent}")
+        lines = head_lines(result, loaded, f", {self._extent}") + self._turn_lines
         if f"{what}_rmse" in result:
             lines.append(f"{what} RMSE of the filter: {with_units(result['filter'][f'{what}_rmse'], units)}")
         stds = (with_units(each[f"{what}_std"], units) for each in (result, result["filter"]))
@@ -222,7 +243,7 @@ class SmoothResult(AbstractEstimates):
             self.smoothed.job,
             loaded,
             {"smoothed": self.smoothed.outcome, name: self.filtered.outcome},
-            (*error_lines(result, loaded), *hole_lines(result, loaded)),
+            (*error_lines(result, loaded), *hole_lines(result, loaded), *self._turn_lines),
             {"observer": f"{name}, {self._extent}", "design": " ".join(self.smoothed.design)},
             rows=self._rows(),
             headline=self.headline,

@@ -130,7 +130,7 @@ class Gate(eqx.Module):
             vectors = jnp.stack([innovation, innovation / width, line.change[block] / width], axis=1)
             whole, *narrowed = _mean_squares(sample.cov[jnp.ix_(block, block)], vectors)
             measured, square = measured.at[block].set(complete), square.at[block].set(whole)
-            far = far.at[block].set(complete & (jnp.minimum(*narrowed) > self._limit(n) / n))
+            far = far.at[block].set(complete & (jnp.minimum(*narrowed) > self.limit(n) / n))
             noise = jnp.asarray(sample.noise)[jnp.ix_(block, block)] * noisier[block[0]]
             shape = _shape(jax.tree.map(lambda a, block=block: a[block], line), noise)
             shapes = zip((even, moving, joined, continued), shape, strict=True)
@@ -162,7 +162,7 @@ class Gate(eqx.Module):
             velocity = Velocity(mean, with_block(cov, line.slope_cov(sample.noise, noisier), moved))
         return Judged(far, moved, restart, anew, velocity, memory.judged(line, present, far, scale))
 
-    def _limit(self, n: int) -> float:
+    def limit(self, n: int) -> float:
         """The squared length that n standard Gaussian numbers exceed as rarely as a single one exceeds `deviations`."""
         from scipy.special import chdtrc, chdtri  # it loads slowly
 

@@ -171,6 +171,31 @@ class AbstractGatedFilter(AbstractObserver[State, Report]):
     def innovation(self, state: State, u: Float[Array, "m"], y: Array) -> Vector:
         return self._expected(state, u, y).innovation
 
+    @final
+    def seen(self, state: State, u: Float[Array, "m"], y: Array) -> tuple[Vector, Float[Array, "n N"], Matrix]:
+        """Innovation (n,) of a measurement, its derivative with respect to the error, and covariance of its noise."""
+
+        def innovation(error):
+            return self.innovation(self.moved(state, error).state, u, y)
+
+        expected = self._expected(state, u, y)
+        slope = jax.jacfwd(innovation)(jnp.zeros_like(self.root(state)[0]))
+        return expected.innovation, slope, expected.noise
+
+    @final
+    def reading(
+        self, predicted: State, corrected: State, u: Float[Array, "m"], y: Array
+    ) -> tuple[Bool[Array, "n"], Vector, Vector]:
+        """Which entries of a measurement were used, and standard deviations (n,) of its innovation and its noise."""
+        expected = self._expected(predicted, u, y)
+        variances = jnp.diag(expected.cov), jnp.diag(expected.noise)
+        return expected.present & (corrected.gate.refused == 0), jnp.sqrt(variances[0]), jnp.sqrt(variances[1])
+
+    @property
+    def turning(self) -> tuple[int, ...]:
+        """Indices of the entries of an innovation that are angles on a full circle."""
+        return self.circles or tuple(i for i, *others in self._manifold.rotations or () if not others)
+
     def _rescaled(self, state: State, step: Used, restart: Flag, corrected: State) -> State:
         """The corrected state, with the noise size that prediction and correction suggest if the filter adapts."""
         return corrected

@@ -12,6 +12,10 @@ smoother of a filter that does not depend on coordinates does not depend on them
 
 With a lag of L rows, each row is estimated from the L rows after it, by the same recursion, starting there from d = 0.
 
+In a long hole the filter's estimate drifts away from the motion, and the first readings after it may be refused. Such a
+hole is crossed by the most probable motion, found by relinearising; see `_holes`. The filter then continues from the
+end of that motion, and the recursion goes back along it.
+
 Steps are stored for one block of rows at a time. A first pass stores the filter's state before each block. The blocks
 are then run through again, the last one first; only d and Pˢ pass from one to the one before it. With a lag, blocks are
 processed in the order of time, in one pass.
@@ -22,14 +26,14 @@ Kailath, Sayed & Hassibi 2000, Linear Estimation, chapter 10.
 """
 
 import functools
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Inexact, Int
+from jaxtyping import Array, Bool, Float, Inexact, Int
 
 from covariant._linalg import (
     lower_solve,
@@ -39,14 +43,27 @@ from covariant._linalg import (
     triangular_with_rank,
     upper_solve,
 )
-from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
-from covariant.observers.base import AbstractObserver, AbstractWrapper, Report, Rows, checked, in_jax, kept, scan
+from covariant._typing import Code, Flag, Matrix, Vector
+from covariant.observers.base import AbstractObserver, Gate, Report, Rows, checked, in_jax, kept, scan
 from covariant.observers.filters._gated_filter import AbstractGatedFilter, State
+from covariant.observers.filters._holes import (
+    Crossing,
+    Hole,
+    Pass,
+    Path,
+    Stepwise,
+    cross,
+    find_windows,
+    fine_rows,
+    rounded_up,
+)
 from covariant.signals import Record, Run, StepCode
 from scalargraph.errors import InputError
 
 FARTHEST = 1e3
 """Size of smoothed estimates, relative to the filter's, above which a covariance was singular up to rounding."""
+SHORT = 256
+"""Number of rows up to which a part of a log is not worth a program of its own."""
 BLOCK = 4096
 """Number of rows whose steps are in memory at once; a longer log is run through twice, the second time from its end."""
 
@@ -62,6 +79,8 @@ class Smoothed(NamedTuple):
             in the frame, then slow states; for a `JointKalman` positions, velocities, accelerations; for a state-space
             model its states.
         root: Square roots (T, N, N) of the covariances of the same quantities; None if they are not stored.
+        holes: For each hole and coordinate whose number of turns the filter could not tell: `begin` and `end` [s], the
+            index of the `coordinate`, how many `turns` it moved, and their `probability`.
 
     Example:
         >>> import numpy as np
@@ -79,6 +98,22 @@ class Smoothed(NamedTuple):
     filtered: Run
     std: Float[Array, "T N"]
     root: Float[Array, "T N N"] | None
+    holes: tuple[Hole, ...] = ()
+
+
+class Reading(NamedTuple):
+    """How a filter took a measurement.
+
+    Attributes:
+        used: Which entries (n,) it used.
+        std, noise_std: Standard deviations (n,) of the innovation, and of the noise of the measurement.
+        restarted: Whether it restarted.
+    """
+
+    used: Bool[Array, "n"]
+    std: Vector
+    noise_std: Vector
+    restarted: Flag
 
 
 class Step(NamedTuple):
@@ -91,6 +126,7 @@ class Step(NamedTuple):
         error: Correction δ (N,).
         reset: Reset 𝒥 (N, N).
         restarted: Whether later rows contain no information on the error before the step.
+        nothing: Whether the step has no length, such as the first row and the rows added at the end.
     """
 
     root: Matrix
@@ -99,14 +135,17 @@ class Step(NamedTuple):
     error: Vector
     reset: Matrix
     restarted: Flag
+    nothing: Flag | bool = False
 
 
 class StepInfo(NamedTuple):
-    """Info of a step of a `Recorder`: the info of the filter, and the effect of the step on the error."""
+    """Info of a step: the info of the filter, and the effect of the step on the error."""
 
     info: Any
     step: Step
+    reading: Reading
     result: Code
+    lost: Flag
 
     @property
     def innovation(self) -> Vector:
@@ -135,32 +174,16 @@ class Smoothing(NamedTuple):
     root: Matrix
 
 
-class Recorder(AbstractWrapper[State, Any]):
-    """A filter whose estimates are its states, and whose infos describe the effect of each step on the error."""
+def _recorder(observer: AbstractGatedFilter) -> Stepwise:
+    """A filter whose infos describe the effect of each step on the error."""
 
-    observer: AbstractGatedFilter[State, Any]
+    def advanced(state, u, y, dt):
+        predicted, carried = observer.carried(state, u, dt)
+        new, info, step = recorded(observer, observer.root(state), carried, predicted, u, y)
+        reading = Reading(*observer.reading(predicted, new, u, y), step.restarted)
+        return new, StepInfo(info, step._replace(nothing=dt == 0), reading, info.result, observer.lost(new, info))
 
-    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> State:
-        return self.observer.init(y, t)
-
-    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
-        return self.observer.predict(state, u, dt)
-
-    def correct(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[State, Any]:
-        return self.observer.correct(state, u, y)
-
-    def advance(self, state: State, u: Float[Array, "m"], y: Array, dt: Scalar) -> tuple[State, StepInfo]:
-        """Predict and correct with the filter, and record the effect on the error."""
-        predicted, carried = self.observer.carried(state, u, dt)
-        new, info, step = recorded(self.observer, self.observer.root(state), carried, predicted, u, y)
-        # A step of zero length is the first row, or padding of the last block; it does not count as a step.
-        return new, StepInfo(info, step._replace(restarted=step.restarted | (dt == 0)), info.result)
-
-    def lost(self, state: State, info: StepInfo) -> Flag:
-        return self.observer.lost(state, info.info)
-
-    def estimate(self, state: State) -> State:
-        return state
+    return Stepwise(observer, advanced)
 
 
 def recorded(
@@ -182,12 +205,18 @@ def recorded(
 
 
 def smooth(
-    observer: AbstractObserver, record: Record, lag: int | None = None, keep: Collection[str] | None = None
+    observer: AbstractObserver,
+    record: Record,
+    lag: int | None = None,
+    keep: Collection[str] | None = None,
+    period: Sequence[float] = (),
 ) -> Smoothed:
     """Run a filter over a record, and estimate each of its states again with the rows after it.
 
-    Missing measurements, gaps, slow states, encoder ticks and refused outliers need no special treatment. If the filter
-    restarts, the rows before are estimated without those after.
+    Missing measurements, gaps, slow states, encoder ticks and refused outliers need no special treatment. After a long
+    hole the number of turns of an angle is the most probable one; see `Smoothed.holes`. That needs all rows, no further
+    sensors, and process noise that is not too small, since a model that claims too much is too sure of the turn. If the
+    filter restarts for another reason, the rows before are estimated without those after.
 
     Args:
         observer: A filter with a covariance and a gate: `IntrinsicKalman`, `EKF`, `UKF`, `JointKalman` or `StateEKF`.
@@ -195,6 +224,8 @@ def smooth(
         lag: Number of later rows from which each row is estimated; None (default) for all, 0 for the filter itself.
         keep: Names of the fields of the infos to store, as for `run`, and `"root"` for the square roots of all
             covariances, which take the most memory; None for all.
+        period: Period (n,) after which each reading repeats, 0 for none, if jumps by it were removed from the record;
+            angles on a full circle need none.
 
     Returns:
         The smoothed run, the run of the filter, and the covariances. In addition, memory is needed for the steps of
@@ -222,7 +253,10 @@ def smooth(
         )
     if lag is not None and lag < 0:
         raise InputError(f"smooth: lag must be a number of rows, 0 or more; got {lag}")
-    result = smoothed(observer, *in_jax(checked(observer, record)), lag, keep)
+    arrays = in_jax(checked(observer, record))
+    whole = _smoothed_part(observer, *arrays, lag, keep)
+    across = lag is None and not observer.sensors
+    result = _with_holes(observer, arrays, whole, keep, period) if across else whole.smoothed
     largest, beside = (
         max(float(np.abs(leaf).max()) for leaf in jax.tree.leaves(run.estimate))
         for run in (result.run, result.filtered)
@@ -244,17 +278,59 @@ def smoothed(
     keep: Collection[str] | None = None,
 ) -> Smoothed:
     """Smooth arrays without checks, such as those of many runs at once under `jax.vmap`; see `smooth`."""
+    return _smoothed_part(observer, t, u, y, lag, keep).smoothed
+
+
+class Part(NamedTuple):
+    """Smoothed rows.
+
+    Attributes:
+        smoothed: The rows, and those of the filter.
+        readings: How the filter took their measurements.
+        first: The knowledge of the error at the first row.
+        state: State of the filter at the last row.
+    """
+
+    smoothed: Smoothed
+    readings: Reading
+    first: Smoothing
+    state: Any
+
+
+def _smoothed_part(
+    observer: AbstractGatedFilter,
+    t: Array,
+    u: Array,
+    y: Array,
+    lag: int | None = None,
+    keep: Collection[str] | None = None,
+    state: Any = None,
+    later: Smoothing | None = None,
+    of: int | None = None,
+) -> Part:
+    """Smooth rows that begin with a state, and whose last error is known from later rows; by default a whole log.
+
+    Part of a log `of` so many rows is padded such that the programs for the whole log serve it too.
+    """
     count = len(t)
     lag = None if lag is None or lag >= count - 1 else int(lag)
     ahead = 1 if lag is None else lag + 1
-    blocks = -(-count // BLOCK)
-    size = _rounded_up(-(-count // blocks))
+    size = rounded_up(-(-(of or count) // -(-(of or count) // BLOCK)))
+    while of is not None and size // 4 >= max(count, SHORT):
+        size //= 4
+    blocks = -(-count // size)
     # The rows added at the end are not steps, and do not affect any row of the log.
-    rows, state, later = _begin_smoothing(observer, *_lengthened((t, u, y), blocks * size + ahead - count))
+    rows, first = _begin_smoothing(observer, *_lengthened((t, u, y), blocks * size + ahead - count))
+    state = first if state is None else state
+    known = later is not None
+    if later is None:
+        root = observer.root(state)
+        later = Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
     fields = None if keep is None else frozenset(keep)
 
-    def block(k, state, later):
-        return _block(observer, state, _part(rows, k * size, size + ahead), later, lag, fields)
+    def block(k, state, later, known=True):
+        part = _part(rows, k * size, size + ahead)
+        return _block(observer, state, part, later, jnp.asarray(known), lag, fields)
 
     parts: list[Any] = [None] * blocks
     if lag is None:
@@ -262,12 +338,86 @@ def smoothed(
         for k in range(blocks - 1):
             states.append(_last(observer, states[-1], _part(rows, k * size, size)))
         for k in reversed(range(blocks)):
-            parts[k], later, _ = block(k, states[k], later)
+            parts[k], later, end = block(k, states[k], later, known or k < blocks - 1)
+            state = end if k == blocks - 1 else state
     else:
         for k in range(blocks):
             parts[k], _, state = block(k, state, later)
-    estimate, info, std, root, filtered, filter_info = _join_blocks(parts, count)
-    return Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root)
+    estimate, info, std, root, filtered, filter_info, readings = _join_blocks(parts, count)
+    return Part(Smoothed(Run(t, estimate, info), Run(t, filtered, filter_info), std, root), readings, later, state)
+
+
+def _with_holes(
+    observer: AbstractGatedFilter,
+    arrays: tuple[Array, Array, Array],
+    whole: Part,
+    keep: Collection[str] | None,
+    period: Sequence[float],
+) -> Smoothed:
+    """A smoothed log, smoothed again across the holes in which the filter's linearisation is in doubt."""
+    t, u, y = (np.array(a) for a in arrays)
+    result, (used, std, noise_std, restarted) = whole.smoothed, map(np.asarray, whole.readings)
+    gate: Gate | None = observer.gate
+    circles = np.isin(np.arange(used.shape[1]), observer.turning)
+    given = np.resize([*period, *np.zeros(len(circles))], len(circles))
+    periods = np.where(circles & (given == 0), 2 * np.pi, given)
+
+    def smooth_rows(rows: slice, state: Any, later: Smoothing | None = None) -> Part:
+        part = jnp.asarray(t[rows]), jnp.asarray(u[rows]), jnp.asarray(y[rows])
+        return _smoothed_part(observer, *part, keep=keep, state=state, later=later, of=len(t))
+
+    begun, state, crossed = 0, None, list[tuple[slice, Any, Crossing]]()
+    for window in find_windows(t, used, std / noise_std, restarted):
+        if window.first < begun:
+            continue  # it begins among the readings that decided on the hole before
+        rows = slice(begun, window.first + 1)
+        start = smooth_rows(rows, state).state
+        crossing = cross(observer, start, t, window, fine_rows(t, u, y, used, window, periods, circles), std)
+        count = int(used[window.first + 1 : window.last + 1].sum())
+        if gate is not None and crossing.cost > gate.limit(count) * max(1.0, float(start.gate.scale.max())):
+            continue  # no motion of the model leads across, as after a slip
+        for i in np.flatnonzero(window.columns & (given > 0)):
+            y[window.end[i] :, i] += crossing.shift[i]
+        crossed.append((rows, state, crossing))
+        begun, state = window.last, crossing.end
+    if not crossed:
+        return result
+    names = [name for name in observer.deviations(state) if getattr(result.run.info, name) is not None]
+
+    def rows_of(part: Part) -> tuple:
+        run = part.smoothed.run
+        return run.estimate, {name: getattr(run.info, name) for name in names}, part.smoothed.std, part.smoothed.root
+
+    part = smooth_rows(slice(begun, None), state)
+    parts = [rows_of(part)]
+    for rows, state, crossing in reversed(crossed):
+        (estimate, info, std, root), later = _smooth_across(observer, *crossing[:4], part.first)
+        across = estimate, {name: info[name] for name in names}, std, None if result.root is None else root
+        # The row of the end is the first of the rows after it.
+        parts.append(jax.tree.map(lambda a, places=crossing.places[1:-1]: a[places], across))
+        part = smooth_rows(rows, state, later)
+        parts.append(rows_of(part))
+    estimate, info, std, root = jax.tree.map(lambda *each: jnp.concatenate(each), *reversed(parts))
+    run = result.run._replace(estimate=estimate, info=result.run.info._replace(**info))
+    holes = tuple(hole for *_, crossing in crossed for hole in crossing.holes)
+    return result._replace(run=run, std=std, root=root, holes=holes)
+
+
+@eqx.filter_jit
+def _smooth_across(
+    observer: AbstractGatedFilter, start: Any, error: Vector, path: Path, along: Pass, later: Smoothing
+) -> tuple[tuple, Smoothing]:
+    """Smoothed rows of a crossing, and the knowledge of the error at its start, given that at its end."""
+    eye = jnp.broadcast_to(jnp.eye(len(later.error), dtype=later.error.dtype), along.carried[1:].shape)
+    no = jnp.zeros(len(eye), bool)
+    steps = Step(along.root[:-1], along.carried[1:], along.predicted[1:], -along.predicted_mean[1:], eye, no, no)
+    maps = jax.vmap(backward_map)(steps)
+    # Errors are counted from the path here, and not from the mean of a filter.
+    first, smoothed = _error_at_rows(maps._replace(shift=maps.shift + along.mean[:-1]), later)
+    reset = observer.moved(start, error).reset
+    states = jax.tree.map(lambda a: a[:-1], path.states)
+    rows = jax.vmap(functools.partial(_smoothed_row, observer))(states, smoothed)
+    return rows, Smoothing(error + solve_square(reset, first.error), solve_square(reset, first.root))
 
 
 def _join_blocks(parts: list[Any], count: int) -> Any:
@@ -282,23 +432,15 @@ def _join_blocks(parts: list[Any], count: int) -> Any:
     return jax.tree.unflatten(tree, joined)
 
 
-def _rounded_up(count: int) -> int:
-    """A number of rows, rounded up such that few programs are needed: four per octave."""
-    step = 2 ** max(count.bit_length() - 3, 0)
-    return -(-count // step) * step
-
-
-def _lengthened(arrays: tuple[Array, ...], more: int) -> tuple[Array, ...]:
+def _lengthened(arrays: Iterable[Array], more: int) -> tuple[Array, ...]:
     """Arrays extended by this number of copies of their last entry."""
     return tuple(jnp.concatenate([a, jnp.broadcast_to(a[-1:], (more, *a.shape[1:]))]) for a in arrays)
 
 
 @eqx.filter_jit  # one program instead of about twenty small ones
-def _begin_smoothing(observer: AbstractGatedFilter, t: Array, u: Array, y: Array) -> tuple[Rows, Any, Smoothing]:
-    """The rows of a record, the state at the first row, and the knowledge of the error after the last row."""
-    state = observer.init(y[0], t[0])
-    root = observer.root(state)
-    return Rows.of(t, u, y), state, Smoothing(jnp.zeros_like(root[0]), jnp.zeros_like(root))
+def _begin_smoothing(observer: AbstractGatedFilter, t: Array, u: Array, y: Array) -> tuple[Rows, Any]:
+    """The rows of a record, and the state at the first row."""
+    return Rows.of(t, u, y), observer.init(y[0], t[0])
 
 
 @functools.partial(jax.jit, static_argnames="count")
@@ -318,41 +460,53 @@ def _block(
     state: State,
     rows: Rows,
     later: Smoothing,
+    known: Flag,
     lag: int | None,
     keep: frozenset[str] | None,
 ) -> tuple[tuple, Smoothing, State]:
     """Smoothed rows of a block, the knowledge of the error at its first row, and the state at its last row.
 
     The rows are those of the block and the later ones on which it depends directly. `later` is the knowledge of the
-    error at the first row of the next block; it is not needed with a lag.
+    error at the first row of the next block, which is `known` unless the log ends; it is not needed with a lag.
     """
-    states, recorded = scan(Recorder(observer), state, rows)[1]
+    states, recorded = scan(_recorder(observer), state, rows)[1]
     steps = recorded.step
     size = len(rows.dt) - (1 if lag is None else lag + 1)
     following = jax.tree.map(lambda a: a[1:], steps)
     maps = jax.vmap(backward_map)(following)
 
-    def earlier(now, step):
-        before = error_before(now, step)
-        return before, before
-
     if lag is None:
-        first, smoothed = jax.lax.scan(earlier, later, maps, reverse=True)
+        own = observer.root(jax.tree.map(lambda a: a[-1], states))
+        later = later._replace(root=jnp.where(known, later.root, own))
+        first, smoothed = _error_at_rows(maps, later)
     else:
         first, smoothed = later, _smooth_with_lag(following.root, maps, size, lag)
     states = jax.tree.map(lambda a: a[:size], states)
 
-    def moved(state, smoothing):
-        new, root = smoothed_state(observer, state, smoothing)
-        return observer.estimate(new), observer.deviations(new), jnp.sqrt(jnp.sum(root**2, axis=-1)), root
-
-    estimate, deviations, std, root = jax.vmap(moved)(states, smoothed)
+    estimate, deviations, std, root = jax.vmap(functools.partial(_smoothed_row, observer))(states, smoothed)
     info = jax.tree.map(lambda a: a[:size], recorded.info)._replace(result=recorded.result[:size])
     info = info._replace(**jax.vmap(observer.deviations)(states))  # also for the first row, which is not a step
     new_info = info._replace(**deviations)
     root = root if keep is None or "root" in keep else None
-    part = estimate, kept(new_info, keep), std, root, jax.vmap(observer.estimate)(states), kept(info, keep)
+    readings = jax.tree.map(lambda a: a[:size], recorded.reading)
+    part = estimate, kept(new_info, keep), std, root, jax.vmap(observer.estimate)(states), kept(info, keep), readings
     return part, first, jax.tree.map(lambda a: a[-1], states)
+
+
+def _error_at_rows(maps: Backward, last: Smoothing) -> tuple[Smoothing, Smoothing]:
+    """The knowledge of the error at the first row, and at all rows but the last one, given that at the last one."""
+
+    def earlier(now, step):
+        before = error_before(now, step)
+        return before, before
+
+    return jax.lax.scan(earlier, last, maps, reverse=True)
+
+
+def _smoothed_row(observer: AbstractGatedFilter, state: Any, smoothing: Smoothing) -> tuple[Any, dict, Vector, Matrix]:
+    """Estimate, deviations in the info, standard deviations and root of a smoothed state."""
+    new, root = smoothed_state(observer, state, smoothing)
+    return observer.estimate(new), observer.deviations(new), jnp.sqrt(jnp.sum(root**2, axis=-1)), root
 
 
 def _smooth_with_lag(roots: Float[Array, "M N N"], maps: Backward, size: int, lag: int) -> Smoothing:
@@ -387,8 +541,10 @@ def backward_map(step: Step) -> Backward:
     noise = step.root @ semidefinite_root(jnp.eye(n, dtype=ratio.dtype) - ratio.T @ ratio)
     # The columns of the solution of 𝒥ᵀ x = Cᵀ are the rows of C𝒥⁻¹.
     through = Backward(gain @ step.error, solve_square(step.reset.T, gain.T).T, noise)
-    nothing = Backward(jnp.zeros_like(step.error), jnp.zeros_like(gain), step.root)
-    return jax.tree.map(lambda a, b: jnp.where(step.restarted, a, b), nothing, through)
+    zero, eye = jnp.zeros_like(step.error), jnp.eye(n, dtype=ratio.dtype)
+    cut, still = Backward(zero, jnp.zeros_like(gain), step.root), Backward(zero, eye, jnp.zeros_like(gain))
+    through = jax.tree.map(lambda a, b: jnp.where(step.restarted, a, b), cut, through)
+    return jax.tree.map(lambda a, b: jnp.where(step.nothing, a, b), still, through)
 
 
 def error_before(after: Smoothing, step: Backward) -> Smoothing:

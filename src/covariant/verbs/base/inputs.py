@@ -186,7 +186,7 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     parts = file_sensors(file)
     sensors = [(part.columns, part.unit) for part in parts]
     kind = kind_of(file)
-    part, periods = (job.every, job.until, job.start), _periods(job, file)
+    part, periods = (job.every, job.until, job.start), periods_of(job, file)
     # In a closed loop a few encoders tell all positions.
     absent = columns.q if file.mechanical and model.manifold.redundant else ()
     log = kind.with_inputs(logs.read(job.log, columns, *part, optional, sensors, periods, missing_inputs, absent))
@@ -252,7 +252,7 @@ def last_known(u: np.ndarray) -> np.ndarray:
     return np.take_along_axis(u, at, axis=0)
 
 
-def _periods(job: Job, file: models.ModelFile) -> tuple[float, ...]:
+def periods_of(job: Job, file: models.ModelFile) -> tuple[float, ...]:
     """The period of each position of a log, 0 for none; empty where none has one."""
     if not np.any(file.period):
         return ()
