@@ -34,6 +34,7 @@ from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import ON_THE_GROUND, StateSpace
 from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
+from covariant.observers.base._gate import with_block
 from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import AnyArray, Record, StepCode
 
@@ -43,8 +44,6 @@ AVERAGED = 4.0
 """Number of innovations over which their average is taken."""
 PROBATION = 0.02
 """Time [s] for which a foot that was anchored anew has to stand before it corrects the estimate."""
-FIRST = slice(6, 9)
-"""Anchor of the first foot in a state."""
 LINEARISATIONS = 4
 """Number of times that the magnitude of gravity is linearised at the estimate that the previous time gave."""
 PATIENCE = 0.5
@@ -193,10 +192,11 @@ class LeggedBase(AbstractObserver):
     def _start(self, places: Array, noise: Array) -> tuple[Vector, Matrix]:
         """First estimate and its covariance, with an anchor at each foot."""
         x, cov = jnp.asarray(self.start, places.dtype), jnp.asarray(self.start_cov, places.dtype)
+        blocks = jnp.zeros_like(cov)
         for i in range(len(places)):
             at = slice(6 + 3 * i, 9 + 3 * i)
-            x, cov = x.at[at].set(places[i]), _with_block(cov, at, noise[i])
-        return x, cov
+            x, blocks = x.at[at].set(places[i]), blocks.at[at, at].set(noise[i])
+        return x, with_block(cov, blocks, (jnp.arange(len(x)) >= 6) & (jnp.arange(len(x)) < len(x) - 6))
 
     def estimate(self, state: LeggedBaseState) -> Vector:
         return self._on_sphere(state.x, state.cov)[0]
@@ -258,33 +258,54 @@ class LeggedBase(AbstractObserver):
         moved = _turns(turned, state.turned)
         rolled = jnp.cross(moved, self._legs.up(self.estimate(state)[3:6])[None])
         x = x.at[6:-6].add(rolled.ravel())
-        # Each pass handles the foot whose anchor comes first, and moves this anchor behind the others.
-        order = np.concatenate([np.arange(6), np.roll(np.arange(6, len(x) - 6), -3), np.arange(len(x) - 6, len(x))])
 
-        def foot(carry: tuple[Array, Array], item: tuple[Array, ...]) -> Any:
-            x, cov = carry
-            place, noise, read, down, average, stood = item
-            spread = cov[FIRST, FIRST] + noise
-            innovation = place - x[FIRST]
+        # The foot that is nearest to its anchor comes first, as a foot that is wrongly taken for standing would make
+        # those that stand appear to move.
+        def against_anchor(x: Vector, cov: Matrix, i: Any) -> tuple[Array, Array, Array]:
+            rows = cov[6:-6].reshape(feet, 3, len(x))[i]
+            return rows, rows[:, 6:-6].reshape(3, feet, 3)[:, i] + noise[i], places[i] - x[6:-6].reshape(feet, 3)[i]
+
+        def square_of(spread: Array, off: Array) -> Array:
+            return off @ solve(spread, off)
+
+        far = jnp.stack([square_of(*against_anchor(x, state.cov, i)[1:]) for i in range(feet)])
+        index = jnp.arange(feet)
+        before = (far[None] < far[:, None]) | ((far[None] == far[:, None]) & (index[None] < index[:, None]))
+        rank = jnp.sum(before, axis=1)
+
+        def foot(carry: tuple[Array, ...], turn: Array) -> Any:
+            x, cov, *memory = carry
+            i = jnp.argmax(rank == turn)
+            rows, spread, innovation = against_anchor(x, cov, i)
             scaled = half_solve(spread, innovation[:, None])[:, 0]
             square = scaled @ scaled
-            before, average = average, average + (scaled - average) / AVERAGED
+            average = state.average[i] + (scaled - state.average[i]) / AVERAGED
             # The average of independent numbers of unit variance has the variance 1 / (2 AVERAGED − 1).
             largest = jnp.maximum(square, (2 * AVERAGED - 1) * (average @ average))
-            stands = read & down & (largest < jnp.asarray(self.threshold, real))
-            trusted, anew = stands & (stood >= PROBATION), read & ~stands
-            gain = solve(spread, cov[FIRST]).T
-            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H selects three entries.
-            once = cov - gain @ cov[FIRST]
-            used_cov = once - (once[:, FIRST] - gain @ noise) @ gain.T
-            x = jnp.where(trusted, x + gain @ innovation, jnp.where(anew, x.at[FIRST].set(place), x))
-            cov = jnp.where(trusted, used_cov, jnp.where(anew, _with_block(cov, FIRST, noise), cov))
-            ours = jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0), stands
-            memory = jnp.where(trusted, average, jnp.where(read, 0.0, before)), jnp.where(anew, 0.0, stood)
-            return (x[order], cov[np.ix_(order, order)]), (*ours, trusted, *memory)
+            stands = read[i] & down[i] & (largest < jnp.asarray(self.threshold, real))
+            trusted, anew = stands & (state.stood[i] >= PROBATION), read[i] & ~stands
+            gain = solve(spread, rows).T
+            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H selects the three entries of the anchor.
+            once = cov - gain @ rows
+            used_cov = once - (once[:, 6:-6].reshape(len(x), feet, 3)[:, i] - gain @ noise[i]) @ gain.T
+            own = jnp.repeat(jnp.arange(-2, feet + 2) == i, 3)
+            x = jnp.where(trusted, x + gain @ innovation, jnp.where(anew & own, jnp.tile(places[i], feet + 4), x))
+            block = jnp.tile(noise[i], (feet + 4, feet + 4))
+            cov = jnp.where(trusted, used_cov, jnp.where(anew, with_block(cov, block, own), cov))
+            ours = (
+                jnp.where(stands, innovation, 0.0),
+                jnp.where(stands, square, 0.0),
+                stands,
+                trusted,
+                jnp.where(trusted, average, jnp.where(read[i], 0.0, state.average[i])),
+                jnp.where(anew, 0.0, state.stood[i]),
+            )
+            return (x, cov, *(old.at[i].set(new) for old, new in zip(memory, ours, strict=True))), None
 
-        feet_now = places, noise, read, down, state.average, state.stood
-        (x, cov), (off, squares, standing, trusted, average, stood) = jax.lax.scan(foot, (x, state.cov), feet_now)
+        memory = jnp.zeros_like(places), far, read, read, state.average, state.stood
+        (x, cov, off, squares, standing, trusted, average, stood), _ = jax.lax.scan(
+            foot, (x, state.cov, *memory), index
+        )
         alone = jnp.where(jnp.any(trusted), 0.0, state.alone)
         lost = (alone > PATIENCE) & jnp.all(read)
         x, cov = jax.tree.map(lambda new, old: jnp.where(lost, new, old), self._start(places, noise), (x, cov))
@@ -361,11 +382,6 @@ class LeggedBase(AbstractObserver):
 def _symmetric(cov: Matrix) -> Matrix:
     """A symmetric matrix without rounding errors, which halves the work when it is lowered."""
     return jnp.where(np.tri(len(cov), dtype=bool).T, cov, cov.T)
-
-
-def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
-    """A covariance with a new block for some entries, uncorrelated with the others."""
-    return cov.at[at].set(0.0).at[:, at].set(0.0).at[at, at].set(block)
 
 
 def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
