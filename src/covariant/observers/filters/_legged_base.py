@@ -38,8 +38,8 @@ from covariant.observers.base._gate import with_block
 from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import AnyArray, Record, StepCode
 
-THRESHOLD = 16.0
-"""Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew: χ² at 0.1 %."""
+THRESHOLD = 18.0
+"""Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew: χ² at 0.05 %."""
 AVERAGED = 4.0
 """Number of innovations over which their average is taken."""
 PROBATION = 0.02
