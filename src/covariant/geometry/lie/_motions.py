@@ -35,11 +35,6 @@ class AbstractMotions(AbstractGroup):
     def unique_log(self, g: Element) -> Flag:
         return no_half_turn(g[:-1, :-1])
 
-    def measured_together(self, n: int) -> tuple[tuple[int, ...], ...]:
-        # Position and attitude are often measured by different sensors, and an impact may change only one velocity.
-        ((first, *others),) = self.rotations
-        return tuple(range(first)), (first, *others)
-
 
 class SpecialEuclidean2(AbstractMotions):
     """SE(2): rigid motions of the plane; x = (v₁, v₂, ω) in the body frame [m, m, rad]. `SE2` is its instance.

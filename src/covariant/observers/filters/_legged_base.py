@@ -33,8 +33,7 @@ from covariant._linalg import half_solve, solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import ON_THE_GROUND, StateSpace
-from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
-from covariant.observers.base._gate import with_block
+from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input, with_block
 from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import AnyArray, Record, StepCode
 
@@ -183,20 +182,19 @@ class LeggedBase(AbstractObserver):
             The state.
         """
         places, turned, noise, _ = self._read(y)
-        x, cov = self._start(places, noise)
-        t, stood = jnp.asarray(t, y.dtype), jnp.full(len(places), PROBATION, y.dtype)
-        return LeggedBaseState(
-            x, t, cov, turned, jnp.zeros_like(t), jnp.zeros_like(places), stood, no_input(self.model, x)
-        )
+        x, cov, average, stood = self._start(places, noise)
+        t = jnp.asarray(t, y.dtype)
+        return LeggedBaseState(x, t, cov, turned, jnp.zeros_like(t), average, stood, no_input(self.model, x))
 
-    def _start(self, places: Array, noise: Array) -> tuple[Vector, Matrix]:
-        """First estimate and its covariance, with an anchor at each foot."""
+    def _start(self, places: Array, noise: Array) -> tuple[Vector, Matrix, Array, Vector]:
+        """First estimate and its covariance with an anchor at each foot, whose innovations were 0 and which stands."""
         x, cov = jnp.asarray(self.start, places.dtype), jnp.asarray(self.start_cov, places.dtype)
         blocks = jnp.zeros_like(cov)
         for i in range(len(places)):
             at = slice(6 + 3 * i, 9 + 3 * i)
             x, blocks = x.at[at].set(places[i]), blocks.at[at, at].set(noise[i])
-        return x, with_block(cov, blocks, (jnp.arange(len(x)) >= 6) & (jnp.arange(len(x)) < len(x) - 6))
+        anchors = np.repeat([False, True, False], [6, len(x) - 12, 6])
+        return x, with_block(cov, blocks, anchors), jnp.zeros_like(places), jnp.full(len(places), PROBATION, x.dtype)
 
     def estimate(self, state: LeggedBaseState) -> Vector:
         return self._on_sphere(state.x, state.cov)[0]
@@ -265,17 +263,12 @@ class LeggedBase(AbstractObserver):
             rows = cov[6:-6].reshape(feet, 3, len(x))[i]
             return rows, rows[:, 6:-6].reshape(3, feet, 3)[:, i] + noise[i], places[i] - x[6:-6].reshape(feet, 3)[i]
 
-        def square_of(spread: Array, off: Array) -> Array:
-            return off @ solve(spread, off)
+        pairs = (against_anchor(x, state.cov, i)[1:] for i in range(feet))
+        far = jnp.stack([off @ solve(spread, off) for spread, off in pairs])
 
-        far = jnp.stack([square_of(*against_anchor(x, state.cov, i)[1:]) for i in range(feet)])
-        index = jnp.arange(feet)
-        before = (far[None] < far[:, None]) | ((far[None] == far[:, None]) & (index[None] < index[:, None]))
-        rank = jnp.sum(before, axis=1)
-
-        def foot(carry: tuple[Array, ...], turn: Array) -> Any:
-            x, cov, *memory = carry
-            i = jnp.argmax(rank == turn)
+        def foot(carry: tuple[Array, ...], _: None) -> Any:
+            x, cov, far, *memory = carry
+            i = jnp.argmin(far)
             rows, spread, innovation = against_anchor(x, cov, i)
             scaled = half_solve(spread, innovation[:, None])[:, 0]
             square = scaled @ scaled
@@ -300,23 +293,17 @@ class LeggedBase(AbstractObserver):
                 jnp.where(trusted, average, jnp.where(read[i], 0.0, state.average[i])),
                 jnp.where(anew, 0.0, state.stood[i]),
             )
-            return (x, cov, *(old.at[i].set(new) for old, new in zip(memory, ours, strict=True))), None
+            memory = (old.at[i].set(new) for old, new in zip(memory, ours, strict=True))
+            return (x, cov, far.at[i].set(jnp.inf), *memory), None
 
-        memory = jnp.zeros_like(places), far, read, read, state.average, state.stood
-        (x, cov, off, squares, standing, trusted, average, stood), _ = jax.lax.scan(
-            foot, (x, state.cov, *memory), index
-        )
+        carry = x, state.cov, far, jnp.zeros_like(places), far, read, read, state.average, state.stood
+        (x, cov, _, off, squares, standing, trusted, average, stood), _ = jax.lax.scan(foot, carry, length=feet)
         alone = jnp.where(jnp.any(trusted), 0.0, state.alone)
         lost = (alone > PATIENCE) & jnp.all(read)
-        x, cov = jax.tree.map(lambda new, old: jnp.where(lost, new, old), self._start(places, noise), (x, cov))
-        new = state._replace(
-            x=x,
-            cov=_symmetric(cov),
-            turned=turned,
-            alone=jnp.where(lost, 0.0, alone),
-            average=jnp.where(lost, 0.0, average),
-            stood=jnp.where(lost, PROBATION, stood),
-        )
+        known = x, cov, average, stood, alone
+        fresh = *self._start(places, noise), jnp.zeros_like(alone)
+        x, cov, average, stood, alone = jax.tree.map(lambda new, old: jnp.where(lost, new, old), fresh, known)
+        new = state._replace(x=x, cov=_symmetric(cov), turned=turned, alone=alone, average=average, stood=stood)
         result = jnp.where(jnp.any(read), int(StepCode.OK), int(StepCode.COASTED))
         result = jnp.where(lost, int(StepCode.RESTARTED), result)
         finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(cov))
