@@ -87,11 +87,11 @@ class LeggedBaseInfo(NamedTuple):
 
     Attributes:
         innovation: Smallest change (p,) of the joints that puts each foot at its anchor [rad or m]; 0 for feet that
-            were anchored anew, and for flags.
+            are not standing, and for flags.
         distance: Square root of the sum of `squares`.
         squares: Squared distance (F,) of each standing foot from its anchor, by its covariance; 0 for others.
         state_std: Standard deviations (n,) of the states.
-        standing: Which feet (F,) were at their anchors.
+        standing: Which feet (F,) were at their anchors, for long enough to correct the estimate.
         result: A `covariant.signals.StepCode` code.
 
     Example:
@@ -266,6 +266,8 @@ class LeggedBase(AbstractObserver):
         pairs = (against_anchor(x, state.cov, i)[1:] for i in range(feet))
         far = jnp.stack([off @ solve(spread, off) for spread, off in pairs])
 
+        repeated = jnp.asarray(np.tile(np.eye(3), (feet + 4, 1)), real)
+
         def foot(carry: tuple[Array, ...], _: None) -> Any:
             x, cov, far, *memory = carry
             i = jnp.argmin(far)
@@ -282,13 +284,12 @@ class LeggedBase(AbstractObserver):
             once = cov - gain @ rows
             used_cov = once - (once[:, 6:-6].reshape(len(x), feet, 3)[:, i] - gain @ noise[i]) @ gain.T
             own = jnp.repeat(jnp.arange(-2, feet + 2) == i, 3)
-            x = jnp.where(trusted, x + gain @ innovation, jnp.where(anew & own, jnp.tile(places[i], feet + 4), x))
-            block = jnp.tile(noise[i], (feet + 4, feet + 4))
-            cov = jnp.where(trusted, used_cov, jnp.where(anew, with_block(cov, block, own), cov))
+            x = jnp.where(trusted, x + gain @ innovation, jnp.where(anew & own, repeated @ places[i], x))
+            renewed = with_block(cov, repeated @ noise[i] @ repeated.T, own)
+            cov = jnp.where(trusted, used_cov, jnp.where(anew, renewed, cov))
             ours = (
-                jnp.where(stands, innovation, 0.0),
-                jnp.where(stands, square, 0.0),
-                stands,
+                jnp.where(trusted, innovation, 0.0),
+                jnp.where(trusted, square, 0.0),
                 trusted,
                 jnp.where(trusted, average, jnp.where(read[i], 0.0, state.average[i])),
                 jnp.where(anew, 0.0, state.stood[i]),
@@ -296,9 +297,9 @@ class LeggedBase(AbstractObserver):
             memory = (old.at[i].set(new) for old, new in zip(memory, ours, strict=True))
             return (x, cov, far.at[i].set(jnp.inf), *memory), None
 
-        carry = x, state.cov, far, jnp.zeros_like(places), far, read, read, state.average, state.stood
-        (x, cov, _, off, squares, standing, trusted, average, stood), _ = jax.lax.scan(foot, carry, length=feet)
-        alone = jnp.where(jnp.any(trusted), 0.0, state.alone)
+        carry = x, state.cov, far, jnp.zeros_like(places), far, read, state.average, state.stood
+        (x, cov, _, off, squares, standing, average, stood), _ = jax.lax.scan(foot, carry, length=feet)
+        alone = jnp.where(jnp.any(standing), 0.0, state.alone)
         lost = (alone > PATIENCE) & jnp.all(read)
         known = x, cov, average, stood, alone
         fresh = *self._start(places, noise), jnp.zeros_like(alone)
