@@ -10,6 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 from invariant_filter import rotation, run as invariant_run
+from scipy.spatial.transform import Rotation
+from test_legged_base import ENCODER as SLIDING, GRAVITY, HIPS, STEP, on_sliding_legs
 
 from covariant import models
 from covariant.calibration import diagnose
@@ -237,3 +239,54 @@ def test_missing_encoders_coast_and_c_computes_the_same(trot, slippery, robot_fi
     compiled, by = run_log(observer, record, engine="c")
     assert by == "c"
     np.testing.assert_allclose(compiled.estimate, found.estimate, atol=1e-9)
+
+
+def walk(seed, swinging, count=2500):
+    """A log of the model itself, and the truth: a base on sliding legs that moves and turns, with all of its noises."""
+    random = np.random.default_rng(seed)
+    attitude = Rotation.from_rotvec(random.normal(size=3) * [0.1, 0.1, 1.0])
+    v, p, bias = np.zeros(3), np.array([0.0, 0.0, 0.3]), random.normal(size=6) * np.repeat([0.05, 0.4], 3)
+    feet, phase, rows, truth = p + attitude.apply(HIPS - [0.0, 0.0, 0.3]), random.uniform(0, 6.28, 6), [], []
+    white, drift = np.repeat([5e-4, 5e-3], 3) / STEP**0.5, np.repeat([1e-4, 1e-3], 3) * STEP**0.5
+    for k in range(count):
+        t, back = k * STEP, attitude.inv()
+        moves, waves = np.clip((t - 0.8) / 0.3, 0.0, 1.0), np.sin(np.array([9, 7, 3, 5, 4, 11]) * t + phase)
+        level = np.cross(back.apply([0.0, 0.0, 1.0]), [0.0, 0.0, 1.0])
+        spin = moves * (waves[:3] * [0.5, 0.4, 0.5] + 0.8 * level)
+        spring = -2 * (v - [0.3, 0.0, 0.0]) - np.array([0.0, 0.0, 20.0]) * (p[2] - 0.3)
+        force = back.apply(moves * (waves[3:] * [2.0, 2.0, 3.0] + spring) - GRAVITY)
+        q = back.apply(feet - p) - HIPS + SLIDING * random.normal(size=(4, 3))
+        rows.append([t, *(np.concatenate([spin, force]) + bias + white * random.normal(size=6)), *q.ravel()])
+        truth.append([*back.apply(v), *back.apply(GRAVITY), *bias])
+        for _ in range(4):
+            a = (attitude * Rotation.from_rotvec(spin * STEP / 8)).apply(force) + GRAVITY
+            p, v = p + v * STEP / 4 + a * (STEP / 4) ** 2 / 2, v + a * STEP / 4
+            attitude = attitude * Rotation.from_rotvec(spin * STEP / 4)
+        bias, feet = bias + drift * random.normal(size=6), feet + SLIP * STEP**0.5 * random.normal(size=(4, 3))
+        swing = (t - 1.0) % 0.5 / 0.25
+        for i in ((0, 3) if swing < 1 else (1, 2)) * (swinging and t > 1):  # towards below the hips
+            aim = (p + attitude.apply(HIPS[i]) + 0.1 * v) * [1, 1, 0]
+            feet[i] += (aim - feet[i]) * min(1.0, 12 * STEP / (1.02 - swing % 1) * 0.25)
+            feet[i, 2] = 0.08 * np.sin(np.pi * (swing % 1))
+    rows = np.array(rows)
+    return Record(rows[:, 0], rows[:, 1:7], rows[:, 7:]), np.array(truth)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("swinging", [False, True])
+def test_the_bands_hold_on_the_model_itself(swinging, tmp_path):
+    observer, ratios, squares = on_sliding_legs(tmp_path), [], []
+    for seed in range(8):
+        record, true = walk(seed, swinging)
+        found = run(observer, record)
+        settled = np.concatenate([np.arange(6), np.arange(18, 24)])
+        off = np.asarray(found.estimate)[600:, settled] - true[600:]
+        ratios.append(off / np.asarray(found.info.state_std)[600:, settled])
+        squares.append(np.mean(np.sum(off[:, :3] ** 2, axis=1)))
+    ratios = np.array(ratios).reshape(8, -1, 4, 3)
+    inside = np.mean(np.abs(ratios) < 1.96, axis=(0, 1, 3))
+    assert 0.92 <= inside[0] <= 0.97
+    # Biases hardly change within a log, so that eight logs have about two dozen independent errors of each.
+    assert inside[1:].min() > 0.85
+    assert np.sqrt(np.mean(ratios**2, axis=(0, 1, 3))).max() < 1.3
+    assert np.sqrt(np.mean(squares)) < 7e-3

@@ -1,12 +1,21 @@
 """Estimates the velocity of a legged robot's base, by integrating an IMU and using standing feet as fixed points.
 
 The IMU is the input of the prediction. The encoders measure the position of each foot in the axes of the base. As long
-as a foot stands, it is at its anchor, a fixed point that the filter tracks. In these axes the filter is linear except
+as a foot stands, it is at its anchor, a fixed point that the filter tracks. In these axes the model is linear except
 for the gyro bias, so a wrong initial attitude does no harm; position and heading, which are not measured, are not
 states.
 
+The filter does not know the magnitude of gravity, which would make it nonlinear: a gravity that was known along a
+wrongly estimated vertical would remain wrong with a small variance. The magnitude is a constant of the motion, so it
+may be used last: each estimate is the state of the linear filter given the magnitude, and the filter goes on without.
+
 The gate is decisive: a foot that is not at its anchor is refused, and *anchored anew at once* at its measured position.
-So feet in the air need no flags. A gate that refuses and waits would refuse for ever.
+So feet in the air need no flags. A gate that refuses and waits would refuse for ever. It refuses only readings that a
+standing foot practically never gives, as refusing true ones makes the covariance too small: those that pass are then
+smaller than the filter expects. So it has to detect slow feet otherwise. A foot that leaves the ground deviates in one
+direction, while the innovations of a standing foot are independent, so their average is judged as well. A foot that
+was anchored anew has to stay at its first place for a while before it corrects anything; displacements add up and
+noise does not.
 
 Source: Bloesch et al. 2012, State estimation for legged robots, RSS; Hartley, Ghaffari, Eustice & Grizzle 2020,
 Contact-aided invariant extended Kalman filtering for robot state estimation, IJRR 39(4).
@@ -20,38 +29,45 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from covariant._linalg import solve
+from covariant._linalg import half_solve, solve
 from covariant._typing import Code, Matrix, Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models import ON_THE_GROUND, StateSpace
-from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input
+from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input, with_block
 from covariant.observers.filters._state_noise import StateNoise
 from covariant.signals import AnyArray, Record, StepCode
 
-THRESHOLD = 5.0
-"""Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew: χ² at 17 %."""
-FIRST = slice(6, 9)
-"""Anchor of the first foot in a state."""
+THRESHOLD = 18.0
+"""Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew: χ² at 0.05 %."""
+AVERAGED = 4.0
+"""Number of innovations over which their average is taken."""
+PROBATION = 0.02
+"""Time [s] for which a foot that was anchored anew has to stand before it corrects the estimate."""
+LINEARISATIONS = 4
+"""Number of times that the magnitude of gravity is linearised at the estimate that the previous time gave."""
 PATIENCE = 0.5
-"""Time [s] without any foot at its anchor after which the estimate restarts; it is longer than a jump."""
+"""Time [s] without any correction by a foot after which the estimate restarts; it is longer than a jump."""
 
 
 class LeggedBaseState(NamedTuple):
     """State of a `LeggedBase`.
 
     Attributes:
-        x: Velocity of the base, gravity, anchors of the feet, biases of gyro and accelerometer (n,), in its axes.
+        x: Velocity of the base, gravity, anchors of the feet, biases of gyro and accelerometer (n,), in its axes, from
+            a filter that does not know the magnitude of gravity; `LeggedBase.estimate` uses it.
         t: Time [s].
         cov: Covariance (n, n).
         turned: Rotation (F, 3, 3) of each foot's link in the axes of the base at its last reading.
-        alone: Time [s] since a foot was last at its anchor.
+        alone: Time [s] since a foot last corrected the estimate.
+        average: Average innovation (F, 3) of each foot, scaled such that it has unit covariance while the foot stands.
+        stood: Time (F,) [s] since each foot was anchored.
         last_input: Last finite reading (6,) of the IMU.
 
     Example:
         >>> import jax.numpy as jnp
         >>> from covariant.observers.filters import LeggedBaseState
         >>> zero, turned = jnp.zeros(()), jnp.eye(3)[None]
-        >>> state = LeggedBaseState(jnp.zeros(15), zero, jnp.eye(15), turned, zero)
+        >>> state = LeggedBaseState(jnp.zeros(15), zero, jnp.eye(15), turned, zero, jnp.zeros((1, 3)), jnp.zeros(1))
         >>> state.turned.shape, state.last_input is None
         ((1, 3, 3), True)
     """
@@ -61,6 +77,8 @@ class LeggedBaseState(NamedTuple):
     cov: Matrix
     turned: Float[Array, "F 3 3"]
     alone: Scalar
+    average: Float[Array, "F 3"]
+    stood: Float[Array, "F"]
     last_input: LastInput = None
 
 
@@ -69,11 +87,11 @@ class LeggedBaseInfo(NamedTuple):
 
     Attributes:
         innovation: Smallest change (p,) of the joints that puts each foot at its anchor [rad or m]; 0 for feet that
-            were anchored anew, and for flags.
+            are not standing, and for flags.
         distance: Square root of the sum of `squares`.
         squares: Squared distance (F,) of each standing foot from its anchor, by its covariance; 0 for others.
         state_std: Standard deviations (n,) of the states.
-        standing: Which feet (F,) were at their anchors.
+        standing: Which feet (F,) were at their anchors, for long enough to correct the estimate.
         result: A `covariant.signals.StepCode` code.
 
     Example:
@@ -164,20 +182,22 @@ class LeggedBase(AbstractObserver):
             The state.
         """
         places, turned, noise, _ = self._read(y)
-        x, cov = self._start(places, noise)
+        x, cov, average, stood = self._start(places, noise)
         t = jnp.asarray(t, y.dtype)
-        return LeggedBaseState(x, t, cov, turned, jnp.zeros_like(t), no_input(self.model, x))
+        return LeggedBaseState(x, t, cov, turned, jnp.zeros_like(t), average, stood, no_input(self.model, x))
 
-    def _start(self, places: Array, noise: Array) -> tuple[Vector, Matrix]:
-        """First estimate and its covariance, with an anchor at each foot."""
+    def _start(self, places: Array, noise: Array) -> tuple[Vector, Matrix, Array, Vector]:
+        """First estimate and its covariance with an anchor at each foot, whose innovations were 0 and which stands."""
         x, cov = jnp.asarray(self.start, places.dtype), jnp.asarray(self.start_cov, places.dtype)
+        blocks = jnp.zeros_like(cov)
         for i in range(len(places)):
             at = slice(6 + 3 * i, 9 + 3 * i)
-            x, cov = x.at[at].set(places[i]), _with_block(cov, at, noise[i])
-        return self._on_sphere(x, cov)
+            x, blocks = x.at[at].set(places[i]), blocks.at[at, at].set(noise[i])
+        anchors = np.repeat([False, True, False], [6, len(x) - 12, 6])
+        return x, with_block(cov, blocks, anchors), jnp.zeros_like(places), jnp.full(len(places), PROBATION, x.dtype)
 
     def estimate(self, state: LeggedBaseState) -> Vector:
-        return state.x
+        return self._on_sphere(state.x, state.cov)[0]
 
     def predict(self, state: LeggedBaseState, u: Float[Array, "6"], dt: Scalar) -> LeggedBaseState:
         """Integrate the IMU over dt.
@@ -196,7 +216,10 @@ class LeggedBase(AbstractObserver):
             new = self._legs.step(x, u, dt)
             return new, new
 
-        (by_state, by_input), x = jax.jacfwd(ahead, (0, 1), has_aux=True)(state.x, u)
+        # The products with the gyro bias are linearised at the estimate that uses the magnitude of gravity.
+        at = self.estimate(state)
+        (by_state, by_input), x = jax.jacfwd(ahead, (0, 1), has_aux=True)(at, u)
+        x = x + by_state @ (state.x - at)
         density = jnp.diag(jnp.asarray(self.process_cov, real))
         gravity = jnp.asarray(self.start, real)[3:6]
         # Accelerometer noise enters the velocity, gyro noise all vectors that turn with the base. The mean of noise
@@ -206,7 +229,7 @@ class LeggedBase(AbstractObserver):
         spacing = jnp.where(dt > 0, dt, 1.0)
         added = jnp.diag(jnp.where(jnp.arange(len(x)) < 6, 0.0, density) * dt)
         cov = _symmetric(by_state @ (state.cov @ by_state.T) + pushed @ pushed.T / spacing + added)
-        return state._replace(x=x, t=state.t + dt, cov=cov, alone=state.alone + dt)
+        return state._replace(x=x, t=state.t + dt, cov=cov, alone=state.alone + dt, stood=state.stood + dt)
 
     def correct(
         self, state: LeggedBaseState, u: Float[Array, "6"], y: Float[Array, "p"]
@@ -231,34 +254,57 @@ class LeggedBase(AbstractObserver):
         # itself is part of the prediction.
         x = state.x
         moved = _turns(turned, state.turned)
-        rolled = jnp.cross(moved, self._legs.up(x[3:6])[None])
+        rolled = jnp.cross(moved, self._legs.up(self.estimate(state)[3:6])[None])
         x = x.at[6:-6].add(rolled.ravel())
-        # Each pass handles the foot whose anchor comes first, and moves this anchor behind the others.
-        order = np.concatenate([np.arange(6), np.roll(np.arange(6, len(x) - 6), -3), np.arange(len(x) - 6, len(x))])
 
-        def foot(carry: tuple[Array, Array], item: tuple[Array, ...]) -> Any:
-            x, cov = carry
-            place, noise, read, down = item
-            spread = cov[FIRST, FIRST] + noise
-            innovation = place - x[FIRST]
-            square: Any = innovation @ solve(spread, innovation)
-            stands = read & down & (square < jnp.asarray(self.threshold, real))
-            gain = solve(spread, cov[FIRST]).T
-            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H selects three entries.
-            once = cov - gain @ cov[FIRST]
-            used, used_cov = self._on_sphere(x + gain @ innovation, once - (once[:, FIRST] - gain @ noise) @ gain.T)
-            anew, anew_cov = x.at[FIRST].set(place), _with_block(cov, FIRST, noise)
-            x = jnp.where(stands, used, jnp.where(read, anew, x))
-            cov = jnp.where(stands, used_cov, jnp.where(read, anew_cov, cov))
-            ours = jnp.where(stands, innovation, 0.0), jnp.where(stands, square, 0.0), stands
-            return (x[order], cov[np.ix_(order, order)]), ours
+        # The foot that is nearest to its anchor comes first, as a foot that is wrongly taken for standing would make
+        # those that stand appear to move.
+        def against_anchor(x: Vector, cov: Matrix, i: Any) -> tuple[Array, Array, Array]:
+            rows = cov[6:-6].reshape(feet, 3, len(x))[i]
+            return rows, rows[:, 6:-6].reshape(3, feet, 3)[:, i] + noise[i], places[i] - x[6:-6].reshape(feet, 3)[i]
 
-        scanned: Any = jax.lax.scan(foot, (x, state.cov), (places, noise, read, down))
-        (x, cov), (off, squares, standing) = scanned
+        pairs = (against_anchor(x, state.cov, i)[1:] for i in range(feet))
+        far = jnp.stack([off @ solve(spread, off) for spread, off in pairs])
+
+        repeated = jnp.asarray(np.tile(np.eye(3), (feet + 4, 1)), real)
+
+        def foot(carry: tuple[Array, ...], _: None) -> Any:
+            x, cov, far, *memory = carry
+            i = jnp.argmin(far)
+            rows, spread, innovation = against_anchor(x, cov, i)
+            scaled = half_solve(spread, innovation[:, None])[:, 0]
+            square = scaled @ scaled
+            average = state.average[i] + (scaled - state.average[i]) / AVERAGED
+            # The average of independent numbers of unit variance has the variance 1 / (2 AVERAGED − 1).
+            largest = jnp.maximum(square, (2 * AVERAGED - 1) * (average @ average))
+            stands = read[i] & down[i] & (largest < jnp.asarray(self.threshold, real))
+            trusted, anew = stands & (state.stood[i] >= PROBATION), read[i] & ~stands
+            gain = solve(spread, rows).T
+            # Joseph's form, (1 − KH) P (1 − KH)ᵀ + K N Kᵀ, where H selects the three entries of the anchor.
+            once = cov - gain @ rows
+            used_cov = once - (once[:, 6:-6].reshape(len(x), feet, 3)[:, i] - gain @ noise[i]) @ gain.T
+            own = jnp.repeat(jnp.arange(-2, feet + 2) == i, 3)
+            x = jnp.where(trusted, x + gain @ innovation, jnp.where(anew & own, repeated @ places[i], x))
+            renewed = with_block(cov, repeated @ noise[i] @ repeated.T, own)
+            cov = jnp.where(trusted, used_cov, jnp.where(anew, renewed, cov))
+            ours = (
+                jnp.where(trusted, innovation, 0.0),
+                jnp.where(trusted, square, 0.0),
+                trusted,
+                jnp.where(trusted, average, jnp.where(read[i], 0.0, state.average[i])),
+                jnp.where(anew, 0.0, state.stood[i]),
+            )
+            memory = (old.at[i].set(new) for old, new in zip(memory, ours, strict=True))
+            return (x, cov, far.at[i].set(jnp.inf), *memory), None
+
+        carry = x, state.cov, far, jnp.zeros_like(places), far, read, state.average, state.stood
+        (x, cov, _, off, squares, standing, average, stood), _ = jax.lax.scan(foot, carry, length=feet)
         alone = jnp.where(jnp.any(standing), 0.0, state.alone)
         lost = (alone > PATIENCE) & jnp.all(read)
-        x, cov = jax.tree.map(lambda new, old: jnp.where(lost, new, old), self._start(places, noise), (x, cov))
-        new = state._replace(x=x, cov=_symmetric(cov), turned=turned, alone=jnp.where(lost, 0.0, alone))
+        known = x, cov, average, stood, alone
+        fresh = *self._start(places, noise), jnp.zeros_like(alone)
+        x, cov, average, stood, alone = jax.tree.map(lambda new, old: jnp.where(lost, new, old), fresh, known)
+        new = state._replace(x=x, cov=_symmetric(cov), turned=turned, alone=alone, average=average, stood=stood)
         result = jnp.where(jnp.any(read), int(StepCode.OK), int(StepCode.COASTED))
         result = jnp.where(lost, int(StepCode.RESTARTED), result)
         finite = jnp.all(jnp.isfinite(x)) & jnp.all(jnp.isfinite(cov))
@@ -266,7 +312,7 @@ class LeggedBase(AbstractObserver):
         # The smallest change of a foot's joints that moves it by `off`.
         each = jnp.stack([slopes[i].T @ solve(_regular(slopes[i]), off[i]) for i in range(feet)])
         innovation = jnp.concatenate([jnp.sum(each, axis=0), jnp.zeros(len(y) - joints, real)])
-        std = jnp.sqrt(jnp.diag(new.cov))
+        std = jnp.sqrt(jnp.maximum(jnp.diag(self._on_sphere(x, new.cov)[1]), 0.0))
         return new, LeggedBaseInfo(innovation, jnp.sqrt(jnp.sum(squares)), squares, std, standing, result)
 
     def contact_forces(
@@ -308,22 +354,22 @@ class LeggedBase(AbstractObserver):
         return places, turned, slopes @ noise @ jnp.swapaxes(slopes, 1, 2) + least, slopes
 
     def _on_sphere(self, x: Vector, cov: Matrix) -> tuple[Vector, Matrix]:
-        """The state with gravity of its initial magnitude, and with a covariance only perpendicular to it."""
+        """Mean and covariance given that gravity has its initial magnitude, linearised where the mean comes to lie."""
         start = jnp.asarray(self.start, x.dtype)[3:6]
-        gravity = jnp.sqrt(start @ start / (x[3:6] @ x[3:6])) * x[3:6]
-        across = jnp.eye(3, dtype=x.dtype) - jnp.outer(gravity, gravity) / (start @ start)
-        cov = cov.at[3:6].set(across @ cov[3:6])
-        return x.at[3:6].set(gravity), _symmetric(cov.at[:, 3:6].set(cov[:, 3:6] @ across))
+        square, gravity = start @ start, x[3:6]
+        for _ in range(LINEARISATIONS):
+            down = gravity / jnp.sqrt(gravity @ gravity)
+            along = cov[:, 3:6] @ down
+            # The magnitude is known to the precision of its number, which keeps a divisor from zero.
+            gain = along / (down @ along[3:6] + jnp.finfo(x.dtype).eps * square)
+            given = x + gain * (jnp.sqrt(square) - down @ x[3:6])
+            gravity = given[3:6]
+        return given, cov - jnp.outer(gain, along)
 
 
 def _symmetric(cov: Matrix) -> Matrix:
     """A symmetric matrix without rounding errors, which halves the work when it is lowered."""
     return jnp.where(np.tri(len(cov), dtype=bool).T, cov, cov.T)
-
-
-def _with_block(cov: Matrix, at: slice, block: Float[Array, "3 3"]) -> Matrix:
-    """A covariance with a new block for some entries, uncorrelated with the others."""
-    return cov.at[at].set(0.0).at[:, at].set(0.0).at[at, at].set(block)
 
 
 def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
