@@ -86,8 +86,8 @@ class ModelFile(NamedTuple):
         over
             time.
         external_force_time: Time constant [s] with which that force is forgotten.
-        presliding: Distance [rad or m] over which the Coulomb friction of a joint turns at a reversal, for a filter that
-            has its force as a state; 0 for none.
+        presliding: Distance [rad or m] over which the Coulomb friction of a joint turns at a reversal, for a filter
+            that has its force as a state; 0 for none.
         uncertain: Relative standard deviations of numbers of `[parameters]`, by name, for a filter that estimates them.
         parameters_drift: Standard deviation of their relative change in a second.
         motion_std: Standard deviation [unit/s²] of the acceleration of the motion, for filters that use no model.

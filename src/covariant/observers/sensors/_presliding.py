@@ -103,9 +103,13 @@ def presliding_friction(model: MechanicalSystem, displacement: Numbers) -> SlowV
     gain = np.abs(force).max(axis=1, initial=0.0)
     places = [i for i in np.flatnonzero((first > 0) & (gain > 0)) if distances[np.flatnonzero(force[i])[-1]] > 0]
     if not places:
-        raise InputError("presliding_friction: no joint with a displacement has Coulomb friction; fit it, or leave it out")
+        raise InputError(
+            "presliding_friction: no joint with a displacement has Coulomb friction; fit it, or leave it out"
+        )
     if not np.allclose(np.abs(force[places]), np.abs(other[places]), rtol=1e-6):
-        raise InputError("presliding_friction: one level of Coulomb friction must be that of one joint with a fixed axis")
+        raise InputError(
+            "presliding_friction: one level of Coulomb friction must be that of one joint with a fixed axis"
+        )
     axes = -force[places] / gain[places, None]
     moved = distances[[np.flatnonzero(axis)[-1] for axis in axes]]
     law = DahlLaw(jnp.asarray(axes), jnp.asarray(moved), levels, jnp.asarray(gain[places]), tuple(map(int, places)))

@@ -19,8 +19,9 @@ from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, te
 from covariant.verbs.base.kinds import WITH_FORCE
 from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
-from covariant.verbs.base.outcome import drive, rounded
+from covariant.verbs.base.outcome import Outcome, drive, rounded
 from covariant.verbs.base.pages import estimate_report
+from covariant.verbs.base.presliding import innovation_squares, likeliest_presliding, with_uncertainty
 from covariant.verbs.base.progress import Progress
 from covariant.verbs.base.trial import judging_reference
 from covariant.verbs.base.without_model import WithoutModel, without_model
@@ -143,31 +144,45 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
     filters = [name for name in KALMAN if name in estimators(file.model)]
     rows, true = [_held_out(one) for one in loaded], [one.reference.v for one in loaded if one.reference]
 
-    def velocities(file: models.ModelFile, name: str) -> list[np.ndarray]:
+    def outcomes(file: models.ModelFile, name: str) -> list[Outcome]:
         observers = [design(file, name, rate=one.rate, log=one._replace(file=file)).observer for one in loaded]
-        return [drive(each, one._replace(file=file)).velocity for each, one in zip(observers, loaded, strict=True)]
+        return [drive(each, one._replace(file=file)) for each, one in zip(observers, loaded, strict=True)]
 
-    def judge(new: list[np.ndarray], old: list[np.ndarray]) -> ErrorRatio:
+    def turning(numbers: dict[str, Any]) -> list[Outcome]:
+        return outcomes(with_uncertainty(new, numbers), best)
+
+    def judge(new: list[Outcome], old: list[Outcome]) -> ErrorRatio:
         return ErrorRatio.of_velocities(
-            *([v[at] for v, at in zip(each, rows, strict=True)] for each in (new, old, true))
+            *([each.velocity[at] for each, at in zip(both, rows, strict=True)] for both in (new, old)),
+            [v[at] for v, at in zip(true, rows, strict=True)],
         )
 
     tables = _tables(file, tuning, rate)
     new, known = _tuned_file(file, tables), {}
     for name in filters:
-        known[name] = velocities(new, name)
-        if tells_noise(file) and not tuning.noise_kept and judge(known[name], old := velocities(file, name)).is_worse:
+        known[name] = outcomes(new, name)
+        if tells_noise(file) and not tuning.noise_kept and judge(known[name], old := outcomes(file, name)).is_worse:
             before, after = tuning.before or tuning.after, tuning.after
             relative = np.array([after.relative[0], before.relative[1]])
             after = before._replace(one_step=after.one_step, gains_error=after.gains_error, relative=relative)
             tuning, known = tuning._replace(noise_kept="velocities", after=after), {name: old}
             tables = _tables(file, tuning, rate)
             new = _tuned_file(file, tables)
-    default = WITH_FORCE if tuning.force_rate else estimators(file.model)[0]
-    velocity, best = velocities(new, default), KALMAN[0]
+    default, best = WITH_FORCE if tuning.force_rate else estimators(file.model)[0], KALMAN[0]
+    of_default = outcomes(new, default)
     if best in filters:
-        filtered = known.get(best) or velocities(new, best)
-        default, velocity = (best, filtered) if judge(filtered, velocity).is_better else (default, velocity)
+        filtered = known.get(best) or outcomes(new, best)
+        takes_default = judge(filtered, of_default).is_better
+        numbers = likeliest_presliding(new, lambda numbers: [each.run for each in turning(numbers)], FITTED)
+        # A reference from smoothed positions is no judge of reversals, where it rounds the corners of velocities.
+        exact = all(one.log.truth is not None for one in loaded)
+        against = judge if exact else lambda *both: ErrorRatio.of(*innovation_squares(*both, rows))
+        if numbers and against(turned := turning(numbers), filtered).is_better:
+            tables["uncertainty"] = tables.get("uncertainty", {}) | numbers
+            new, filtered = with_uncertainty(new, numbers), turned
+            takes_default = not against(filtered, of_default).is_worse
+        default, of_default = (best, filtered) if takes_default else (default, of_default)
+    velocity = [each.velocity for each in of_default]
     tables["design"]["observer"] = default
     longest = max(range(len(loaded)), key=lambda k: len(velocity[k]))
     one = loaded[longest]._replace(file=new)
@@ -186,7 +201,7 @@ def _held_out(one: Loaded) -> np.ndarray:
 def _tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:
     """The model file with the tuned numbers."""
     pairs = {f"{table}.{key}": value for table, numbers in tables.items() for key, value in numbers.items()}
-    if "uncertainty" in tables:
+    if "correlation_time" in tables.get("uncertainty", {}):
         file = file._replace(torque_std=None, external_force=None, external_force_std=None, external_force_time=None)
     file = file._replace(force_rate=None, quantum=None if "measurement" in tables else file.quantum)
     return models.load(file, pairs)
@@ -246,10 +261,11 @@ def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> 
     """The content of the model file with the tuned numbers; without an external force unless the tuning has one."""
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
-    # The tuned acceleration holds what was torque.
+    # The tuned acceleration holds what was torque; a distance alone changes none of the others.
+    whole = {table for table in tables if table != "uncertainty" or "correlation_time" in tables[table]}
     optional = {"uncertainty": ("torque", "external_force", "external_force_std", "external_force_time")}
     for table, keys in (optional | {"design": ("force_rate",)}).items():
-        for key in set(keys) - set(tables[table]) if table in tables else ():
+        for key in set(keys) - set(tables[table]) if table in whole else ():
             content[table].pop(key, None)
     # std stands in its place: a model file may not have both.
     if "measurement" in tables:
