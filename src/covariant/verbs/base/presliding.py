@@ -52,7 +52,9 @@ def likeliest_presliding(
     def numbers(multiples: np.ndarray, scale: float) -> dict[str, Any]:
         values = {key: getattr(file, field) for key, field in NOISE.items()}
         scaled = {key: _short(scale * np.asarray(value)) for key, value in values.items() if value and scale < 1}
-        return {"presliding": _short(multiples * std)} | scaled
+        # Size and time of a force are given together.
+        together = {"external_force_time": file.external_force_time} if "external_force_std" in scaled else {}
+        return {"presliding": _short(multiples * std)} | scaled | together
 
     def likelihood(multiples: np.ndarray, scale: float) -> float:
         return float(np.mean([_likelihood(each, fitted) for each in run(numbers(multiples, scale))]))
