@@ -9,12 +9,14 @@ Source: Dahl 1968, A solid friction model, Aerospace Corporation TOR-0158(3107-1
 Lischinsky 1995, A new model for control of systems with friction, IEEE TAC 40(3).
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
@@ -38,30 +40,28 @@ class DahlLaw(Functional):
     Attributes:
         axes: Rates (k, n) of the joints per unit of each velocity.
         displacement: Presliding displacements (k,).
-        levels: The levels of Coulomb friction in the model's dissipation, as they are stored there.
+        levels: The levels of Coulomb friction in the model's dissipation, whose other parts are None.
         gain: Sliding friction (k,) [N m or N] per unit of the level.
         places: Position of the level of each joint among all levels.
     """
 
     axes: Float[Array, "k n"]
     displacement: Float[Array, "k"]
-    levels: tuple[Array, ...]
+    levels: Any
     gain: Float[Array, "k"]
     places: tuple[int, ...] = eqx.field(static=True)
 
     def __call__(self, v: Vector) -> tuple[Vector, Vector]:
-        rates = self.axes.astype(v.dtype) @ v
-        sliding = (self.gain * _joined(self.levels)[np.array(self.places)]).astype(v.dtype)
-        backwards = rates < 0
-        pace = jnp.where(backwards, -rates, rates) / self.displacement.astype(v.dtype)
-        return jnp.where(backwards, -sliding, sliding), pace
+        rates, levels = self.axes.astype(v.dtype) @ v, ravel_pytree(self.levels)[0]
+        sliding = (self.gain * levels[np.array(self.places)]).astype(v.dtype)
+        # Not `sign` and `abs`: at rest the slope in the velocity must be that of a spring.
+        way = jnp.where(rates < 0, -1.0, 1.0).astype(v.dtype)
+        return way * sliding, way * rates / self.displacement.astype(v.dtype)
 
     def without(self, model: MechanicalSystem) -> MechanicalSystem:
         """The model without the Coulomb friction of these joints."""
-        levels = _levels(model)
-        others = np.ones(sum(np.size(level) for level in levels))
-        others[list(self.places)] = 0.0
-        return _with_levels(model, jnp.asarray(others) * _joined(levels))
+        _, levels, changed = _levels(model)
+        return changed(levels.at[np.array(self.places)].set(0.0))
 
 
 def presliding_friction(model: MechanicalSystem, displacement: Numbers) -> SlowVariables:
@@ -90,33 +90,28 @@ def presliding_friction(model: MechanicalSystem, displacement: Numbers) -> SlowV
     q = model.manifold.origin()
     n = len(model.manifold.zero(q))
     distances = as_numbers("presliding_friction", "displacement", displacement, n, 0.0)
-    levels = _levels(model)
-    first = np.asarray(_joined(levels), float)
-    t, u, fast = jnp.zeros(()), jnp.zeros(input_count(model, n)), FAST * (1 + np.arange(n) / np.pi)
+    stored, levels, changed = _levels(model)
+    t, u, v = jnp.zeros(()), jnp.zeros(input_count(model, n)), FAST * (1 + np.arange(n) / np.pi)
 
     def slopes(q: Array, v: np.ndarray) -> np.ndarray:
-        return np.asarray(
-            jax.jacfwd(lambda each: resistance(_with_levels(model, each), t, q, jnp.asarray(v), u))(jnp.asarray(first))
-        ).T
+        return np.asarray(jax.jacfwd(lambda each: resistance(changed(each), t, q, jnp.asarray(v), u))(levels)).T
 
-    force, other = slopes(q, fast), slopes(model.manifold.retract(q, jnp.ones(n)), fast * (-1.0) ** np.arange(n))
-    gain = np.abs(force).max(axis=1, initial=0.0)
-    places = [i for i in np.flatnonzero((first > 0) & (gain > 0)) if distances[np.flatnonzero(force[i])[-1]] > 0]
-    if not places:
+    force, other = slopes(q, v), slopes(model.manifold.retract(q, jnp.ones(n)), v * (-1.0) ** np.arange(n))
+    gain, last = np.abs(force).max(axis=1, initial=0.0), [int(np.flatnonzero(f)[-1]) if f.any() else 0 for f in force]
+    at = np.flatnonzero((np.asarray(levels) > 0) & (gain > 0) & (distances[last] > 0))
+    if not at.size:
         raise InputError(
-            "presliding_friction: no joint with a displacement has Coulomb friction; fit it, or leave it out"
+            "presliding_friction: no joint with a displacement has Coulomb friction; fit it, or remove the key"
         )
-    if not np.allclose(np.abs(force[places]), np.abs(other[places]), rtol=1e-6):
+    if not np.allclose(np.abs(force[at]), np.abs(other[at]), rtol=1e-6):
         raise InputError(
-            "presliding_friction: one level of Coulomb friction must be that of one joint with a fixed axis"
+            "presliding_friction: each level of Coulomb friction must be that of one joint with a fixed axis"
         )
-    axes = -force[places] / gain[places, None]
-    moved = distances[[np.flatnonzero(axis)[-1] for axis in axes]]
-    law = DahlLaw(jnp.asarray(axes), jnp.asarray(moved), levels, jnp.asarray(gain[places]), tuple(map(int, places)))
-    cov = jnp.diag(jnp.asarray((gain * first)[places] ** 2))
-    names = tuple(f"friction{i + 1}" for i in places)
-    against = Parametric(_against, axes=axes)
-    return SlowVariables(names, jnp.zeros(len(places)), cov, LEVEL_ERROR**2 * cov, force=against, law=law)
+    axes = -force[at] / gain[at, None]
+    law = DahlLaw(*map(jnp.asarray, (axes, distances[last][at])), stored, jnp.asarray(gain[at]), tuple(at.tolist()))
+    cov = jnp.diag(jnp.square(law.gain * levels[at]))
+    names, against = tuple(f"friction{i + 1}" for i in at), Parametric(_against, axes=axes)
+    return SlowVariables(names, jnp.zeros(len(at)), cov, LEVEL_ERROR**2 * cov, force=against, law=law)
 
 
 def _against(q, v, s, axes):
@@ -124,25 +119,16 @@ def _against(q, v, s, axes):
     return -axes.T @ s
 
 
-def _levels(model: MechanicalSystem) -> tuple[Array, ...]:
-    paths = jax.tree_util.tree_leaves_with_path(model.dissipation)
-    return tuple(leaf for path, leaf in paths if _is_level(path, leaf))
+def _levels(model: MechanicalSystem) -> tuple[Any, Vector, Callable[[Vector], MechanicalSystem]]:
+    """The levels of Coulomb friction of a model, as stored and as a vector, and the model with other levels."""
 
+    def is_level(path: Any, leaf: Any) -> bool:
+        return bool(path) and getattr(path[-1], "key", None) in COULOMB and eqx.is_inexact_array(leaf)
 
-def _with_levels(model: MechanicalSystem, levels: Vector) -> MechanicalSystem:
-    ends = np.cumsum([np.size(level) for level in _levels(model)])
-    parts = iter(jnp.split(levels, ends[:-1].tolist()))
+    stored, rest = eqx.partition(model.dissipation, jax.tree_util.tree_map_with_path(is_level, model.dissipation))
+    levels, whole = ravel_pytree(stored)
 
-    def changed(path: Any, leaf: Any) -> Any:
-        return next(parts).reshape(leaf.shape) if _is_level(path, leaf) else leaf
+    def changed(values: Vector) -> MechanicalSystem:
+        return eqx.tree_at(lambda m: m.dissipation, model, eqx.combine(whole(values), rest))
 
-    dissipation = jax.tree_util.tree_map_with_path(changed, model.dissipation)
-    return eqx.tree_at(lambda m: m.dissipation, model, dissipation)
-
-
-def _joined(levels: tuple[Array, ...]) -> Vector:
-    return jnp.concatenate([jnp.zeros(0), *map(jnp.ravel, levels)])
-
-
-def _is_level(path: Any, leaf: Any) -> bool:
-    return bool(path) and getattr(path[-1], "key", None) in COULOMB and eqx.is_inexact_array(leaf)
+    return stored, levels, changed

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from covariant import models
+from covariant.calibration import ErrorRatio
 from covariant.observers import presliding_friction
-from covariant.signals import Run
 from covariant.verbs.base.design import MOST_STATES
 from covariant.verbs.base.outcome import Outcome
 from scalargraph.errors import InputError
@@ -18,84 +18,79 @@ STEPS = (1.47, 1.21, 1.1)
 """Factors by which the distance of each joint is changed then, down to about the step that still matters."""
 SCALES = (1.0, 0.3, 0.1)
 """Scales of the other noise that are tried: it was chosen without this state, and covers the reversals too."""
-NOISE = {"acceleration": "acceleration_std", "torque": "torque_std"}
-NOISE |= {key: key for key in ("external_force", "external_force_std")}
-"""Fields of a model file, by their keys in [uncertainty], with the noise that a scale multiplies."""
+NOISE = {"acceleration_std": "acceleration", "torque_std": "torque"}
+NOISE |= {field: field for field in ("external_force", "external_force_std")}
+"""Keys of [uncertainty] with the noise that a scale multiplies, by the fields of a model file."""
 MOST_NIS = 25.0
-"""Largest normalised square of a measured number that counts: more is an outlier, and the same for all distances."""
+"""Largest normalised square of an innovation that counts: more is an outlier, and the same for all distances."""
 DIGITS = 4
-"""Significant digits of the numbers."""
-
-
-def with_uncertainty(file: models.ModelFile, numbers: dict[str, Any]) -> models.ModelFile:
-    """The model file with other numbers of [uncertainty]."""
-    return models.load(file, {f"uncertainty.{key}": value for key, value in numbers.items()})
+"""Significant digits of tuned numbers in a model file."""
 
 
 def likeliest_presliding(
-    file: models.ModelFile, run: Callable[[dict[str, Any]], list[Run]], fitted: float
-) -> dict[str, Any]:
-    """Numbers of [uncertainty] with the likeliest innovations in the first part `fitted` of each log.
+    file: models.ModelFile, run: Callable[[models.ModelFile], list[Outcome]], fitted: float
+) -> models.ModelFile | None:
+    """The model file with the distances and the noise of the likeliest innovations in the first part of each log.
 
-    `run` runs the Kalman filter with such numbers on each log. Empty for a model without Coulomb friction, and for one
-    with so many states that a filter takes minutes.
+    `run` runs the Kalman filter on each log. None for a model without Coulomb friction, or with so many states that
+    compiling a filter takes minutes.
     """
-    n, std = file.dimension, np.broadcast_to(np.asarray(file.measurement_std, float), file.dimension)
     try:
-        group = presliding_friction(file.need_mechanical(file.name, ""), np.ones(n))
+        group = presliding_friction(file.need_mechanical(file.name, ""), 1.0)
     except InputError:
-        return {}
-    joints = np.unique([np.flatnonzero(axis)[-1] for axis in np.asarray(group.law.axes)])
-    if 2 * n + len(group.names) + n > MOST_STATES:
-        return {}
-
-    def numbers(multiples: np.ndarray, scale: float) -> dict[str, Any]:
-        values = {key: getattr(file, field) for key, field in NOISE.items()}
-        scaled = {key: _short(scale * np.asarray(value)) for key, value in values.items() if value and scale < 1}
-        # Size and time of a force are given together.
-        together = {"external_force_time": file.external_force_time} if "external_force_std" in scaled else {}
-        return {"presliding": _short(multiples * std)} | scaled | together
-
-    def likelihood(multiples: np.ndarray, scale: float) -> float:
-        return float(np.mean([_likelihood(each, fitted) for each in run(numbers(multiples, scale))]))
-
-    def better(best: tuple, *trials: tuple) -> tuple:
-        return max([best, *((likelihood(*each), *each) for each in trials)], key=lambda each: each[0])
-
+        return None
+    last = [np.flatnonzero(axis)[-1] for axis in np.asarray(group.law.axes)]
+    if 3 * file.dimension + len(last) > MOST_STATES:
+        return None
     # Distances of joints without Coulomb friction are 0.
-    every = np.isin(np.arange(n), joints).astype(float)
-    best = better((-np.inf,), *((multiple * every, 1.0) for multiple in MULTIPLES))
-    best = better(best, *((best[1], scale) for scale in SCALES[1:]))
+    each = np.eye(file.dimension)[np.unique(last)]
+    best, chosen = -np.inf, (each.sum(axis=0) * np.asarray(file.measurement_std), 1.0)
+
+    def attempt(distances: np.ndarray, scale: float) -> None:
+        nonlocal best, chosen
+        value = np.mean([_likelihood(outcome, fitted) for outcome in run(_changed(file, distances, scale))])
+        best, chosen = (value, (distances, scale)) if value > best else (best, chosen)
+
+    first = chosen[0]
+    for multiple in MULTIPLES:
+        attempt(first * multiple, 1.0)
+    for scale in SCALES[1:]:
+        attempt(chosen[0], scale)
     for step in STEPS:
-        for joint in joints:
-            factors = np.where(np.arange(n) == joint, step, 1.0)
-            best = better(best, (best[1] * factors, best[2]), (best[1] / factors, best[2]))
-    return numbers(*best[1:])
+        for joint in each:
+            middle = chosen[0]
+            for factor in (step, 1 / step):
+                attempt(middle * factor**joint, chosen[1])
+    return _changed(file, *chosen)
 
 
-def innovation_squares(
-    new: Sequence[Outcome], old: Sequence[Outcome], rows: Sequence[np.ndarray]
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Squared innovations of two observers in the same rows (T,) of each log, which no reference has to judge.
+def judge_innovations(
+    new: Sequence[Outcome], old: Sequence[Outcome], rows: Sequence[np.ndarray], std: Any
+) -> ErrorRatio:
+    """Judge two observers by their innovations in the same rows (T,) of each log, which needs no reference."""
 
-    They are relative to those of the second observer, and means over the coordinates. Outliers are left out.
-    """
-    squares = [[np.asarray(each.run.info.innovation) ** 2 for each in both] for both in (new, old)]
-    size = np.mean(np.concatenate([each[at] for each, at in zip(squares[1], rows, strict=True)]), axis=0)
-    relative = [[np.mean(each / size, axis=1) for each in both] for both in squares]
-    usual = [at & (np.maximum(*pair) < MOST_NIS) for at, *pair in zip(rows, *relative, strict=True)]
-    first, second = ([each[at] for each, at in zip(both, usual, strict=True)] for both in relative)
-    return first, second
+    def squares(outcomes: Sequence[Outcome]) -> list[np.ndarray]:
+        innovations = [np.asarray(each.run.info.innovation)[at] for each, at in zip(outcomes, rows, strict=True)]
+        return [np.minimum(np.mean((each / std) ** 2, axis=1), MOST_NIS) for each in innovations]
+
+    return ErrorRatio.of(squares(new), squares(old))
 
 
-def _likelihood(run: Run, fitted: float) -> float:
+def short(values: Any) -> Any:
+    """A number, or several, with few digits."""
+    each = [float(f"{value:.{DIGITS}g}") for value in np.ravel(values)]
+    return each if len(each) > 1 else each[0]
+
+
+def _changed(file: models.ModelFile, distances: np.ndarray, scale: float) -> models.ModelFile:
+    noise = {field: getattr(file, field) for field in NOISE if scale < 1 and getattr(file, field) is not None}
+    scaled = {field: short(scale * np.asarray(value)) for field, value in noise.items()}
+    return file._replace(presliding=short(distances), **scaled)
+
+
+def _likelihood(outcome: Outcome, fitted: float) -> float:
     """Mean log-likelihood of the innovations of a row in the first part of a run, without constants."""
-    t, nis, cov = (np.asarray(each) for each in (run.t, run.info.nis, run.info.innovation_cov))
+    t, nis, cov = (np.asarray(each) for each in (outcome.run.t, outcome.run.info.nis, outcome.run.info.innovation_cov))
     early = t < t[0] + fitted * (t[-1] - t[0])
     loss = np.minimum(nis, MOST_NIS * cov.shape[1]) + np.linalg.slogdet(cov)[1]
     return -0.5 * float(np.nan_to_num(loss[early], nan=np.inf).mean())
-
-
-def _short(values: Any) -> Any:
-    short = [float(f"{value:.{DIGITS}g}") for value in np.ravel(values)]
-    return short if len(short) > 1 else short[0]

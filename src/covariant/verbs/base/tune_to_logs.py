@@ -1,6 +1,7 @@
 """Computes the tuning of noise and gains to logs, and what it says of the model."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,14 +22,12 @@ from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.outcome import Outcome, drive, rounded
 from covariant.verbs.base.pages import estimate_report
-from covariant.verbs.base.presliding import innovation_squares, likeliest_presliding, with_uncertainty
+from covariant.verbs.base.presliding import NOISE, judge_innovations, likeliest_presliding, short
 from covariant.verbs.base.progress import Progress
 from covariant.verbs.base.trial import judging_reference
 from covariant.verbs.base.without_model import WithoutModel, without_model
 from scalargraph.errors import InputError
 
-DIGITS = 4
-"""Significant digits of tuned numbers in a model file."""
 COARSER = 1.5
 """Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
 SEARCHED = 60
@@ -148,9 +147,6 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         observers = [design(file, name, rate=one.rate, log=one._replace(file=file)).observer for one in loaded]
         return [drive(each, one._replace(file=file)) for each, one in zip(observers, loaded, strict=True)]
 
-    def turning(numbers: dict[str, Any]) -> list[Outcome]:
-        return outcomes(with_uncertainty(new, numbers), best)
-
     def judge(new: list[Outcome], old: list[Outcome]) -> ErrorRatio:
         return ErrorRatio.of_velocities(
             *([each.velocity[at] for each, at in zip(both, rows, strict=True)] for both in (new, old)),
@@ -173,14 +169,17 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
     if best in filters:
         filtered = known.get(best) or outcomes(new, best)
         takes_default = judge(filtered, of_default).is_better
-        numbers = likeliest_presliding(new, lambda numbers: [each.run for each in turning(numbers)], FITTED)
+        turned = likeliest_presliding(new, lambda file: outcomes(file, best), FITTED)
         # A reference from smoothed positions is no judge of reversals, where it rounds the corners of velocities.
-        exact = all(one.log.truth is not None for one in loaded)
-        against = judge if exact else lambda *both: ErrorRatio.of(*innovation_squares(*both, rows))
-        if numbers and against(turned := turning(numbers), filtered).is_better:
-            tables["uncertainty"] = tables.get("uncertainty", {}) | numbers
-            new, filtered = with_uncertainty(new, numbers), turned
-            takes_default = not against(filtered, of_default).is_worse
+        against = partial(judge_innovations, rows=rows, std=new.measurement_std)
+        if all(one.log.truth is not None for one in loaded):
+            against = judge
+        if turned is not None and against(found := outcomes(turned, best), filtered).is_better:
+            each = (NOISE | {"presliding": "presliding"}).items()
+            pairs = {key: (getattr(turned, field), getattr(new, field)) for field, key in each}
+            changed = {key: value for key, (value, old) in pairs.items() if value != old}
+            tables["uncertainty"] = tables.get("uncertainty", {}) | changed
+            new, filtered, takes_default = turned, found, not against(found, of_default).is_worse
         default, of_default = (best, filtered) if takes_default else (default, of_default)
     velocity = [each.velocity for each in of_default]
     tables["design"]["observer"] = default
@@ -223,22 +222,22 @@ class _Runs:
 
 def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, dict[str, Any]]:
     """What is written into the model file, by table and key; no noise where that of the file is kept."""
-    design = {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)}
+    design = {"damping": short(tuning.damping), "natural_frequency": short(tuning.natural_frequency)}
     if tuning.force_rate:
-        design["force_rate"] = _short(tuning.force_rate)
+        design["force_rate"] = short(tuning.force_rate)
     if tuning.noise_kept:
         return {"design": design}
-    time = file.correlation_time or float(f"{1 / (2 * rate):.{DIGITS}g}")
+    time = file.correlation_time or short(1 / (2 * rate))
     # A deviation σ that persists over the time τ acts as white noise of the density σ √(2τ).
     acceleration = float(tuning.noise.acceleration) / np.sqrt(2 * time)
-    uncertainty = {"acceleration": _short(acceleration), "correlation_time": time}
+    uncertainty = {"acceleration": short(acceleration), "correlation_time": time}
     uncertainty |= _force(file, tuning)
     tables: dict[str, dict[str, Any]] = {"uncertainty": uncertainty, "design": design}
     # Rounding to ticks has a uniform error, of the standard deviation quantum/√12.
     ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
     if file.quantum is None or np.any(np.asarray(tuning.noise.measurement) > COARSER * ticks):
-        std = [_short(value) for value in np.asarray(tuning.noise.measurement)]
-        tables = {"measurement": {"std": std if file.model.manifold.commuting and len(std) > 1 else std[0]}, **tables}
+        std = np.asarray(tuning.noise.measurement)
+        tables = {"measurement": {"std": short(std if file.model.manifold.commuting else std[0])}, **tables}
     return tables
 
 
@@ -248,13 +247,8 @@ def _force(file: models.ModelFile, tuning: Tuning) -> dict[str, Any]:
     if not force.any():
         return {}
     if not np.isfinite(time):
-        return {"external_force": _short(force)}
-    std = [_short(one) for one in np.broadcast_to(force, file.dimension)] if file.dimension > 1 else _short(force.max())
-    return {"external_force_std": std, "external_force_time": _short(time)}
-
-
-def _short(value: Any) -> float:
-    return float(f"{float(value):.{DIGITS}g}")
+        return {"external_force": short(force)}
+    return {"external_force_std": short(np.broadcast_to(force, file.dimension)), "external_force_time": short(time)}
 
 
 def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -293,7 +287,7 @@ def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confi
         "without_model": beside if isinstance(beside, str) else beside.data,
         "gains": {
             "from": tuning.source,
-            "same": None if tuning.same is None else [_short(each) for each in tuning.same],
+            "same": None if tuning.same is None else [short(each) for each in tuning.same],
             "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
         },
         "notes": notes(confirmed),
@@ -306,7 +300,7 @@ def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confi
 
 
 def _round_numbers(numbers: dict[str, Any]) -> dict[str, Any]:
-    return {key: value if isinstance(value, str) else _short(value) for key, value in numbers.items()}
+    return {key: value if isinstance(value, str) else short(value) for key, value in numbers.items()}
 
 
 def notes(confirmed: Confirmed) -> list[str]:
@@ -314,7 +308,7 @@ def notes(confirmed: Confirmed) -> list[str]:
     found = confirmed.tuning
     said = []
     if found.candidates:
-        named = ", ".join(f"{each.source} {_short(each.smoothed):g}" for each in found.candidates)
+        named = ", ".join(f"{each.source} {short(each.smoothed):g}" for each in found.candidates)
         said.append(
             f"Gains: {found.source}. Distances of held-out velocities to those of a smoother, as fractions of the "
             f"velocity: {named}."
@@ -323,7 +317,7 @@ def notes(confirmed: Confirmed) -> list[str]:
         if len(near) > 1:
             said.append(f"By the rows after each alone these cannot be told apart: {', '.join(near)}.")
     if found.same is not None:
-        low, high = (f"{_short(each):g}" for each in found.same)
+        low, high = (f"{short(each):g}" for each in found.same)
         said.append(f"Gains with a natural frequency between {low} and {high} rad/s are as good within 2 %, or better.")
     if found.gains_kept:
         said.append(
