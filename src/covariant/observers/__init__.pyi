@@ -6,7 +6,6 @@ from .base import (
     AbstractWrapper as AbstractWrapper,
     Gate as Gate,
     Info as Info,
-    LastInput as LastInput,
     MechanicalState as MechanicalState,
     SampledState as SampledState,
     checked as checked,

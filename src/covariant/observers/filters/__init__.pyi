@@ -12,6 +12,7 @@ from ._legged_base import (
 from ._riccati import (
     Estimate as Estimate,
     InformationEKF as InformationEKF,
+    InformationState as InformationState,
     Riccati as Riccati,
 )
 from ._smoother import smooth as smooth

@@ -16,11 +16,11 @@ MULTIPLES = np.geomspace(0.3, 30.0, 7)
 """Distances that are tried first, the same for all joints, in standard deviations of a reading."""
 STEPS = (1.47, 1.21, 1.1)
 """Factors by which the distance of each joint is changed then, down to about the step that still matters."""
-SCALES = (1.0, 0.3, 0.1)
+SCALES = (0.3, 0.1)
 """Scales of the other noise that are tried: it was chosen without this state, and covers the reversals too."""
-NOISE = {"acceleration_std": "acceleration", "torque_std": "torque"}
-NOISE |= {field: field for field in ("external_force", "external_force_std")}
-"""Keys of [uncertainty] with the noise that a scale multiplies, by the fields of a model file."""
+NOISE = {"acceleration": "acceleration_std", "torque": "torque_std"}
+NOISE |= {key: key for key in ("external_force", "external_force_std")}
+"""Fields of a model file with the noise that a scale multiplies, by their keys in [uncertainty]."""
 MOST_NIS = 25.0
 """Largest normalised square of an innovation that counts: more is an outlier, and the same for all distances."""
 DIGITS = 4
@@ -43,24 +43,14 @@ def likeliest_presliding(
     if 3 * file.dimension + len(last) > MOST_STATES:
         return None
     # Distances of joints without Coulomb friction are 0.
-    each = np.eye(file.dimension)[np.unique(last)]
-    best, chosen = -np.inf, (each.sum(axis=0) * np.asarray(file.measurement_std), 1.0)
-
-    def attempt(distances: np.ndarray, scale: float) -> None:
-        nonlocal best, chosen
-        value = np.mean([_likelihood(outcome, fitted) for outcome in run(_changed(file, distances, scale))])
-        best, chosen = (value, (distances, scale)) if value > best else (best, chosen)
-
-    first = chosen[0]
-    for multiple in MULTIPLES:
-        attempt(first * multiple, 1.0)
-    for scale in SCALES[1:]:
-        attempt(chosen[0], scale)
-    for step in STEPS:
-        for joint in each:
-            middle = chosen[0]
-            for factor in (step, 1 / step):
-                attempt(middle * factor**joint, chosen[1])
+    joints = np.eye(file.dimension)[np.unique(last)]
+    best, chosen = -np.inf, (joints.sum(axis=0) * np.asarray(file.measurement_std), 1.0)
+    stages = [[(multiple, 1.0) for multiple in MULTIPLES], [(1.0, scale) for scale in SCALES]]
+    stages += [[(step**joint, 1.0), (step**-joint, 1.0)] for step in STEPS for joint in joints]
+    for stage in stages:
+        for trial in [(chosen[0] * factor, chosen[1] * scale) for factor, scale in stage]:
+            value = np.mean([_likelihood(each, fitted) for each in run(_changed(file, *trial))])
+            best, chosen = (value, trial) if value > best else (best, chosen)
     return _changed(file, *chosen)
 
 
@@ -82,9 +72,15 @@ def short(values: Any) -> Any:
     return each if len(each) > 1 else each[0]
 
 
+def changed_keys(new: models.ModelFile, old: models.ModelFile) -> dict[str, Any]:
+    """The keys of [uncertainty] that a choice of distances has changed."""
+    fields = {"presliding": "presliding"} | NOISE
+    return {key: getattr(new, field) for key, field in fields.items() if getattr(new, field) != getattr(old, field)}
+
+
 def _changed(file: models.ModelFile, distances: np.ndarray, scale: float) -> models.ModelFile:
-    noise = {field: getattr(file, field) for field in NOISE if scale < 1 and getattr(file, field) is not None}
-    scaled = {field: short(scale * np.asarray(value)) for field, value in noise.items()}
+    noise = {field: getattr(file, field) for field in NOISE.values() if scale < 1}
+    scaled = {field: short(scale * np.asarray(value)) for field, value in noise.items() if value is not None}
     return file._replace(presliding=short(distances), **scaled)
 
 

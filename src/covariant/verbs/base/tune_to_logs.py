@@ -22,7 +22,7 @@ from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
 from covariant.verbs.base.outcome import Outcome, drive, rounded
 from covariant.verbs.base.pages import estimate_report
-from covariant.verbs.base.presliding import NOISE, judge_innovations, likeliest_presliding, short
+from covariant.verbs.base.presliding import changed_keys, judge_innovations, likeliest_presliding, short
 from covariant.verbs.base.progress import Progress
 from covariant.verbs.base.trial import judging_reference
 from covariant.verbs.base.without_model import WithoutModel, without_model
@@ -171,14 +171,10 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         takes_default = judge(filtered, of_default).is_better
         turned = likeliest_presliding(new, lambda file: outcomes(file, best), FITTED)
         # A reference from smoothed positions is no judge of reversals, where it rounds the corners of velocities.
-        against = partial(judge_innovations, rows=rows, std=new.measurement_std)
-        if all(one.log.truth is not None for one in loaded):
-            against = judge
+        exact = all(one.log.truth is not None for one in loaded)
+        against = judge if exact else partial(judge_innovations, rows=rows, std=new.measurement_std)
         if turned is not None and against(found := outcomes(turned, best), filtered).is_better:
-            each = (NOISE | {"presliding": "presliding"}).items()
-            pairs = {key: (getattr(turned, field), getattr(new, field)) for field, key in each}
-            changed = {key: value for key, (value, old) in pairs.items() if value != old}
-            tables["uncertainty"] = tables.get("uncertainty", {}) | changed
+            tables["uncertainty"] = tables.get("uncertainty", {}) | changed_keys(turned, new)
             new, filtered, takes_default = turned, found, not against(found, of_default).is_worse
         default, of_default = (best, filtered) if takes_default else (default, of_default)
     velocity = [each.velocity for each in of_default]
