@@ -58,12 +58,8 @@ def judge_innovations(
     new: Sequence[Outcome], old: Sequence[Outcome], rows: Sequence[np.ndarray], std: Any
 ) -> ErrorRatio:
     """Judge two observers by their innovations in the same rows (T,) of each log, which needs no reference."""
-
-    def squares(outcomes: Sequence[Outcome]) -> list[np.ndarray]:
-        innovations = [np.asarray(each.run.info.innovation)[at] for each, at in zip(outcomes, rows, strict=True)]
-        return [np.minimum(np.mean((each / std) ** 2, axis=1), MOST_NIS) for each in innovations]
-
-    return ErrorRatio.of(squares(new), squares(old))
+    both = ([np.asarray(each.run.info.innovation)[at] for each, at in zip(of, rows, strict=True)] for of in (new, old))
+    return ErrorRatio.of(*([np.minimum(np.mean((r / std) ** 2, axis=1), MOST_NIS) for r in each] for each in both))
 
 
 def short(values: Any) -> Any:
@@ -79,8 +75,8 @@ def changed_keys(new: models.ModelFile, old: models.ModelFile) -> dict[str, Any]
 
 
 def _changed(file: models.ModelFile, distances: np.ndarray, scale: float) -> models.ModelFile:
-    noise = {field: getattr(file, field) for field in NOISE.values() if scale < 1}
-    scaled = {field: short(scale * np.asarray(value)) for field, value in noise.items() if value is not None}
+    noise = {field: value for field in NOISE.values() if scale < 1 and (value := getattr(file, field)) is not None}
+    scaled = {field: short(scale * np.asarray(value)) for field, value in noise.items()}
     return file._replace(presliding=short(distances), **scaled)
 
 

@@ -68,8 +68,7 @@ def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
     if np.any(file.presliding):
-        model = file.need_mechanical(file.name, "uncertainty.presliding is for")
-        components += (presliding_friction(model, file.presliding),)
+        components += (presliding_friction(file.need_mechanical(file.name, "presliding is for"), file.presliding),)
     return components + tuple(_wrench(file, name, given) for name, given in file.wrenches.items())
 
 

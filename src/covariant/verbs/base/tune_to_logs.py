@@ -82,14 +82,9 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
         progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
 
     try:
-        options = {
-            "std": known,
-            "before": before,
-            "progress": report,
-            "runs": runs,
-            "names": [Path(job.log_name).name for job in jobs],
-        }
-        tuning = tune(loaded[0].model, records, velocities, **options)
+        names, model = [Path(job.log_name).name for job in jobs], loaded[0].model
+        options = {"std": known, "before": before, "progress": report, "runs": runs, "names": names}
+        tuning = tune(model, records, velocities, **options)
     except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     report("observers")
@@ -171,11 +166,10 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         takes_default = judge(filtered, of_default).is_better
         turned = likeliest_presliding(new, lambda file: outcomes(file, best), FITTED)
         # A reference from smoothed positions is no judge of reversals, where it rounds the corners of velocities.
-        exact = all(one.log.truth is not None for one in loaded)
-        against = judge if exact else partial(judge_innovations, rows=rows, std=new.measurement_std)
-        if turned is not None and against(found := outcomes(turned, best), filtered).is_better:
+        predicts = partial(judge_innovations, rows=rows, std=new.measurement_std)
+        if turned is not None and predicts(found := outcomes(turned, best), filtered).is_better:
             tables["uncertainty"] = tables.get("uncertainty", {}) | changed_keys(turned, new)
-            new, filtered, takes_default = turned, found, not against(found, of_default).is_worse
+            new, filtered, takes_default = turned, found, not predicts(found, of_default).is_worse
         default, of_default = (best, filtered) if takes_default else (default, of_default)
     velocity = [each.velocity for each in of_default]
     tables["design"]["observer"] = default
@@ -327,6 +321,8 @@ def notes(confirmed: Confirmed) -> list[str]:
     if found.noise_kept:
         why = "readings are likelier" if found.noise_kept == "likelihood" else "velocities are better"
         said.append(f"Held-out {why} with the noise of the model file, which is kept.")
+    if "presliding" in confirmed.tables.get("uncertainty", {}):
+        said.append("Held-out readings are predicted clearly better if Coulomb friction turns over a distance.")
     default, beside = confirmed.tables["design"]["observer"], confirmed.beside
     said.append(
         f"The default observer is {default}, "
