@@ -123,8 +123,4 @@ def _levels(model: MechanicalSystem) -> tuple[Any, Vector, Callable[[Vector], Me
 
     stored, rest = eqx.partition(model.dissipation, jax.tree_util.tree_map_with_path(is_level, model.dissipation))
     levels, whole = ravel_pytree(stored)
-
-    def changed(values: Vector) -> MechanicalSystem:
-        return eqx.tree_at(lambda m: m.dissipation, model, eqx.combine(whole(values), rest))
-
-    return stored, levels, changed
+    return stored, levels, lambda each: eqx.tree_at(lambda m: m.dissipation, model, eqx.combine(whole(each), rest))

@@ -76,13 +76,11 @@ def changed_keys(new: models.ModelFile, old: models.ModelFile) -> dict[str, Any]
 
 def _changed(file: models.ModelFile, distances: np.ndarray, scale: float) -> models.ModelFile:
     noise = {field: value for field in NOISE.values() if scale < 1 and (value := getattr(file, field)) is not None}
-    scaled = {field: short(scale * np.asarray(value)) for field, value in noise.items()}
-    return file._replace(presliding=short(distances), **scaled)
+    return file._replace(presliding=short(distances), **{key: short(scale * np.array(x)) for key, x in noise.items()})
 
 
 def _likelihood(outcome: Outcome, fitted: float) -> float:
     """Mean log-likelihood of the innovations of a row in the first part of a run, without constants."""
     t, nis, cov = (np.asarray(each) for each in (outcome.run.t, outcome.run.info.nis, outcome.run.info.innovation_cov))
-    early = t < t[0] + fitted * (t[-1] - t[0])
     loss = np.minimum(nis, MOST_NIS * cov.shape[1]) + np.linalg.slogdet(cov)[1]
-    return -0.5 * float(np.nan_to_num(loss[early], nan=np.inf).mean())
+    return -0.5 * float(np.nan_to_num(loss[t < t[0] + fitted * np.ptp(t)], nan=np.inf).mean())

@@ -171,11 +171,10 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
             tables["uncertainty"] = tables.get("uncertainty", {}) | changed_keys(turned, new)
             new, filtered, takes_default = turned, found, not predicts(found, of_default).is_worse
         default, of_default = (best, filtered) if takes_default else (default, of_default)
-    velocity = [each.velocity for each in of_default]
     tables["design"]["observer"] = default
-    longest = max(range(len(loaded)), key=lambda k: len(velocity[k]))
+    longest = max(range(len(loaded)), key=lambda k: len(of_default[k].velocity))
     one = loaded[longest]._replace(file=new)
-    return Confirmed(tuning, tables, without_model(one, velocity[longest], _held_out(one)))
+    return Confirmed(tuning, tables, without_model(one, of_default[longest].velocity, _held_out(one)))
 
 
 def _held_out(one: Loaded) -> np.ndarray:
