@@ -20,7 +20,7 @@ from jaxtyping import Array, Float, Inexact
 from covariant._typing import Code, Number, Scalar, Vector
 from covariant.certificates.base import Recursion, is_same_observer
 from covariant.models import MechanicalSystem
-from covariant.observers import AbstractWrapper, Gated, Info, LastInput, SampledState, without_last_input
+from covariant.observers import AbstractWrapper, Gated, Info, SampledState, without_last_input
 from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
@@ -100,7 +100,7 @@ class BoundedState(NamedTuple):
     inner: Any
     radius: Scalar
     premise: Scalar
-    last_input: LastInput = None
+    last_input: Float[Array, "m"] | None = None
 
 
 class BoundedInfo(NamedTuple):

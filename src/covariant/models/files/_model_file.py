@@ -86,6 +86,8 @@ class ModelFile(NamedTuple):
         over
             time.
         external_force_time: Time constant [s] with which that force is forgotten.
+        presliding: Distance [rad or m] over which the Coulomb friction of a joint turns at a reversal, for a filter
+            that has its force as a state; 0 for none.
         uncertain: Relative standard deviations of numbers of `[parameters]`, by name, for a filter that estimates them.
         parameters_drift: Standard deviation of their relative change in a second.
         motion_std: Standard deviation [unit/s²] of the acceleration of the motion, for filters that use no model.
@@ -140,6 +142,7 @@ class ModelFile(NamedTuple):
         Unknown, Number("uncertainty.external_force_std", each="velocity", replaces=("external_force",))
     ] = None
     external_force_time: Annotated[float | None, Number("uncertainty.external_force_time")] = None
+    presliding: Annotated[Several, Number("uncertainty.presliding", ZERO_OR_MORE, "velocity")] = 0.0
     uncertain: Annotated[Mapping[str, float], Deviations("uncertainty.parameters")] = MappingProxyType({})
     parameters_drift: Annotated[float, Number("uncertainty.parameters_drift", ZERO_OR_MORE)] = 0.0
     motion_std: Annotated[float | None, Number("uncertainty.motion_acceleration")] = None

@@ -40,7 +40,7 @@ def flow_with_slope(
 
     def displaced(error: Float[Array, "e"]) -> Any:
         begin = Motion(manifold.retract(q, error[:n]), v + error[n : 2 * n])
-        mean, end_slow = states.advanced(slow + error[2 * n :], h)
+        mean, end_slow = states.advanced(begin.v, slow + error[2 * n :], h)
         end = advance(model(mean), t, begin, acting(mean), h, 1)
         # The value is zero, since the end is compared with itself; the derivative is the displacement in the frame.
         return jnp.concatenate([manifold.local(jax.lax.stop_gradient(end.q), end.q), end.v, end_slow]), (*end, end_slow)
@@ -54,8 +54,8 @@ def flow_with_slope(
         slope, end = jax.jacfwd(displaced, has_aux=True)(none)
         return end, slope
     # In coordinates, integrating the variational equation with the equation of motion takes less work.
-    mean, end_slow = states.advanced(slow, h)
-    of_mean, of_slow = jax.jacfwd(lambda error: states.advanced(slow + error[2 * n :], h))(none)
+    mean, end_slow = states.advanced(v, slow, h)
+    of_mean, of_slow = jax.jacfwd(lambda e: states.advanced(v + e[n : 2 * n], slow + e[2 * n :], h))(none)
     axes = jnp.concatenate([jnp.eye(2 * n, len(none), dtype=none.dtype), of_mean])
     end, slope = rk4_step(linearised(rates), t, (jnp.concatenate([q, v, mean]), axes), h)
     end_q, end_v, _ = jnp.split(end, [n, 2 * n])

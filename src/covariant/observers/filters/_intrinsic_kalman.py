@@ -503,7 +503,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         transition = space.between(state.q, q, transition)
         noise = white_acceleration(covariance_along(self.process_cov, space, q), h)
         if state.slow.shape[0]:
-            noise = diagonal(noise, states.walk_root(h).astype(noise.dtype))
+            noise = diagonal(noise, states.walk_root(state.v, h).astype(noise.dtype))
         forces = states.forgotten_forces
         unknown = jnp.asarray([not any(forces)] * (2 * n) + forces)[:, None]
         noise, scale = scaled(state.noise_scale, transition, noise, unknown)

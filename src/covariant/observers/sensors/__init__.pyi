@@ -1,5 +1,6 @@
 from ._missing_inputs import InputStates as InputStates, MissingInputs as MissingInputs, missing_now as missing_now
 from ._momentum import MomentumObserver as MomentumObserver, observed_forces as observed_forces
+from ._presliding import presliding_friction as presliding_friction
 from ._sensor_kinds import (
     SENSOR_KINDS as SENSOR_KINDS,
     AbstractSensorKind as AbstractSensorKind,

@@ -123,6 +123,7 @@ class InputStates(NamedTuple):
     model = None
     offset = None
     values = None
+    law = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -138,7 +139,7 @@ class InputStates(NamedTuple):
         """Square root of the covariance at the start."""
         return jnp.diag(jnp.concatenate([self.inputs.std, self.inputs.rate_std]))
 
-    def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
+    def advanced(self, v: Vector, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
         """The expected states: the mean over a step, and the values at its end.
 
         A known input is known at the start of the step, so at the end it is as old as the step is long.
@@ -149,7 +150,7 @@ class InputStates(NamedTuple):
         end = jnp.einsum("mij,jm->im", left, pairs).ravel()
         return (s + end) / 2, end
 
-    def spread(self, h: Scalar) -> Float[Array, "k k"]:
+    def spread(self, v: Vector, h: Scalar) -> Float[Array, "k k"]:
         """Square root of the covariance that a step adds; the rate of a known input is not known."""
         m, left = len(self.u), self.inputs.transition(h)
         rate = jnp.where(self.missing, 0.0, self.inputs.rate_std)

@@ -66,6 +66,9 @@ class SlowVariables(Functional):
         values: `s -> (k,)`, the values that are reported, if they are not s itself.
         time: Time constant τ [s], after which 1/e of the difference to `first` is left; None (default) for states that
             do not return.
+        law: `v -> (values (k,), rates (k,) [1/s])`, the values to which the states return at a velocity, and at which
+            rates, in place of `first` and `time`; `walk_cov` is then their covariance in the long run. Its method
+            `without` returns a model without the forces that the states replace. None by default.
 
     Raises:
         ValueError: A matrix is not a covariance, a time is not positive and finite, a shape does not fit the names, or
@@ -89,6 +92,7 @@ class SlowVariables(Functional):
     offset: Callable[[SlowVector], Vector] | None = None
     values: Callable[[SlowVector], SlowVector] | None = None
     time: Scalar | None = eqx.field(default=None, converter=as_gain)
+    law: Any = None
 
     def __check_init__(self):
         if self.time is not None:
@@ -108,19 +112,30 @@ class SlowVariables(Functional):
         """Square root (k, k) of the covariance at the start."""
         return semidefinite_root(self.first_cov)
 
-    def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
-        """The expected states: the mean over a step, and the values at its end."""
-        if self.time is None:
+    @property
+    def stay(self) -> bool:
+        """Whether the states are constants or random walks, which return to no value."""
+        return self.time is None and self.law is None
+
+    def advanced(self, v: Vector, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
+        """The expected states: the mean over a step that begins with the velocity v, and the values at its end."""
+        if self.stay:
             return s, s
-        first = self.first.astype(s.dtype)
-        mean, end, _ = gauss_markov((h / self.time).astype(s.dtype))
+        first, steps = (part.astype(s.dtype) for part in self._returning(v, h))
+        mean, end, _ = gauss_markov(steps)
         return first + mean * (s - first), first + end * (s - first)
 
-    def spread(self, h: Scalar) -> Float[Array, "k k"]:
+    def spread(self, v: Vector, h: Scalar) -> Float[Array, "k k"]:
         """Square root (k, k) of the covariance that a step adds."""
-        # The variance in the long run is walk_cov τ/2.
-        added = h if self.time is None else self.time / 2 * gauss_markov(h / self.time)[2]
-        return jnp.sqrt(added) * semidefinite_root(self.walk_cov).astype(h.dtype)
+        # With a time τ the variance in the long run is walk_cov τ/2.
+        size = 1.0 if self.time is None else self.time / 2
+        added = h if self.stay else size * gauss_markov(self._returning(v, h)[1])[2]
+        return jnp.reshape(jnp.sqrt(added), (-1, 1)) * semidefinite_root(self.walk_cov).astype(h.dtype)
+
+    def _returning(self, v: Vector, h: Scalar) -> tuple[SlowVector, Array]:
+        """Values to which the states return, and the length of a step in time constants."""
+        values, rates = (self.first, 1 / self.time) if self.law is None else self.law(v)
+        return values, h * rates
 
 
 def as_groups(given: Any) -> tuple[Any, ...]:
@@ -167,17 +182,17 @@ class SlowStates(NamedTuple):
         """Square root (k, k) of the covariance at the start; at least one group is needed."""
         return functools.reduce(diagonal, [group.first_root() for group in self.groups])
 
-    def walk_root(self, h: Scalar) -> Float[Array, "k k"]:
+    def walk_root(self, v: Vector, h: Scalar) -> Float[Array, "k k"]:
         """Square root of the covariance that is added in a step; at least one group is needed."""
-        return functools.reduce(diagonal, [group.spread(h) for group in self.groups])
+        return functools.reduce(diagonal, [group.spread(v, h) for group in self.groups])
 
-    def advanced(self, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
+    def advanced(self, v: Vector, s: SlowVector, h: Scalar) -> tuple[SlowVector, SlowVector]:
         """The expected states: the mean over a step, and the values at its end.
 
         States with a time constant τ return towards their first values, by the factor `exp(−h/τ)` at the end and
         `τ/h (1 − exp(−h/τ))` in the mean; the others stay.
         """
-        pairs = [group.advanced(part, h) for group, part in zip(self.groups, self.parts(s), strict=True)]
+        pairs = [group.advanced(v, part, h) for group, part in zip(self.groups, self.parts(s), strict=True)]
         means, ends = (jnp.concatenate([s[:0], *each]) for each in (zip(*pairs, strict=True) if pairs else ((), ())))
         return means, ends
 
@@ -192,6 +207,8 @@ class SlowStates(NamedTuple):
         # The model comes first, since forces are added to the dissipation of the model that replaces it.
         for group, part in pairs:
             model = model if group.model is None else group.model(part)
+        for group in self.groups:
+            model = model if group.law is None else group.law.without(model)
         forces = [(group.force, part) for group, part in pairs if group.force is not None]
 
         # Dissipation is the force that may depend on velocity, position and time.

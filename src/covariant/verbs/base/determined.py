@@ -71,7 +71,7 @@ def determined(observer: AbstractObserver, loaded: Loaded, outcome: Outcome) -> 
         return ()
     t = np.asarray(outcome.run.t)
     groups = (*filter_.slow, *(sensor.slow for sensor in filter_.sensors if sensor.slow is not None))
-    stay = np.concatenate([np.full(len(group.names), group.time is None) for group in groups])
+    stay = np.concatenate([np.full(len(group.names), group.stay) for group in groups])
     if not stay.any():
         return ()
     lasted = t[-1] - t[0]

@@ -87,6 +87,7 @@ class AbstractMechanical(AbstractKind):
             "the external force of [uncertainty]": file.external_force or file.external_force_std,
             "the bias of [measurement]": file.bias,
             "the parameters of [uncertainty]": file.family,
+            "the presliding friction of [uncertainty]": any(np.ravel(file.presliding)) or None,
             "the forces of [wrench]": file.wrenches or None,
             "what [sensors] read": sensors or None,
         }

@@ -7,7 +7,7 @@ import numpy as np
 
 from covariant.calibration import DataSheet, suggest_noise
 from covariant.models import ModelFile
-from covariant.observers import SlowVariables, sensor_bias, uncertain_parameters, wrench
+from covariant.observers import SlowVariables, presliding_friction, sensor_bias, uncertain_parameters, wrench
 from covariant.signals import Record
 from scalargraph.errors import InputError
 
@@ -58,6 +58,8 @@ def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
+    if np.any(file.presliding):
+        components += (presliding_friction(file.need_mechanical(file.name, "presliding is for"), file.presliding),)
     return components + tuple(_wrench(file, name, given) for name, given in file.wrenches.items())
 
 

@@ -1,6 +1,7 @@
 """Computes the tuning of noise and gains to logs, and what it says of the model."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,15 +20,14 @@ from covariant.verbs.base.inputs import Job, Loaded, coordinates, data_sheet, te
 from covariant.verbs.base.kinds import WITH_FORCE
 from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.model_text import advice
-from covariant.verbs.base.outcome import drive, rounded
+from covariant.verbs.base.outcome import Outcome, drive, rounded
 from covariant.verbs.base.pages import estimate_report
+from covariant.verbs.base.presliding import changed_keys, judge_innovations, likeliest_presliding, short
 from covariant.verbs.base.progress import Progress
 from covariant.verbs.base.trial import judging_reference
 from covariant.verbs.base.without_model import WithoutModel, without_model
 from scalargraph.errors import InputError
 
-DIGITS = 4
-"""Significant digits of tuned numbers in a model file."""
 COARSER = 1.5
 """Readings whose noise is more than so many times that of their ticks are taken as noisy, not as ticks."""
 SEARCHED = 60
@@ -82,8 +82,7 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
         progress(stage, (1 + STAGES.index(stage)) / (1 + len(STAGES)))
 
     try:
-        names = [Path(job.log_name).name for job in jobs]
-        model = loaded[0].model
+        names, model = [Path(job.log_name).name for job in jobs], loaded[0].model
         tuning = tune(model, records, velocities, std=known, before=before, progress=report, runs=runs, names=names)
     except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
@@ -138,34 +137,42 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
     filters = [name for name in KALMAN if name in estimators(file.model)]
     rows, true = [_held_out(one) for one in loaded], [one.reference.v for one in loaded if one.reference]
 
-    def velocities(file: models.ModelFile, name: str) -> list[np.ndarray]:
+    def outcomes(file: models.ModelFile, name: str) -> list[Outcome]:
         observers = [design(file, name, rate=one.rate, log=one._replace(file=file)).observer for one in loaded]
-        return [drive(each, one._replace(file=file)).velocity for each, one in zip(observers, loaded, strict=True)]
+        return [drive(each, one._replace(file=file)) for each, one in zip(observers, loaded, strict=True)]
 
-    def judge(new: list[np.ndarray], old: list[np.ndarray]) -> ErrorRatio:
-        parts = ([v[at] for v, at in zip(each, rows, strict=True)] for each in (new, old, true))
+    def judge(new: list[Outcome], old: list[Outcome]) -> ErrorRatio:
+        runs = ([each.velocity for each in both] for both in (new, old))
+        parts = ([v[at] for v, at in zip(each, rows, strict=True)] for each in (*runs, true))
         return ErrorRatio.of_velocities(*parts)
 
     tables = _tables(file, tuning, rate)
     new, known = tuned_file(file, tables), {}
     for name in filters:
-        known[name] = velocities(new, name)
-        if tells_noise(file) and not tuning.noise_kept and judge(known[name], old := velocities(file, name)).is_worse:
+        known[name] = outcomes(new, name)
+        if tells_noise(file) and not tuning.noise_kept and judge(known[name], old := outcomes(file, name)).is_worse:
             before, after = tuning.before or tuning.after, tuning.after
             relative = np.array([after.relative[0], before.relative[1]])
             after = before._replace(one_step=after.one_step, gains_error=after.gains_error, relative=relative)
             tuning, known = tuning._replace(noise_kept="velocities", after=after), {name: old}
             tables = _tables(file, tuning, rate)
             new = tuned_file(file, tables)
-    default = WITH_FORCE if tuning.force_rate else estimators(file.model)[0]
-    velocity, best = velocities(new, default), KALMAN[0]
+    default, best = WITH_FORCE if tuning.force_rate else estimators(file.model)[0], KALMAN[0]
+    of_default = outcomes(new, default)
     if best in filters:
-        filtered = known.get(best) or velocities(new, best)
-        default, velocity = (best, filtered) if judge(filtered, velocity).is_better else (default, velocity)
+        filtered = known.get(best) or outcomes(new, best)
+        takes_default = judge(filtered, of_default).is_better
+        turned = likeliest_presliding(new, lambda file: outcomes(file, best), FITTED)
+        # A reference from smoothed positions is no judge of reversals, where it rounds the corners of velocities.
+        predicts = partial(judge_innovations, rows=rows, std=new.measurement_std)
+        if turned is not None and predicts(found := outcomes(turned, best), filtered).is_better:
+            tables["uncertainty"] = tables.get("uncertainty", {}) | changed_keys(turned, new)
+            new, filtered, takes_default = turned, found, not predicts(found, of_default).is_worse
+        default, of_default = (best, filtered) if takes_default else (default, of_default)
     tables["design"]["observer"] = default
-    longest = max(range(len(loaded)), key=lambda k: len(velocity[k]))
+    longest = max(range(len(loaded)), key=lambda k: len(of_default[k].velocity))
     one = loaded[longest]._replace(file=new)
-    return Confirmed(tuning, tables, without_model(one, velocity[longest], _held_out(one)))
+    return Confirmed(tuning, tables, without_model(one, of_default[longest].velocity, _held_out(one)))
 
 
 def _held_out(one: Loaded) -> np.ndarray:
@@ -180,7 +187,7 @@ def _held_out(one: Loaded) -> np.ndarray:
 def tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:
     """The model file with the tuned numbers."""
     pairs = {f"{table}.{key}": value for table, numbers in tables.items() for key, value in numbers.items()}
-    if "uncertainty" in tables:
+    if "correlation_time" in tables.get("uncertainty", {}):
         file = file._replace(torque_std=None, external_force=None, external_force_std=None, external_force_time=None)
     file = file._replace(force_rate=None, quantum=None if "measurement" in tables else file.quantum)
     return models.load(file, pairs)
@@ -202,22 +209,21 @@ class _Runs:
 
 def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, dict[str, Any]]:
     """What is written into the model file, by table and key; no noise where that of the file is kept."""
-    design = {"damping": _short(tuning.damping), "natural_frequency": _short(tuning.natural_frequency)}
+    design = {"damping": short(tuning.damping), "natural_frequency": short(tuning.natural_frequency)}
     if tuning.force_rate:
-        design["force_rate"] = _short(tuning.force_rate)
+        design["force_rate"] = short(tuning.force_rate)
     if tuning.noise_kept:
         return {"design": design}
-    time = file.correlation_time or float(f"{1 / (2 * rate):.{DIGITS}g}")
+    time = file.correlation_time or short(1 / (2 * rate))
     # A deviation σ that persists over the time τ acts as white noise of the density σ √(2τ).
     acceleration = float(tuning.noise.acceleration) / np.sqrt(2 * time)
-    uncertainty = {"acceleration": _short(acceleration), "correlation_time": time}
+    uncertainty = {"acceleration": short(acceleration), "correlation_time": time}
     uncertainty |= _force(file, tuning)
     tables: dict[str, dict[str, Any]] = {"uncertainty": uncertainty, "design": design}
     # Rounding to ticks has a uniform error, of the standard deviation quantum/√12.
     ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
     if file.quantum is None or np.any(np.asarray(tuning.noise.measurement) > COARSER * ticks):
-        std = [_short(value) for value in np.asarray(tuning.noise.measurement)]
-        tables = {"measurement": {"std": std if len(std) > 1 else std[0]}, **tables}
+        tables = {"measurement": {"std": short(np.asarray(tuning.noise.measurement))}, **tables}
     return tables
 
 
@@ -227,23 +233,19 @@ def _force(file: models.ModelFile, tuning: Tuning) -> dict[str, Any]:
     if not force.any():
         return {}
     if not np.isfinite(time):
-        return {"external_force": _short(force)}
-    std = [_short(one) for one in np.broadcast_to(force, file.dimension)] if file.dimension > 1 else _short(force.max())
-    return {"external_force_std": std, "external_force_time": _short(time)}
-
-
-def _short(value: Any) -> float:
-    return float(f"{float(value):.{DIGITS}g}")
+        return {"external_force": short(force)}
+    return {"external_force_std": short(np.broadcast_to(force, file.dimension)), "external_force_time": short(time)}
 
 
 def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """The content of the model file with the tuned numbers; without an external force unless the tuning has one."""
     for table, numbers in tables.items():
         content.setdefault(table, {}).update(numbers)
-    # The tuned acceleration holds what was torque.
+    # The tuned acceleration holds what was torque; a distance alone changes none of the others.
+    whole = {table for table in tables if table != "uncertainty" or "correlation_time" in tables[table]}
     optional = {"uncertainty": ("torque", "external_force", "external_force_std", "external_force_time")}
     for table, keys in (optional | {"design": ("force_rate",)}).items():
-        for key in set(keys) - set(tables[table]) if table in tables else ():
+        for key in set(keys) - set(tables[table]) if table in whole else ():
             content[table].pop(key, None)
     # std stands in its place: a model file may not have both.
     if "measurement" in tables:
@@ -271,11 +273,8 @@ def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confi
         "without_model": beside if isinstance(beside, str) else beside.data,
         "gains": {
             "from": tuning.source,
-            "same": None if tuning.same is None else [_short(each) for each in tuning.same],
-            "candidates": [
-                {key: value if isinstance(value, str) else _short(value) for key, value in each._asdict().items()}
-                for each in tuning.candidates
-            ],
+            "same": None if tuning.same is None else [short(each) for each in tuning.same],
+            "candidates": [_round_numbers(each._asdict()) for each in tuning.candidates],
         },
         "notes": notes(confirmed),
         "warning": warning(
@@ -286,12 +285,16 @@ def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confi
     }
 
 
+def _round_numbers(numbers: dict[str, Any]) -> dict[str, Any]:
+    return {key: value if isinstance(value, str) else short(value) for key, value in numbers.items()}
+
+
 def notes(confirmed: Confirmed) -> list[str]:
     """Say where the gains are from, what was kept, which observer is the default, and whether the model helps."""
     found = confirmed.tuning
     said = []
     if found.candidates:
-        named = ", ".join(f"{each.source} {_short(each.smoothed):g}" for each in found.candidates)
+        named = ", ".join(f"{each.source} {short(each.smoothed):g}" for each in found.candidates)
         said.append(
             f"Gains: {found.source}. Distances of held-out velocities to those of a smoother, as fractions of the "
             f"velocity: {named}."
@@ -300,7 +303,7 @@ def notes(confirmed: Confirmed) -> list[str]:
         if len(near) > 1:
             said.append(f"By the rows after each alone these cannot be told apart: {', '.join(near)}.")
     if found.same is not None:
-        low, high = (f"{_short(each):g}" for each in found.same)
+        low, high = (f"{short(each):g}" for each in found.same)
         said.append(f"Gains with a natural frequency between {low} and {high} rad/s are as good within 2 %, or better.")
     if found.gains_kept:
         said.append(
@@ -314,6 +317,8 @@ def notes(confirmed: Confirmed) -> list[str]:
     if found.noise_kept:
         why = "readings are likelier" if found.noise_kept == "likelihood" else "velocities are better"
         said.append(f"Held-out {why} with the noise of the model file, which is kept.")
+    if "presliding" in confirmed.tables.get("uncertainty", {}):
+        said.append("Held-out readings are predicted clearly better if Coulomb friction turns over a distance.")
     default, beside = confirmed.tables["design"]["observer"], confirmed.beside
     why = (
         "which is clearly better than constant gains" if default in KALMAN else "than which no filter is clearly better"
