@@ -85,7 +85,7 @@ class Tuning(NamedTuple):
         gains_kept: Whether the gains are those of the data sheet because others, which seemed better, had a larger
             velocity error on held-out rows.
         noise_kept: Why the noise is that of the data sheet: "likelihood", because held-out measurements are likelier
-            with it, or "velocities", because the Kalman filter's velocities are better; empty where it is tuned.
+            with it, or "velocities" from the verb `tune`, because a filter's velocities are; empty where it is tuned.
 
     Example:
         >>> import jax.numpy as jnp
@@ -170,8 +170,6 @@ def tune(
         baseline = _held_out_errors(errors, *old, speed)
         if _held_out_errors(errors, estimates, noise, speed).likelihood < baseline.likelihood:
             kept, noise, likeliest = "likelihood", old[1], old[1]
-        elif _worse(logs, *(_filtered_velocities(errors, each, speed) for each in (noise, old[1]))):
-            kept, noise = "velocities", old[1]
     filtered = [each.filtered(likeliest, speed) for each in errors]
     proposed |= candidates(likeliest, [each.system for each in errors], filtered, rate)
     judges = [Judge.of(each, likeliest, speed) for each in errors]
@@ -206,10 +204,6 @@ def sheet_poles(model: MechanicalSystem, sheet: DataSheet, rate: float) -> Poles
 
 def _velocities(estimates: list[Any]) -> list[np.ndarray]:
     return [np.asarray(v) for _, v, _ in estimates]
-
-
-def _filtered_velocities(errors: list[RunErrors], noise: NoiseLevels, speed: Array) -> list[np.ndarray]:
-    return [each.corrected(each.filtered(noise, speed).error) for each in errors]
 
 
 def _worse(logs: list[TuningLog], new: list[np.ndarray], old: list[np.ndarray]) -> bool:

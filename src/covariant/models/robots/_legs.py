@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._functional import Functional
-from covariant._linalg import solve_square
 from covariant._typing import Number, Scalar, Vector
 from covariant.geometry.lie import SO3
 from covariant.models.robots._space import RobotSpace
@@ -93,32 +92,6 @@ class Legs(Functional):
     def joints(self) -> int:
         """Number of joints."""
         return self.space.tree.coordinates.shape[1]
-
-    def forces(
-        self, q: Vector, dq: Vector, ddq: Vector, u: Float[Array, "6"], turning: Float[Array, "3"], torque: Vector
-    ) -> Float[Array, "F 3"]:
-        """Forces of the ground on the feet [N] in the axes of the base, from `Jᵀf = M_jb (a, ω') + M_jj q̈ + C − τ`.
-
-        The accelerometer reading includes gravity, so neither attitude nor velocity of the base is needed.
-
-        Args:
-            q: Positions (n,) of the joints.
-            dq: Their rates (n,).
-            ddq: Their accelerations (n,).
-            u: Angular velocity (3,) [rad/s] and specific force (3,) [m/s²] of the base.
-            turning: Angular acceleration (3,) of the base [rad/s²].
-            torque: Torques (n,) of the joints.
-
-        Returns:
-            Force (F, 3) on each foot, for legs of three or more joints; with more joints, the least-squares solution.
-        """
-        x = jnp.concatenate([jnp.eye(4, dtype=q.dtype).ravel(), q])
-        still = jnp.zeros(3, q.dtype)
-        rates = jnp.concatenate([still, u[:3], dq])
-        accelerations = jnp.concatenate([u[3:], turning, ddq])
-        needed = self.space(x) @ accelerations + self.space.connection_force(x, rates, rates)
-        residual, moved = needed[6:] - torque, self.feet(q)[2].reshape(-1, len(q))
-        return solve_square(moved @ moved.T, moved @ residual).reshape(-1, 3)
 
 
 def legs(space: Any, feet: Mapping[str, Sequence[Number]], radius: Number) -> Legs:

@@ -334,6 +334,15 @@ class AbstractWrapper(AbstractObserver[State, Report]):
 
     observer: eqx.AbstractVar[Any]
 
+    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> State:
+        return self.observer.init(y, t)
+
+    def estimate(self, state: State) -> Any:
+        return self.observer.estimate(state)
+
+    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
+        return self.observer.predict(state, u, dt)
+
     def admitted(self, y: Inexact[Array, "*n"]) -> Inexact[Array, "*n"]:
         return self.observer.admitted(y)
 

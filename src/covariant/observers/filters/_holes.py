@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from covariant._linalg import lower_solve, triangular_with_rank, upper_solve
-from covariant._typing import Code, Flag, Matrix, Number, Scalar, Vector
+from covariant._typing import Code, Flag, Matrix, Scalar, Vector
 from covariant.observers.base import AbstractWrapper, Rows, normalised_square, updated
 from covariant.observers.filters._gated_filter import AbstractGatedFilter, State
 from covariant.scoring import longest_step
@@ -180,12 +180,6 @@ class Stepwise(AbstractWrapper[State, Any]):
 
     observer: AbstractGatedFilter
     advanced: Callable[[Any, Array, Array, Scalar], tuple[Any, Any]]
-
-    def init(self, y: Array, t: Number = 0.0) -> State:
-        return self.observer.init(y, t)
-
-    def predict(self, state: State, u: Array, dt: Scalar) -> State:
-        return self.observer.predict(state, u, dt)
 
     def correct(self, state: State, u: Array, y: Array) -> tuple[State, Any]:
         return self.observer.correct(state, u, y)

@@ -21,7 +21,6 @@ Source: Bloesch et al. 2012, State estimation for legged robots, RSS; Hartley, G
 Contact-aided invariant extended Kalman filtering for robot state estimation, IJRR 39(4).
 """
 
-import math
 from typing import Any, NamedTuple
 
 import jax
@@ -35,7 +34,7 @@ from covariant.geometry.lie import SO3
 from covariant.models import ON_THE_GROUND, StateSpace
 from covariant.observers.base import AbstractObserver, LastInput, check_finite, check_positive, no_input, with_block
 from covariant.observers.filters._state_noise import StateNoise
-from covariant.signals import AnyArray, Record, StepCode
+from covariant.signals import AnyArray, StepCode
 
 THRESHOLD = 18.0
 """Squared distance of a foot from its anchor, by its covariance, above which it is anchored anew: χ² at 0.05 %."""
@@ -315,34 +314,6 @@ class LeggedBase(AbstractObserver):
         std = jnp.sqrt(jnp.maximum(jnp.diag(self._on_sphere(x, new.cov)[1]), 0.0))
         return new, LeggedBaseInfo(innovation, jnp.sqrt(jnp.sum(squares)), squares, std, standing, result)
 
-    def contact_forces(
-        self, record: Record, torque: Float[np.ndarray, "T n"], cutoff: float = 100.0
-    ) -> Float[np.ndarray, "T F 3"]:
-        """Forces of the ground on the feet along a log, for the inspection of contacts; estimates do not use them.
-
-        The accelerometer measures gravity and the motion of the base, so only masses and torques are needed besides.
-        Friction of the joints counts as force.
-
-        Args:
-            record: A log of this observer, with evenly spaced rows.
-            torque: Torques (T, n) of the joints, each from its row to the next [N m].
-            cutoff: Cutoff [Hz] of the low-pass filter of the forces; joint rates are filtered at 40 % of it.
-
-        Returns:
-            Force (T, F, 3) [N] on each foot in the axes of the base. Its component opposite to the estimated gravity is
-            the load of the foot.
-        """
-        t, u, y = (np.asarray(part, float) for part in (record.t, record.u, record.y))
-        q, dt = y[:, : self._joints], float(np.median(np.diff(t)))
-        difference = np.diff(q, axis=0, prepend=q[:1]) / dt
-        rates = _low_pass(difference, 0.4 * cutoff * dt)
-        accelerations = np.diff(difference, axis=0, prepend=difference[:1]) / dt
-        # IMU readings and torques between two rows belong to the later row, as the positions do.
-        u, torque = (np.concatenate([part[:1], part[:-1]]) for part in (u, np.asarray(torque, float)))
-        turning = np.diff(u[:, :3], axis=0, prepend=u[:1, :3]) / dt
-        forces = jax.jit(jax.vmap(self._legs.forces))(q, rates, accelerations, u, turning, torque)
-        return _low_pass(np.asarray(forces), cutoff * dt)
-
     def _read(self, y: Float[Array, "p"]) -> tuple[Array, Array, Array, Array]:
         """Positions and rotations of the feet, the covariance of the positions, and their derivatives by the joints."""
         joints = self._joints
@@ -370,14 +341,6 @@ class LeggedBase(AbstractObserver):
 def _symmetric(cov: Matrix) -> Matrix:
     """A symmetric matrix without rounding errors, which halves the work when it is lowered."""
     return jnp.where(np.tri(len(cov), dtype=bool).T, cov, cov.T)
-
-
-def _low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
-    """First-order low-pass filter along the first axis, with a cutoff in cycles per sample."""
-    from scipy.signal import lfilter  # it loads slowly
-
-    kept = math.exp(-2 * math.pi * cutoff)
-    return np.asarray(lfilter([1 - kept], [1, -kept], x, axis=0))
 
 
 def _regular(slope: Float[Array, "3 p"]) -> Float[Array, "3 3"]:

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Inexact
 
-from covariant._typing import Number, Scalar
 from covariant.observers.base import AbstractObserver, AbstractWrapper, Report, State
 from scalargraph.errors import InputError
 
@@ -43,15 +42,6 @@ class Unwrapped(AbstractWrapper[State, Report]):
         self.observer, self.period = observer, tuple(map(float, period))
         if not all(0 <= each < float("inf") for each in self.period):
             raise InputError(f"Unwrapped: periods must be finite numbers ≥ 0; got {period}")
-
-    def init(self, y: Inexact[Array, "*n"], t: Number = 0.0) -> State:
-        return self.observer.init(y, t)
-
-    def estimate(self, state: State) -> Any:
-        return self.observer.estimate(state)
-
-    def predict(self, state: State, u: Float[Array, "m"], dt: Scalar) -> State:
-        return self.observer.predict(state, u, dt)
 
     def correct(self, state: State, u: Float[Array, "m"], y: Inexact[Array, "*n"]) -> tuple[State, Report]:
         return self.observer.correct(state, u, self._nearest(state, y))

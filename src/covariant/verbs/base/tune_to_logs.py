@@ -121,11 +121,13 @@ class Confirmed(NamedTuple):
         tables: What is written into the model file, by table and key.
         beside: Judges the default observer beside the best filter without a model on held-out rows of the longest log,
             or says why that is impossible.
+        in_holes: Judges the Kalman filter beside another default on held-out rows in holes and soon after them.
     """
 
     tuning: Tuning
     tables: dict[str, dict[str, Any]]
     beside: WithoutModel | str
+    in_holes: ErrorRatio | None = None
 
 
 def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
@@ -141,9 +143,9 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         observers = [design(file, name, rate=one.rate, log=one._replace(file=file)).observer for one in loaded]
         return [drive(each, one._replace(file=file)) for each, one in zip(observers, loaded, strict=True)]
 
-    def judge(new: list[Outcome], old: list[Outcome]) -> ErrorRatio:
+    def judge(new: list[Outcome], old: list[Outcome], among: list[np.ndarray] = rows) -> ErrorRatio:
         runs = ([each.velocity for each in both] for both in (new, old))
-        parts = ([v[at] for v, at in zip(each, rows, strict=True)] for each in (*runs, true))
+        parts = ([v[at] for v, at in zip(each, among, strict=True)] for each in (*runs, true))
         return ErrorRatio.of_velocities(*parts)
 
     tables = _tables(file, tuning, rate)
@@ -159,6 +161,7 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
             new = tuned_file(file, tables)
     default, best = WITH_FORCE if tuning.force_rate else estimators(file.model)[0], KALMAN[0]
     of_default = outcomes(new, default)
+    in_holes = None
     if best in filters:
         filtered = known.get(best) or outcomes(new, best)
         takes_default = judge(filtered, of_default).is_better
@@ -169,17 +172,24 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
             tables["uncertainty"] = tables.get("uncertainty", {}) | changed_keys(turned, new)
             new, filtered, takes_default = turned, found, not predicts(found, of_default).is_worse
         default, of_default = (best, filtered) if takes_default else (default, of_default)
+        holes = [_late(one) & (False if one.holes is None else one.holes.concerned) for one in loaded]
+        in_holes = judge(filtered, of_default, holes)
     tables["design"]["observer"] = default
     longest = max(range(len(loaded)), key=lambda k: len(of_default[k].velocity))
     one = loaded[longest]._replace(file=new)
-    return Confirmed(tuning, tables, without_model(one, of_default[longest].velocity, _held_out(one)))
+    return Confirmed(tuning, tables, without_model(one, of_default[longest].velocity, _held_out(one)), in_holes)
+
+
+def _late(one: Loaded) -> np.ndarray:
+    """Rows (T,) of a log that did not tune it and have a reference, of the last third."""
+    t, reference = np.asarray(one.record.t), one.reference
+    assert reference is not None
+    return reference.scored & (t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(reference.v).all(axis=1)
 
 
 def _held_out(one: Loaded) -> np.ndarray:
-    """Rows (T,) of a log that did not tune it: the last third, without holes unless there is little else."""
-    t, reference = np.asarray(one.record.t), one.reference
-    assert reference is not None
-    late = reference.scored & (t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(reference.v).all(axis=1)
+    """The same without holes, unless there is little else."""
+    late = _late(one)
     clear = late if one.holes is None else late & ~one.holes.concerned
     return clear if clear.sum() >= FEWEST else late
 
@@ -254,7 +264,7 @@ def _with_tables(content: dict[str, Any], tables: dict[str, dict[str, Any]]) -> 
 
 
 def _details(jobs: list[Job], loaded: list[Loaded], delay: Any, confirmed: Confirmed) -> dict[str, Any]:
-    (names, units), (tuning, tables, beside) = coordinates(loaded[0].file), confirmed
+    (names, units), (tuning, tables, beside, _) = coordinates(loaded[0].file), confirmed
     return {
         "model": jobs[0].model_name,
         "logs": [job.log_name for job in jobs],
@@ -324,6 +334,9 @@ def notes(confirmed: Confirmed) -> list[str]:
         "which is clearly better than constant gains" if default in KALMAN else "than which no filter is clearly better"
     )
     said.append(f"The default observer is {default}, {why}.")
+    if confirmed.in_holes is not None and confirmed.in_holes.is_better:
+        times = confirmed.in_holes.error / confirmed.in_holes.other
+        said.append(f"After holes the error of {KALMAN[0]} is {times:.2g} times as large: take it for logs with holes.")
     if isinstance(beside, str) or not beside.verdict.is_worse:
         said.append(f"{beside if isinstance(beside, str) else beside.sentence(default)}.")
     return said
