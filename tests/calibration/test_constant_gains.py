@@ -86,9 +86,9 @@ def test_within_the_slack_the_smoother_decides():
 def test_a_force_is_forgotten_as_by_the_observers(time):
     slow, h = SlowStates((external_force(std=2.0, time=time),)), jnp.asarray(0.02)
     mean, decay, added = forgotten(h, time)
-    means, ends = slow.advanced(jnp.ones(1), h)
+    means, ends = slow.advanced(jnp.zeros(1), jnp.ones(1), h)
     np.testing.assert_allclose([mean, decay], [means[0], ends[0]], rtol=1e-12)
-    assert float(4 * added) == pytest.approx(float(slow.walk_root(h)[0, 0] ** 2), rel=1e-9)
+    assert float(4 * added) == pytest.approx(float(slow.walk_root(jnp.zeros(1), h)[0, 0] ** 2), rel=1e-9)
 
 
 def test_a_force_without_a_time_is_a_random_walk():

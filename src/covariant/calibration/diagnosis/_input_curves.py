@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from covariant.calibration.diagnosis._block_regression import weighted_least_squares
 from covariant.calibration.diagnosis._case import Case, Residual, accelerations, acting, averaged, best_window, smoothed
 from covariant.calibration.diagnosis._finding import Finding, later_line
-from covariant.calibration.diagnosis._missing_torques import by_joints, friction_columns, weights
+from covariant.calibration.diagnosis._missing_torques import by_joints, friction_columns, turning_friction, weights
 from covariant.calibration.diagnosis._smooth import Smooth, held_inputs
 from covariant.calibration.diagnosis._suspicion import (
     BLOCKS,
@@ -177,7 +177,8 @@ class Balance(NamedTuple):
         effects = [accelerations(case.model, log._replace(u=none + unit)) - idle for unit in np.eye(log.u.shape[1])]
         made = cls(case, log, before, effects, np.empty((0, 0)))
         weight = by_joints(case.model, log, np.asarray(weights(case.model, log.q)))
-        columns = [*(averaged(log, each) for each in (idle, *weight)), *friction_columns(case.model, log)]
+        turning = (each for torque in turning_friction(log) for each in by_joints(case.model, log, torque))
+        columns = [*(averaged(log, each) for each in (idle, *weight, *turning)), *friction_columns(case.model, log)]
         if case.effects is not None:
             columns += case.effects(log)
         sized = (made.sized(each) for each in columns)

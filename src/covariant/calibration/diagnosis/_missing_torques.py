@@ -25,6 +25,8 @@ SMOOTHED = 0.05
 LARGEST_ROTOR = 1e4
 """Largest inertia of a rotor behind a gear, over that of the links at its joint: slow motions in another unit of time
 look like a larger one."""
+TURNS = np.array([[1e-3], [3e-3], [1e-2]])
+"""Distances over which friction may turn at a reversal, as fractions of the range of a coordinate."""
 KINDS = ("viscous friction", "Coulomb friction", "rotor inertia")
 OF_CHAIN = {
     "viscous friction": ("viscous", 1.0),
@@ -130,6 +132,17 @@ def friction_columns(model: MechanicalSystem, log: Smooth) -> list[Float[np.ndar
     """Averaged accelerations by a unit of viscous friction in each joint, and by one of Coulomb friction."""
     torques = (-log.v, -np.tanh(log.v / _speeds(log)))
     return [averaged(log, each) for torque in torques for each in by_joints(model, log, torque)]
+
+
+def turning_friction(log: Smooth) -> Iterator[Float[np.ndarray, "K n"]]:
+    """Torques of a unit of friction that turns over a distance at a reversal, by Dahl's law, for several distances."""
+    signs, steps = np.sign(log.v), np.abs(np.diff(log.q, axis=0, prepend=log.q[:1]))
+    for distance in TURNS * np.ptp(log.q, axis=0):
+        kept = np.exp(-steps / np.maximum(distance, np.finfo(float).tiny))
+        state, torque = np.zeros_like(signs[0]), np.empty_like(signs)
+        for k in range(len(signs)):
+            torque[k] = state = signs[k] + (state - signs[k]) * kept[k]
+        yield -torque
 
 
 def without_gravity(model: MechanicalSystem) -> MechanicalSystem | None:

@@ -105,5 +105,5 @@ class ErrorRatio(NamedTuple):
 def relative_squares(v: Float[np.ndarray, "R n"], true: Float[np.ndarray, "R n"]) -> Float[np.ndarray, "R"]:
     """Squared errors of velocities as parts of the velocity, means over the coordinates; infinite where not finite."""
     # The floor is for a coordinate that stands still: its error then counts as infinite, unless it is zero.
-    size = np.maximum(np.mean(true**2, axis=0), np.finfo(float).tiny)
+    size = np.maximum(np.sum(true**2, axis=0) / max(len(true), 1), np.finfo(float).tiny)
     return np.nan_to_num(np.mean((v - true) ** 2 / size, axis=1), nan=np.inf)

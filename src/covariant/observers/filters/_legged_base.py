@@ -192,7 +192,7 @@ class LeggedBase(AbstractObserver):
         for i in range(len(places)):
             at = slice(6 + 3 * i, 9 + 3 * i)
             x, blocks = x.at[at].set(places[i]), blocks.at[at, at].set(noise[i])
-        anchors = np.repeat([False, True, False], [6, len(x) - 12, 6])
+        anchors = jnp.asarray(np.repeat([False, True, False], [6, len(x) - 12, 6]))
         return x, with_block(cov, blocks, anchors), jnp.zeros_like(places), jnp.full(len(places), PROBATION, x.dtype)
 
     def estimate(self, state: LeggedBaseState) -> Vector:
@@ -328,6 +328,7 @@ class LeggedBase(AbstractObserver):
         """Mean and covariance given that gravity has its initial magnitude, linearised where the mean comes to lie."""
         start = jnp.asarray(self.start, x.dtype)[3:6]
         square, gravity = start @ start, x[3:6]
+        given, gain, along = x, x, x
         for _ in range(LINEARISATIONS):
             down = gravity / jnp.sqrt(gravity @ gravity)
             along = cov[:, 3:6] @ down

@@ -104,7 +104,8 @@ def presliding_friction(model: MechanicalSystem, displacement: Numbers) -> SlowV
     if not np.allclose(np.abs(force[at]), np.abs(other[at]), rtol=1e-6):
         raise InputError("presliding_friction: each level of Coulomb friction must be that of one fixed axis")
     axes = -force[at] / gain[at, None]
-    law = DahlLaw(*map(jnp.asarray, (axes, distances[last][at])), stored, jnp.asarray(gain[at]), tuple(at.tolist()))
+    sliding, turns = jnp.asarray(gain[at]), jnp.asarray(distances[last][at])
+    law = DahlLaw(jnp.asarray(axes), turns, stored, sliding, tuple(at.tolist()))
     cov = jnp.diag(jnp.square(law.gain * levels[at]))
     names, against = tuple(f"friction{i + 1}" for i in at), Parametric(_against, axes=axes)
     return SlowVariables(names, jnp.zeros(len(at)), cov, LEVEL_ERROR**2 * cov, force=against, law=law)

@@ -134,7 +134,8 @@ class SlowVariables(Functional):
 
     def _returning(self, v: Vector, h: Scalar) -> tuple[SlowVector, Array]:
         """Values to which the states return, and the length of a step in time constants."""
-        values, rates = (self.first, 1 / self.time) if self.law is None else self.law(v)
+        time: Any = self.time
+        values, rates = (self.first, 1 / time) if self.law is None else self.law(v)
         return values, h * rates
 
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_holes import BEFORE, HOLE, ROWS, rod_ekf, turning
+from test_smoothed_holes import BEFORE, HOLE, ROWS, rod_ekf, turning
 from test_smoother import rod
 
 import covariant
