@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import covariant
 from benchmarks.velocity.cases import Case, case, entries
 from benchmarks.velocity.estimators import AbstractEstimator, Estimate, Numbers, estimators
 from benchmarks.velocity.scores import ratio, scores
