@@ -21,8 +21,9 @@ from benchmarks.velocity.run import OUT, judge
 def main() -> None:
     """Run the logs that are named, or all, and print what came out."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.velocity", description=__doc__)
-    parser.add_argument("logs", nargs="*", help="names of logs in logs.toml; all by default")
+    parser.add_argument("logs", nargs="*", help="names of logs in logs.toml; by default all that are not slow")
     parser.add_argument("--fetch", action="store_true", help="download the recorded logs that are not there")
+    parser.add_argument("--all", action="store_true", help="run the slow logs too: robots of six and seven joints")
     parser.add_argument("--list", action="store_true", help="print the names of the logs")
     parser.add_argument("--page", action="store_true", help="write table and figure of docs/velocity-benchmark.md")
     asked = parser.parse_args()
@@ -34,7 +35,7 @@ def main() -> None:
         sys.exit(f"no log is called {', '.join(unknown)}; there are: {', '.join(entries())}")
     if asked.fetch:
         fetch.fetch(OUT / "data")
-    names = asked.logs or list(entries())
+    names = asked.logs or [name for name, entry in entries().items() if asked.all or not entry.get("slow")]
     workers = min(len(names), os.cpu_count() or 1)
     with concurrent.futures.ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         results = dict(zip(names, pool.map(judge, names), strict=True))

@@ -126,13 +126,14 @@ def case(entry: dict[str, Any]) -> Case | None:
 
 def _simulated(entry: dict[str, Any]) -> Case:
     twin = twins.TWINS[entry["twin"]]()
-    record = Record(*map(np.asarray, twin.record[:3]))
+    rows = np.asarray(twin.record.t) <= entry.get("until", np.inf)
+    record, v = Record(*(np.asarray(part)[rows] for part in twin.record[:3])), twin.v[rows]
     loaded = load(Job(twin.file, record, anyway=True))
     t, span = record.t, record.t[-1] - record.t[0]
     tune, judge = _rows(t, [SETTLING * TUNED * span, TUNED * span]), _rows(t, [JUDGED * span, span])
-    loaded = loaded._replace(reference=ReferenceVelocity(twin.v, "true velocities", judge))
-    key = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (*record[:3], twin.v))).hexdigest()
-    return Case(entry["name"], loaded, twin.v, "true velocities", tune, judge, False, None, key)
+    loaded = loaded._replace(reference=ReferenceVelocity(v, "true velocities", judge))
+    key = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in (*record[:3], v))).hexdigest()
+    return Case(entry["name"], loaded, v, "true velocities", tune, judge, False, None, key)
 
 
 def _rows(t: np.ndarray, span: list[float]) -> np.ndarray:

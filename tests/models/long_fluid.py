@@ -78,7 +78,7 @@ def order(sizes, errors):
 def test_bracket_tends_to_the_poisson_bracket_at_second_order():
     poisson = d(SMOOTH, 0) * d(OTHER, 1) - d(SMOOTH, 1) * d(OTHER, 0)
     sizes = (9, 17, 33)
-    bracket = eqx.filter_jit(lambda n, v, w: fluid.stream_function(n, SU(n).lie_bracket(v, w), POINTS))
+    bracket = eqx.filter_jit(lambda n, v, w: fluid.field(fluid.stream_modes(n, SU(n).lie_bracket(v, w)), POINTS))
     errors = [relative(bracket(n, velocity(n, SMOOTH), velocity(n, OTHER)), poisson) for n in sizes]
     assert order(sizes, errors) == pytest.approx(-2, abs=0.1)
     assert errors[-1] < 0.01
@@ -118,7 +118,7 @@ def test_inertia_is_the_dense_one():
 def test_energy_and_the_square_of_the_vorticity_are_integrals_over_the_torus():
     n = 9
     v = jnp.asarray(np.random.default_rng(2).normal(size=n**2 - 1))
-    psi = np.asarray(eqx.filter_jit(fluid.stream_function)(n, v, POINTS))
+    psi = np.asarray(eqx.filter_jit(lambda v: fluid.field(fluid.stream_modes(n, v), POINTS))(v))
     area = (2 * np.pi / POINTS) ** 2
     energy = eqx.filter_jit(lambda v: models.energy(system(n), system(n).group.identity(), v))(v)
     assert energy == pytest.approx(area / 2 * np.sum(d(psi, 0) ** 2 + d(psi, 1) ** 2), rel=1e-12)

@@ -132,12 +132,11 @@ class FromRegistry(AbstractEstimator):
     def run(self, case: Case, numbers: Sequence[Numbers], rows: np.ndarray) -> list[Estimate]:
         if self.entry.tuned_by == "window" and len(numbers) > 1:  # each window would be compiled
             return [self._by_weights(case, self._bare(case, one), rows) for one in numbers]
-        observers, small = [self.observer(case, one) for one in numbers], case.loaded.file.dimension <= LARGEST_IN_C
-        # JAX compiles for a number of rows, C for any.
-        count = until(rows) if small else len(case.t)
+        observers, count = [self.observer(case, one) for one in numbers], until(rows)
+        engine = "c" if case.loaded.file.dimension <= LARGEST_IN_C else "jax"
         record = case.loaded.record_for(observers[0])
         record = Record(*(np.asarray(part)[:count] for part in record[:3]))
-        runs, _ = run_logs(observers, record, KEPT, "c" if small else "jax")
+        runs, _ = run_logs(observers, record, KEPT, engine)
         found = [jax.tree.map(np.asarray, run) for run in runs]
         return [Estimate(np.asarray(case.model.sought.of(run.estimate)), deviations(run.info)) for run in found]
 

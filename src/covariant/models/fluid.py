@@ -135,30 +135,6 @@ def vorticity_modes(n: int, v: Vector) -> Modes:
     return _times(-_squared_wave_numbers(n), stream_modes(n, v))
 
 
-def stream_function(n: int, v: Vector, points: int) -> Grid:
-    """Stream function of a velocity on a grid.
-
-    Args:
-        n: Number of frequencies in each direction.
-        v: Velocity (n² − 1,) in `lie.SU(n)` [1/s].
-        points: Number of grid points in each direction, at least n.
-
-    Returns:
-        Values (points, points) [m²/s].
-
-    Raises:
-        ValueError: There are fewer points than n.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from covariant.models import fluid
-        >>> stream = jnp.zeros((3, 3), complex).at[[1, 2], 0].set(0.5)  # ψ = cos x₁
-        >>> fluid.stream_function(3, fluid.velocity_coordinates(3, stream), 4)[0, 0].round(6).item()
-        1.0
-    """
-    return field(stream_modes(n, v), points)
-
-
 def vorticity(n: int, v: Vector, points: int) -> Grid:
     """Vorticity of a velocity on a grid.
 

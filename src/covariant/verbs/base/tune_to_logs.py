@@ -131,7 +131,7 @@ class Confirmed(NamedTuple):
 
 
 def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
-    """Keep the old noise if a filter that the model file can run is worse with the new one, and choose the default.
+    """Keep the old noise if the best filter is worse with the new one, and choose the default.
 
     That is the Kalman filter where it is clearly better on held-out rows than constant gains, which cost less.
     """
@@ -148,22 +148,26 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
         parts = ([v[at] for v, at in zip(each, among, strict=True)] for each in (*runs, true))
         return ErrorRatio.of_velocities(*parts)
 
+    def least(known: dict[str, list[Outcome]]) -> list[Outcome]:
+        return min(known.values(), key=lambda each: judge(each, each).error)
+
     tables = _tables(file, tuning, rate)
-    new, known = tuned_file(file, tables), {}
-    for name in filters:
-        known[name] = outcomes(new, name)
-        if tells_noise(file) and not tuning.noise_kept and judge(known[name], old := outcomes(file, name)).is_worse:
+    new = tuned_file(file, tables)
+    known = {name: outcomes(new, name) for name in filters}
+    if filters and tells_noise(file) and not tuning.noise_kept:
+        old = {name: outcomes(file, name) for name in filters}
+        if judge(least(known), least(old)).is_worse:
             before, after = tuning.before or tuning.after, tuning.after
             relative = np.array([after.relative[0], before.relative[1]])
             after = before._replace(one_step=after.one_step, gains_error=after.gains_error, relative=relative)
-            tuning, known = tuning._replace(noise_kept="velocities", after=after), {name: old}
+            tuning, known = tuning._replace(noise_kept="velocities", after=after), old
             tables = _tables(file, tuning, rate)
             new = tuned_file(file, tables)
     default, best = WITH_FORCE if tuning.force_rate else estimators(file.model)[0], KALMAN[0]
     of_default = outcomes(new, default)
     in_holes = None
     if best in filters:
-        filtered = known.get(best) or outcomes(new, best)
+        filtered = known[best]
         takes_default = judge(filtered, of_default).is_better
         turned = likeliest_presliding(new, lambda file: outcomes(file, best), FITTED)
         # A reference from smoothed positions is no judge of reversals, where it rounds the corners of velocities.
@@ -172,26 +176,21 @@ def confirm(loaded: list[Loaded], tuning: Tuning) -> Confirmed:
             tables["uncertainty"] = tables.get("uncertainty", {}) | changed_keys(turned, new)
             new, filtered, takes_default = turned, found, not predicts(found, of_default).is_worse
         default, of_default = (best, filtered) if takes_default else (default, of_default)
-        holes = [_late(one) & (False if one.holes is None else one.holes.concerned) for one in loaded]
-        in_holes = judge(filtered, of_default, holes)
+        in_holes = judge(filtered, of_default, [_held_out(one, in_holes=True) for one in loaded])
     tables["design"]["observer"] = default
     longest = max(range(len(loaded)), key=lambda k: len(of_default[k].velocity))
     one = loaded[longest]._replace(file=new)
     return Confirmed(tuning, tables, without_model(one, of_default[longest].velocity, _held_out(one)), in_holes)
 
 
-def _late(one: Loaded) -> np.ndarray:
-    """Rows (T,) of a log that did not tune it and have a reference, of the last third."""
+def _held_out(one: Loaded, in_holes: bool = False) -> np.ndarray:
+    """Rows (T,) of a log that did not tune it: the last third, in holes alone or without them if enough are left."""
     t, reference = np.asarray(one.record.t), one.reference
     assert reference is not None
-    return reference.scored & (t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(reference.v).all(axis=1)
-
-
-def _held_out(one: Loaded) -> np.ndarray:
-    """The same without holes, unless there is little else."""
-    late = _late(one)
-    clear = late if one.holes is None else late & ~one.holes.concerned
-    return clear if clear.sum() >= FEWEST else late
+    late = reference.scored & (t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(reference.v).all(axis=1)
+    concerned = np.zeros_like(late) if one.holes is None else one.holes.concerned
+    clear = late & ~concerned
+    return late & concerned if in_holes else clear if clear.sum() >= FEWEST else late
 
 
 def tuned_file(file: models.ModelFile, tables: dict[str, dict[str, Any]]) -> models.ModelFile:
