@@ -32,7 +32,11 @@ def run_off(seed: int, hole: int) -> tuple[covariant.Record, np.ndarray]:
     return covariant.Record(H * np.arange(len(y)), np.zeros((len(y), 1)), y), true
 
 
-@pytest.mark.parametrize(("hole", "runs", "bound"), [(50, 30, 0.15), (100, 200, 0.2)])
+@pytest.mark.parametrize(
+    ("hole", "runs", "bound"),
+    [(50, 6, 0.2), (100, 8, 0.25)]
+    + [pytest.param(*each, marks=pytest.mark.exhaustive) for each in ((50, 30, 0.15), (100, 200, 0.2))],
+)
 def test_turns_are_right_and_velocities_close(hole, runs, bound):
     """Readings fewer than eight and turns below a probability of .95 count as unknown; none that is sure is wrong."""
     kalman = IntrinsicKalman(rod(), 4.5**2, READING, 100.0, substeps=1)

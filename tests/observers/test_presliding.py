@@ -76,6 +76,7 @@ def lugre_log(rows: int) -> tuple[Record, np.ndarray]:
     return Record(log[:, 0], log[:, 1:2], log[:, 2:3]), log[:, 3]
 
 
+@pytest.mark.long
 def test_velocities_at_reversals_are_twice_as_accurate():
     record, true = lugre_log(1200)
     near = np.zeros(len(true), bool)
