@@ -94,7 +94,7 @@ def test_many_short_logs_are_tuned_as_one():
 
 
 def test_each_component_of_a_pose_has_its_own_noise():
-    log = covariant.simulate("hovercraft", duration=6.0, noise=1e-3, rate=50.0, amplitude=[1.0, 0.5]).record
+    log = covariant.simulate("hovercraft", duration=8.0, noise=1e-3, rate=50.0, amplitude=[1.0, 0.5]).record
     result = covariant.tune(
         "hovercraft", Record(*log[:3]), overrides={"measurement.std": 1e-3, "uncertainty.acceleration": 0.3}
     )
