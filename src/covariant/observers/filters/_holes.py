@@ -72,6 +72,21 @@ class Hole(NamedTuple):
     probability: float
 
 
+class Reading(NamedTuple):
+    """How a filter took a measurement.
+
+    Attributes:
+        used: Which entries (n,) it used.
+        std, noise_std: Standard deviations (n,) of the innovation, and of the noise of the measurement.
+        restarted: Whether it restarted.
+    """
+
+    used: Bool[Array, "n"]
+    std: Vector
+    noise_std: Vector
+    restarted: Flag
+
+
 class Window(NamedTuple):
     """Rows from the last reading before a hole to the last of the first readings after it.
 

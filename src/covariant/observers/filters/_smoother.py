@@ -33,7 +33,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Inexact, Int
+from jaxtyping import Array, Float, Inexact, Int
 
 from covariant._linalg import (
     lower_solve,
@@ -51,6 +51,7 @@ from covariant.observers.filters._holes import (
     Hole,
     Pass,
     Path,
+    Reading,
     Stepwise,
     cross,
     find_windows,
@@ -99,21 +100,6 @@ class Smoothed(NamedTuple):
     std: Float[Array, "T N"]
     root: Float[Array, "T N N"] | None
     holes: tuple[Hole, ...] = ()
-
-
-class Reading(NamedTuple):
-    """How a filter took a measurement.
-
-    Attributes:
-        used: Which entries (n,) it used.
-        std, noise_std: Standard deviations (n,) of the innovation, and of the noise of the measurement.
-        restarted: Whether it restarted.
-    """
-
-    used: Bool[Array, "n"]
-    std: Vector
-    noise_std: Vector
-    restarted: Flag
 
 
 class Step(NamedTuple):
