@@ -43,6 +43,10 @@ def main() -> None:
     if absent:
         print(f"Not recorded here (`--fetch`, or COVARIANT_DATA): {', '.join(absent)}.")
     there = [one for one in results.values() if one is not None]
+    if asked.page and (asked.logs or absent):
+        sys.exit("the page has all logs: run --page without names, with the recorded ones")
+    if not there:
+        return
     print(table.summary(there) if len(there) != 1 else table.details(there[0]))
     if asked.page:
         table.write_page(there)

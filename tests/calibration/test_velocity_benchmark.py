@@ -1,5 +1,7 @@
 """The benchmark of velocities: its scores on errors that are known, its search, and its checksums."""
 
+import os
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -86,3 +88,15 @@ def test_every_twin_is_judged_and_every_span_is_apart(velocity):
 
     assert {entry["twin"] for entry in entries if "twin" in entry} == set(TWINS)
     assert all(entry["tune"][1] < entry["judge"][0] for entry in entries if "tune" in entry)
+
+
+def test_the_page_is_not_written_from_some_of_the_logs(tmp_path):
+    """Its tables would be replaced by those of one log."""
+    results = ROOT / "benchmarks" / "velocity" / "results.json"
+    before = results.read_bytes()
+    command = [sys.executable, "-m", "benchmarks.velocity", "--page", "double pendulum 05"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COVARIANT_DATA": str(tmp_path)}
+    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert "run --page without names" in run.stderr
+    assert results.read_bytes() == before
