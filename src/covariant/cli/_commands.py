@@ -18,7 +18,7 @@ from scalargraph.errors import InputError
 
 
 def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
-    model, parameters = call.values["model"], call.values["parameters"].split(",")
+    model, parameters = call.values["model"], (call.values.get("parameters") or "").split(",")
     inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
     urdf = inertias and not model.endswith(".xml")
     if out is not None and "each" in call.values:
@@ -115,8 +115,9 @@ LISTED = {
 }
 """The option `observer` of commands that take all of them."""
 SEVERAL = {"kind": Kind(list[Path], _parse.log_paths, "LOG...")}
-EACH = SEVERAL | {
-    "help": "Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2; or many of them."
+EACH = {
+    "kind": Kind(list[Path], _parse.each_log, "LOG..."),
+    "help": "Log with stamps, positions or attitudes, inputs: .csv, .txt, .parquet, .mcap, a rosbag2; or many of them.",
 }
 
 LOG, ROBOTS, EXPORT, PROOFS, HELP = "Your log", "Robots and models", "Export", "Proofs and papers", "This program"

@@ -5,6 +5,7 @@ Each function takes the option, for its message, and the text of its value.
 
 from pathlib import Path
 
+from covariant import logs
 from covariant._names import did_you_mean, unknown
 from covariant._numbers import integer, number
 from covariant.models import check_spec
@@ -66,16 +67,21 @@ def model_name(option: str, text: str) -> str:
 
 def log_path(option: str, path: Path) -> Path:
     """Check that a log exists, before anything heavy is loaded."""
-    if not path.exists():
+    if not logs.part_of(path)[0].exists():
         raise FileNotFoundError(f"{path}: no such file")
     return path
 
 
 def log_paths(option: str, paths: list[Path]) -> list[Path]:
     """Check that a log exists: of many, one that is missing, or a broken link, is a row, and the others go on."""
-    if not any(path.exists() for path in paths):
+    if not any(logs.part_of(path)[0].exists() for path in paths):
         log_path(option, paths[0])
     return paths
+
+
+def each_log(option: str, paths: list[Path]) -> list[Path]:
+    """Check that a log exists. A folder stands for the logs in it, and a file of several episodes for these."""
+    return [Path(each) for path in log_paths(option, paths) for each in logs.episodes(path)]
 
 
 def observer_name(option: str, text: str) -> str:

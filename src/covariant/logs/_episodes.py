@@ -1,7 +1,9 @@
-"""Detects several recordings in one file, the episodes of a data set, and says how to extract one."""
+"""Several recordings in one file, the episodes of a data set: how one is named, and that they are no single log."""
 
 import re
 from collections.abc import Callable, Iterable
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +24,19 @@ def episode_columns(names: Iterable[str]) -> list[str]:
         ['episode_index']
     """
     return [name for name in names if _NAME.fullmatch(name.lower())]
+
+
+def part_of(log: str | PathLike[str]) -> tuple[Path, int | None]:
+    """The file of a log, and the number of its episode, 3 of `data.parquet#3`; None for all rows of a file.
+
+    Example:
+        >>> from covariant.logs import part_of
+        >>> part_of("data.parquet#3")[1], part_of("data.parquet")[1]
+        (3, None)
+    """
+    path = Path(log)
+    name, _, number = str(path).rpartition("#")
+    return (Path(name), int(number)) if name and number.isdecimal() and not path.exists() else (path, None)
 
 
 def episodes_fault(
@@ -64,7 +79,7 @@ def episodes_fault(
         what = f"starts again at row {back[0] + 1}" if len(back) else "goes on over several recordings"
         longest = numbers[begins[int(np.argmax(np.subtract(ends, begins)))]]
         return (
-            f"{what}: by {name}, {listed}; take one of them, in pandas as frame[frame[{name!r}] == {longest:g}]"
-            '.to_parquet("episode.parquet")'
+            f"{what}: by {name}, {listed}; the name of a file with #{longest:g} after it is one of them, and in pandas "
+            f"frame[frame[{name!r}] == {longest:g}]"
         )
     return None

@@ -3,8 +3,6 @@
 import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from os import PathLike
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,14 +14,13 @@ from covariant.logs._clock import displaced_rows
 from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, check_log, kind, pyarrow
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._entries import by_entries, is_list
-from covariant.logs._episodes import episodes_fault
+from covariant.logs._episodes import episodes_fault, part_of
+from covariant.logs._parquet import episode_column, of_episode, read_parquet
 from covariant.logs._register import Register
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import (
     LogSource,
     find,
-    no_header,
-    plain_text,
     source_name,
     stated_units,
     table_source,
@@ -335,67 +332,6 @@ def _rows(part: Any, rows: slice) -> Any:
     return part[rows]
 
 
-class LogSurvey(NamedTuple):
-    """All numeric columns of a log.
-
-    Attributes:
-        columns: Arrays (T,) by name, in the order of the log and in its units; empty cells are NaN.
-        units: Units that the log states apart from names, by column: attributes of a dataset, metadata of Parquet.
-        remarks: Sentences on anything unusual about the names, for example that there are none.
-        labels: Names that the log gives to the entries of lists, by column: `{"action[0]": "shoulder_pan.pos"}`.
-
-    Example:
-        >>> import pandas
-        >>> from covariant import logs
-        >>> logs.survey(pandas.DataFrame({"t": [0.0, 0.1]})).remarks
-        ()
-    """
-
-    columns: dict[str, Float[np.ndarray, "T"]]
-    units: Mapping[str, str]
-    remarks: tuple[str, ...]
-    labels: Mapping[str, str] = MappingProxyType({})
-
-
-def survey(log: str | PathLike[str] | Any) -> LogSurvey:
-    """Read all numeric columns of a log, by name.
-
-    Other columns are left out, except that dates become seconds since the first of them. If several columns have the
-    same name, the first one is used if they are equal, and none otherwise.
-
-    Args:
-        log: A path, data frame or dataset, as for `read`.
-
-    Returns:
-        The columns, the units that the log states, and remarks about its names.
-
-    Raises:
-        LogError: The file is not a log; as for `read`.
-
-    Example:
-        >>> import pandas
-        >>> from covariant import logs
-        >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})).columns)
-        ['t', 'q1']
-    """
-    name = source_name(log)
-    with _legible(name, log):
-        source = _open_source(name, log)
-        named = list(dict.fromkeys(column for column in source.shown if column))
-        table, remarks = unite(name, source.load(named, (), ()), refuse=False)
-        table = with_points(pyarrow(), name, table, source.decimal_commas)
-    columns: dict[str, np.ndarray] = {}
-    # A log of messages also loads its clock.
-    for column_name in [each for each in named if each in table.column_names]:
-        column = table.column(column_name)
-        with contextlib.suppress(LogError):
-            is_time = timed(column)
-            columns[column_name] = stamps(name, column, None).t if is_time else numbers(name, column, needed=False)
-    if source.first_line:
-        remarks.append(no_header(source))
-    return LogSurvey(columns, source.units, tuple(remarks), source.labels)
-
-
 def _where(name: str, column: str, unit: str | None) -> str:
     return f"{name}: column {column!r}" + (f" [{unit}]" if unit else "")
 
@@ -413,8 +349,8 @@ def _columns_and_table(asked: _Asked) -> tuple[Columns, list[Columns], Any, LogS
     their source.
     """
     name, columns = asked.name, asked.columns
-    with _legible(name, asked.log):
-        source = _open_source(name, asked.log)
+    with legible(name, asked.log):
+        source = open_source(name, asked.log)
         names = source.names
         # A field counts as absent only if all its columns are missing; otherwise a missing one is an error below.
         absent = [field for field in asked.optional if not set(getattr(columns, field)) & set(names)]
@@ -431,7 +367,7 @@ def _columns_and_table(asked: _Asked) -> tuple[Columns, list[Columns], Any, LogS
 
 
 @contextlib.contextmanager
-def _legible(name: str, log: object) -> Iterator[None]:
+def legible(name: str, log: object) -> Iterator[None]:
     pa = pyarrow()
     try:
         with bounded(name):
@@ -441,18 +377,18 @@ def _legible(name: str, log: object) -> Iterator[None]:
     except InputError as error:
         raise LogError(str(error)) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        is_path = isinstance(log, (str, PathLike))
-        if is_path and not Path(log).exists():
+        path = part_of(log)[0] if isinstance(log, (str, PathLike)) else None
+        if path is not None and not path.exists():
             raise FileNotFoundError(f"{name}: no such file") from None
-        what = kind(Path(log)).replace("bag", "a rosbag") if is_path else "a table"
+        what = "a table" if path is None else kind(path).replace("bag", "a rosbag")
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise LogError(f"{name}: cannot be read as {what}: {reason}") from error
 
 
-def _open_source(name: str, log: Any) -> LogSource:
+def open_source(name: str, log: Any) -> LogSource:
     if not isinstance(log, (str, PathLike)):
         return by_entries(table_source(name, log))
-    path = Path(log)
+    path, episode = part_of(log)
     ending = kind(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
@@ -465,23 +401,19 @@ def _open_source(name: str, log: Any) -> LogSource:
         with pyarrow().parquet.ParquetFile(path) as file:
             schema = file.schema_arrow
             check_log(path, file.metadata.num_rows)
+        names, lists = list(schema.names), [field.name for field in schema if is_list(field.type)]
+        part = None if episode is None else (episode_column(path, names), episode)
 
         def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
-            return _parquet(path, [*wanted, *beside])
+            return read_parquet(path, [*wanted, *beside], part)
 
-        names, lists = list(schema.names), [field.name for field in schema if is_list(field.type)]
         return by_entries(LogSource(names, names, load, stated_units(schema), lists=lists), path)
     text = sheet(path)
-    return LogSource(
+    source = LogSource(
         text.header,
         text.header,
         lambda wanted, held, beside: read_text(pyarrow(), path, text, [*wanted, *beside]),
         first_line=text.first_line,
         decimal_commas=text.delimiter == ";",
     )
-
-
-def _parquet(path: Path, wanted: Sequence[str]) -> Any:
-    with pyarrow().parquet.ParquetFile(path) as file:
-        table = file.read(columns=wanted)
-    return pyarrow().table([plain_text(column) for column in table.columns], names=table.column_names)
+    return source if episode is None else of_episode(path, source, episode)

@@ -21,7 +21,7 @@ import numpy as np
 
 from covariant import models, verbs
 from covariant._cases import CaseTable, Crew, content_hash, run_chunks
-from covariant.logs import check_log, source_name
+from covariant.logs import check_log, episodes, part_of, source_name
 from covariant.verbs.base.among_logs import Among, LogRow, among_logs
 from covariant.verbs.base.arguments import Scheduler
 from covariant.verbs.base.model_output import model_hash
@@ -101,6 +101,7 @@ def over_logs(
         )
     if not logs:
         raise InputError("over_logs: there are no logs; give a list of them")
+    logs = [part for log in logs for part in (episodes(log) if isinstance(log, str | os.PathLike) else (log,))]
     in_memory = not all(isinstance(each, str | os.PathLike) for each in (model, *logs))
     crew = Crew(workers, scheduler).check()
     if scheduler is None and (in_memory or workers is None):
@@ -189,14 +190,19 @@ def _cases(verb: str, model: Any, logs: Sequence[Any], folder: Path | None, sett
     whole = [verb, str(model), model_hash(model), versions, json.dumps(settings, sort_keys=True, default=repr)]
     cases, places = [], [os.path.abspath(Path(log).parent) for log in logs if isinstance(log, str | os.PathLike)]
     common = Path(os.path.commonpath(places) if places else ".")
+    keys = [part_of(log)[0] if isinstance(log, str | os.PathLike) else id(log) for log in logs]
+    # A file with many episodes is hashed once.
+    files = {key: log if isinstance(key, int) else key for key, log in zip(keys, logs, strict=True)}
+    parts = Counter(keys)
     with ThreadPoolExecutor() as pool:  # neither reading nor hashing holds the lock of the interpreter
-        contents = list(pool.map(_content, logs))
-    for k, (log, (content, cost)) in enumerate(zip(logs, contents, strict=True)):
+        contents = dict(zip(files, pool.map(_content, files.values()), strict=True))
+    for k, (log, file) in enumerate(zip(logs, keys, strict=True)):
+        content, size = contents[file]
         name = source_name(log) if isinstance(log, str | os.PathLike) else f"{source_name(log)} {k + 1}"
         unique = name if folder is None or name != source_name(log) else _file_name(Path(log), folder)
         path = folder / f"{unique}{FILES[verb]}" if folder is not None and FILES[verb] else None
         linked = isinstance(log, str | os.PathLike) and _is_linked(Path(log), common)
-        cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, cost, linked))
+        cases.append(_Case(log, name, content_hash([*whole, content, unique]), path, size / parts[file], linked))
     return cases
 
 
@@ -210,7 +216,9 @@ def _file_name(log: Path, folder: Path) -> str:
     log = Path(os.path.abspath(log))
     # Relative to the folder, so that the names stay the same if logs and folder are moved together.
     place = os.path.relpath(log, folder) if log.drive == folder.drive else str(log)
-    return file_name(f"{log.parent.name}_{log.stem}_{content_hash(place)[:8]}")
+    file, episode = part_of(log)
+    number = "" if episode is None else f"_{episode}"
+    return file_name(f"{log.parent.name}_{file.stem}{number}_{content_hash(place)[:8]}")
 
 
 def _content(log: object) -> tuple[str, float]:

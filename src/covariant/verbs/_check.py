@@ -20,6 +20,7 @@ from covariant.observers import on_legs
 from covariant.signals import Record, acting_inputs
 from covariant.verbs.base.among_logs import IDLE
 from covariant.verbs.base.inputs import ColumnNames, Job, Loaded, load
+from covariant.verbs.base.open_numbers import open_numbers
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
 from scalargraph.errors import InputError
@@ -102,21 +103,10 @@ def _family_of_guesses(job: Job) -> Callable[[], Any] | None:
     if not isinstance(job.model, str | PathLike):
         return None
     spec = os.fspath(job.model)
-    content = models.document(spec, job.overrides)
-    parameters = content.get("parameters", {})
-    if content.get("system") == "robot":
-        names = [key for key in ("friction", "armature") if key in parameters]
+    names = open_numbers(spec, job.overrides)
+    if models.document(spec, job.overrides).get("system") == "robot":
         return (lambda: models.robot_family(spec, names, job.overrides)) if names else None
-    names = [name for key, value in parameters.items() for name in _nonzero(key, value)]
     return (lambda: models.family(spec, names, job.overrides)) if names else None
-
-
-def _nonzero(name: str, value: Any) -> list[str]:
-    """Names of the numbers within a value of [parameters] that are not zero."""
-    if isinstance(value, dict | list):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        return [inner for key, each in items for inner in _nonzero(f"{name}[{key}]", each)]
-    return [name] if isinstance(value, int | float) and not isinstance(value, bool) and value else []
 
 
 _SETTING = re.compile(r"""\[(\w+|servo\.[\w-]+)\] (\w+) = ("[^"]*"|\[[^]]*\]|[-+\w.]+)""")

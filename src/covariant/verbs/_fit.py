@@ -18,11 +18,14 @@ from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
 from scalargraph.errors import InputError
 
+LISTED = 8
+"""Most logs that are named."""
+
 
 def fit(
     model: Any,
     log: Any,
-    parameters: str | Sequence[str],
+    parameters: str | Sequence[str] | None = None,
     *,
     each: str | Sequence[str] | None = None,
     overrides: OverridesOfLogs = (),
@@ -42,11 +45,14 @@ def fit(
         model: A model file (.toml), `module:attribute`, or the name of a system or a robot of the library: a model that
             can be built anew with other numbers, mechanical or a `StateSpace`.
         log: A path, a `Record`, a DataFrame or an xarray Dataset, or a list of them, or a dictionary with the logs of
-            each machine by its name. The last of several is held out to judge the fit by, or the last third of one.
+            each machine by its name. The last of several is held out to judge the fit by, or the last third of one. Of
+            a folder, or a file with several episodes, those logs are fitted that tell most, and others judge; zeros,
+            stiffness and friction of servos that change from log to log are named.
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
             "friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets" or "servo", for all
             joints and links or for one, as in "friction.elbow" or "servo.elbow.delay". Several in a list, or by commas;
-            see `models.robot_family`.
+            see `models.robot_family`. Without any: those of all servos, friction and rotors of another robot, and all
+            numbers of [parameters] that are not zero of another machine.
         each: Those of the parameters of which each machine has its own value, such as friction; the others are shared.
             Logs of one machine lie in a folder of their own. The last log of each machine with several is held out, and
             if none has several, the last third of each. Not for robots with servos.
@@ -76,15 +82,19 @@ def fit(
             f"model: a fit makes the model anew with other numbers, so it takes a model file, a name or "
             f"module:attribute, and no finished {type(model).__name__}"
         )
-    names = _names(parameters)  # whoever makes the family says which names there are
     by_machine = log if type(log) is dict else {}  # a Dataset is a mapping of another type
     logs = as_logs([one for own in by_machine.values() for one in as_logs(own)] if by_machine else log)
+    given = len(log) if type(log) in (list, tuple, dict) else 1
     sources = read_sources(model)
     # What computes is loaded after the arguments are checked.
     from covariant.verbs.base.fit_logs import OwnNumbers
     from covariant.verbs.base.fit_to_logs import fit_to_logs
+    from covariant.verbs.base.folder_logs import fit_folder
     from covariant.verbs.base.inputs import Job
+    from covariant.verbs.base.open_numbers import open_numbers
 
+    given_overrides: Any = () if _are_of_logs(overrides) else overrides
+    names = _names(parameters or ()) or open_numbers(os.fspath(model), given_overrides)
     own = None
     if own_names := _names(each or ()):
         machines = [str(machine) for machine, its_logs in by_machine.items() for _ in as_logs(its_logs)]
@@ -94,7 +104,10 @@ def fit(
         Job(model, one, values, every, until, columns or {}, anyway, start)
         for one, values in zip(logs, of_log, strict=True)
     ]
-    jobs, contents, details = fit_to_logs(jobs, names, progress, sources, own)
+    if len(logs) > given and own is None:
+        jobs, contents, details = fit_folder(jobs, names, progress, sources)
+    else:
+        jobs, contents, details = fit_to_logs(jobs, names, progress, sources, own)
     if own is None:
         return FitResult(jobs, contents[""], details, sources)
     return FitResult(jobs, {}, details, sources, contents)
@@ -128,9 +141,14 @@ def check_machine_files(
         check_model_output(model, each, overwrite, urdf)
 
 
+def _are_of_logs(overrides: Any) -> bool:
+    """Whether each log has overrides of its own."""
+    return not isinstance(overrides, Mapping) and any(isinstance(each, Mapping) for each in overrides)
+
+
 def _of_each_log(overrides: Any, count: int) -> list[Overrides]:
     """The overrides of each log, which may be a list of their own."""
-    if isinstance(overrides, Mapping) or not any(isinstance(each, Mapping) for each in overrides):
+    if not _are_of_logs(overrides):
         return [overrides] * count
     if len(overrides) != count:
         raise InputError(f"overrides: there are {count} logs and values for {len(overrides)}; give a mapping for each")
@@ -223,7 +241,8 @@ class FitResult(AbstractTable):
     def _on_numbers(self) -> tuple[str, ...]:
         rest = placeholder_sentence(self.details.get("placeholders", {}))
         said = (f"Not determined: {sentence}." for sentence in self.details["undetermined"])
-        return (*said, *(f"{sentence}." for sentence in self.details.get("unlike", ())), *([rest] * bool(rest)))
+        changed = (*self.details.get("changes", ()), *self.details.get("unlike", ()))
+        return (*said, *(f"{sentence[0].upper()}{sentence[1:]}." for sentence in changed), *([rest] * bool(rest)))
 
     @property
     def _worse(self) -> str:
@@ -331,6 +350,7 @@ class FitResult(AbstractTable):
         result = self.details
         inputs = result["inputs"]["sentence"]
         return [
+            *([result["chosen"]] if result.get("chosen") else []),
             "# Parameters",
             self._numbers,
             "# Errors on held-out rows",
@@ -388,8 +408,10 @@ class FitResult(AbstractTable):
             how = "All rows"
         else:
             how = f"Residual torques in windows of {result['window']:.3g} s"
+        logs = result["logs"]
         lines = [
-            f"{how} of {', '.join(result['logs'])}",
+            f"{how} of {', '.join(logs) if len(logs) <= LISTED else f'{len(logs)} logs'}",
+            *([result["chosen"]] if result.get("chosen") else []),
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
             "",
             table(numbers),

@@ -41,7 +41,7 @@ def init(
     joint, which `covariant.fit` identifies. Its file is `parameters.path`; without one, each joint moves by itself.
 
     Args:
-        log: A path, a DataFrame, or an xarray Dataset.
+        log: A path, a DataFrame, or an xarray Dataset; or a folder of logs, such as a data set of LeRobot.
         columns: Names of columns by field (t, q, u, v) that are known; the others are guessed.
         overrides: Values of the draft that are known, `units.q`, `units.u`, `units.v`, `units.t` and `parameters.path`,
             the file of a robot: `{"units.q": "deg", "parameters.path": "arm.urdf"}`.
@@ -70,12 +70,14 @@ def init(
     units = {key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in pairs}
     robot = str(settings.get("parameters.path", ""))
     survey = logs.survey(log)
+    log = survey.log
     try:
         drafted = draft(survey.columns, known, survey.units, units, survey.labels)
     except InputError as error:
         raise InputError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
     if robot and not drafted.servos:
         raise InputError(f"{logs.source_name(log)}: no commands of servos were found, and parameters.path is for these")
+    robot = robot or (survey.robot if survey.robot in models.robots.ROBOTS else "")
     joints = servo_draft.match_joints(drafted, robot) if drafted.servos else None
     if joints is not None:
         drafted = servo_draft.with_joints(drafted, joints)

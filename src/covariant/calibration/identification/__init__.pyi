@@ -25,6 +25,7 @@ from ._fit import (
     search as search,
 )
 from ._fourier import FourierMotion as FourierMotion
+from ._informative import most_informative as most_informative
 from ._likelihood import (
     descend as descend,
     levels as levels,
@@ -61,7 +62,7 @@ from ._servo_excitation import (
     motion_periods as motion_periods,
     of_coordinates as of_coordinates,
 )
-from ._servo_fit import fit_servos as fit_servos
+from ._servo_fit import fit_servos as fit_servos, own_numbers as own_numbers
 from ._servo_motion import predict_servos as predict_servos
 from ._servo_units import DraftedServo as DraftedServo
 from ._states import rows_of as rows_of, unknowns_of as unknowns_of

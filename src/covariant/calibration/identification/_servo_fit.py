@@ -12,13 +12,14 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from covariant.calibration._least_squares import PRIOR, Blocks, Fixed, Point, block_covariance, minimise, robust
 from covariant.calibration.identification._robot_fit import RobotFit, scale_of
 from covariant.calibration.identification._robot_torques import Determined, usual_sizes
-from covariant.calibration.identification._servo_motion import ServoLog
+from covariant.calibration.identification._servo_motion import RIGID_BODY_GROUPS, ServoLog, simulate
 from covariant.models import RobotFamily
 from covariant.signals import Record
 from scalargraph.errors import InputError
@@ -35,6 +36,10 @@ MAX_ROUNDS, STEPS, LONGEST_STEP = 48, 12, 1.5
 """Most steps of a search, and those until the scale of the errors is renewed; longest step of an unknown."""
 TOLERANCE = 3e-3
 """Relative decrease of the loss below which the search stops."""
+ROWS_ALIKE = 10
+"""Number of independent errors in a window."""
+LOGS_AT_ONCE, SHOWN = 100, 0.1
+"""Logs whose own numbers are found at once, and the largest standard error of one, relative to that before the log."""
 RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
 """Integration error in the fitted numbers: relative, and for times such as a delay absolute [s]."""
 DIFFERENCE_STEP = 1e-4
@@ -42,8 +47,6 @@ DIFFERENCE_STEP = 1e-4
 MIN_RATIO = 0.02
 """Least value of a number that must be positive, relative to its first value."""
 POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
-RIGID_BODY_GROUPS = ("payload", "inertia", "gravity", "offsets")
-"""Groups of open numbers that change the rigid body."""
 FIRST_DELAYS, STIFFNESS_FACTORS = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
 """Delays [s], and factors on the first stiffness, that are tried as starting points of the search."""
 DELAY_SHIFTS = 0.015, -0.01
@@ -87,7 +90,7 @@ def fit_servos(
     """
     if not records or len(families) != len(records):
         raise InputError("give a family and a log for each of the logs")
-    search = _Search.of(families, records, between, late, whole)
+    search = _Search.of(families, records, between, late, whole=whole)
     rounds = itertools.count()
     point = search.descend(search.started(), progress, rounds)
     # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
@@ -114,9 +117,42 @@ def fit_servos(
     return RobotFit(family.names, family.first, values, *known[:3], *reached)
 
 
+def own_numbers(
+    family: RobotFamily, records: Sequence[Record], between: str = "held", late: float = 0.0
+) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "K p"]]:
+    """Numbers of each log by itself, near the fitted ones, and their standard errors; NaN where it does not show one.
+
+    They are one Gauss–Newton step from the first values of the family, so these should be fitted to all logs before.
+
+    Args:
+        family: The robot as a function of its p open numbers, whose first values are those of all logs.
+        records: K logs of commands and positions.
+        between, late: As for `fit_servos`.
+    """
+    x = np.zeros(len(family.names))
+    slope = np.abs(np.diagonal(np.asarray(jax.jacfwd(family.values)(x))))
+    values, std = (np.full((len(records), len(x)), np.nan) for _ in range(2))
+    for begin in range(0, len(records), LOGS_AT_ONCE):
+        part = records[begin : begin + LOGS_AT_ONCE]
+        longest = max(float(record.t[-1] - record.t[0]) for record in part)
+        length = WINDOW if longest > 1.5 * WINDOW else 3 * SETTLING
+        search = _Search.of([family] * len(part), part, between, late, length)
+        search = search.scaled(Point.at(search, x))
+        errors, slopes = search.blocks(x).rest
+        ends = np.cumsum(search.counts)[:-1]
+        usual = slope * search.sizes
+        for k, own, its in zip(search.used, np.split(errors, ends), np.split(slopes, ends, 1), strict=True):
+            change, error = search.step(own, its)
+            shown = error < SHOWN * PRIOR
+            values[begin + k] = np.where(shown, family.first + change * usual, np.nan)
+            std[begin + k] = np.where(shown, error * usual, np.nan)
+    return values, std
+
+
 class _Search(NamedTuple):
     """Logs and their windows, with the usual sizes and lower bounds of the open numbers, and the scale (n,) of errors.
 
+    Logs without a window are left out; `used` has the indices of the others.
     The unknowns z (p,) of the search are coordinates in usual sizes.
     """
 
@@ -128,16 +164,25 @@ class _Search(NamedTuple):
     rigid: tuple[int, ...]
     length: float
     scale: Float[np.ndarray, "n"]
+    used: tuple[int, ...]
 
     @classmethod
     def of(
-        cls, families: Sequence[RobotFamily], records: Sequence[Record], between: str, late: float, whole: bool
+        cls,
+        families: Sequence[RobotFamily],
+        records: Sequence[Record],
+        between: str,
+        late: float,
+        length: float | None = None,
+        whole: bool = False,
     ) -> "_Search":
+        """The search in windows of this length; without one, of a length that suits a fit."""
         family = families[0]
         logs = tuple(ServoLog.of(each, record, between, late) for each, record in zip(families, records, strict=True))
         durations = [float(log.t[-1] - log.t[0]) for log in logs]
-        # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
-        length = max(min(WINDOW, sum(durations) / (2 * MIN_WINDOWS + 1)), 3 * SETTLING)
+        if length is None:
+            # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
+            length = max(min(WINDOW, sum(durations) / (2 * MIN_WINDOWS + 1)), 3 * SETTLING)
         if whole:
             usual = max(float(np.median(np.diff(log.t))) for log in logs)
             length = max(length, min(LONGEST_WINDOW, min(durations) - 2 * usual))
@@ -165,8 +210,8 @@ class _Search(NamedTuple):
         above_zero = np.maximum(family.least, -(1 - MIN_RATIO) * np.abs(family.first))
         least = np.where(has_positive_number, above_zero, family.least)
         rigid = tuple(i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS)
-        counted, unscaled = tuple(count for count in counts if count), np.ones(logs[0].q.shape[1])
-        return cls(logs, rows, counted, sizes, least, rigid, length, unscaled)
+        used, unscaled = tuple(np.flatnonzero(counts).tolist()), np.ones(logs[0].q.shape[1])
+        return cls(logs, rows, tuple(counts[k] for k in used), sizes, least, rigid, length, unscaled, used)
 
     def started(self) -> Float[np.ndarray, "p"]:
         """The first values, with the delay and the stiffness among those tried that predict best, in usual sizes."""
@@ -261,16 +306,32 @@ class _Search(NamedTuple):
         majorised, information = (share * (flat * w.ravel()) @ flat.T for w in (weight, weight**3))
         return Blocks(losses, scores, majorised, information[None], errors)
 
+    def step(self, errors: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A Gauss–Newton step (p,) from the errors of some windows alone, and its standard errors."""
+        seen = np.isfinite(errors) & np.isfinite(slopes).all(axis=0)
+        e, slopes = np.where(seen, errors, 0.0) / self.scale, np.where(seen, slopes, 0.0) / self.scale
+        weight = robust(e)[1]
+        flat = slopes.reshape(len(slopes), -1)
+        rows = max(1.0, errors.shape[1] / ROWS_ALIKE)
+        inverse = np.linalg.inv((flat * weight.ravel()) @ flat.T / rows + np.eye(len(flat)) / PRIOR**2)
+        return -inverse @ (flat @ (weight * e).ravel()) / rows, np.sqrt(np.diagonal(inverse))
+
     def _residuals(
         self, candidates: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
     ) -> np.ndarray:
         """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by `steps`."""
-        parts = []
-        for log, rows, count in zip(self.logs, self.rows, self.counts, strict=True):
-            body_steps = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
-            q = log.simulate([log.drive(candidate) for candidate in candidates], x, rows, weights, body_steps)
-            parts.append((q - log.y[rows])[:, :count, self._skipped(log) :])
-        return np.concatenate(parts, axis=1)
+        steps = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
+        parts: dict[int, np.ndarray] = {}
+        # Logs of one family, with windows of as many rows, are simulated at once.
+        alike = lambda k: (id(self.logs[k].family), self.rows[k].shape[1])  # noqa: E731
+        for _, group in itertools.groupby(sorted(range(len(self.logs)), key=alike), key=alike):
+            own = list(group)
+            logs, rows = [self.logs[k] for k in own], [self.rows[k] for k in own]
+            drives = [logs[0].drive(candidate) for candidate in candidates]
+            q = np.split(simulate(logs, drives, x, rows, weights, steps), len(own), axis=1)
+            for k, log, each in zip(own, logs, q, strict=True):
+                parts[k] = (each - log.y[self.rows[k]])[:, : self.counts[k], self._skipped(log) :]
+        return np.concatenate([parts[k] for k in range(len(self.logs))], axis=1)
 
     @staticmethod
     def _skipped(log: ServoLog) -> int:
@@ -284,7 +345,7 @@ class _Search(NamedTuple):
     @property
     def _alike(self) -> float:
         """Number of rows that count as one independent error: a tenth of a window."""
-        return max(1.0, self._measured.shape[1] / 10)
+        return max(1.0, self._measured.shape[1] / ROWS_ALIKE)
 
     @staticmethod
     def _by_blocks(scores: np.ndarray) -> np.ndarray:

@@ -28,6 +28,8 @@ MAX_STEP = 4e-3
 """Longest step of the integration [s]: a servo's natural frequency is seldom above 60 rad/s."""
 SWEEPS = 3
 """Gauss–Seidel sweeps over the joints in a step; they start from the velocity change of the step before."""
+RIGID_BODY_GROUPS = ("payload", "inertia", "gravity", "offsets")
+"""Groups of open numbers that change the rigid body."""
 SMOOTHING_ROWS = 3.5
 """Half width, in rows, of the smoothing windows for the path of the rigid body."""
 
@@ -97,7 +99,7 @@ def predict_servos(
     """Predict the positions of a whole log from its first row and its commands alone."""
     log = ServoLog.of(family, record, between, late)
     rows = np.arange(len(log.t))[None]
-    return np.asarray(log.simulate([log.drive(x)], x, rows, np.zeros((1, 0)), ()))[0, 0]
+    return simulate([log], [log.drive(x)], x, [rows], np.zeros((1, 0)), ())[0, 0]
 
 
 class ServoLog(NamedTuple):
@@ -145,25 +147,15 @@ class ServoLog(NamedTuple):
             at += count
         return windows
 
-    def simulate(
-        self,
-        drives: Sequence[Drive],
-        x: Float[np.ndarray, "p"],
-        rows: np.ndarray,
-        weights: Float[np.ndarray, "P r"],
-        steps: Sequence[Float[np.ndarray, "p"]],
-    ) -> Float[np.ndarray, "P W R1 n"]:
-        """Positions in windows with these rows (W, R + 1), for each of P drives.
-
-        Commands are delayed exactly for the first drive, and to first order for the others. The rigid body is that at x
-        plus its changes under r steps of x, weighted for each drive.
-        """
+    def cut(
+        self, delays: Float[np.ndarray, "m"], x: Float[np.ndarray, "p"], rows: np.ndarray, steps: Sequence[np.ndarray]
+    ) -> tuple[Cut, list[RigidBody]]:
+        """Windows with these rows (W, R + 1) under these delays: the rigid body at x, and its changes under steps."""
         first = rows[:, :-1]
         t = self.t[rows]
         step = np.diff(t, axis=1)
         substeps = max(1, int(np.ceil(float(np.median(step)) / MAX_STEP - 1e-6)))
         h = step / substeps
-        delays = np.asarray(drives[0].servos.delay)
         middle = t[:, :-1, None] + h[..., None] * np.arange(substeps)
         inputs = self._commands(middle, h[..., None], delays + self.late)
         cut = Cut(self.y[rows[:, 0]], self.v[rows[:, 0]], step, inputs, self.q[first])
@@ -172,9 +164,7 @@ class ServoLog(NamedTuple):
             RigidBody(*(b - a for a, b in zip(body, self.evaluate(x + one, self.q, self.v), strict=True)))
             for one in steps
         ]
-        bodies = [RigidBody(*(part[first] for part in each)) for each in (body, *changes)]
-        stacked = jax.tree.map(lambda *parts: jnp.stack(parts), *drives)
-        return np.asarray(_simulate(stacked, weights, delays, cut, bodies[0], tuple(bodies[1:])))
+        return cut, [RigidBody(*(part[first] for part in each)) for each in (body, *changes)]
 
     def _commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
         """Mean inputs and rates around these times, with their derivatives with respect to the delay: (…, 4, m)."""
@@ -209,6 +199,29 @@ class ServoLog(NamedTuple):
         return np.stack([mean, slope, rate, ((higher - lower) / width - rate) / eps], axis=-2)
 
 
+def simulate(
+    logs: Sequence[ServoLog],
+    drives: Sequence[Drive],
+    x: Float[np.ndarray, "p"],
+    rows: Sequence[np.ndarray],
+    weights: Float[np.ndarray, "P r"],
+    steps: Sequence[Float[np.ndarray, "p"]],
+) -> Float[np.ndarray, "P W R1 n"]:
+    """Positions in windows of logs of one family with these rows, (W, R + 1) in all, for each of P drives.
+
+    Commands are delayed exactly for the first drive, and to first order for the others. The rigid body is that at x
+    plus its changes under r steps of x, weighted for each drive.
+    """
+    delays = np.asarray(drives[0].servos.delay)
+    cuts, bodies = zip(*(log.cut(delays, x, own, steps) for log, own in zip(logs, rows, strict=True)), strict=True)
+    cut, first, *changes = (
+        type(parts[0])(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+        for parts in (cuts, *zip(*bodies, strict=True))
+    )
+    stacked = jax.tree.map(lambda *parts: jnp.stack(parts), *drives)
+    return np.asarray(_simulate(stacked, weights, delays, cut, first, tuple(changes)))
+
+
 _Compiled = tuple[Callable[[Any], Drive], Callable[..., RigidBody]]
 _CACHE: dict[int, tuple[RobotFamily, _Compiled]] = {}
 
@@ -230,7 +243,18 @@ def _compiled(family: RobotFamily) -> _Compiled:
 
         return jax.vmap(one)(q, v)
 
+    rigid = [i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS]
+    kept: dict[int, tuple[np.ndarray, bytes, RigidBody]] = {}
+
     def evaluate(x: np.ndarray, q: np.ndarray, v: np.ndarray) -> RigidBody:
+        """The rigid body along a path, which is evaluated anew where one of its own numbers changes."""
+        path, numbers, body = kept.get(id(q), (None, b"", None))
+        if body is None or path is not q or numbers != x[rigid].tobytes():
+            body = evaluated(x, q, v)
+            kept[id(q)] = q, x[rigid].tobytes(), body
+        return body
+
+    def evaluated(x: np.ndarray, q: np.ndarray, v: np.ndarray) -> RigidBody:
         flat, n = at(x), q.shape[1]
 
         def rows(q: np.ndarray, v: np.ndarray) -> Array:

@@ -26,6 +26,8 @@ MOST_OUTLIERS = 100
 """Most outliers that are looked for."""
 IDLE = "too little motion"
 """What `check` finds in a log that says nothing of its model, which among many logs is no fault."""
+SHORTEST_STRETCH = 3
+"""Least number of logs before and after a change, of which fewer are odd ones."""
 CLEAR = 4.0
 """Standard errors beyond which an offset or a drift is more than chance, among many logs."""
 JUDGED = ("nis", "nees", "innovation_rms", "velocity_rmse", "state_rmse", "rate")
@@ -119,8 +121,10 @@ def _findings(rows: Sequence[LogRow], known: Sequence[int]) -> Iterator[str]:
 
 
 def machine_of(name: str) -> str:
-    """The folder of a log, which is one for each machine."""
-    return str(Path(name).parent)
+    """The folder of a log, which is one for each machine; that of a data set, for its files in chunks."""
+    folder = Path(name).parent
+    in_chunks = folder.parent.name == "data" and folder.name.startswith("chunk-")
+    return str(folder.parent.parent if in_chunks else folder)
 
 
 def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
@@ -193,9 +197,9 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
             continue
         groups = _by_machine(rows, known)
         compared = groups if several else {rows[k].name: [k] for k in known}
-        means, errors = np.array([_mean(value[places], std[places])[:2] for places in compared.values()]).T
-        odd = _outliers(means, errors)
-        shared, error, between = _mean(means[~odd], errors[~odd])
+        means, errors = np.array([weighted_mean(value[places], std[places])[:2] for places in compared.values()]).T
+        odd = find_outliers(means, errors)
+        shared, error, between = weighted_mean(means[~odd], errors[~odd])
         of = f"{f'{sum(~odd)} of ' * bool(odd.any())}{len(means)} {'machines' if several else 'logs'}"
         yield f"{name} = {shared:.4g} ± {error:.2g} shared by {of}, which differ by {between:.2g} beyond their errors"
         unlike = [
@@ -207,13 +211,17 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
         if len(unlike) > LISTED:
             yield f"  and {len(unlike) - LISTED} more"
         for machine, places in groups.items():
-            drift = _drift(value[places], std[places])
+            on = f" on {machine}" * several
+            change = find_change(value[places], std[places])
+            drift = None if change else find_drift(value[places], std[places])
+            if change:
+                yield f"  {name} changes{on}: {change[1]:+.3g} ± {change[2]:.2g} from {rows[places[change[0]]].name} on"
             if drift is not None:
                 first, last = rows[places[0]].name, rows[places[-1]].name
-                yield f"  {name} drifts{f' on {machine}' * several}: {drift:+.3g} from {first} to {last}"
+                yield f"  {name} drifts{on}: {drift:+.3g} from {first} to {last}"
 
 
-def _outliers(value: np.ndarray, std: np.ndarray) -> np.ndarray:
+def find_outliers(value: np.ndarray, std: np.ndarray) -> np.ndarray:
     """Which of some values are outliers among the others, which may differ by more than their standard errors.
 
     Source: Rosner 1983, Percentage points for a generalized ESD many-outlier procedure.
@@ -235,7 +243,7 @@ def _outliers(value: np.ndarray, std: np.ndarray) -> np.ndarray:
     return odd
 
 
-def _mean(value: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
+def weighted_mean(value: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
     """Mean of values with different errors, its standard error, and the standard deviation between the true values.
 
     Source: DerSimonian & Laird 1986, Meta-analysis in clinical trials.
@@ -250,7 +258,30 @@ def _mean(value: np.ndarray, std: np.ndarray) -> tuple[float, float, float]:
     return float(mean), float(1 / math.sqrt(np.sum(weights))), math.sqrt(between)
 
 
-def _drift(value: np.ndarray, std: np.ndarray) -> float | None:
+def find_change(value: np.ndarray, std: np.ndarray) -> tuple[int, float, float] | None:
+    """The log from which on a number is another, by how much, and the standard error of that; None without one.
+
+    Two weighted means explain the values before and from some log on. The scatter beyond the errors of the logs is that
+    from one log to the next, which a change leaves as it is.
+
+    Source: Hawkins 1977, Testing a sequence of observations for a shift in location, with Bonferroni's bound.
+    """
+    count = len(value)
+    if count < FEWEST:
+        return None
+    steps = np.diff(value)
+    scatter = max(0.0, (1.4826 * np.median(np.abs(steps))) ** 2 - np.median(std[1:] ** 2 + std[:-1] ** 2)) / 2
+    weights = 1 / (std**2 + scatter)
+    before, sums = np.cumsum(weights)[:-1], np.cumsum(weights * value)[:-1]
+    after, rest = weights.sum() - before, (weights * value).sum() - sums
+    sizes, errors = rest / after - sums / before, np.sqrt(1 / before + 1 / after)
+    inside = slice(SHORTEST_STRETCH - 1, count - SHORTEST_STRETCH)
+    at = int(np.argmax(np.abs(sizes / errors)[inside])) + inside.start
+    clear = np.abs(sizes[at]) > stdtrit(count - 2, 1 - CHANCE / (2 * count)) * errors[at]
+    return (at + 1, float(sizes[at]), float(errors[at])) if clear else None
+
+
+def find_drift(value: np.ndarray, std: np.ndarray) -> float | None:
     """Change of a number from the first log to the last, along a line; None where it is no more than chance."""
     if len(value) < FEWEST:
         return None

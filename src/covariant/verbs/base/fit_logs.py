@@ -42,6 +42,7 @@ class FitLogs(NamedTuple):
         tried: The ways that are tried.
         names: Names of the logs, by path.
         machines: Index of the machine of each log, of several with numbers of their own.
+        judges: Number of the last logs that are held out, where it is known.
     """
 
     logs: list[Aligned]
@@ -51,11 +52,13 @@ class FitLogs(NamedTuple):
     tried: tuple[str, ...]
     names: list[str]
     machines: list[int]
+    judges: int = 0
 
     @classmethod
     def read(cls, jobs: list[Job], machines: list[int] | None = None) -> "FitLogs":
         """Read the logs, the same model in each."""
-        logs = [_without_outliers(aligned(job)) for job in jobs]
+        with models.loaded_once({}):
+            logs = [_without_outliers(aligned(job)) for job in jobs]
         machines = [0] * len(jobs) if machines is None else machines
         file, references = logs[0].loaded.file, [_slopes(log) for log in logs]
         firsts = [machines.index(machine) for machine in sorted(set(machines))]
@@ -70,6 +73,8 @@ class FitLogs(NamedTuple):
     @property
     def last(self) -> Bool[np.ndarray, "K"]:
         """Logs (K,) that are held out; if none is, the last part of each is."""
+        if self.judges:
+            return np.arange(len(self.logs)) >= len(self.logs) - self.judges
         return held_out_logs([np.asarray(log.raw.t) for log in self.logs], self.length, self.machines)
 
     @property

@@ -1,5 +1,6 @@
 """Sentences of a fit: where its search began, what logs do not determine, which other reading would explain them."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,8 @@ from covariant.verbs.base.fit_logs import BETWEEN
 LEAST_MOTION, LEAST_FOLLOWED = 0.1, 0.7
 """Motion of a joint relative to that of the one that moves most, and error relative to its motion, from which a fitted
 servo does not explain what its joint does."""
+LEAST_USUAL = 0.3
+"""Motion of a joint in the logs that judge, relative to that in all logs, below which they say nothing of it."""
 LONGEST_DELAY = 0.3
 """A delay [s] longer than that of any servo, which a reversed command looks like in a motion of one frequency."""
 CLEAR = 2.0
@@ -52,11 +55,17 @@ def misread_sentence(finding: Finding, log: str, machine: str) -> str:
     return f"In {where} {finding.evidence}. {mended}"
 
 
-def unlike_servos(family: RobotFamily, best: RobotFit, log: Aligned, left: Float[np.ndarray, "n"]) -> str:
-    """A sentence on joints that do not follow their commands as servos do, by the errors left (n,); or ""."""
-    file = log.loaded.file
-    moved = np.nanstd(scoring.unwrap(np.asarray(log.raw.y, float), log.loaded.model.circles), axis=0)
-    wrong = (moved > LEAST_MOTION * moved.max()) & (left > LEAST_FOLLOWED * moved)
+def unlike_servos(
+    family: RobotFamily, best: RobotFit, logs: Sequence[Aligned], judging: Sequence[int], left: Float[np.ndarray, "n"]
+) -> str:
+    """A sentence on joints that do not follow their commands as servos do, by the errors left (n,) in those of the logs
+    that judge; or ""."""
+    file, circles = logs[0].loaded.file, logs[0].loaded.model.circles
+    each = np.square([np.nanstd(scoring.unwrap(np.asarray(log.raw.y, float), circles), axis=0) for log in logs])
+    usual, moved = np.sqrt(each.mean(axis=0)), np.sqrt(each[list(judging)].mean(axis=0))
+    # A joint that moves less than usual may be held by its friction.
+    moves = (moved > LEAST_MOTION * moved.max()) & (moved > LEAST_USUAL * usual)
+    wrong = moves & (left > LEAST_FOLLOWED * moved)
     names = [name for name, one in zip(file.columns.q, wrong, strict=True) if one]
     for number, value in zip(family.numbers, best.values, strict=True):
         if (number.group, number.number) == ("servo", "delay") and value > LONGEST_DELAY:

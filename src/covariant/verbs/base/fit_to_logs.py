@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,15 +72,18 @@ def fit_to_logs(
     progress: Progress,
     sources: Mapping[Path, bytes],
     own: OwnNumbers | None = None,
+    judges: int = 0,
 ) -> tuple[list[Job], dict[str, dict[str, Any]], dict[str, Any]]:
     """Fit parameters of a model, or numbers of a robot, to logs, and judge the fit on what is held out.
 
-    `sources` are the files of the model as they were first read. The contents of model files are by the machine whose
+    `sources` are the files of the model as they were first read, `judges` the number of the last logs to judge by, if
+    that is known. The contents of model files are by the machine whose
     own numbers they have, or by "".
     """
     progress("reading")
     kind = _kind_of(jobs[0], names)
     problem = kind.read(jobs, names, own)
+    problem = replace(problem, logs=problem.logs._replace(judges=judges))
     logs, guessed = problem.logs, placeholders(jobs[0].model, jobs[0].overrides)
     check_read_once(sources)  # from here on no file of the model is read
     try:
@@ -348,7 +351,12 @@ class _ServoProblem(_Problem):
                 "each: numbers of a robot with servos are those of one robot; fit the logs of each robot by itself, "
                 "`covariant fit MODEL LOG... -o FOLDER`"
             )
-        families = [models.robot_family(job.model_name, names, job.overrides) for job in jobs]
+        made: list[tuple[Any, models.RobotFamily]] = []  # what logs override is often the same
+        families = []
+        for job in jobs:
+            same = [family for overrides, family in made if overrides == job.overrides]
+            families.append(same[0] if same else models.robot_family(job.model_name, names, job.overrides))
+            made += [] if same else [(job.overrides, families[-1])]
         for job, family in zip(jobs, families, strict=True):
             pairs = zip(family.names, family.first, families[0].first, strict=True)
             if differing := [name for name, a, b in pairs if a != b]:
@@ -389,16 +397,14 @@ class _ServoProblem(_Problem):
     def suspicion(self, best: RobotFit, part: _Part) -> str:
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""
         del part
-        return unlike_servos(self.family, best, self.logs.logs[-1], self.errors(best).position)
+        return unlike_servos(self.family, best, self.logs.logs, self._judging, self.errors(best).position)
 
     def errors(self, best: RobotFit | None, part: _Part | None = None) -> PredictionErrors:
         """Errors of the motion predicted from the first row and the commands of what is held out."""
         del part
         x = np.zeros(len(self.family.names)) if best is None else best.coordinates
-        several = len(self.logs.logs) > 1
-        chosen = range(self.logs.seen, len(self.logs.logs)) if several else range(1)
-        errors = []
-        for i in chosen:
+        several, errors = len(self.logs.logs) > 1, []
+        for i in self._judging:
             log, reference = self.logs.logs[i], self.logs.references[i]
             t, u, y = (np.asarray(column, float) for column in log.raw[:3])
             late = np.flatnonzero((several or t >= t[0] + FITTED * (t[-1] - t[0])) & np.isfinite(y).all(axis=1))
@@ -410,6 +416,11 @@ class _ServoProblem(_Problem):
             errors.append((off, reference[rows] - speed))
         position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
         return PredictionErrors(known_rms(position), known_rms(velocity))
+
+    @property
+    def _judging(self) -> range:
+        """Indices of the logs by which the fit is judged."""
+        return range(self.logs.seen, len(self.logs.logs)) if len(self.logs.logs) > 1 else range(1)
 
     def details(self, best: RobotFit) -> dict[str, Any]:
         return servo_details(best, self.family)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from covariant import logs
 from covariant._door import MESH, MODEL, ROBOT, parse_toml, read_toml
 from covariant.models.robots import ROBOTS
 from covariant.verbs.base.model_text import OF_ROBOTS, model_text
@@ -21,14 +22,16 @@ from scalargraph.files import read_bytes, utf8
 
 
 def as_logs(log: Any) -> tuple[Any, ...]:
-    """Convert an argument that is one log, or a list or tuple of them, to a tuple."""
+    """Convert an argument that is one log, a list or tuple of them, or a folder, to a tuple of logs."""
     each = tuple(log) if type(log) in (list, tuple) else (log,)  # a Record is a tuple of another type
     if not each:
         raise InputError("log: no log is given; give a path, a Record, a table, or a list of them")
     for one in each:
-        if isinstance(one, str | os.PathLike) and not Path(one).exists():
+        if isinstance(one, str | os.PathLike) and not logs.part_of(one)[0].exists():
             raise FileNotFoundError(f"{one}: no such file")
-    return each
+    return tuple(
+        part for one in each for part in (logs.episodes(one) if isinstance(one, str | os.PathLike) else (one,))
+    )
 
 
 def check_model_output(model: object, path: str | Path | None, overwrite: bool = False, urdf: bool = False) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from covariant import logs
 from covariant._door import BINARY_LOG
 from covariant._optional import load_optional
 from scalargraph.errors import InputError
@@ -55,7 +56,8 @@ def check_output(
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; make it first")
     # `samefile` and not equality: a link or another spelling of the path is the log too.
-    if isinstance(log, str | Path) and path.exists() and Path(log).exists() and path.samefile(log):
+    of_log = logs.part_of(log)[0] if isinstance(log, str | Path) else None
+    if of_log is not None and path.exists() and of_log.exists() and path.samefile(of_log):
         raise InputError(f"{path}: this is the log itself; write to another file")
     if path.exists() and not (overwrite or store):
         raise InputError(f"{path}: there is such a file already; write to another file, or say `overwrite=True`")

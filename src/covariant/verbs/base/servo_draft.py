@@ -7,14 +7,18 @@ import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
+
+import numpy as np
 
 from covariant import models
 from covariant.calibration import Draft
 from covariant.calibration.identification import DraftedServo
+from covariant.geometry import differential
 from covariant.logs import unit_factor
 from covariant.verbs.base.placeholders import marked
+from scalargraph import on_batches
 from scalargraph.errors import InputError
 
 FIRST_STIFFNESS = 10.0
@@ -23,6 +27,10 @@ FIRST_COULOMB = 0.01
 """First dry friction, relative to the torque at an error of one radian."""
 LAG_LIMITS = (0.02, 0.2)
 """Limits of the lag [s] from which the first delay and damping follow."""
+LEAST_WEIGHT = 0.05
+"""Least torque of weight about a joint, relative to the largest, from which friction under load matters there."""
+FIRST_LOAD = 0.2
+"""First friction per torque that a gear carries."""
 USUAL_LAG = 0.06
 """Lag [s] if the log shows none, as with a servo that stands still."""
 LINK_INERTIA = 0.001
@@ -47,6 +55,7 @@ class Joints(NamedTuple):
         positions: Index of the position of each joint in the draft.
         locked: Names of the joints without a position.
         guess: Text on joints that were matched by order, and on positions without a joint; "" if there are none.
+        weighed: Names of the joints on which weight acts.
     """
 
     path: str
@@ -54,6 +63,7 @@ class Joints(NamedTuple):
     positions: tuple[int, ...]
     locked: tuple[str, ...] = ()
     guess: str = ""
+    weighed: tuple[str, ...] = ()
 
 
 def match_joints(draft: Draft, path: str) -> Joints:
@@ -83,7 +93,15 @@ def match_joints(draft: Draft, path: str) -> Joints:
     if without_joint:
         guess += "; " if guess else ""
         guess += f"{', '.join(without_joint)} have no joint in {Path(path).name}, and are left out"
-    return Joints(path, names, tuple(matched[j] for j in names), tuple(j for j in joints if j not in matched), guess)
+    locked = tuple(joint for joint in joints if joint not in matched)
+    return Joints(path, names, tuple(matched[j] for j in names), locked, guess, _weighed(model))
+
+
+def _weighed(model: Any) -> tuple[str, ...]:
+    """Joints on which weight acts in some configuration."""
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (8, len(model.coordinates)))
+    weight = np.abs(on_batches(lambda q: differential(model.manifold, model.potential, q), q[0])(q)).max(axis=0)
+    return tuple(np.array(model.coordinates)[weight > LEAST_WEIGHT * weight.max()].tolist())
 
 
 def _words(name: str) -> frozenset[str]:
@@ -165,21 +183,35 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
     lag = min(max(min(lags), LAG_LIMITS[0]), LAG_LIMITS[1]) if lags else USUAL_LAG
     seen = "of the shortest lag of a position behind its command in this log" if lags else "of a usual lag"
     lines = ["", "[inputs]", 'kind = "command"  # u are positions that servos are commanded to, no torques']
+    values = {
+        "stiffness": (FIRST_STIFFNESS, "N m/rad"),
+        "damping": (FIRST_STIFFNESS * lag / 2, "N m s/rad"),
+        "armature": (FIRST_STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
+        "coulomb": (FIRST_COULOMB * FIRST_STIFFNESS, "N m, dry friction of the gear"),
+    }
+    alike = joints.weighed and isinstance(draft.quantum, float) and len(servos) > 1
+    # Of servos of one type these are shared, and their friction near rest is told as well.
+    loaded = joints.weighed if alike else ()
+    shared = values | {"stribeck": (values["coulomb"][0] / 2, "N m, more of it near rest")} if alike else values
+    first = ""
     for name, servo in zip(joints.names, draft.servos, strict=True):
         if servo is None:
             continue
-        values = {
-            "stiffness": (FIRST_STIFFNESS, "N m/rad"),
-            "damping": (FIRST_STIFFNESS * lag / 2, "N m s/rad"),
-            "coulomb": (FIRST_COULOMB * FIRST_STIFFNESS, "N m, dry friction of the gear"),
-            "armature": (FIRST_STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
-        }
         lines += ["", f"[servo.{_key(name)}]"]
-        for key, (value, what) in values.items():
+        lines += [f"like = {quoted(first)}  # servos of one type; without this line each has its own"] * bool(first)
+        own = {"coulomb": values["coulomb"]} if first else shared
+        own = own | {"load": (FIRST_LOAD, "friction per torque that the gear carries")} if name in loaded else own
+        for key, (value, what) in own.items():
             rounded = float(f"{value:.3g}")
             lines.append(f"{key} = {rounded!r}  {marked([rounded])}; {what}")
-        lines.append(f"delay = {lag / 2:.3g}  # s, half {seen}")
-        lines += _offset_line(servo, bool(joints.path))
+        if not first:
+            lines.append(f"delay = {lag / 2:.3g}  # s, half {seen}")
+        if alike:
+            lines += ["stribeck_velocity = 0.1  # rad/s"] * (not first)
+            lines.append("offset = 0.0  # rad, of the position beyond the command")
+            first = first or name
+        else:
+            lines += _offset_line(servo, bool(joints.path))
         if draft.switches:
             lines.append("switch = true  # another input is 0 where the servo is off")
     return lines

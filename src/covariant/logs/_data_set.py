@@ -1,0 +1,235 @@
+"""The logs of a folder, the episodes of a data set among them, and what a data set says of its robot."""
+
+import contextlib
+import json
+import re
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from covariant._door import STORE
+from covariant.logs._cells import numbers
+from covariant.logs._columns import TEXTS, LogError, kind, pyarrow
+from covariant.logs._episodes import episode_columns, part_of
+from covariant.logs._read import legible, open_source
+from covariant.logs._register import Register
+from covariant.logs._stamps import stamps, timed
+from covariant.logs._tables import no_header, source_name, unite
+from covariant.logs._text import with_points
+from covariant.logs._unit_in_name import words_of
+from scalargraph.files import bounded, read_bytes
+
+_INFO = Path("meta", "info.json")
+"""Description of a LeRobot data set, from its folder."""
+_CALIBRATIONS = ("calibration.json", "meta/calibration.json")
+"""Files with the calibration of the arm, from the folder of its data set."""
+TRIED, LEAST_MOTION = 20, 0.01
+"""Most episodes among which the one that moves most is looked for, and the motion, in parts of the largest, that counts
+as none."""
+GRIPPERS = {"gripper", "jaw", "finger", "hand", "claw"}
+TICKS, SAME_TICK = 4096, 1e-3
+"""Ticks per turn of the encoders of a calibration, and the relative difference up to which ticks are equal."""
+
+
+class LogSurvey(NamedTuple):
+    """All numeric columns of a log.
+
+    Attributes:
+        columns: Arrays (T,) by name, in the order of the log and in its units; empty cells are NaN.
+        units: Units that the log states apart from names, by column: attributes of a dataset, metadata of Parquet.
+        remarks: Sentences on anything unusual about the names, for example that there are none.
+        labels: Names that the log gives to the entries of lists, by column: `{"action[0]": "shoulder_pan.pos"}`.
+        log: The log that these are the columns of: of a folder, one in it.
+        robot: Kind of the robot of a data set, `so101` for `so101_follower`; "" if it is not known.
+
+    Example:
+        >>> import pandas
+        >>> from covariant import logs
+        >>> logs.survey(pandas.DataFrame({"t": [0.0, 0.1]})).remarks
+        ()
+    """
+
+    columns: dict[str, Float[np.ndarray, "T"]]
+    units: Mapping[str, str]
+    remarks: tuple[str, ...]
+    labels: Mapping[str, str] = MappingProxyType({})
+    log: Any = None
+    robot: str = ""
+
+
+def survey(log: str | PathLike[str] | Any) -> LogSurvey:
+    """Read all numeric columns of a log, by name.
+
+    Other columns are left out, except that dates become seconds since the first of them. If several columns have the
+    same name, the first one is used if they are equal, and none otherwise. Of several episodes, in a folder or a file,
+    it is the one in which most columns move. A gripper in a data set is left out, since it is logged in per cent.
+
+    Args:
+        log: A path, data frame or dataset, as for `read`, or a folder of logs.
+
+    Returns:
+        The columns, the units that the log states, and remarks about its names.
+
+    Raises:
+        LogError: The file is not a log; as for `read`.
+
+    Example:
+        >>> import pandas
+        >>> from covariant import logs
+        >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})).columns)
+        ['t', 'q1']
+    """
+    if not isinstance(log, str | PathLike) or len(each := episodes(log)) < 2:
+        return _survey(log)
+    tried = [_survey(each[k]) for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int))]
+    names = [name for name in tried[0].columns if all(name in found.columns for found in tried)]
+    moved = np.array([[np.nanstd(found.columns[name]) for name in names] for found in tried])
+    most = moved.max(axis=0)
+    scores = np.log(moved[:, most > 0] / most[most > 0] + LEAST_MOTION).sum(axis=1)
+    best, data_set = tried[int(np.argmax(scores))], DataSet.of(part_of(log)[0])
+    return best if data_set is None else data_set.describe(best)
+
+
+def _survey(log: Any) -> LogSurvey:
+    name = source_name(log)
+    with legible(name, log):
+        source = open_source(name, log)
+        named = list(dict.fromkeys(column for column in source.shown if column))
+        table, remarks = unite(name, source.load(named, (), ()), refuse=False)
+        table = with_points(pyarrow(), name, table, source.decimal_commas)
+    columns: dict[str, np.ndarray] = {}
+    # A log of messages also loads its clock.
+    for column_name in [each for each in named if each in table.column_names]:
+        column = table.column(column_name)
+        with contextlib.suppress(LogError):
+            is_time = timed(column)
+            columns[column_name] = stamps(name, column, None).t if is_time else numbers(name, column, needed=False)
+    if source.first_line:
+        remarks.append(no_header(source))
+    return LogSurvey(columns, source.units, tuple(remarks), source.labels, log)
+
+
+def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
+    """The logs of a file or a folder, in the order of the numbers in their names.
+
+    A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one. A folder
+    has those of all logs in it; of a LeRobot data set, those of its `data`.
+
+    Args:
+        log: A path.
+
+    Returns:
+        Paths of logs, for `read` and all that takes a log.
+
+    Raises:
+        LogError: The folder has no log.
+
+    Example:
+        >>> import pandas, tempfile
+        >>> from pathlib import Path
+        >>> from covariant import logs
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> frame = pandas.DataFrame({"t": [0.0, 0.1, 0.0, 0.1], "q": [1.0, 2.0, 3.0, 4.0], "episode": [0, 0, 1, 1]})
+        >>> frame.to_csv(folder / "runs.csv", index=False)
+        >>> [Path(each).name for each in logs.episodes(folder)]
+        ['runs.csv#0', 'runs.csv#1']
+    """
+    path, number = part_of(log)
+    if path.is_dir() and not _is_log(path):
+        inside = (path / "data").rglob("*.parquet") if (path / _INFO).is_file() else path.iterdir()
+        files = sorted(filter(_is_log, inside), key=lambda file: _natural(str(file)))
+        if not files:
+            raise LogError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
+        return tuple(each for file in files for each in episodes(file))
+    if number is not None or not path.is_file() or path.suffix.lower() not in (*TEXTS, ".parquet"):
+        return (str(log),)
+    numbers = _numbers(path)
+    return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (str(log),)
+
+
+def _is_log(path: Path) -> bool:
+    with contextlib.suppress(LogError):
+        return bool(kind(path))
+    return False
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sorting key by which numbers within names count as such."""
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", name)]
+
+
+def _numbers(path: Path) -> list[int]:
+    """Numbers of the episodes of a file, in the order of its rows; empty if it does not have any."""
+    if path.suffix.lower() == ".parquet":
+        with pyarrow().parquet.ParquetFile(path) as file:
+            columns = episode_columns(file.schema_arrow.names)[:1]
+            found = file.read(columns=columns).column(0).unique().to_numpy() if columns else np.empty(0)
+    else:
+        with path.open("rb") as file:  # most texts have no such column, and are not read for it
+            header = file.readline(1 << 20).decode(errors="replace")
+        if not episode_columns(re.split(r"[,;\t\s]+", header.strip())):
+            return []
+        columns = _survey(path).columns
+        named = episode_columns(columns)
+        found = columns[named[0]] if named else np.empty(0)
+    whole = [int(each) for each in found if np.isfinite(each) and each == int(each)]
+    return list(dict.fromkeys(whole))
+
+
+class DataSet(NamedTuple):
+    """What a LeRobot data set says of its robot.
+
+    Attributes:
+        robot: Name of the kind of robot, `so101` for `so101_follower`; "" if it is not known.
+        ranges: Range of the positions of each joint [ticks] by its name, from the calibration of the arm.
+    """
+
+    robot: str
+    ranges: Mapping[str, float]
+
+    @classmethod
+    def of(cls, folder: Path) -> "DataSet | None":
+        """The data set in a folder, or None if there is none."""
+        info = _json(folder / _INFO)
+        if not info:
+            return None
+        calibration: dict[str, Any] = next(filter(None, (_json(folder / name) for name in _CALIBRATIONS)), {})
+        ranges = {}
+        for joint, known in calibration.items():
+            with contextlib.suppress(TypeError, KeyError, ValueError):
+                ranges[joint] = float(known["range_max"]) - float(known["range_min"])
+        return cls(str(info.get("robot_type") or "").removesuffix("_follower"), ranges)
+
+    def describe(self, found: LogSurvey) -> LogSurvey:
+        """The columns without those of a gripper, with the units of positions that a calibration shows."""
+        joint = {name: text.removesuffix(".pos") for name, text in found.labels.items()}
+        grippers = [name for name, text in joint.items() if words_of(text) & GRIPPERS]
+        columns = {name: each for name, each in found.columns.items() if name not in grippers}
+        # Positions from -100 to 100 have a tick of 200 over the ticks of the range.
+        scales = {name: self.ranges[text] / 200 for name, text in joint.items() if self.ranges.get(text, 0.0) > 0}
+        coded = {name: scale for name, scale in scales.items() if name in columns}
+        per_cent = {
+            name: f"{scale * 360 / TICKS:.9g} deg"
+            for name, scale in coded.items()
+            if abs(Register.of(columns[name].astype(np.float32)).tick * scale - 1) < SAME_TICK
+        }
+        left = f"{', '.join(grippers)} left out: per cent of the range of a gripper, and no angle"
+        return found._replace(
+            columns=columns,
+            units={**found.units, **per_cent},
+            remarks=(*found.remarks, *[left] * bool(grippers)),
+            robot=self.robot,
+        )
+
+
+def _json(path: Path) -> dict[str, Any]:
+    """Content of a file of JSON; empty if there is none, or another content."""
+    with contextlib.suppress(ValueError, OSError), bounded(path.name):
+        content = json.loads(read_bytes(path, STORE)) if path.is_file() else {}
+        return content if isinstance(content, dict) else {}
+    return {}
