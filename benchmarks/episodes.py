@@ -14,11 +14,15 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import servo_machines
 from numpy.typing import NDArray
+
+import covariant
 
 ROWS = 300
 FPS = 50
@@ -88,3 +92,102 @@ def write(folder: Path, each: Sequence[tuple[NDArray, NDArray]], joints: Sequenc
         first += count
     assert writer is not None
     writer.close()
+
+
+def fitted(folder: Path, model: Path) -> Any:
+    """The arm drafted and fitted from a folder, without options; the model file is written."""
+    first = folder.with_suffix(".toml")
+    covariant.verbs.init(folder).save(first)
+    result = covariant.fit(first, folder, progress=lambda *_: None)
+    result.save(model)
+    return result
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as place:
+        root, each = Path(place), episodes()
+        write(root / "all", each, JOINTS, "so101_follower", FPS)
+        began = time.process_time()
+        result = fitted(root / "all", root / "fitted.toml")
+        print(f"{time.process_time() - began:.0f} s of a core")
+        errors = 1e3 * np.array(result.summary["held_out_errors"]["after"]["position"])
+        print("held-out episodes, open loop [mrad]:", ", ".join(f"{error:.1f}" for error in errors))
+        halves = []
+        for k in range(2):
+            write(root / f"half{k}", each[k::2], JOINTS, "so101_follower", FPS)
+            halves.append(fitted(root / f"half{k}", root / f"fitted{k}.toml"))
+        a, b = halves
+        known = np.isfinite(a.standard_errors) & np.isfinite(b.standard_errors)
+        apart = np.abs(a.values - b.values) < 1.96 * (a.standard_errors + b.standard_errors)
+        print(f"intervals of {known.sum()} numbers in both halves: {apart[known].sum()} overlap")
+        for row in zip(a.columns["parameter"], a.values, a.standard_errors, b.values, b.standard_errors, strict=True):
+            print("{:40s} {:9.4g} ± {:8.2g} {:9.4g} ± {:8.2g}".format(*row))
+
+
+def chain(n: int) -> servo_machines.Machine:
+    """An arm of n joints about alternating axes, the first of them vertical."""
+    text = '<robot name="chain"><link name="base"/>\n'
+    for k in range(n):
+        axis, length = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "0 0 1")[k], 0.14 - 0.015 * k
+        mass, moment = 0.16 - 0.02 * k, 4e-4 / (k + 1)
+        place = (0, 0, 0.05 if k == 0 else 0.155 - 0.015 * k)
+        centre, moments = (0.01, 0.005, length / 2), (moment, moment, moment / 4)
+        text += servo_machines._link(
+            f"part{k}", "base" if k == 0 else f"part{k - 1}", place, axis, mass, centre, moments
+        )
+    names = tuple(f"part{k}_joint" for k in range(n))
+    middle, size = np.resize([0.0, 0.6, 0.5, 0.0, 0.3, 0.0], n), np.resize([0.8, 0.5, 0.6, 0.7], n)
+    return servo_machines.Machine(text + "</robot>", names, middle, size, (f"part{n - 1}", (0, 0, 0.05)), 5e-4)
+
+
+def simulated(run: int, root: Path) -> str:
+    """One arm with servos drawn at random and 24 episodes of 6 s; from one of them on, or in it, a zero is another."""
+    rng = np.random.default_rng([76, run])
+    n = 2 + run % 5
+    machine, kind = chain(n), ("none", "from", "in")[run % 3]
+    servo = servo_machines.draw_servo(machine, servo_machines.SO101 | {"delay": (0.005, 0.1)}, rng)
+    at, joint, size = (
+        int(rng.integers(4, 20)),
+        int(rng.integers(n)),
+        float(rng.uniform(0.05, 0.3) * rng.choice([-1, 1])),
+    )
+    each = []
+    for k in range(24):
+        moved = (kind == "from" and k >= at) or (kind == "in" and k == at)
+        own = servo._replace(offset=servo.offset + size * moved * (np.arange(n) == joint))
+        t, command = servo_machines.commands(machine, 6.0, FPS, rng)
+        log = servo_machines.simulate(machine, own, t, command)
+        each.append((np.degrees(log.q), np.degrees(log.command)))
+    write(root / "set", each, machine.joints, "chain", FPS)
+    (root / "chain.urdf").write_text(machine.urdf, encoding="utf-8")
+    covariant.verbs.init(root / "set", overrides={"parameters.path": str(root / "chain.urdf")}).save(root / "arm.toml")
+    began = time.process_time()
+    result = covariant.fit(root / "arm.toml", root / "set", progress=lambda *_: None)
+    rows = [row for row in result.summary["parameters"] if row["determined"]]
+    places = [(machine.joints.index(row["name"].split(".")[1]), row["name"].split(".")[2]) for row in rows]
+    # After a change that is early the longer stretch has the other zero.
+    late = size * (kind == "from" and at < 12)
+    true = np.array([getattr(servo, key)[j] + late * (j == joint and key == "offset") for j, key in places])
+    off = np.array([(row["after"] - x) / row["standard_error"] for row, x in zip(rows, true, strict=True)])
+    zeros = [each for each in result.summary.get("changes", []) if "zero" in each]
+    right = [each for each in zeros if f"{machine.joints[joint]} " in each and each.find(f"#{at}") > 0]
+    said = "none" if not zeros else "right" if right and len(zeros) == 1 else f"wrong: {zeros}"
+    errors = 1e3 * np.array(result.summary["held_out_errors"]["after"]["position"])
+    return (
+        f"{run}: {n} joints, {kind} {size:+.2f} at {at} of {joint}: {said}; {(abs(off) <= 4).sum()} of {len(off)} "
+        f"numbers within 4 standard errors; {np.median(errors):.1f} mrad; {time.process_time() - began:.0f} s; "
+        f"better {result.better} {result.summary['suspicion']}"
+        + "".join(f" {row['name']} {z:+.1f}" for row, z in zip(rows, off, strict=True) if abs(z) > 4)
+    )
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["arms"]:
+        for run in range(*map(int, sys.argv[2:4])):
+            with tempfile.TemporaryDirectory() as place:
+                print(simulated(run, Path(place)), flush=True)
+        sys.exit()
+    if sys.argv[1:2] == ["write"]:
+        write(Path(sys.argv[2]), episodes(), JOINTS, "so101_follower", FPS)
+    else:
+        main()

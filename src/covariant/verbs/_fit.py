@@ -18,9 +18,6 @@ from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
 from scalargraph.errors import InputError
 
-LISTED = 8
-"""Most logs that are named."""
-
 
 def fit(
     model: Any,
@@ -399,6 +396,7 @@ class FitResult(AbstractTable):
 
     def __str__(self) -> str:
         from covariant.report import table
+        from covariant.verbs.base.fit_logs import NAMED
 
         result = self.details
         numbers, errors = self._numbers, self._errors
@@ -410,7 +408,7 @@ class FitResult(AbstractTable):
             how = f"Residual torques in windows of {result['window']:.3g} s"
         logs = result["logs"]
         lines = [
-            f"{how} of {', '.join(logs) if len(logs) <= LISTED else f'{len(logs)} logs'}",
+            f"{how} of {', '.join(logs) if len(logs) <= NAMED else f'{len(logs)} logs'}",
             *([result["chosen"]] if result.get("chosen") else []),
             *([result["inputs"]["sentence"]] if result["inputs"]["sentence"] else []),
             "",

@@ -69,7 +69,7 @@ def init(
     pairs = content.get("units", {}).items()
     units = {key: (texts,) if isinstance(texts, str) else tuple(texts) for key, texts in pairs}
     robot = str(settings.get("parameters.path", ""))
-    survey = logs.survey(log)
+    survey, given = logs.survey(log), log
     log = survey.log
     try:
         drafted = draft(survey.columns, known, survey.units, units, survey.labels)
@@ -77,8 +77,9 @@ def init(
         raise InputError(". ".join([f"{logs.source_name(log)}: {error}", *survey.remarks])) from error
     if robot and not drafted.servos:
         raise InputError(f"{logs.source_name(log)}: no commands of servos were found, and parameters.path is for these")
-    robot = robot or (survey.robot if survey.robot in models.robots.ROBOTS else "")
-    joints = servo_draft.match_joints(drafted, robot) if drafted.servos else None
+    of_set = "" if robot or survey.robot not in models.robots.ROBOTS else survey.robot
+    many = survey.log is not given
+    joints = servo_draft.match_joints(drafted, robot or of_set, many, bool(of_set)) if drafted.servos else None
     if joints is not None:
         drafted = servo_draft.with_joints(drafted, joints)
     return InitResult(logs.source_name(log), drafted, (*survey.remarks, *drafted.remarks), joints)

@@ -10,6 +10,8 @@ from covariant.signals import Record
 
 HALF_ROWS = 3.5
 """Half width, in rows, of the windows in which velocities and accelerations are found."""
+MOVING = 0.1
+"""Least speed that is motion, relative to the usual one."""
 RIDGE = 1e-3
 """Information of the start, in rows of usual size, so that first choices are finite."""
 
@@ -23,7 +25,9 @@ def most_informative(records: Sequence[Record], rows: int) -> list[int]:
 
     Source: Fedorov 1972, Theory of optimal experiments: D-optimal designs, one log after the other.
     """
-    tables = [_regressors(record) for record in records]
+    motions = [_motion(record) for record in records]
+    speed = np.sqrt(np.mean([np.nanmean(v**2, axis=0) for _, v, _ in motions], axis=0))
+    tables = [_regressors(record, motion, speed) for record, motion in zip(records, motions, strict=True)]
     size = np.sqrt(np.mean([np.mean(table**2, axis=0) for table in tables], axis=0))
     used = size > 0
     scaled = [table[:, used] / size[used] for table in tables]
@@ -36,11 +40,19 @@ def most_informative(records: Sequence[Record], rows: int) -> list[int]:
     return chosen
 
 
-def _regressors(record: Record) -> Float[np.ndarray, "K p"]:
-    """Terms of the equations of motion (K, p) in the rows that are known."""
-    t, u, y = (np.asarray(part, float) for part in record[:3])
+def _motion(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions, velocities and accelerations (T, n)."""
+    t, y = (np.asarray(part, float) for part in (record.t, record.y))
     half = HALF_ROWS * float(np.median(np.diff(t)))
-    q, v, a = np.moveaxis(scoring.local_polynomials(t, y, t, half, 2)[:, :3], 1, 0)
-    moving = np.abs(v) > 0.1 * np.sqrt(np.nanmean(v**2, axis=0))
-    table = np.column_stack([np.ones(len(t)), q, v, np.sign(v) * moving, a, u])
+    q, v, a = np.moveaxis(scoring.local_polynomials(t, y.reshape(len(t), -1), t, half, 2)[:, :3], 1, 0)
+    return q, v, 2 * a
+
+
+def _regressors(
+    record: Record, motion: tuple[np.ndarray, np.ndarray, np.ndarray], speed: Float[np.ndarray, "n"]
+) -> Float[np.ndarray, "K p"]:
+    """Terms of the equations of motion (K, p) in the rows that are known; dry friction has a sign beyond a part of the
+    usual speed (n,) of all logs."""
+    q, v, a = motion
+    table = np.column_stack([np.ones(len(q)), q, v, np.sign(v) * (np.abs(v) > MOVING * speed), a, np.asarray(record.u)])
     return table[np.isfinite(table).all(axis=1)]

@@ -42,8 +42,9 @@ LOGS_AT_ONCE, SHOWN = 100, 0.1
 """Logs whose own numbers are found at once, and the largest standard error of one, relative to that before the log."""
 RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
 """Integration error in the fitted numbers: relative, and for times such as a delay absolute [s]."""
-DIFFERENCE_STEP = 1e-4
-"""Step of the finite differences, in usual sizes: it moves a joint by some 0.01 µm, which is far above rounding."""
+DIFFERENCE_STEP = 0.02
+"""Step of the finite differences, in usual sizes: a joint that sticks jumps as a number changes, and over much shorter
+steps the differences of single rows outweigh all others."""
 MIN_RATIO = 0.02
 """Least value of a number that must be positive, relative to its first value."""
 POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
@@ -100,7 +101,9 @@ def fit_servos(
         point = min(point, other, key=lambda each, same=same: same.weighed(each).loss(Fixed.nothing(len(x))))
     search = search.scaled(point)
     point = search.weighed(point)
-    x, blocks, outer = point.z * search.sizes, point.blocks, np.outer(search.sizes, search.sizes)
+    # Rounded, a number at its bound would be beyond it.
+    x = np.maximum(point.z * search.sizes, search.least)
+    blocks, outer = point.blocks, np.outer(search.sizes, search.sizes)
     prior, information = np.eye(len(x)) / PRIOR**2, blocks.information
     covariance = outer * block_covariance(blocks.z, information, np.linalg.inv(information + prior), prior)
     family = families[0]

@@ -17,6 +17,9 @@ from scalargraph.errors import InputError
 BETWEEN = ("held", "linear")
 """How inputs may go between stamps; the first is what a model file means that does not say."""
 
+NAMED = 8
+"""Most logs that are named."""
+
 
 class OwnNumbers(NamedTuple):
     """Numbers of which each machine has its own, and the machine of each log."""
@@ -88,6 +91,8 @@ class FitLogs(NamedTuple):
         """File names of the logs that the fit sees, separated by commas."""
         several = len(set(self.machines)) > 1
         seen = [Path(name) for name, last in zip(self.names, self.last, strict=True) if not last]
+        if len(seen) > NAMED:
+            return f"{len(seen)} logs, the first {seen[0].name}"
         return ", ".join("/".join(name.parts[-2:]) if several else name.name for name in seen)
 
     @property

@@ -1,6 +1,7 @@
 """Numbers of the servos of each log by itself: zero, stiffness and dry friction of each joint, near those of all."""
 
 import itertools
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -31,12 +32,13 @@ def servo_rows(
     """
     job, rows = jobs[0], [LogRow(job.log_name, {}) for job in jobs]
     known = {**_flat(models.override({}, job.overrides)), **fitted}
-    document = models.document(job.model, known)
+    spec = os.fspath(job.model)
+    document = models.document(spec, known)
     tables = complete_tables(document["servo"])
     # Servos that share a number by `like` have it each by itself here.
     own = {f"servo.{joint}.{key}": table[key] for joint, table in tables.items() for key in OWN if key in table}
     first = {f"servo.{joint}.offset": 0.0 for joint in tables} | own
-    family = models.robot_family(job.model, [*first], known | first)
+    family = models.robot_family(spec, [*first], known | first)
     between, late = family.file.input_between, float(np.max(family.file.delay))
     for begin in range(0, len(jobs), AT_ONCE):
         progress(f"each of {len(jobs)} logs by itself", begin / len(jobs))

@@ -25,6 +25,8 @@ FIRST_STIFFNESS = 10.0
 """First stiffness [N m/rad] of a servo; without gravity a fit determines only its ratio to the inertia."""
 FIRST_COULOMB = 0.01
 """First dry friction, relative to the torque at an error of one radian."""
+FIRST_LIMIT = 0.3
+"""First largest torque, relative to that at an error of one radian."""
 LAG_LIMITS = (0.02, 0.2)
 """Limits of the lag [s] from which the first delay and damping follow."""
 LEAST_WEIGHT = 0.05
@@ -55,7 +57,9 @@ class Joints(NamedTuple):
         positions: Index of the position of each joint in the draft.
         locked: Names of the joints without a position.
         guess: Text on joints that were matched by order, and on positions without a joint; "" if there are none.
-        weighed: Names of the joints on which weight acts.
+        weighed: Names of the joints on which weight acts, if there are many logs.
+        many: Whether there are many logs.
+        one_type: Whether all servos are of one type.
     """
 
     path: str
@@ -64,13 +68,15 @@ class Joints(NamedTuple):
     locked: tuple[str, ...] = ()
     guess: str = ""
     weighed: tuple[str, ...] = ()
+    many: bool = False
+    one_type: bool = False
 
 
-def match_joints(draft: Draft, path: str) -> Joints:
+def match_joints(draft: Draft, path: str, many: bool = False, one_type: bool = False) -> Joints:
     """Match joints to the positions of a log, by name where the names agree, and the others in their order."""
     plain = draft.plain_names
     if not path:
-        return Joints("", tuple(_joint_name(name) for name in plain), tuple(range(len(plain))))
+        return Joints("", tuple(_joint_name(name) for name in plain), tuple(range(len(plain))), many=many)
     model = models.robots.load(path)
     if not model.manifold.commuting:
         raise InputError(f"{path}: servos are drafted for a robot whose base stands still and has no ball joints")
@@ -94,7 +100,8 @@ def match_joints(draft: Draft, path: str) -> Joints:
         guess += "; " if guess else ""
         guess += f"{', '.join(without_joint)} have no joint in {Path(path).name}, and are left out"
     locked = tuple(joint for joint in joints if joint not in matched)
-    return Joints(path, names, tuple(matched[j] for j in names), locked, guess, _weighed(model))
+    weighed = _weighed(model) if many else ()
+    return Joints(path, names, tuple(matched[j] for j in names), locked, guess, weighed, many, one_type)
 
 
 def _weighed(model: Any) -> tuple[str, ...]:
@@ -189,29 +196,28 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
         "armature": (FIRST_STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
         "coulomb": (FIRST_COULOMB * FIRST_STIFFNESS, "N m, dry friction of the gear"),
     }
-    alike = joints.weighed and isinstance(draft.quantum, float) and len(servos) > 1
-    # Of servos of one type these are shared, and their friction near rest is told as well.
-    loaded = joints.weighed if alike else ()
-    shared = values | {"stribeck": (values["coulomb"][0] / 2, "N m, more of it near rest")} if alike else values
+    if joints.many:  # of many logs more is told
+        values["stribeck"] = FIRST_COULOMB * FIRST_STIFFNESS / 2, "N m, more of it near rest"
+        values["limit"] = FIRST_LIMIT * FIRST_STIFFNESS, "N m, the largest torque"
+    carried = {"load": (FIRST_LOAD, "friction per torque that the gear carries")}
     first = ""
     for name, servo in zip(joints.names, draft.servos, strict=True):
         if servo is None:
             continue
         lines += ["", f"[servo.{_key(name)}]"]
         lines += [f"like = {quoted(first)}  # servos of one type; without this line each has its own"] * bool(first)
-        own = {"coulomb": values["coulomb"]} if first else shared
-        own = own | {"load": (FIRST_LOAD, "friction per torque that the gear carries")} if name in loaded else own
-        for key, (value, what) in own.items():
+        own = {"coulomb": values["coulomb"]} if first else values
+        for key, (value, what) in (own | carried if name in joints.weighed else own).items():
             rounded = float(f"{value:.3g}")
             lines.append(f"{key} = {rounded!r}  {marked([rounded])}; {what}")
         if not first:
             lines.append(f"delay = {lag / 2:.3g}  # s, half {seen}")
-        if alike:
-            lines += ["stribeck_velocity = 0.1  # rad/s"] * (not first)
+            lines += ["stribeck_velocity = 0.1  # rad/s"] * joints.many
+        if joints.many:
             lines.append("offset = 0.0  # rad, of the position beyond the command")
-            first = first or name
         else:
             lines += _offset_line(servo, bool(joints.path))
+        first = first or (name if joints.one_type else "")
         if draft.switches:
             lines.append("switch = true  # another input is 0 where the servo is off")
     return lines
