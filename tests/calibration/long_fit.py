@@ -143,7 +143,7 @@ def test_gravity_of_the_wrong_sign_is_seen(fits, tmp_path):
         family(tmp_path, "mass", "inertia", "viscous", overrides=[f"parameters.gravity={g}"]) for g in (9.81, -9.81)
     )
     rows = gather(right.file.model.manifold, [record], [v])
-    held_out = held_out_rows(rows, [record.t], 0.25, [0])
+    held_out = held_out_rows(rows, [record.t], np.zeros(1, bool))
 
     def errors(family: models.Family, values: np.ndarray) -> PredictionErrors:
         unknowns = Unknowns.of(family)

@@ -266,10 +266,10 @@ def test_few_rows_are_no_judge(readings):
     y[np.flatnonzero(t >= t[-1] * 2 / 3)[readings:]] = np.nan
     rows = gather(models.oscillator().manifold, [Record(t, np.zeros((500, 1)), y)], [-np.sin(t)[:, None]])
     if readings >= 12:
-        assert held_out_rows(rows, [t], 1.0, [0]).any()
+        assert held_out_rows(rows, [t], np.zeros(1, bool)).any()
         return
     with pytest.raises(ValueError, match="11 rows with all positions"):
-        held_out_rows(rows, [t], 1.0, [0])
+        held_out_rows(rows, [t], np.zeros(1, bool))
 
 
 def test_noise_of_readings_is_seen_however_slow_the_motion_is():

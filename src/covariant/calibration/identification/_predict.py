@@ -34,6 +34,7 @@ class PredictionErrors(NamedTuple):
         position: Errors (n,) of the positions [units of the frame].
         velocity: Errors (n,) of the velocities, against the reference [the same units a second].
         windows: Mean squares (W, n) of the errors of positions in each window, which show what is chance; or None.
+        resolution: Difference of two errors that is none, such as a tick of the encoders.
 
     Example:
         >>> import numpy as np
@@ -46,6 +47,7 @@ class PredictionErrors(NamedTuple):
     position: Float[np.ndarray, "n"]
     velocity: Float[np.ndarray, "n"]
     windows: Float[np.ndarray, "W n"] | None = None
+    resolution: float | Float[np.ndarray, "n"] = 0.0
 
 
 def lagged(inputs: Float[Array, "S m"], steps: Float[Array, "S"], lag: Number) -> Float[Array, "S m"]:
@@ -99,6 +101,7 @@ def predicts_worse(before: PredictionErrors, after: PredictionErrors) -> bool:
 def worse_coordinates(before: PredictionErrors, after: PredictionErrors) -> Bool[np.ndarray, "n"]:
     """Coordinates (n,) that a fit predicts worse than before, by more than chance does where windows show that."""
     worse = ~(_growths(before, after) <= WORST_COORDINATE)
+    worse &= ~(np.asarray(after.position) - np.asarray(before.position) <= np.asarray(after.resolution))
     if before.windows is None or after.windows is None:
         return worse
     more = after.windows - before.windows

@@ -191,10 +191,9 @@ def _padded(count: int) -> int:
 
 
 def held_out_rows(
-    rows: Rows, stamps: Sequence[Float[np.ndarray, "_"]], length: float, machines: Sequence[int]
+    rows: Rows, stamps: Sequence[Float[np.ndarray, "_"]], last: Bool[np.ndarray, "K"]
 ) -> Bool[np.ndarray, "T"]:
-    """Rows (T,) that are held out: of several logs of a machine the last, or the last third of each."""
-    last = held_out_logs(stamps, length, machines)
+    """Rows (T,) that are held out: those of the `last` logs, or the last third of each if there are none."""
     log = np.searchsorted(np.cumsum([len(t) for t in stamps]), np.asarray(rows.rows), "right")
     border = np.array([t[0] + FITTED * (t[-1] - t[0]) for t in stamps])
     held_out = last[log] if last.any() else np.asarray(rows.t) >= border[log]

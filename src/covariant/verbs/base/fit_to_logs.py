@@ -62,6 +62,8 @@ DIGITS = 7
 """Significant digits of fitted numbers in a model file."""
 CLEARLY_WORSE, LESS = 1.05, 0.8
 """Growth of held-out errors that is no chance, and by which another reading is believed."""
+ROWS_OF_WINDOW = 100
+"""Rows of a window of which the errors of a servo count as one."""
 ROUNDS, STEPS, ROBOT_ROUNDS = 8, 25, 12
 """Rounds of a search and the most steps in one, and the usual number of rounds for a robot, for the progress."""
 
@@ -138,7 +140,7 @@ class _Part(NamedTuple):
         cost = 1 if isinstance(problem.family, models.Family) else max(1, len(model.coordinates) // 2) ** 2
         rows = rows_of(problem.family, records, logs.references, logs.machines, MOST_ROWS // cost)
         stamps = [np.asarray(record.t) for record in records]
-        return cls(rows, held_out_rows(rows, stamps, logs.length, logs.machines))
+        return cls(rows, held_out_rows(rows, stamps, logs.last))
 
 
 def _by_joint(
@@ -415,7 +417,10 @@ class _ServoProblem(_Problem):
             speed = np.gradient(q, t[rows], axis=0)
             errors.append((off, reference[rows] - speed))
         position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
-        return PredictionErrors(known_rms(position), known_rms(velocity))
+        parts = [part for off, _ in errors for part in np.array_split(off, max(1, len(off) // ROWS_OF_WINDOW))]
+        windows = np.array([known_rms(part) ** 2 for part in parts])
+        tick = self.logs.logs[0].loaded.file.quantum
+        return PredictionErrors(known_rms(position), known_rms(velocity), windows, np.asarray(tick or 0.0))
 
     @property
     def _judging(self) -> range:
