@@ -40,6 +40,7 @@ _KINDS |= {
     "joint force": "force with friction",
     "friction slope": "slope of the friction",
     "age": "measurement of",
+    "signal": "given",
 }
 
 

@@ -24,7 +24,6 @@ from covariant.certificates.base import (
     TwoByTwo,
     check_recipe,
     contraction_statement,
-    first_velocity,
     loss_of,
     observer_document,
     parse,
@@ -258,15 +257,17 @@ class ContractionCertificate(NamedTuple):
 
         Returns:
             "estimate", "velocity" (estimated), "error" or "force" for each; with samples also "joint force", "friction
-            slope" and "age"; if friction is a variable too, also "friction" and "friction slope".
+            slope" and "age"; if friction is a variable too, also "friction" and "friction slope"; "signal" for time and
+            inputs that the friction depends on.
         """
-        n = len(self.velocity)
+        n, driven = len(self.velocity), len(self.error_system.driven)
         roles = ("estimate", "velocity", "error", "force")
-        parts = {3 * n: roles[1:], 4 * n: roles}.get(len(self.domain.low), (*roles, "friction", "friction slope"))
+        variables = len(self.domain.low) - driven
+        parts = {3 * n: roles[1:], 4 * n: roles}.get(variables, (*roles, "friction", "friction slope"))
         if self.sampling is not None:
-            estimate = ("estimate",) * first_velocity(len(self.domain.low), n, sampled=True)
+            estimate = ("estimate",) * self.error_system.first_velocity(n)
             return (*estimate, *(role for role in (*roles[1:], *SAMPLED_ROLES) for _ in range(n)), "age")
-        return tuple(role for role in parts for _ in range(n))
+        return (*(role for role in parts for _ in range(n)), *("signal",) * driven)
 
     @property
     def open(self) -> Float[np.ndarray, "k 2 d"]:
@@ -302,6 +303,7 @@ class ContractionCertificate(NamedTuple):
             "graph": value_graph(self.error_system),
         }
         content |= {} if self.sampling is None else {"sampling": self.sampling.document()}
+        content |= {"driven": list(driven)} if (driven := self.error_system.driven) else {}
         return content | {"digest": digest(content)}
 
     def save(self, path: str | Path) -> Path:

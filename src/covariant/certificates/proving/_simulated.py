@@ -181,7 +181,8 @@ class _Plant:
 
     def place(self, x: Motion) -> Array:
         """The point of the region with the estimate x and all other variables zero."""
-        return jnp.concatenate([*([x.q] if self.flat else []), x.v, jnp.zeros(2 * self.n)])
+        here = jnp.concatenate([*([x.q] if self.flat else []), x.v])
+        return jnp.pad(here, (0, len(self.certificate.error_system.names) - here.size))
 
     def inputs(self, pace: Array) -> Callable[[Array, Any], Array]:
         """Sinusoidal inputs (m,) within their bounds."""
