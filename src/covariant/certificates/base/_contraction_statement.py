@@ -90,7 +90,9 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
         last = slice(-len(document.driven), None)
         held = zip(*(each[last] for each in (names, document.low, document.high, facts.domain.units)), strict=True)
         ranges = ", ".join(_range_line(*each) for each in held)
-        yield Hypothesis(f"of time and inputs, friction depends on no others than these in the domain: {ranges}", evidence)
+        yield Hypothesis(
+            f"friction depends on no other signals than these, whose values the domain contains: {ranges}", evidence
+        )
     if document.sampling is not None or document.joint_friction:
         read, acting = ("velocities", "friction") if document.sampling is None else ("inputs and velocities", "forces")
         text = f"over these {read}, {acting} and the slopes of friction stay within the bounds of the domain"
@@ -199,8 +201,8 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     named = [*zip(configuration_names(model), *true_region(model, given.positions).tolist(), strict=True)]
     ranges = [_range_line(name, low, high, unit_of.get(name, "")) for name, low, high in named if low > -np.inf]
     free = [name for name, low, _ in named if low == -np.inf]
-    anywhere = f"at any {', '.join(free)}, on which nothing depends" if free else ""
-    yield f"true positions: {'; '.join(part for part in (', '.join(ranges), anywhere) if part)}"
+    anywhere = [f"any {', '.join(free)}, on which nothing depends"] * bool(free)
+    yield f"true positions: {', '.join([*ranges, *anywhere]) if ranges else 'any, since nothing depends on them'}"
     first = document.first_velocity
     speeds, errors = slice(first, first + n), slice(first + n, first + 2 * n)
     yield "true velocities up to: " + _up_to(facts.domain.names[speeds], document.velocity, unit_of)
@@ -209,7 +211,7 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     named = zip(*(each[1:] for each in signals_of(model)), *given.inputs.tolist(), strict=True)
     yield f"inputs: {', '.join(_range_line(name, low, high, unit) for name, unit, low, high in named) or 'none'}"
     first, last = given.times
-    unread = ", or any, where the force does not read them" if first == last else ""
+    unread = ", or any, where neither force nor friction reads them" if first == last else ""
     yield f"times: {exact(first)} to {exact(last)} s{unread}"
     yield f"errors of the measured position up to: {_list(given.noise)}"
     yield f"unknown forces up to: {_list(given.disturbance)}"

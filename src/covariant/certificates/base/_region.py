@@ -1,16 +1,16 @@
 """Checks the region of a certificate: the caller's bounds of positions, inputs and times."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._domains import POSITIVE
-from covariant._names import unknown
+from covariant._names import refuse_unknown
 from covariant.certificates.base._force_bounds import force_reads_time
-from covariant.certificates.base._intrinsic import configuration_shape, driven_by, signals_of
+from covariant.certificates.base._intrinsic import any_configuration, configuration_shape, driven_by, signals_of
 from covariant.certificates.base._properties import configuration_names, free_entries
 from covariant.geometry.lie import SE2, SE3, SO2, SO3
 from covariant.models import MechanicalSystem
@@ -52,69 +52,62 @@ def region_of(
     inputs: Bounds | ArrayLike | None,
     times: tuple[float, float] | None,
 ) -> Region:
-    """Check the bounds of positions, inputs and times.
+    """Check the bounds of positions, inputs and times, and say everything that is missing in one error.
 
-    Entries of the configuration that nothing depends on, and of rotations, need no bounds. Inputs without bounds are 0,
-    and those that the friction depends on need some. What is missing is said in one error.
+    Entries of the configuration that nothing depends on need no bounds, nor do rotations. Inputs without bounds are 0,
+    but those that the friction depends on need some.
     """
-    n, driven, places = len(model.coordinates or model.velocities), driven_by(model), configuration_names(model)
-    names = signals_of(model)[0][1:]
-    positions, ends = _positions(model, position, places), _inputs(inputs, names)
-    absent, unset = np.isnan(positions[0]), np.isnan(ends[0])
-    needed = absent & ~free_entries(model) if absent.any() else absent
-    turned = _rotations(model, places)
-    lacking_places = [name for name, lacks in zip(places, needed & ~turned, strict=True) if lacks]
-    lacking_inputs = [names[k - 1] for k in driven if k and unset[k - 1]]
-    lacking = [f"position needs bounds of {', '.join(lacking_places)}"] * bool(lacking_places)
-    if lacking_inputs:
-        lacking.append(f"input needs bounds of {', '.join(lacking_inputs)}, on which the friction depends")
-    if both := [f"{name}=LOW:HIGH" for name in (*lacking_places, *lacking_inputs)]:
-        lacking.append(f"region lacks {','.join(both)}")
-    if times is None and (0 in driven or force_reads_time(model, n)):
-        lacking.append(
-            f"the {'friction' if 0 in driven else 'force'} of this model depends on time; give times=(first, last) "
-            "[s], between which the statement is to hold"
-        )
-    if lacking:
-        raise InputError(f"certify: {'; '.join(lacking)}")
-    limit = np.where(needed, 1.0, 0.0)  # entries of rotations
-    low, high = np.where(absent, [-limit, limit], positions)
-    true = Box(places, model.units if model.manifold.commuting else ("",) * len(places), low, high)
-    return Region(check_box(true), np.where(unset, 0.0, ends), _times(times))
-
-
-def _positions(model: MechanicalSystem, bounds: Bounds | None, names: tuple[str, ...]) -> Float[np.ndarray, "2 p"]:
-    """Least and largest positions, with NaN where nothing is given."""
-    if bounds is None or isinstance(bounds, Mapping):
-        return _by_name("position", bounds or {}, names)
-    shape = configuration_shape(model, len(names))
-    sides = np.stack([np.broadcast_to(np.asarray(side, float), shape).ravel() for side in bounds])
-    if np.isnan(sides).any():
-        raise InputError(f"certify: position must have finite bounds; got {sides.tolist()}")
-    return sides
-
-
-def _by_name(what: str, given: Mapping[str, ArrayLike], names: tuple[str, ...]) -> Float[np.ndarray, "2 k"]:
-    """Bounds by name, with NaN for names that are not given."""
+    places, signals, driven = configuration_names(model), signals_of(model)[0][1:], driven_by(model)
+    names, count = (*places, *signals), len(places)
     ends = np.full((2, len(names)), np.nan)
-    for name, pair in given.items():
-        if name not in names:
-            raise InputError(f"certify: {unknown(what, name, names)}")
-        ends[:, names.index(name)] = pair
-    return ends
+    if inputs is not None:
+        ends[:, count:] = _inputs(inputs, len(signals))
+    if isinstance(position, Mapping):
+        for name, pair in position.items():
+            refuse_unknown("coordinate or input", name, names)
+            ends[:, names.index(name)] = low, high = np.asarray(pair, float)
+            if not -math.inf < low <= high < math.inf:
+                raise InputError(f"certify: {name} needs two finite bounds, the lower one first; got {low:g}, {high:g}")
+    elif position is not None:
+        shape = configuration_shape(model, count)
+        ends[:, :count] = [np.broadcast_to(np.asarray(side, float), shape).ravel() for side in position]
+    absent, turned = np.isnan(ends).any(axis=0), np.zeros(len(names), bool)
+    turned[:count] = _rotations(model)
+    read = np.isin(np.arange(len(names)), [count + k - 1 for k in driven if k])
+    if absent[:count].any():
+        read[:count] = ~free_entries(model)
+    _need_nothing(names, count, absent & read & ~turned, times is None and (0 in driven or force_reads_time(model)))
+    limit = np.where(turned & read, 1.0, 0.0)
+    ends = np.where(absent, [-limit, limit], ends)
+    true = Box(places, model.units if model.manifold.commuting else ("",) * count, *ends[:, :count])
+    return Region(check_box(true), ends[:, count:], _times(times))
 
 
-def _rotations(model: MechanicalSystem, names: tuple[str, ...]) -> np.ndarray:
-    """Which entries of the configuration are those of a rotation, within ±1."""
+def _need_nothing(names: Sequence[str], count: int, lacking: np.ndarray, timed: bool) -> None:
+    """Raise `ValueError` with all bounds that are missing: of `count` positions and then of inputs, and of times."""
+    missing = [[names[k] for k in np.flatnonzero(lacking) if (k < count) == first] for first in (True, False)]
+    reasons = [f"position needs bounds of {', '.join(missing[0])}"] * bool(missing[0])
+    reasons += [f"input needs bounds of {', '.join(missing[1])}, on which the friction depends"] * bool(missing[1])
+    if both := [f"{name}=LOW:HIGH" for name in (*missing[0], *missing[1])]:
+        reasons.append(f"region lacks {','.join(both)}")
+    if timed:
+        reasons.append(
+            "force or friction of this model depend on time; give times=(first, last) [s], between which the statement "
+            "is to hold"
+        )
+    if reasons:
+        raise InputError(f"certify: {'; '.join(reasons)}")
+
+
+def _rotations(model: MechanicalSystem) -> np.ndarray:
+    """Return for each entry of the configuration whether it is that of a rotation, within ±1."""
+    entries = np.zeros(np.shape(any_configuration(model)), bool)
     order = next((k for group, k in ROTATIONS if model.manifold == group), 0)
-    return np.array([name[0] == "g" and max(map(int, name[1:])) <= order for name in names]) if order else np.zeros(len(names), bool)
+    entries[:order, ...][..., :order] = True
+    return entries.ravel()
 
 
-def _inputs(bounds: Bounds | ArrayLike | None, names: tuple[str, ...]) -> Float[np.ndarray, "2 m"]:
-    """Least and largest inputs, with NaN where nothing is given."""
-    m = len(names)
-    if bounds is None or isinstance(bounds, Mapping):
-        return _by_name("input", bounds or {}, names)
+def _inputs(bounds: Bounds | ArrayLike, m: int) -> Float[np.ndarray, "2 m"]:
     sides = bounds if isinstance(bounds, tuple) else (-np.asarray(bounds, float), np.asarray(bounds, float))
     if len(sides) != 2:
         raise InputError(

@@ -144,10 +144,11 @@ def certify(
             of Theorem 1 shrinks as the velocity grows.
         error: bound of the error of the estimated position [unit], in coordinates or as `log(g⁻¹ g̃)`, a number or
             (n,).
-        position: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N). Rotations
-            need no bounds, nor does a coordinate on which nothing depends, which may be NaN.
-        input: bound of each input, a number or (m,), or a pair of bounds. An input without one, None or NaN, is 0;
-            those that the friction depends on need one.
+        position: least and largest true positions, (n,) each, or pairs of them by name; on a group the entries of its
+            matrices (N, N), named g11, g12, …. Rotations need no bounds, nor do coordinates on which nothing depends.
+            Inputs may be bounded by name here too.
+        input: bound of each input, a number or (m,), or a pair of bounds; 0 by default. Inputs that the friction
+            depends on need bounds.
         times: first and last time [s] of the statement; needed if force or friction depend on time.
         rate: λ [1/s] to prove, of squared lengths. By default it is half of the rate that Q allows at q̂ = q; with
             `interval` it is a tenth of the rate of the gains, and with noise also one to six tenths of it are tried,

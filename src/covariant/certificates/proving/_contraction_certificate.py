@@ -31,6 +31,7 @@ from covariant.certificates.base import (
     select,
     start_of,
     steady_of,
+    true_region,
     value_graph,
     write,
 )
@@ -40,6 +41,8 @@ from covariant.observers import AbstractObserver
 from scalargraph.errors import InputError
 from scalargraph.proofs import Box, digest
 
+FARTHEST = 1e30
+"""The limit of a position that has none."""
 SAMPLED_ROLES = ("joint force", "friction slope")
 """Kinds of variables that only boxes with samples have, besides the age."""
 
@@ -233,7 +236,8 @@ class ContractionCertificate(NamedTuple):
             self.radius,
             np.sqrt(squares) * (1 + ROUND),
             factors[0].square / squares if factors else np.full(len(squares), np.inf),
-            self.given.positions,
+            # A finite number stands for infinity, whose middle and size are computed in each step.
+            np.clip(true_region(model, self.given.positions), -FARTHEST, FARTHEST),
             self.velocity,
             self.given.inputs,
             self.given.noise,
