@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from driven import boat, pendulum
+from driven import pendulum
 
 from covariant import models
 from covariant.models import acceleration, friction, resistance

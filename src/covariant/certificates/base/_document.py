@@ -366,7 +366,7 @@ def _read_bounds(field: Field, n: int) -> Given:
 
 
 def _driven(field: Field) -> tuple[int, ...]:
-    """Places among (time, inputs), in rising order; friction never depends on them in a certificate with samples."""
+    """Read the places among (time, inputs) of the signals that the friction depends on, in rising order."""
     places = tuple(row.whole(0, 100) for row in field.rows(1, MOST_PARTS))
     field.need(all(a < b for a, b in itertools.pairwise(places)), "different places in rising order")
     return places

@@ -59,31 +59,32 @@ def region_of(
     """
     places, signals, driven = configuration_names(model), signals_of(model)[0][1:], driven_by(model)
     names, count = (*places, *signals), len(places)
-    ends = np.full((2, len(names)), np.nan)
+    ends, given = np.zeros((2, len(names))), np.zeros(len(names), bool)
     if inputs is not None:
-        ends[:, count:] = _inputs(inputs, len(signals))
+        ends[:, count:], given[count:] = _inputs(inputs, len(signals)), True
     if isinstance(position, Mapping):
         for name, pair in position.items():
-            refuse_unknown("coordinate or input", name, names)
+            refuse_unknown("coordinate or input of the region", name, names)
             ends[:, names.index(name)] = low, high = np.asarray(pair, float)
+            given[names.index(name)] = True
             if not -math.inf < low <= high < math.inf:
                 raise InputError(f"certify: {name} needs two finite bounds, the lower one first; got {low:g}, {high:g}")
     elif position is not None:
         shape = configuration_shape(model, count)
         ends[:, :count] = [np.broadcast_to(np.asarray(side, float), shape).ravel() for side in position]
-    absent, turned = np.isnan(ends).any(axis=0), np.zeros(len(names), bool)
-    turned[:count] = _rotations(model)
-    read = np.isin(np.arange(len(names)), [count + k - 1 for k in driven if k])
-    if absent[:count].any():
-        read[:count] = ~free_entries(model)
-    _need_nothing(names, count, absent & read & ~turned, times is None and (0 in driven or force_reads_time(model)))
-    limit = np.where(turned & read, 1.0, 0.0)
-    ends = np.where(absent, [-limit, limit], ends)
+        given[:count] = True
+    needed = np.isin(np.arange(len(names)), [count + k - 1 for k in driven if k])
+    if not given[:count].all():
+        needed[:count] = ~free_entries(model)
+    turned = ~given & needed & np.append(_rotations(model), np.zeros(len(signals), bool))
+    timed = "friction" if 0 in driven else "the force" if force_reads_time(model) else ""
+    _need_nothing(names, count, needed & ~given & ~turned, timed if times is None else "")
+    ends += np.outer([-1.0, 1.0], turned)
     true = Box(places, model.units if model.manifold.commuting else ("",) * count, *ends[:, :count])
     return Region(check_box(true), ends[:, count:], _times(times))
 
 
-def _need_nothing(names: Sequence[str], count: int, lacking: np.ndarray, timed: bool) -> None:
+def _need_nothing(names: Sequence[str], count: int, lacking: np.ndarray, timed: str) -> None:
     """Raise `ValueError` with all bounds that are missing: of `count` positions and then of inputs, and of times."""
     missing = [[names[k] for k in np.flatnonzero(lacking) if (k < count) == first] for first in (True, False)]
     reasons = [f"position needs bounds of {', '.join(missing[0])}"] * bool(missing[0])
@@ -92,8 +93,8 @@ def _need_nothing(names: Sequence[str], count: int, lacking: np.ndarray, timed: 
         reasons.append(f"region lacks {','.join(both)}")
     if timed:
         reasons.append(
-            "force or friction of this model depend on time; give times=(first, last) [s], between which the statement "
-            "is to hold"
+            f"{timed} of this model depends on time; give times=(first, last) [s], between which the statement is to "
+            "hold"
         )
     if reasons:
         raise InputError(f"certify: {'; '.join(reasons)}")
