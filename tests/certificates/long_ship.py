@@ -81,7 +81,7 @@ def test_mutants_are_refused(saved, tmp_path, monkeypatch, name):
 
 
 def test_too_fast_at_low_gains_is_refuted():
-    boat = models.from_recipe({"system": "ship", "parameters": tomllib.loads(HULL)["parameters"]})
+    boat = models.marine.ship(**tomllib.loads(HULL)["parameters"])
     faster = {"velocity": (3.0, 0.6, 0.4), "error": (0.3, 0.3, 0.1), "position": REGION}
     assert certify(Intrinsic(boat, 2.0, 2.0), **faster).statement.verdict == "fails"
 

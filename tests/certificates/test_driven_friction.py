@@ -1,5 +1,7 @@
 """Friction that depends on time and inputs: a brake, a rudder; and coordinates on which nothing depends."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +20,7 @@ RECIPE = {"attribute": f"{__name__}:sled", "parameters": {}}
 
 
 def certified(model=None, **changes):
-    bounds = BOUNDS | {"checker": "off"} | changes
+    bounds: Any = BOUNDS | {"checker": "off"} | changes
     return certify(Intrinsic(sled() if model is None else model, 4.0, 8.0), **bounds)
 
 
@@ -75,6 +77,7 @@ def test_forgeries_are_refused_with_the_reason(saved, tmp_path, monkeypatch, nam
 def test_a_brake_that_drives_is_refuted():
     found = certified(position={"brake": (-9.0, 1.0)})
     assert found.statement.verdict == "fails"
+    assert found.counterexample is not None
     assert found.counterexample.mean(axis=0)[-1] < 0
 
 

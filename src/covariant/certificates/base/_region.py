@@ -86,7 +86,8 @@ def region_of(
 
 def _need_nothing(names: Sequence[str], count: int, lacking: np.ndarray, timed: str) -> None:
     """Raise `ValueError` with all bounds that are missing: of `count` positions and then of inputs, and of times."""
-    missing = [[names[k] for k in np.flatnonzero(lacking) if (k < count) == first] for first in (True, False)]
+    parts = slice(None, count), slice(count, None)
+    missing = [[name for name, lacks in zip(names[part], lacking[part], strict=True) if lacks] for part in parts]
     reasons = [f"position needs bounds of {', '.join(missing[0])}"] * bool(missing[0])
     reasons += [f"input needs bounds of {', '.join(missing[1])}, on which the friction depends"] * bool(missing[1])
     if both := [f"{name}=LOW:HIGH" for name in (*missing[0], *missing[1])]:

@@ -290,9 +290,8 @@ def _slack(document: Document, claim: AbstractClaim) -> np.ndarray:
     if isinstance(claim, PredictionClaim):  # its force, age and lengths of steps, where they are no constants
         return np.where((place >= len(low) - n - 3) & (low < high), matrices.slack_of(low, high), 0.0)
     # All variables after the errors, except for the age, and for signals.
-    forces = (document.forces.start <= place) & (
-        place < len(low) - (document.sampling is not None or len(document.driven))
-    )
+    after = len(low) - len(document.driven) - (document.sampling is not None)
+    forces = (document.forces.start <= place) & (place < after)
     return np.where(forces, matrices.slack_of(low, high), 0.0)
 
 
