@@ -11,7 +11,8 @@ from forging import forged, put, together
 
 from covariant import models, observers
 from covariant.certificates import ContractionCertificate, certify, check, optimal_lyapunov, tangent_metric
-from covariant.certificates.base import UNPROVED, Remainder, RemainderClaim, gain_length
+from covariant.certificates.base import UNPROVED, Remainder, RemainderClaim
+from covariant.certificates.base._remainder import gain_length
 from covariant.certificates.checking import _matrices
 from covariant.geometry import Budget
 from covariant.models import applied_force

@@ -146,7 +146,7 @@ def test_a_certificate_needs_its_bounds(change, message):
 
 def test_other_bounds_that_are_none_are_refused():
     with pytest.raises(ValueError, match="a pair of bounds, lower and upper; got 3 entries"):
-        _inputs(models.ball_and_beam(), (1.0, 2.0, 3.0), 2)
+        _inputs((1.0, 2.0, 3.0), 1)
     with pytest.raises(ValueError, match="must be finite, the lower one first"):
         box(x=(1.0, 0.0))
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from covariant import certificates, models
 from covariant._names import unknown
 from covariant.certificates import Attempt, CheckerName, ContractionCertificate, LostRows
-from covariant.models import MechanicalSystem, ModelFile, Overrides, input_count
+from covariant.models import ModelFile, Overrides, input_count
 from covariant.observers import OBSERVER_NAMES
 from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
@@ -40,6 +40,7 @@ _KINDS |= {
     "joint force": "force with friction",
     "friction slope": "slope of the friction",
     "age": "measurement of",
+    "signal": "given",
 }
 
 
@@ -53,7 +54,7 @@ def certify(
     alpha: float | None = None,
     beta: float | None = None,
     sampling: float | None = None,
-    input: Amounts = 0.0,
+    input: Amounts | None = None,
     times: Sequence[float] | None = None,
     rate: float | None = None,
     q: Sequence[float | int] | None = None,
@@ -85,16 +86,18 @@ def certify(
             without it.
         error: How far estimated positions may be off [unit], one bound for all or one each; without it the statement is
             about all first errors, of the observer "measured-coefficients".
-        region: Ends of the positions by coordinate; rotations need none, nor do limits of joints for all first errors.
-            On another group the entries of its matrices, named g11, g12, ….
+        region: Ends by name of positions, and of inputs. Coordinates on which nothing depends need none, such as north
+            and east of a ship, nor do rotations, nor limits of joints for all first errors. On a group the positions
+            are the entries of its matrices, named g11, g12, ….
         observer: "intrinsic" (default with an `error`) or "geodesic"; or "measured-coefficients" (default without an
             `error`), without `times`, `q`, `input`, `find`, in one process, and with a checker of files alone.
         alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file, for all
             first errors the least that are proved.
         beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
-        input: Bound of the inputs, one for all or one each.
-        times: First and last time [s] of the statement; needed where the force depends on time.
+        input: Bound of the inputs, one for all or one each, 0 by default; ends in `region` come first. An input that
+            friction depends on, such as the angle of a rudder, needs one of these.
+        times: First and last time [s] of the statement; needed where force or friction depend on time.
         rate: λ [1/s] of squared lengths to prove; by default half of what the metric Q allows.
         q: Entries a, c, b of the metric Q = [[a, c], [c, b]]; by default the best conditioned one.
         noise: Bound of the error of each measured position [unit], one for all or one each.
@@ -159,7 +162,7 @@ def certify(
     if np.any(jerk):
         raise InputError(f"jerk is for certificates of {GLOBALLY}; leave it out")
     designed = design(file, observer, pair, None if sampling is None else above_zero("sampling", sampling))
-    settings = _region(name, file, velocity, error, region, input, noise, disturbance)
+    settings = _region(file, velocity, error, region, input, noise, disturbance)
     settings |= {
         "times": None if times is None else tuple(times),
         "rate": None if rate is None else above_zero("rate", rate),
@@ -347,12 +350,11 @@ def _read(model: Any, name: str, overrides: Overrides) -> ModelFile:
 
 
 def _region(
-    name: str,
     file: ModelFile,
     velocity: Amounts,
     error: Amounts,
     region: Region | None,
-    input: Amounts,
+    input: Amounts | None,
     noise: Amounts,
     disturbance: Amounts,
 ) -> dict[str, Any]:
@@ -363,42 +365,11 @@ def _region(
     return {
         "velocity": numbers("velocity", velocity, [f"d{k}/dt" for k in names], positive=True, one=True),
         "error": numbers("error", error, names, positive=True, one=True),
-        "position": _matrices(system, region) if on_group else _coordinates(name, names, region),
-        "input": amounts("input", input, numbered("u", input_count(system, n))),
+        "position": bounds("region", region or {}, tuple(region or ()), equal=True),
+        "input": None if input is None else amounts("input", input, numbered("u", input_count(system, n))),
         "noise": amounts("noise", noise, names),
         "disturbance": amounts("disturbance", disturbance, names),
     }
-
-
-def _coordinates(
-    name: str, names: Sequence[str], region: Region | None
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Least and largest positions; every coordinate must be named."""
-    example = ",".join(f"{each}=LOW:HIGH" for each in names)
-    return _ends(region or {}, names, "coordinate", f"; {name} needs the ends of all: {example}")
-
-
-def _matrices(
-    model: MechanicalSystem, region: Region | None
-) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, "k k"]] | None:
-    """Least and largest entries of the matrices; None where nothing is given, as for rotations."""
-    if region is None:
-        return None
-    order = model.manifold.origin().shape[0]
-    names = [f"g{i + 1}{j + 1}" for i in range(order) for j in range(order)]
-    low, high = _ends(region, names, "matrix entry", ": on a group all entries of its matrices need bounds")
-    return low.reshape(order, order), high.reshape(order, order)
-
-
-def _ends(
-    region: Region, names: Sequence[str], what: str, needed: str
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    ends = bounds("region", region, names, what, equal=True)
-    missing = [each for each in names if each not in ends]
-    if missing:
-        raise InputError(f"region lacks {', '.join(missing)}{needed}")
-    low, high = zip(*(ends[each] for each in names), strict=True)
-    return np.array(low), np.array(high)
 
 
 def _effort(boxes: float, seconds: float | None, processes: float) -> dict[str, Any]:

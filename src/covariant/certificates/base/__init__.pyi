@@ -81,7 +81,12 @@ from ._intrinsic import (
     with_model as with_model,
 )
 from ._noise import error_bounds as error_bounds, steady_distance as steady_distance
-from ._properties import PERIODIC as PERIODIC, need_known as need_known, need_symmetry as need_symmetry
+from ._properties import (
+    PERIODIC as PERIODIC,
+    need_known as need_known,
+    need_symmetry as need_symmetry,
+    true_region as true_region,
+)
 from ._radius_recursion import Recursion as Recursion
 from ._recipe import (
     check_observer as check_observer,
@@ -90,7 +95,7 @@ from ._recipe import (
     is_same_observer as is_same_observer,
 )
 from ._region import SPEED as SPEED, Bounds as Bounds, Region as Region, amount as amount, region_of as region_of
-from ._remainder import Remainder as Remainder, gain_length as gain_length
+from ._remainder import Remainder as Remainder
 from ._sampling import Loss as Loss, Sampling as Sampling, unit_reach as unit_reach
 from ._smoothness import ANALYTIC as ANALYTIC, show_no_jumps as show_no_jumps
 from ._start import Start as Start, start_claim as start_claim, start_of as start_of

@@ -50,6 +50,7 @@ class Given(NamedTuple):
 def first_velocity(variables: int, n: int, sampled: bool = False) -> int:
     """Return the place of the first velocity in the box, after the variables of the configuration."""
     # Without samples the coordinates are variables, except on a group; velocities, errors and forces take 3n places.
+    # Signals that the friction reads come last, and are not counted here.
     return variables - (5 * n + 1) if sampled else n * (variables > 3 * n)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from covariant.certificates.base._assumed import ASSUMED, ASSUMED_WITH_SAMPLES
 from covariant.certificates.base._claims import CLAIMS, MissingClaim, PredictionClaim, RemainderClaim, Terms, select
 from covariant.certificates.base._document import Document, Resolved
-from covariant.certificates.base._intrinsic import observer_document
-from covariant.certificates.base._properties import PERIODIC, SYMMETRIC
+from covariant.certificates.base._intrinsic import observer_document, signals_of
+from covariant.certificates.base._properties import EVERYWHERE, PERIODIC, SYMMETRIC, configuration_names, true_region
 from covariant.certificates.base._remainder import gain_length
 from covariant.certificates.base._sampling import Sampling
 from covariant.certificates.base._start import start_of
@@ -86,7 +86,14 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
     if document.sampling is None:
         text = "over these positions, inputs and times the force stays within the bounds of the domain"
         yield Hypothesis(text, evidence)
-    if document.sampling is not None or len(facts.domain.names) > 4 * n:
+    if document.driven:
+        last = slice(-len(document.driven), None)
+        held = zip(*(each[last] for each in (names, document.low, document.high, facts.domain.units)), strict=True)
+        ranges = ", ".join(_range_line(*each) for each in held)
+        yield Hypothesis(
+            f"friction depends on no other signals than these, whose values the domain contains: {ranges}", evidence
+        )
+    if document.sampling is not None or document.joint_friction:
         read, acting = ("velocities", "friction") if document.sampling is None else ("inputs and velocities", "forces")
         text = f"over these {read}, {acting} and the slopes of friction stay within the bounds of the domain"
         yield Hypothesis(text, evidence)
@@ -95,6 +102,10 @@ def _hypotheses(facts: Resolved, evidence: Evidence) -> Iterator[Hypothesis]:
         yield Hypothesis(SYMMETRIC, evidence)
     elif model.circles:
         yield Hypothesis(PERIODIC, evidence)
+    positions = true_region(model, document.given.positions)
+    free = [name for name, low in zip(configuration_names(model), positions[0], strict=True) if low == -np.inf]
+    if free and model.manifold.commuting:
+        yield Hypothesis(EVERYWHERE.format(", ".join(free)), evidence)
     text = "the errors are below half a turn, so that the shortest path to the measurement is unique"
     yield Hypothesis(text, evidence)
     described = "flow" if document.sampling is None else "prediction and correction"
@@ -187,21 +198,20 @@ def _description(facts: Resolved, radius: float) -> Iterator[str]:
     start = start_of(radius, facts.domain, document.claims) if radius else None
     if start is not None:
         yield f"errors of a start that are within ε, all at once: {start}"
-    if model.manifold.commuting:
-        named = zip(model.coordinates, *given.positions.tolist(), strict=True)
-        ranges = (_range_line(name, low, high, unit_of.get(name, "")) for name, low, high in named)
-        yield f"true positions: {', '.join(ranges)}"
-    else:
-        yield f"true positions: entries of the matrices from {_list(given.positions[0])} to {_list(given.positions[1])}"
+    named = [*zip(configuration_names(model), *true_region(model, given.positions).tolist(), strict=True)]
+    ranges = [_range_line(name, low, high, unit_of.get(name, "")) for name, low, high in named if low > -np.inf]
+    free = [name for name, low, _ in named if low == -np.inf]
+    anywhere = [f"any {', '.join(free)}, on which nothing depends"] * bool(free)
+    yield f"true positions: {', '.join([*ranges, *anywhere]) if ranges else 'any, since nothing depends on them'}"
     first = document.first_velocity
     speeds, errors = slice(first, first + n), slice(first + n, first + 2 * n)
     yield "true velocities up to: " + _up_to(facts.domain.names[speeds], document.velocity, unit_of)
     off = _up_to(facts.domain.names[errors], facts.domain.high[errors], unit_of)
     yield f"errors of the estimated position up to: {off}"
-    pairs = enumerate(zip(*given.inputs.tolist(), strict=True), start=1)
-    yield f"inputs: {', '.join(_range_line(f'u{i}', low, high, '') for i, (low, high) in pairs) or 'none'}"
+    named = zip(*(each[1:] for each in signals_of(model)), *given.inputs.tolist(), strict=True)
+    yield f"inputs: {', '.join(_range_line(name, low, high, unit) for name, unit, low, high in named) or 'none'}"
     first, last = given.times
-    unread = ", or any, where the force does not read them" if first == last else ""
+    unread = ", or any, where neither force nor friction reads them" if first == last else ""
     yield f"times: {exact(first)} to {exact(last)} s{unread}"
     yield f"errors of the measured position up to: {_list(given.noise)}"
     yield f"unknown forces up to: {_list(given.disturbance)}"

@@ -4,6 +4,7 @@ A file is not trusted: `check` decides whether its numbers form a proof.
 """
 
 import dataclasses
+import itertools
 import json
 import re
 from collections.abc import Callable
@@ -65,6 +66,7 @@ class Document(NamedTuple):
         claims: the claims, "contraction" first.
         graph: {"nodes": rows, "outputs": integers}, a graph of scalars in which every node comes after its arguments.
         sampling: when measurements come, and the metric between them; None for an observer in continuous time.
+        driven: places among (time, inputs) of the signals that the friction depends on, which are the last variables.
 
     Example:
         >>> import numpy as np
@@ -88,11 +90,12 @@ class Document(NamedTuple):
     claims: tuple[AbstractClaim, ...]
     graph: dict[str, list]
     sampling: Sampling | None = None
+    driven: tuple[int, ...] = ()
 
     @property
     def joint_friction(self) -> bool:
         """Whether friction and its slopes are variables of the box, in continuous time."""
-        return self.sampling is None and len(self.low) == 6 * len(self.velocity)
+        return self.sampling is None and not self.driven and len(self.low) == 6 * len(self.velocity)
 
     @property
     def forces(self) -> slice:
@@ -109,7 +112,7 @@ class Document(NamedTuple):
     @property
     def first_velocity(self) -> int:
         """Place of the first velocity in the box, after the variables of the configuration."""
-        return first_velocity(len(self.low), len(self.velocity), self.sampling is not None)
+        return first_velocity(len(self.low) - len(self.driven), len(self.velocity), self.sampling is not None)
 
     @property
     def unit_reach(self) -> Float[np.ndarray, "n"]:
@@ -205,15 +208,18 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
     top = parse_file(path, read_file(path) if content is None else content)
     top.need(isinstance(top.value, dict) and "format" in top.value, "a certificate with a format")
     top.at("format").need(top.value["format"] == FORMAT, f"{FORMAT!r}; this version reads no other")
-    sampled = "sampling" in top.value
-    fields = read_fields(top, [*KEYS, "sampling"] if sampled else KEYS)
+    fields = read_fields(top, [*KEYS, *[key for key in ("sampling", "driven") if key in top.value][:1]])
+    sampled = "sampling" in fields
     observer, velocity = _observer(fields["observer"]), fields["velocity"].vector(1, MOST_PARTS, least=0.0)
     fields["velocity"].need((velocity > 0).all(), "positive numbers")
-    n = len(velocity)
+    n, driven = len(velocity), ()
     sampling = _sampling(fields["sampling"]) if sampled else None
     in_coordinates = observer["frame"] == "coordinates"
     if sampled:  # on rotations those entries of the matrix are variables that the potential reads
         counts = [6 * n + 1] if in_coordinates else list(range(5 * n + 1, len(LETTERS) + 1))
+    elif "driven" in fields:
+        driven = _driven(fields["driven"])
+        counts = [(3 + in_coordinates) * n + len(driven)]
     else:  # in coordinates friction and its slopes may be variables too, which their number says
         counts = [4 * n, 6 * n] if in_coordinates else [3 * n]
     fewer = f"fewer velocities: there are letters for {len(LETTERS)} variables"
@@ -238,6 +244,7 @@ def parse(path: str | Path, content: bytes | None = None) -> Document:
         claims,
         saved_graph(fields["graph"]),
         sampling,
+        driven,
     )
 
 
@@ -356,6 +363,13 @@ def _read_bounds(field: Field, n: int) -> Given:
     noise, disturbance = (fields[key].vector(n, n, least=0.0) for key in ("noise", "disturbance"))
     slopes = np.stack([row.vector(n, n, least=0.0) for row in fields["slopes"].rows(n, n)])
     return Given(fields["positions"].pair(1, 400), fields["inputs"].pair(0, 100), times, noise, disturbance, slopes)
+
+
+def _driven(field: Field) -> tuple[int, ...]:
+    """Read the places among (time, inputs) of the signals that the friction depends on, in rising order."""
+    places = tuple(row.whole(0, 100) for row in field.rows(1, MOST_PARTS))
+    field.need(all(a < b for a, b in itertools.pairwise(places)), "different places in rising order")
+    return places
 
 
 def _sampling(field: Field) -> Sampling:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from covariant._typing import Matrix, Scalar, Vector
+from covariant.certificates.base._box import first_velocity
 from covariant.certificates.base._contraction import StateMetric
 from scalargraph import Lowered, lower
 from scalargraph.errors import InputError
@@ -61,12 +62,13 @@ class ErrorSystem(NamedTuple):
     Attributes:
         names: names of the variables (d). For an intrinsic observer these are, n each: the estimated position (not on a
             group), the estimated velocity, the error of the position, and the force on the system; then friction and
-            its slopes, if friction is a variable too.
+            its slopes, if friction is a variable too, or time and inputs as far as the friction depends on them.
         units: their units.
         at: `z (d,) -> Point`: flow, metric and state at a point z of the box.
         at_rest: the same with a constant measurement, if `at` allows one that changes with time; otherwise None. Each
             instant is then the first instant at another z. Nothing else may depend on time.
         has_samples: whether measurements are sampled, so that points have a correction.
+        driven: places among (time, inputs) of the last variables, on which the friction depends.
 
     Example:
         >>> import numpy as np
@@ -82,6 +84,15 @@ class ErrorSystem(NamedTuple):
     at: Callable[[Vector], Point]
     at_rest: Callable[[Vector], Point] | None = None
     has_samples: bool = False
+    driven: tuple[int, ...] = ()
+
+    def first_velocity(self, n: int) -> int:
+        """Place of the first velocity among the variables of an intrinsic observer.
+
+        Args:
+            n: number of velocities.
+        """
+        return first_velocity(len(self.names) - len(self.driven), n, self.has_samples)
 
     def errors(self, n: int) -> range:
         """Places of the position errors among the variables of a system with samples.

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates.base._intrinsic import configuration_shape, entries_read
+from covariant.certificates.base._intrinsic import any_configuration, configuration_shape, entries_read
 from covariant.models import MechanicalSystem, applied_force, input_count
 from scalargraph import Conditions, enclose, expand, lower
 from scalargraph.errors import InputError
@@ -82,10 +82,11 @@ def force_slopes(
     return bounds
 
 
-def force_reads_time(model: MechanicalSystem, n: int) -> bool:
+def force_reads_time(model: MechanicalSystem) -> bool:
     """Test whether `force − grad U`, or the set on which it is defined, depends on time."""
-    q = jnp.zeros(configuration_shape(model, n))
-    read = entries_read(functools.partial(applied_force, model), jnp.zeros(()), q, jnp.zeros(input_count(model, n)))
+    q = any_configuration(model)
+    u = jnp.zeros(input_count(model, model.manifold.zero(q).size))
+    read = entries_read(functools.partial(applied_force, model), jnp.zeros(()), q, u)
     return 0 in read
 
 

@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from covariant._domains import Finite, check_numbers
 from covariant._linalg import solve
 from covariant._typing import Vector
-from covariant.certificates.base._box import first_velocity
 from covariant.certificates.base._claims import reach_squares
 from covariant.certificates.base._contraction import lengths
 from covariant.certificates.base._document import Resolved
@@ -145,7 +144,7 @@ def disturbance_bound(error_system: ErrorSystem, sizes: Float[np.ndarray, "two_n
 
     def parts(derivatives, nodes, count):
         # The inputs of the graph are time, state and z, in which error and force follow the velocities.
-        start = 1 + count + first_velocity(len(error_system.names), n) + n
+        start = 1 + count + error_system.first_velocity(n) + n
         flow, coframe, _, gram, _, noise = nodes
         return coframe, gram, noise, derivatives.each(flow, range(start, start + 2 * n))
 

@@ -7,11 +7,15 @@ symmetry are refused.
 
 The friction of a joint may be replaced by two further variables, its force and its slope. The proof then covers every
 friction within these bounds, so that no box has to resolve how steep it is near rest.
+
+Where friction depends on time or on inputs, as the force of a rudder does, these are the last variables. The inequality
+has no derivatives by them: plant and observer read the same signals, which may jump at any time within their bounds.
 """
 
 import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import jax
@@ -52,7 +56,8 @@ def error_system(observer: Intrinsics, q: Annotated[TwoByTwo, FINITE], joint_fri
             then act separately in each joint, by its own velocity, in coordinates.
 
     Returns:
-        Flow and metric as functions of estimate, error and force, and with `joint_friction` of friction and its slopes.
+        Flow and metric as functions of estimate, error and force, and with `joint_friction` of friction and its slopes,
+        or of time and those inputs that the friction depends on.
 
     Raises:
         TypeError: another kind of observer.
@@ -73,7 +78,6 @@ def error_system(observer: Intrinsics, q: Annotated[TwoByTwo, FINITE], joint_fri
             "whose flow may be another one"
         )
     need_known(observer.model)
-    need_steady_friction(observer.model)
     space = observer.model.space
     if space.manifold.commuting:
         return _in_coordinates(observer, q, joint_friction)
@@ -106,15 +110,17 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo, joint_friction: bool) -> 
     n = dimension(model)
     if joint_friction:
         need_joint_friction(model)
+    prefixes = ("", "v_", "e_", "f_", "r_", "d_")[: 6 if joint_friction else 4]
+    driven = driven_by(model)
     metric = tangent_metric(model.space, q)
 
     def at(z):
-        place, velocity, error, force, *joints = jnp.split(z, 6 if joint_friction else 4)
+        place, velocity, error, force, *joints, signals = jnp.split(z, [k * n for k in range(1, len(prefixes) + 1)])
         measured = place - error
 
         def friction(place, v):
             if not joint_friction:
-                return friction_of(model, place, v)
+                return friction_of(model, place, v, driven, signals)
             # The value of friction at this velocity, with any slope within its bounds.
             value, drag = joints
             return value - drag * (v - velocity)
@@ -140,11 +146,12 @@ def _in_coordinates(observer: Intrinsics, q: TwoByTwo, joint_friction: bool) -> 
     names = model.coordinates
     units = model.units or ("",) * n
     rates = tuple(f"{unit}/s" if unit else "" for unit in units)
-    prefixes = ("", "v_", "e_", "f_", "r_", "d_")[: 6 if joint_friction else 4]
+    signal_names, signal_units = signals_of(model, driven)
     return ErrorSystem(
-        tuple(f"{prefix}{name}" for prefix in prefixes for name in names),
-        (*units, *rates, *units, *("",) * (n * (len(prefixes) - 3))),
+        (*(f"{prefix}{name}" for prefix in prefixes for name in names), *signal_names),
+        (*units, *rates, *units, *("",) * (n * (len(prefixes) - 3)), *signal_units),
         at,
+        driven=driven,
     )
 
 
@@ -153,7 +160,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
     need_symmetry(model)
     origin = manifold.origin()
     inertia = np.array(space(origin))
-    n = len(inertia)
+    n, driven = len(inertia), driven_by(model)
 
     def each(linear, dtype):
         return jax.vmap(linear, out_axes=1)(jnp.eye(n, dtype=dtype))
@@ -174,7 +181,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
     length = StateMetric(lambda t, x: frames(x, 1), lambda t, x: frames(x, -1), gram)
 
     def at(z):
-        velocity, error, force = jnp.split(z, 3)
+        velocity, error, force, signals = jnp.split(z, [n, 2 * n, 3 * n])
 
         def flow(t, x):
             theta, v = jnp.split(x, 2)
@@ -184,7 +191,7 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
             at = manifold.origin(z.dtype)
             xi = -correction if observer.order == 1 else second_order(space, at, -correction)
             source = space.raise_(at, force)
-            resistance_vector = space.raise_(at, friction_of(model, at, v))
+            resistance_vector = space.raise_(at, friction_of(model, at, v, driven, signals))
             drive = observer.bend(at, source - space.connection(at, xi, source), xi, v)
             w, v_dot = observer.rates(at, v, xi, drive + resistance_vector)
             return jnp.concatenate([manifold.local_rate(origin, theta, w), v_dot])
@@ -203,10 +210,12 @@ def _in_the_body(observer: Intrinsic, q: TwoByTwo) -> ErrorSystem:
 
     names, units = model.velocities, model.velocity_units
     position_units = tuple(unit.removesuffix("/s") for unit in units)
+    signal_names, signal_units = signals_of(model, driven)
     return ErrorSystem(
-        (*names, *(f"e_{k}" for k in names), *(f"f_{k}" for k in names)),
-        (*units, *position_units, *("",) * n),
+        (*names, *(f"e_{k}" for k in names), *(f"f_{k}" for k in names), *signal_names),
+        (*units, *position_units, *("",) * n, *signal_units),
         at,
+        driven=driven,
     )
 
 
@@ -223,24 +232,41 @@ def dimension(model: MechanicalSystem) -> int:
     return len(model.coordinates)
 
 
-def friction_of(model: MechanicalSystem, q: Array, v: Vector) -> Vector:
-    """Evaluate the dissipation (n,) of a model whose dissipation depends on neither time nor input."""
-    n = v.shape[0]
-    return resistance(model, jnp.zeros((), v.dtype), q, v, jnp.zeros(input_count(model, n), v.dtype))
+def friction_of(
+    model: MechanicalSystem, q: Array, v: Vector, driven: tuple[int, ...] = (), signals: Sequence[Any] | Vector = ()
+) -> Vector:
+    """Evaluate the dissipation (n,), of which `driven_by` are the places of the given signals."""
+    known, zero = dict(zip(driven, signals, strict=True)), jnp.zeros((), v.dtype)
+    t, *u = (known.get(k, zero) for k in range(1 + input_count(model, v.shape[0])))
+    return resistance(model, t, q, v, jnp.stack(u) if u else jnp.zeros(0, v.dtype))
 
 
-def need_steady_friction(model: MechanicalSystem) -> None:
-    """Check that the dissipation depends on neither time nor input, since these are not variables of a region."""
+def driven_by(model: MechanicalSystem) -> tuple[int, ...]:
+    """Return the places among (time, inputs) of the signals that the dissipation depends on."""
     if not model.dissipation_is_driven:
-        return
+        return ()
     q = any_configuration(model)
     v = model.manifold.zero(q)
     u = jnp.zeros(input_count(model, v.size))
     read = entries_read(functools.partial(resistance, model), jnp.zeros(()), q, v, u)
-    first = 1 + q.size + v.size
+    # Inputs come after time, configuration and velocity.
+    return tuple(k for k in range(1 + u.size) if (k + (q.size + v.size) * (k > 0)) in read)
+
+
+def signals_of(model: MechanicalSystem, places: Sequence[int] | None = None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names and units of time and inputs, or of some of them by their places."""
     servos = getattr(model.force, "servos", None)
-    names = [f"u{i + 1}" for i in range(u.size)] if servos is None else servos.input_names
-    dependences = ["time"] * (0 in read) + [names[i] for i in range(u.size) if first + i in read]
+    named = model if servos is None else servos
+    count = input_count(model, len(model.coordinates or model.velocities))
+    names = ("time", *(named.input_names or (f"u{i + 1}" for i in range(count))))
+    units = ("s", *(named.input_units or ("",) * count))
+    chosen = range(1 + count) if places is None else places
+    return tuple(names[k] for k in chosen), tuple(units[k] for k in chosen)
+
+
+def need_steady_friction(model: MechanicalSystem) -> None:
+    """Check that the dissipation depends on neither time nor input, where these are not variables of a region."""
+    servos, dependences = getattr(model.force, "servos", None), signals_of(model, driven_by(model))[0]
     if dependences:
         remedy = (
             ""
@@ -249,8 +275,8 @@ def need_steady_friction(model: MechanicalSystem) -> None:
             "and the proof is about the machine while it stays within its limits and switched on"
         )
         raise InputError(
-            f"the dissipation of this model depends on {', '.join(dependences)}; only friction of position and "
-            f"velocity is covered by a proof{remedy}"
+            f"the dissipation of this model depends on {', '.join(dependences)}; a proof covers this for Intrinsic and "
+            f"Geodesic in continuous time alone{remedy}"
         )
 
 
@@ -261,6 +287,7 @@ def any_configuration(model: MechanicalSystem) -> Array:
 
 def need_joint_friction(model: MechanicalSystem) -> None:
     """Check that friction acts separately in each joint, or about each axis of a body, by its own velocity."""
+    need_steady_friction(model)
     n = dimension(model) if model.manifold.commuting else len(model.velocities)
     q = any_configuration(model)
     friction = functools.partial(friction_of, model)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from covariant.certificates.base._error_system import inputs_of
 from covariant.geometry import AbstractManifold, AbstractSpace, Coordinates, Leaf, ProductManifold
@@ -19,6 +20,7 @@ from covariant.models import GroupSystem, Lagrangian, MechanicalSystem, applied_
 from scalargraph import Graph, Lowered, expand, lower, numbers
 from scalargraph.errors import InputError
 
+EVERYWHERE = "nothing depends on {}, so that the statement is the same at all of their values"
 PERIODIC = "the model is the same after a turn of each coordinate that it calls a circle"
 SYMMETRIC = "metric, connection, curvature and friction are the same at every configuration of the group"
 MODELS = MechanicalSystem, Lagrangian, GroupSystem
@@ -93,6 +95,32 @@ def lower_model(model: MechanicalSystem, n: int) -> Iterator[tuple[str, Lowered]
         yield name, lower(function, *example, real=True)
 
 
+def configuration_names(model: MechanicalSystem) -> tuple[str, ...]:
+    """Return the names of the entries of a configuration: of its coordinates, or g11, g12, … of its matrix."""
+    if model.manifold.commuting:
+        return model.coordinates
+    rows, columns = model.manifold.origin().shape
+    return tuple(f"g{i + 1}{j + 1}" for i in range(rows) for j in range(columns))
+
+
+def free_entries(model: MechanicalSystem) -> np.ndarray:
+    """Return which entries of the configuration no function of a model reads, so that no statement depends on them."""
+    q = jnp.zeros(len(model.coordinates)) if model.manifold.commuting else model.manifold.origin()
+    read: set[int] = set().union(*(inputs_of(each) for _, each in lower_model(model, len(model.coordinates))))
+    return np.array([1 + k not in read for k in range(q.size)])
+
+
+def true_region(model: MechanicalSystem, positions: Float[np.ndarray, "2 p"]) -> Float[np.ndarray, "2 p"]:
+    """Return bounds of true positions, infinite for entries that are stated as one value, if they are `free_entries`.
+
+    The proofs at that value hold at all others: by symmetry on a group, and in coordinates since shifting estimate and
+    measurement by the same amount changes neither their error nor, if no function reads the coordinate, anything else.
+    """
+    single = positions[0] == positions[1]
+    free = single & free_entries(model) if single.any() else single
+    return np.where(free, [[-np.inf], [np.inf]], positions)
+
+
 def _need_periodic(model: MechanicalSystem) -> None:
     """Check that a model is periodic in each coordinate that it calls a circle."""
     for name, lowered in lower_model(model, len(model.coordinates)):
@@ -144,8 +172,7 @@ def need_symmetry(model: MechanicalSystem) -> None:
         if name == "force":  # the force is a variable of the box
             continue
         read = inputs_of(lowered)
-        indices = [np.unravel_index(k, origin.shape) for k in range(origin.size) if 1 + k in read]
-        labels = ["g" + "".join(str(i + 1) for i in index) for index in indices]
+        labels = [label for k, label in enumerate(configuration_names(model), start=1) if k in read]
         if labels:
             raise InputError(
                 f"the {name} of this model depends on where the body is, on {', '.join(labels)} of its matrix; on a "

@@ -1,20 +1,26 @@
 """Checks the region of a certificate: the caller's bounds of positions, inputs and times."""
 
-import itertools
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from covariant._domains import POSITIVE
+from covariant._names import refuse_unknown
 from covariant.certificates.base._force_bounds import force_reads_time
-from covariant.geometry.lie import SO2, SO3
-from covariant.models import MechanicalSystem, input_count
+from covariant.certificates.base._intrinsic import any_configuration, configuration_shape, driven_by, signals_of
+from covariant.certificates.base._properties import configuration_names, free_entries
+from covariant.geometry.lie import SE2, SE3, SO2, SO3
+from covariant.models import MechanicalSystem
 from scalargraph.errors import InputError
 from scalargraph.proofs import Box, check_box
 
-Bounds = tuple[ArrayLike, ArrayLike]
+Bounds = tuple[ArrayLike, ArrayLike] | Mapping[str, ArrayLike]
+"""Least and largest values, or pairs of them by name."""
+ROTATIONS = ((SO2, 2), (SO3, 3), (SE2, 2), (SE3, 3))
+"""Groups with rotations in the upper left of their matrices, and the order of these."""
 
 
 SPEED = POSITIVE._replace(
@@ -41,34 +47,69 @@ class Region(NamedTuple):
 
 
 def region_of(
-    model: MechanicalSystem, position: Bounds | None, inputs: Bounds | ArrayLike, times: tuple[float, float] | None
+    model: MechanicalSystem,
+    position: Bounds | None,
+    inputs: Bounds | ArrayLike | None,
+    times: tuple[float, float] | None,
 ) -> Region:
-    """Check the bounds of positions, inputs and times."""
-    n = len(model.coordinates or model.velocities)
-    true = _coordinates(model, position, n) if model.manifold.commuting else _elements(model, position)
-    return Region(check_box(true), _inputs(model, inputs, n), _times(model, n, times))
+    """Check the bounds of positions, inputs and times, and say everything that is missing in one error.
+
+    Entries of the configuration that nothing depends on need no bounds, nor do rotations. Inputs without bounds are 0,
+    but those that the friction depends on need some.
+    """
+    places, signals, driven = configuration_names(model), signals_of(model)[0][1:], driven_by(model)
+    names, count = (*places, *signals), len(places)
+    ends, given = np.zeros((2, len(names))), np.zeros(len(names), bool)
+    if inputs is not None:
+        ends[:, count:], given[count:] = _inputs(inputs, len(signals)), True
+    if isinstance(position, Mapping):
+        for name, pair in position.items():
+            refuse_unknown("coordinate or input of the region", name, names)
+            ends[:, names.index(name)] = low, high = np.asarray(pair, float)
+            given[names.index(name)] = True
+            if not -math.inf < low <= high < math.inf:
+                raise InputError(f"certify: {name} needs two finite bounds, the lower one first; got {low:g}, {high:g}")
+    elif position is not None:
+        shape = configuration_shape(model, count)
+        ends[:, :count] = [np.broadcast_to(np.asarray(side, float), shape).ravel() for side in position]
+        given[:count] = True
+    needed = np.isin(np.arange(len(names)), [count + k - 1 for k in driven if k])
+    if not given[:count].all():
+        needed[:count] = ~free_entries(model)
+    turned = ~given & needed & np.append(_rotations(model), np.zeros(len(signals), bool))
+    timed = "friction" if 0 in driven else "the force" if force_reads_time(model) else ""
+    _need_nothing(names, count, needed & ~given & ~turned, timed if times is None else "")
+    ends += np.outer([-1.0, 1.0], turned)
+    true = Box(places, model.units if model.manifold.commuting else ("",) * count, *ends[:, :count])
+    return Region(check_box(true), ends[:, count:], _times(times))
 
 
-def _coordinates(model: MechanicalSystem, position: Bounds | None, n: int) -> Box:
-    if position is None:
-        raise InputError(f"certify: position needs bounds of {', '.join(model.coordinates)}")
-    low, high = (np.broadcast_to(np.asarray(side, float), (n,)).copy() for side in position)
-    return Box(model.coordinates, model.units, low, high)
+def _need_nothing(names: Sequence[str], count: int, lacking: np.ndarray, timed: str) -> None:
+    """Raise `ValueError` with all bounds that are missing: of `count` positions and then of inputs, and of times."""
+    parts = slice(None, count), slice(count, None)
+    missing = [[name for name, lacks in zip(names[part], lacking[part], strict=True) if lacks] for part in parts]
+    reasons = [f"position needs bounds of {', '.join(missing[0])}"] * bool(missing[0])
+    reasons += [f"input needs bounds of {', '.join(missing[1])}, on which the friction depends"] * bool(missing[1])
+    if both := [f"{name}=LOW:HIGH" for name in (*missing[0], *missing[1])]:
+        reasons.append(f"region lacks {','.join(both)}")
+    if timed:
+        reasons.append(
+            f"{timed} of this model depends on time; give times=(first, last) [s], between which the statement is to "
+            "hold"
+        )
+    if reasons:
+        raise InputError(f"certify: {'; '.join(reasons)}")
 
 
-def _elements(model: MechanicalSystem, position: Bounds | None) -> Box:
-    order = model.manifold.origin().shape[0]
-    names = tuple(f"g{i + 1}{j + 1}" for i, j in itertools.product(range(order), repeat=2))
-    if position is None:
-        if model.manifold not in (SO2, SO3):
-            raise InputError("certify: on this group position needs bounds of the entries of its matrices (N, N)")
-        position = (-np.ones((order, order)), np.ones((order, order)))
-    low, high = (np.broadcast_to(np.asarray(side, float), (order, order)).ravel().copy() for side in position)
-    return Box(names, ("",) * len(names), low, high)
+def _rotations(model: MechanicalSystem) -> np.ndarray:
+    """Return for each entry of the configuration whether it is that of a rotation, within ±1."""
+    entries = np.zeros(np.shape(any_configuration(model)), bool)
+    order = next((k for group, k in ROTATIONS if model.manifold == group), 0)
+    entries[:order, ...][..., :order] = True
+    return entries.ravel()
 
 
-def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
-    m = input_count(model, n)
+def _inputs(bounds: Bounds | ArrayLike, m: int) -> Float[np.ndarray, "2 m"]:
     sides = bounds if isinstance(bounds, tuple) else (-np.asarray(bounds, float), np.asarray(bounds, float))
     if len(sides) != 2:
         raise InputError(
@@ -84,14 +125,9 @@ def _inputs(model, bounds, n: int) -> Float[np.ndarray, "2 m"]:
     return stacked
 
 
-def _times(model: MechanicalSystem, n: int, times: tuple[float, float] | None) -> tuple[float, float]:
-    """First and last time; a single instant if the force does not depend on time."""
+def _times(times: tuple[float, float] | None) -> tuple[float, float]:
+    """First and last time; a single instant where nothing depends on time."""
     if times is None:
-        if force_reads_time(model, n):
-            raise InputError(
-                "certify: the force of this model depends on time; give times=(first, last) [s], between which the "
-                "statement is to hold"
-            )
         return 0.0, 0.0
     try:
         first, last = (float(t) for t in times)

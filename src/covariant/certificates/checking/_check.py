@@ -152,11 +152,19 @@ def _complete(resolved: Resolved) -> None:
     names = system.names
     # The following checks are about positions, velocities, errors and forces; further forces and the age come later.
     part = sampled.need_sampled_box(document, model.manifold.commuting)
+    driven, given = list(system.driven), document.given
+    _need(list(document.driven) == driven, f"driven: the friction of the model depends on the signals {driven}")
     names, low, high = names[part], low[part], high[part]
     m, places = input_count(model, n), math.prod(configuration_shape(model, n))
     for key, expected in (("positions", places), ("inputs", m)):
         columns = getattr(document.given, key).shape[1]
         _need(columns == expected, f"given.{key}: the model has {expected}; bounds are there of {columns}")
+    # Here the numbers of bounds are known, so that each signal has some.
+    signals = np.concatenate([given.times[:, None], given.inputs], axis=1)[:, driven]
+    first = len(document.low) - len(driven)
+    held = (document.low[first:] <= signals[0]) & (signals[1] <= document.high[first:])
+    outside = [system.names[first + k] for k in np.flatnonzero(~held)]
+    _need(not outside, f"box: it must hold all given values of {', '.join(outside)}, on which the friction depends")
     check_unique(observer, np.maximum(high, -low)[-2 * n : -n])
     noise, disturbance = document.given.noise, select(claims, DisturbanceClaim)
     sloped = noise.any() and document.sampling is None
@@ -281,8 +289,9 @@ def _slack(document: Document, claim: AbstractClaim) -> np.ndarray:
     place, n = np.arange(len(low)), len(document.velocity)
     if isinstance(claim, PredictionClaim):  # its force, age and lengths of steps, where they are no constants
         return np.where((place >= len(low) - n - 3) & (low < high), matrices.slack_of(low, high), 0.0)
-    # All variables after the errors, except for the age.
-    forces = (document.forces.start <= place) & (place < len(low) - (document.sampling is not None))
+    # All variables after the errors, except for the age, and for signals.
+    after = len(low) - len(document.driven) - (document.sampling is not None)
+    forces = (document.forces.start <= place) & (place < after)
     return np.where(forces, matrices.slack_of(low, high), 0.0)
 
 

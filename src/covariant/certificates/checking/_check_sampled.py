@@ -15,7 +15,6 @@ from covariant.certificates.base import (
     PredictionClaim,
     Recursion,
     corrections,
-    first_velocity,
     select,
 )
 from covariant.certificates.checking import _matrices as matrices
@@ -54,7 +53,7 @@ def _within(document: Document, function: Any, k: int, unknown: Any = 0.0, chose
     velocities first, or those `chosen` from it.
     """
     n = len(document.velocity)
-    start = first_velocity(len(document.low), n, document.sampling is not None) + (k - 1) * n
+    start = document.first_velocity + (k - 1) * n
     low, high = document.low[start : start + n], document.high[start : start + n]
     slack = matrices.slack_of(low, high) / 2
     least, most = (low + unknown - slack)[chosen], (high - unknown + slack)[chosen]
@@ -85,7 +84,7 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
 def _speeds(document: Document) -> np.ndarray:
     """Bounds (2, n) of the estimated velocity."""
     n = len(document.velocity)
-    start = first_velocity(len(document.low), n, document.sampling is not None)
+    start = document.first_velocity
     return np.stack([document.low[start : start + n], document.high[start : start + n]])
 
 
@@ -130,7 +129,7 @@ def need_sampled_box(document: Document, in_coordinates: bool) -> slice:
     oldest = document.sampling.oldest
     if not (low[-1] <= 0 and oldest <= high[-1]):
         raise InputError(f"box: it must hold the ages from 0 to {oldest:.6g} s of measurements")
-    entries = 0 if in_coordinates else first_velocity(len(low), len(document.velocity), sampled=True)
+    entries = 0 if in_coordinates else document.first_velocity
     if not ((low[:entries] <= -1).all() and (high[:entries] >= 1).all()):
         raise InputError("box: it must hold all entries of rotations, from -1 to 1")
     return slice(entries, stop)

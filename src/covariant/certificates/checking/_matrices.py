@@ -16,7 +16,6 @@ from covariant.certificates.base import (
     Document,
     ErrorSystem,
     Resolved,
-    first_velocity,
     friction_of,
     reach_squares,
 )
@@ -125,7 +124,7 @@ def disturbance(about: ErrorSystem, sizes: np.ndarray, square: float) -> Matrix:
         point, t = about.at(z), jnp.zeros(())
         slope = jacobian(lambda at: about.at(at).flow(t, point.x), z)
         # Error and force come after the velocities; an error of the measurement acts through the position error.
-        start = first_velocity(len(about.names), n) + n
+        start = about.first_velocity(n) + n
         of_error, of_force = slope[:, start : start + n], slope[:, start + n : start + 2 * n]
         b = jnp.concatenate([of_error @ point.noise_jacobian(), of_force], axis=1) * sizes[None]
         b = point.metric.coframe(t, point.x) @ b

@@ -30,7 +30,6 @@ from covariant.certificates.base import (
     Statement,
     need_joint_friction,
     need_known,
-    need_steady_friction,
     read_fields,
     read_interval,
     read_metric,
@@ -204,7 +203,6 @@ def need_covered(model: MechanicalSystem) -> None:
     need_known(model)
     if not model.manifold.commuting:
         raise InputError("certify_globally needs a model in coordinates; on a group there are no differences of them")
-    need_steady_friction(model)
     need_joint_friction(model)
 
 

@@ -58,7 +58,6 @@ from covariant.certificates.base import (
     disturbance_sizes,
     error_system,
     first_order,
-    first_velocity,
     force_bounds,
     force_slopes,
     need_doubles,
@@ -111,7 +110,7 @@ def certify(
     velocity: Annotated[ArrayLike, SPEED],
     error: Annotated[ArrayLike, SPEED],
     position: Bounds | None = None,
-    input: Bounds | ArrayLike = 0.0,
+    input: Bounds | ArrayLike | None = None,
     times: Interval | None = None,
     rate: Positive | None = None,
     q: Numbers | None = None,
@@ -145,10 +144,12 @@ def certify(
             of Theorem 1 shrinks as the velocity grows.
         error: bound of the error of the estimated position [unit], in coordinates or as `log(g⁻¹ g̃)`, a number or
             (n,).
-        position: least and largest true positions, (n,) each; on a group the entries of its matrices (N, N), except
-            that rotations need no bounds.
-        input: bound of each input, a number or (m,), or a pair of bounds.
-        times: first and last time [s] of the statement; needed if the force depends on time.
+        position: least and largest true positions, (n,) each, or pairs of them by name; on a group the entries of its
+            matrices (N, N), named g11, g12, …. Rotations need no bounds, nor do coordinates on which nothing depends.
+            Inputs may be bounded by name here too.
+        input: bound of each input, a number or (m,), or a pair of bounds; 0 by default. Inputs that the friction
+            depends on need bounds.
+        times: first and last time [s] of the statement; needed if force or friction depend on time.
         rate: λ [1/s] to prove, of squared lengths. By default it is half of the rate that Q allows at q̂ = q; with
             `interval` it is a tenth of the rate of the gains, and with noise also one to six tenths of it are tried,
             of which the one with the smallest bound of the velocity error is kept.
@@ -225,7 +226,7 @@ def certify(
     claims: list[AbstractClaim] = [first]
     radius = 0.0
     if first.proof.verdict == "holds":
-        limits = limits_of(domain, assumed.velocity, assumed.noise, sampled=sampling is not None)
+        limits = limits_of(system, domain, assumed.velocity, assumed.noise)
         claims += _reach(system, limits, effort)
         claims += _remainders(system, observer.curvature, effort) if exact else ()
         sizes = disturbance_sizes(bounds)
@@ -260,6 +261,7 @@ def certify(
         tuple(claims),
         {},
         sampling,
+        system.driven,
     )
     facts = Resolved(document, observer, system)
     statement = contraction_statement(facts, "proved")
@@ -387,8 +389,10 @@ def _domain(
     bounds = _stated_bounds(region, assumed, slopes)
     estimates = _around(true, assumed.error) if model.manifold.commuting else np.zeros((2, 0))
 
+    signals = np.concatenate([bounds.times[:, None], inputs], axis=1)[:, list(system.driven)]
+
     def rest(speed):
-        return np.concatenate([force, *(friction_bounds(model, speed) if joint_friction else ())], axis=1)
+        return np.concatenate([force, *(friction_bounds(model, speed) if joint_friction else ()), signals], axis=1)
 
     return _widen_box(system, assumed, estimates, rest), bounds
 
@@ -405,7 +409,7 @@ def _sampled_domain(
     if model.manifold.commuting:
         estimates = _around(region.true, assumed.error)
     else:  # entries of rotations are at most 1, wherever true motion and estimate are
-        ones = np.ones(first_velocity(len(system.names), len(assumed.velocity), sampled=True))
+        ones = np.ones(system.first_velocity(len(assumed.velocity)))
         estimates = np.stack([-ones, ones])
     return _widen_box(system, assumed, estimates, rest)
 
@@ -447,13 +451,13 @@ def _widen_box(
     return check_box(box(excess))
 
 
-def limits_of(domain: Box, velocity, noise, sampled: bool = False) -> Float[np.ndarray, "two_n"]:
+def limits_of(system: ErrorSystem, domain: Box, velocity, noise) -> Float[np.ndarray, "two_n"]:
     """Compute by how much errors and velocities may change within the region.
 
     Position errors are measured from the measured position, so the noise is subtracted.
     """
     n = len(velocity)
-    start = first_velocity(len(domain.low), n, sampled)
+    start = system.first_velocity(n)
     speed, error = slice(start, start + n), slice(start + n, start + 2 * n)
     most = np.minimum(domain.high, -domain.low)
     # Rounded down, since a limit may not exceed the exact difference.

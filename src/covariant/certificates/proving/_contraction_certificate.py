@@ -24,7 +24,6 @@ from covariant.certificates.base import (
     TwoByTwo,
     check_recipe,
     contraction_statement,
-    first_velocity,
     loss_of,
     observer_document,
     parse,
@@ -32,6 +31,7 @@ from covariant.certificates.base import (
     select,
     start_of,
     steady_of,
+    true_region,
     value_graph,
     write,
 )
@@ -41,6 +41,8 @@ from covariant.observers import AbstractObserver
 from scalargraph.errors import InputError
 from scalargraph.proofs import Box, digest
 
+FARTHEST = 1e30
+"""The limit of a position that has none."""
 SAMPLED_ROLES = ("joint force", "friction slope")
 """Kinds of variables that only boxes with samples have, besides the age."""
 
@@ -234,7 +236,8 @@ class ContractionCertificate(NamedTuple):
             self.radius,
             np.sqrt(squares) * (1 + ROUND),
             factors[0].square / squares if factors else np.full(len(squares), np.inf),
-            self.given.positions,
+            # A finite number stands for infinity, whose middle and size are computed in each step.
+            np.clip(true_region(model, self.given.positions), -FARTHEST, FARTHEST),
             self.velocity,
             self.given.inputs,
             self.given.noise,
@@ -258,15 +261,17 @@ class ContractionCertificate(NamedTuple):
 
         Returns:
             "estimate", "velocity" (estimated), "error" or "force" for each; with samples also "joint force", "friction
-            slope" and "age"; if friction is a variable too, also "friction" and "friction slope".
+            slope" and "age"; if friction is a variable too, also "friction" and "friction slope"; "signal" for time and
+            inputs that the friction depends on.
         """
-        n = len(self.velocity)
+        n, driven = len(self.velocity), len(self.error_system.driven)
         roles = ("estimate", "velocity", "error", "force")
-        parts = {3 * n: roles[1:], 4 * n: roles}.get(len(self.domain.low), (*roles, "friction", "friction slope"))
+        variables = len(self.domain.low) - driven
+        parts = {3 * n: roles[1:], 4 * n: roles}.get(variables, (*roles, "friction", "friction slope"))
         if self.sampling is not None:
-            estimate = ("estimate",) * first_velocity(len(self.domain.low), n, sampled=True)
+            estimate = ("estimate",) * self.error_system.first_velocity(n)
             return (*estimate, *(role for role in (*roles[1:], *SAMPLED_ROLES) for _ in range(n)), "age")
-        return tuple(role for role in parts for _ in range(n))
+        return (*(role for role in parts for _ in range(n)), *("signal",) * driven)
 
     @property
     def open(self) -> Float[np.ndarray, "k 2 d"]:
@@ -302,6 +307,7 @@ class ContractionCertificate(NamedTuple):
             "graph": value_graph(self.error_system),
         }
         content |= {} if self.sampling is None else {"sampling": self.sampling.document()}
+        content |= {"driven": list(driven)} if (driven := self.error_system.driven) else {}
         return content | {"digest": digest(content)}
 
     def save(self, path: str | Path) -> Path:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._domains import Count, Whole, check_numbers
-from covariant.certificates.base import error_matrix
+from covariant.certificates.base import error_matrix, true_region
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 from covariant.certificates.theory import Decay, lower_distance, upper_distance
 from covariant.models import Motion
@@ -181,7 +181,8 @@ class _Plant:
 
     def place(self, x: Motion) -> Array:
         """The point of the region with the estimate x and all other variables zero."""
-        return jnp.concatenate([*([x.q] if self.flat else []), x.v, jnp.zeros(2 * self.n)])
+        here = jnp.concatenate([*([x.q] if self.flat else []), x.v])
+        return jnp.pad(here, (0, len(self.certificate.error_system.names) - here.size))
 
     def inputs(self, pace: Array) -> Callable[[Array, Any], Array]:
         """Sinusoidal inputs (m,) within their bounds."""
@@ -191,7 +192,11 @@ class _Plant:
     def inside(self, places: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The number of stamps from the first on at which each motion (k, T, ...) is inside the bounds."""
         low, high = self.certificate.given.positions
-        middle, half = (low + high) / 2, (high - low) / 2
+        # Coordinates on which nothing depends are unlimited, around the value at which motions start.
+        middle, half = (
+            (low + high) / 2,
+            np.diff(true_region(self.model, self.certificate.given.positions), axis=0)[0] / 2,
+        )
         # Entries of rotation matrices attain their bounds ±1, and exceed them slightly by rounding.
         allowed = half * INSIDE if self.flat else half + 1e-9
         # NaN, from a motion that left every bound, compares as outside.

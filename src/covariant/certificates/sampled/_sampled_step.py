@@ -39,7 +39,6 @@ from covariant.certificates.base import (
     friction_of,
     need_joint_friction,
     need_known,
-    need_steady_friction,
     need_symmetry,
     with_model,
 )
@@ -84,7 +83,6 @@ def sampled_system(observer: Intrinsics, q: TwoByTwo, sampling: Sampling) -> Err
     # Force and friction are variables of the box; their sum enters as the input.
     bare = with_model(observer, MechanicalSystem(model.space, model.potential, None, None))
     need_known(model)
-    need_steady_friction(model)
     if not model.manifold.commuting:
         variables = body_variables(model)
         need_symmetry(model)
