@@ -42,7 +42,6 @@ from .theory import (
     CascadeCertificate as CascadeCertificate,
     Corners as Corners,
     MetricDesign as MetricDesign,
-    ReducedOrderDesign as ReducedOrderDesign,
     at_corners as at_corners,
     cascade as cascade,
     common_metric as common_metric,
@@ -54,7 +53,6 @@ from .theory import (
     observability as observability,
     observer_gain as observer_gain,
     part_limits as part_limits,
-    reduced_order as reduced_order,
     tracking as tracking,
     virtual as virtual,
 )

@@ -231,13 +231,6 @@ COMMANDS = (
         note="A run that was stopped goes on where it was.",
     ),
     Command(
-        "design_reduced_order",
-        ROBOTS,
-        "design reduced-order lorenz --rate 1",
-        "docs/contracting.md",
-        "design reduced-order",
-    ),
-    Command(
         "sweep",
         ROBOTS,
         "sweep basin.toml -o basin.zarr",

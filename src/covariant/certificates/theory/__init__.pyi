@@ -29,5 +29,4 @@ from ._observability import (
     detectability_rate as detectability_rate,
     observability as observability,
 )
-from ._reduced_order import ReducedOrderDesign as ReducedOrderDesign, reduced_order as reduced_order
 from ._virtual import virtual as virtual
