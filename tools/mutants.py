@@ -66,7 +66,6 @@ RELEVANT = {
     "observers/_intrinsic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/_geodesic.py": "observers/test_sampled observers/test_group laws/test_observers",
     "observers/_lagrangian_metric.py": "observers/test_lagrangian_metric",
-    "certificates/_implicit_limits.py": "certificates/test_implicit_limits",
     "observers/_salcudean.py": "observers/test_group calibration/test_estimators",
     "observers/_registry.py": "calibration/test_estimators laws/test_every_observer",
     "observers/_copy.py": "observers/test_sampled reference/test_aghannan_rouchon",

@@ -49,10 +49,8 @@ from .theory import (
     decay as decay,
     falsify as falsify,
     feedthrough as feedthrough,
-    longest_interval as longest_interval,
     observability as observability,
     observer_gain as observer_gain,
-    part_limits as part_limits,
     tracking as tracking,
     virtual as virtual,
 )

@@ -12,10 +12,6 @@ from ._distance import (
     upper_distance as upper_distance,
 )
 from ._falsify import falsify as falsify
-from ._implicit_limits import (
-    longest_interval as longest_interval,
-    part_limits as part_limits,
-)
 from ._lmi import (
     MetricDesign as MetricDesign,
     common_metric as common_metric,
