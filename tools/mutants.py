@@ -93,7 +93,6 @@ RELEVANT = {
     "scalargraph/_peephole.py": "scalargraph/test_c",
     "scalargraph/_rounding.py": "scalargraph/test_c",
     "scalargraph/proofs/checker/*": "scalargraph/test_taylor_models certificates/test_check",
-    "scalargraph/_balls.py": "certificates/test_check",
     "scalargraph/_file.py": "attacks/test_files certificates/test_check",
     "scalargraph/_saved.py": "attacks/test_files certificates/test_check",
     "scalargraph/_form.py": "certificates/test_contraction certificates/test_cascade",

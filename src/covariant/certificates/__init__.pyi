@@ -16,7 +16,7 @@ from .base import (
     parse as parse,
     tangent_metric as tangent_metric,
 )
-from .checking import Checked as Checked, check as check, check_sample as check_sample
+from .checking import Checked as Checked, check as check
 from .everywhere import certify_globally as certify_globally, check_globally as check_globally
 from .proving import (
     Attempt as Attempt,
