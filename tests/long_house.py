@@ -38,7 +38,6 @@ OPTIONAL = (
     "zarr",
     "dask",
     "distributed",
-    "flint",
     "clarabel",
     "control",
     "cffi",

@@ -93,12 +93,6 @@ TRIALS = {
             ),
         )
     ),
-    "balls": Trial(
-        (
-            ("python", "-c", "from covariant.certificates import check_sample; print(check_sample('proved.json', 3))"),
-            ("covariant", "certify", "--check", "proved.json"),
-        )
-    ),
     "scale": Trial(
         (("covariant", "design", "metric", "unknown_frequency", "--grid", "5", "--rate", "8", "-o", "P.zarr"),)
     ),

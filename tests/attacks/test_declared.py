@@ -10,13 +10,13 @@ import pytest
 
 from covariant import models
 from covariant.calibration import contracting_gain
-from covariant.certificates import feedthrough, observability, reduced_order
+from covariant.certificates import feedthrough, observability
 from covariant.certificates.everywhere._coupling import compare_connections
 from covariant.models import StateSpace, marine
 from covariant.simulation import Backstepping, lissajous
-from scalargraph import LoweringError, lower, to_jax
+from scalargraph import lower, to_jax
 from scalargraph.graph import change
-from scalargraph.proofs import box
+from scalargraph.proofs import box, derivative_form, prove
 
 
 def with_rule(function):
@@ -127,35 +127,20 @@ def test_what_calls_back_is_refused():
         observability(system(called), lambda x: jnp.eye(2), POINTS)
 
 
-@pytest.mark.core(2)
-@EVERY
-def test_a_reduced_order_observer_is_impossible_for_the_true_reason(lie):
-    """A hidden state grows at 0.7 1/s, and not, as declared, not at all."""
-    box = ((-1.0, 1.0), (-1.0, 1.0))
-    honest = reduced_order(system(lambda x: jnp.stack([-x[0], 0.7 * x[1]]), box=box), rate=1.0)
-    assert honest.statement.verdict == "fails"
-    assert honest.statement.margin == pytest.approx(0.7)
-    model = system(lambda x: jnp.stack([-x[0], lie(lambda y: 0.7 * y)(x)[1]]), box=box)
-    if lie in NO_GRAPH:
-        with pytest.raises(LoweringError):
-            reduced_order(model, rate=1.0)
-    else:
-        assert str(reduced_order(model, rate=1.0).statement) == str(honest.statement)
-
-
 def test_a_function_that_counts_its_calls_is_one_function_in_a_proof():
     """From the second trace on it would be another one: what a proof reads is one trace."""
     calls = []
 
-    def f(x):
+    def flow(t, x, z):
         calls.append(1)
-        return jnp.stack([x[1] - x[0], -x[1] if len(calls) < 5 else 5.0 * x[1]])
+        return (-x if len(calls) < 5 else 5.0 * x,)
 
-    model = system(f, box=((-1.0, 1.0), (-1.0, 1.0)))
-    before = len(calls)
-    design = reduced_order(model, rate=1.0)
-    assert design.statement.proved
-    assert len(calls) <= before + 1
+    def slopes(derivatives, nodes, k):
+        return (derivatives.each(nodes[0], range(1, 1 + k)),)
+
+    form = derivative_form(flow, lambda z: z, slopes, lambda a: -a)
+    assert prove(form, box(x=(-1.0, 1.0))).verdict == "holds"
+    assert len(calls) == 1
 
 
 def test_the_coupling_of_a_craft_is_that_of_its_transformation():

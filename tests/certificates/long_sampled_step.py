@@ -4,12 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from balls import check_sample
 from forging import forged, put, together
 from test_sampled_step import BOUNDS, RECIPE, Q, pendulum, swing
 
 import covariant
 from covariant import models
-from covariant.certificates import ContractionCertificate, certify, check, check_sample, falsify, sampled_system
+from covariant.certificates import ContractionCertificate, certify, check, falsify, sampled_system
 from covariant.certificates.base import Sampling, value_graph
 from covariant.certificates.base._document import parse
 from covariant.certificates.checking import _check
@@ -51,8 +52,7 @@ def test_a_pendulum_is_proved_for_any_interval_from_5_to_50_ms(proved, saved):
     assert loaded.statement.short == "holds (claimed)"
     assert loaded.half_widths.tolist() == proved.half_widths.tolist()
     assert loaded.kinds[-3:] == ("joint force", "friction slope", "age")
-    pytest.importorskip("flint")
-    assert check_sample(saved, 5).leaves == 5
+    assert check_sample(saved, 5)[0] == 5
 
 
 @pytest.mark.exhaustive

@@ -4,13 +4,14 @@ import ast
 import json
 from pathlib import Path
 
+import balls
 import pytest
 from forging import forged, put, together
 
 from covariant import models
 from covariant.certificates import AbstractClaim, certify, check, error_system, parse
 from covariant.certificates.base import CLAIMS, value_graph
-from covariant.certificates.checking import _check, _check_sampled, _matrices, _sample
+from covariant.certificates.checking import _check, _check_sampled, _matrices
 from covariant.certificates.checking._saved import observer_from
 from covariant.observers import Intrinsic
 
@@ -128,5 +129,5 @@ def test_the_check_shares_with_the_prover_the_observer_alone(module):
 
 
 def test_each_kind_of_claim_has_a_matrix_of_the_prover_and_one_of_the_checker():
-    assert set(CLAIMS) == set(_matrices.MATRICES) == set(_sample._FORMS)
+    assert set(CLAIMS) == set(_matrices.MATRICES) == set(balls._FORMS)
     assert all(kind.kind == name for name, kind in CLAIMS.items())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import covariant
-from covariant import certificates, models, observers, verbs
+from covariant import certificates, observers, verbs
 from covariant.certificates.base import Sampling
 from covariant.geometry import Coordinates, Euclidean, KineticEnergy, Leaf, Metric
 from covariant.models import MechanicalSystem
@@ -81,8 +81,6 @@ ENTRIES = {
     "tangent_metric": lambda model: certificates.tangent_metric(model.space, np.eye(2)),
     "verb certify": lambda model: covariant.certify(model, **VERB, checker="off"),
     "verb certify, find": lambda model: covariant.certify(model, **VERB, find="error"),
-    "reduced_order": lambda model: certificates.reduced_order(models.state_space(model), rate=0.1),
-    "verb reduced order": lambda model: verbs.design_reduced_order(model, rate=0.1, region=STATES),
     "verb metric": lambda model: verbs.design_metric(model, "unwritten.zarr", grid=4, region=STATES, rate=1.0),
 }
 

@@ -164,7 +164,6 @@ def test_examples_load(name, columns):
         ("satellite", 6, Columns(u=("u1", "u2", "u3"), angle=("angle1", "angle2", "angle3"))),
         ("bioreactor", 2, Columns(q=("substrate",), u=("u1",))),
         ("duffing", 2, Columns(q=("q",), u=("u1",))),
-        ("induction_motor", 5, Columns(q=("i_alpha", "i_beta"), u=("u1", "u2"))),
         ("lorenz", 3, Columns(q=("x",))),
         ("unknown_frequency", 3, Columns(q=("x1",))),
         ("van_der_pol", 2, Columns(q=("q",))),

@@ -17,8 +17,6 @@ SYSTEMS = {
     "Duffing": models.duffing(),
     "bioreactor": models.bioreactor(growth=0.53),
     "bioreactor, Monod": models.bioreactor(growth=0.53, inhibition=0.0),
-    "induction motor": models.induction_motor(),
-    "induction motor, unknown load": models.induction_motor(load=None, pole_pairs=2),
     "a Lagrangian": state_space(models.ball_and_beam()),
 }
 TIME = jnp.zeros(())
@@ -35,7 +33,7 @@ each_system = pytest.mark.parametrize("name", SYSTEMS)
 
 
 @pytest.mark.core(1)
-@pytest.mark.exhaustive("a Lagrangian", "induction motor", "induction motor, unknown load")
+@pytest.mark.exhaustive("a Lagrangian")
 @each_system
 def test_jacobians_are_those_of_finite_differences(name):
     model = SYSTEMS[name]
@@ -107,8 +105,6 @@ def test_what_does_not_fit_is_named(wrong, words):
         (lambda: models.duffing(stiffness=np.nan), "duffing: stiffness [N/m] must be finite; got nan"),
         (lambda: models.bioreactor(feed=0.0), "bioreactor: feed [kg/m^3] must be positive; got 0.0"),
         (lambda: models.bioreactor(inhibition=-1.0), "bioreactor: inhibition [m^3/kg] must be ≥ 0; got -1.0"),
-        (lambda: models.induction_motor(inertia=-1.0), "induction_motor: inertia [kg m^2] must be positive; got -1.0"),
-        (lambda: models.induction_motor(mutual_inductance=0.07), "0.07 H must be below the geometric mean of the"),
     ],
 )
 def test_parameters_that_make_no_sense_are_named(make, words):
@@ -168,51 +164,3 @@ def test_substrate_tells_the_biomass_and_biomass_not_the_substrate():
     rate = model.jacobians(TIME, x, u)[0]
     assert abs(np.linalg.det(np.stack([[0.0, 1.0], rate[1]]))) > 0.1
     assert abs(np.linalg.det(np.stack([[1.0, 0.0], rate[0]]))) < 1e-12
-
-
-MOTOR = {
-    "stator_resistance": 0.18,
-    "rotor_resistance": 0.15,
-    "stator_inductance": 0.0699,
-    "rotor_inductance": 0.072,
-    "mutual_inductance": 0.068,
-    "inertia": 0.0586,
-    "pole_pairs": 2,
-}
-"""The motor of the default parameters with two pairs of poles, and inductances that tell stator from rotor."""
-
-
-def test_the_induction_motor_is_written_as_in_the_paper():
-    """Marino, Peresada & Valigi 1993: i' = Mα/(σLs Lr) ψ − n M/(σLs Lr) ω Jψ − γi + u/(σLs), J a quarter turn."""
-    rs, rr, ls, lr, m, inertia, n = MOTOR.values()
-    model = models.induction_motor(**MOTOR, load=3.0)
-    ia, ib, fa, fb, w = x = jnp.array([12.0, -40.0, 1.1, 0.4, 180.0])
-    ua, ub = u = jnp.array([300.0, -120.0])
-    sigma = 1 - m**2 / (ls * lr)
-    gamma = (m**2 * rr + lr**2 * rs) / (sigma * ls * lr**2)
-    alpha, beta = rr / lr, m / (sigma * ls * lr)
-    expected = [
-        alpha * beta * fa + n * beta * w * fb - gamma * ia + ua / (sigma * ls),
-        alpha * beta * fb - n * beta * w * fa - gamma * ib + ub / (sigma * ls),
-        -alpha * fa - n * w * fb + alpha * m * ia,
-        -alpha * fb + n * w * fa + alpha * m * ib,
-        n * m / (inertia * lr) * (fa * ib - fb * ia) - 3.0 / inertia,
-    ]
-    np.testing.assert_allclose(model.f(TIME, x, u), expected, rtol=1e-12)
-    unknown = models.induction_motor(**MOTOR, load=None).f(TIME, jnp.append(x, 3.0), u)
-    np.testing.assert_allclose(unknown, [*expected, 0.0], rtol=1e-12)
-
-
-def test_electrical_power_becomes_heat_field_and_mechanical_power():
-    rs, rr, ls, lr, m, inertia, _ = MOTOR.values()
-    x, u = jnp.array([12.0, -40.0, 1.1, 0.4, 180.0]), jnp.array([300.0, -120.0])
-
-    def stored(x):
-        rotor = (x[2:4] - m * x[:2]) / lr
-        field = ls * x[:2] @ x[:2] / 2 + m * x[:2] @ rotor + lr * rotor @ rotor / 2
-        return field + inertia * x[4] ** 2 / 2
-
-    rotor = (x[2:4] - m * x[:2]) / lr
-    gained = jax.grad(stored)(x) @ models.induction_motor(**MOTOR, load=3.0).f(TIME, x, u)
-    heat = rs * x[:2] @ x[:2] + rr * rotor @ rotor
-    np.testing.assert_allclose(u @ x[:2], heat + gained + 3.0 * x[4], rtol=1e-12)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from charts import Pullback
 
-from covariant.geometry import Euclidean, distance, exp, log, sphere, transport
-from covariant.models import Lagrangian
+from covariant.geometry import Budget, Euclidean, distance, exp, hyperbolic, log, sphere, transport
+from covariant.models import Lagrangian, free_body
 from covariant.observers import Intrinsic, LagrangianMetric
 from covariant.signals import StepCode
 
@@ -92,3 +92,73 @@ def test_samples_give_the_same_estimate_in_two_charts_of_the_sphere():
     assert gap_between_charts(plain, bent) < 1e-8
     plain, bent = (Intrinsic(model, ALPHA, BETA, substeps=20) for model in (ROUND, BENT_ROUND))
     assert gap_between_charts(plain, bent) > 1e-3
+
+
+BUDGET = Budget(newton=2, steps=16)
+
+
+@eqx.filter_jit
+def corrected(observer, q, v, y, age, xi, w):
+    """(ξ⁺, w⁺) of a correction, by the derivative of the observer's own step, and its new frame's point."""
+    space, manifold, sigma = observer.model.space, observer.model.manifold, observer.beta / observer.alpha
+
+    def correct(s, v):
+        state = observer.init(q)._replace(q=manifold.retract(q, s), v=v, age=age)
+        new = observer.correct(state, jnp.zeros_like(v), y)[0]
+        return new.q, new.v
+
+    new_q, new_v = correct(jnp.zeros_like(v), v)
+    shift = w + sigma * xi - space.connection(q, xi, v)  # of the components of v
+
+    def nearby(s, v):
+        q, v = correct(s, v)
+        return manifold.local(new_q, q), v
+
+    _, (xi_new, change) = jax.jvp(nearby, (jnp.zeros_like(v), v), (xi, shift))
+    return xi_new, change + space.connection(new_q, xi_new, new_v) - sigma * xi_new
+
+
+@eqx.filter_jit
+def by_jacobi_field(observer, q, v, y, age, xi, w, kappa):
+    """The same by the Jacobi field of constant curvature κ, and Gauss's quadrature."""
+    space, sigma = observer.model.space, observer.beta / observer.alpha
+    part = observer.alpha * age / (1 + observer.alpha * age)
+    along = space.shoot(q, y, budget=BUDGET).velocity
+    x = jnp.sqrt(jnp.abs(kappa)) * space.norm(q, along)
+    sine = jnp.sin if kappa > 0 else jnp.sinh
+
+    def inner(a, b):
+        return space.lower(q, a) @ b
+
+    parallel = inner(xi, along) / inner(along, along) * along
+
+    def field(s):  # in components at q̂, carried in parallel
+        return (1 - s) * parallel + sine((1 - s) * x) / sine(x) * (xi - parallel)
+
+    def curved(s):
+        moving = v + sigma * s * along
+        return kappa * (inner(field(s), moving) * along - inner(along, moving) * field(s))
+
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    gathered = part / 2 * weights @ jax.vmap(curved)(part * (1 + nodes) / 2)
+    return space.transport_along(q, part * along, jnp.stack([field(part), w + gathered]), BUDGET).w
+
+
+SPACES = {
+    "sphere": (Lagrangian(sphere()), jnp.array([-0.4, 0.6]), jnp.array([0.5, -0.3]), 1.0),
+    "hyperbolic plane": (Lagrangian(hyperbolic()), jnp.array([-0.4, 0.3]), jnp.array([0.3, -0.2]), -1.0),
+    "SO(3)": (free_body((1.0, 1.0, 1.0)), jnp.eye(3), jnp.array([0.7, -0.4, 0.9]), 0.25),
+}
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", SPACES)
+def test_a_correction_follows_the_jacobi_field(name):
+    """`ξ⁺ = J(θ)`, `w⁺ = Π(w + ∫₀^θ R(γ', J)(v̂ + σsγ') ds)`: on a curved space w does not stay as it is."""
+    model, q, y, kappa = SPACES[name]
+    y = model.manifold.retract(q, y) if y.shape != q.shape else y
+    observer = LagrangianMetric(model, 12.0, 60.0, BUDGET)
+    n = 3 if name == "SO(3)" else 2
+    v, xi, w = np.random.default_rng(2).normal(size=(3, n))
+    given = (observer, q, jnp.asarray(v), y, jnp.array(0.15), jnp.asarray(xi), jnp.asarray(w))
+    np.testing.assert_allclose(jnp.stack(corrected(*given)), by_jacobi_field(*given, kappa), rtol=0, atol=1e-7)

@@ -1,10 +1,8 @@
-"""Nodes of an export under real ROS 2 (`make ros`): equal to the batch run on the recorded bag, faults survived."""
+"""The node of an export under real ROS 2 (`make ros`): equal to the batch run on the recorded bag, faults survived."""
 
 import json
 import os
-import shutil
 import subprocess
-import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +14,6 @@ ROOT = Path(__file__).parents[2]
 ROS = ROOT / ".venv-ros"
 START = 1_700_000_000_123_456_789
 RATE, GAINS = 500.0, {"alpha": 60.0, "beta": 1800.0}
-FLAGS = ("-std=gnu99", "-Wall", "-Wextra", "-Werror", "-O2", "-fno-math-errno", "-ffp-contract=off")
-LIBRARIES = (
-    *("rcl", "rcl_yaml_param_parser", "rcutils", "rosidl_runtime_c"),
-    *(f"{m}__rosidl_{kind}" for m in ("sensor_msgs", "diagnostic_msgs") for kind in ("typesupport_c", "generator_c")),
-)
 pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(not (ROS / "lib" / "librcl.so").exists(), reason="needs ROS 2 in .venv-ros: make ros"),
@@ -81,21 +74,13 @@ def exported(model, messages, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def commands(exported, tmp_path_factory):
-    """How each node is started: the one in Python from its installed package, the one in C compiled here."""
-    folder = tmp_path_factory.mktemp("nodes")
-    source, place = exported / "arm_ros_c" / "src", folder / "site"
+def node(exported, tmp_path_factory):
+    """How the node is started, from its installed package."""
+    place = tmp_path_factory.mktemp("nodes") / "site"
     pip = [ROS / "bin" / "python", "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*pip, "--target", place, exported / "arm_ros"], check=True, timeout=120)
-    # The libraries of messages in these wheels hold Python's converters as well, and so need libpython.
-    python = sysconfig.get_config_var("LIBDIR")
-    include = [f"-I{each}" for each in sorted((ROS / "include").iterdir())]
-    linked = ["-Wl,--no-as-needed", f"-L{ROS}/lib", f"-L{python}", *(f"-l{name}" for name in LIBRARIES)]
-    linked += ["-lpython3.11", "-lm", f"-Wl,-rpath,{ROS}/lib:{python}", "-Wl,--allow-shlib-undefined"]
-    built = [shutil.which("cc"), *FLAGS, source / "node.c", source / "arm.c", *include, *linked]
-    subprocess.run([*built, "-o", folder / "observer"], check=True, timeout=120)
     start = f"import sys; sys.path.insert(0, {str(place)!r}); from arm_ros.node import main; main()"
-    return {"python": [ROS / "bin" / "python", "-c", start], "c": [folder / "observer"]}
+    return [ROS / "bin" / "python", "-c", start]
 
 
 def drive(command, plan, folder):
@@ -113,8 +98,7 @@ def batch(model, messages, folder):
     return np.column_stack([result.columns[name] for name in ("q1", "q2", "v1", "v2")])
 
 
-@pytest.mark.parametrize("kind", ["python", "c"])
-def test_nodes_equal_the_batch_run_through_faults(kind, commands, model, messages, tmp_path):
+def test_the_node_equals_the_batch_run_through_faults(node, model, messages, tmp_path):
     third = len(messages) // 3
     first, second, last = messages[:third], messages[third : 2 * third], messages[2 * third :]
     # Late ones and repeated ones between good ones; then the clock is set back by an hour, and the node restarted.
@@ -127,7 +111,7 @@ def test_nodes_equal_the_batch_run_through_faults(kind, commands, model, message
         {"restart": True},
         {"rate": RATE, "messages": last},
     ]
-    seen = drive(commands[kind], plan, tmp_path)
+    seen = drive(node, plan, tmp_path)
     rows = {ns: [*q, *v] for ns, _, q, v, _ in seen["heard"]}
     used = [first, back[4:], last]  # the first four after the clock was set back count as late
     worst = 0.0
@@ -139,7 +123,7 @@ def test_nodes_equal_the_batch_run_through_faults(kind, commands, model, message
     sent = sum(map(len, (faulty, back, last)))
     took = sum(seen["took"])
     print(
-        f"\n{kind}: {sent} sent at {sent / took:.0f} Hz, {len(seen['heard'])} estimates of {sum(map(len, used))}; "
+        f"\n{sent} sent at {sent / took:.0f} Hz, {len(seen['heard'])} estimates of {sum(map(len, used))}; "
         f"largest difference to the batch run {worst:.1e}; there and back in {np.median(latency):.2f} ms in the "
         f"median, {np.percentile(latency, 99):.2f} ms in 99 of 100, {latency[-1]:.1f} ms at most"
     )
@@ -150,26 +134,22 @@ def test_nodes_equal_the_batch_run_through_faults(kind, commands, model, message
     assert int(before["repeated"]) + int(before["late"]) >= 2 * (len(first) // 50)
 
 
-def test_numbers_of_the_model_change_at_run_time(commands, messages, tmp_path):
+def test_numbers_of_the_model_change_at_run_time(node, messages, tmp_path):
     part = messages[:200]
     plan = [
         {"set": {"model.mass_2": 0.6, "model.coulomb_1": 0.0}},
         {"set": {"model.mass_2": 1e9}},
         {"rate": RATE, "messages": part},
     ]
-    seen = drive(commands["python"], plan, tmp_path)
+    seen = drive(node, plan, tmp_path)
     assert [ok for ok, _ in seen["answers"]] == [True, True, False]
     assert "range" in seen["answers"][2][1]
-    # The node in C takes them at its start.
-    values = ["--ros-args", "-p", "model.mass_2:=0.6", "-p", "model.coulomb_1:=0.0"]
-    other = drive([*commands["c"], *values], plan[2:], tmp_path)
     rows = {ns: v for ns, _, _, v, _ in seen["heard"]}
-    assert max(abs(a - b) for ns, _, _, v, _ in other["heard"] for a, b in zip(v, rows[ns], strict=True)) < 1e-12
-    plain = {ns: v for ns, _, _, v, _ in drive(commands["c"], plan[2:], tmp_path)["heard"]}
+    plain = {ns: v for ns, _, _, v, _ in drive(node, plan[2:], tmp_path)["heard"]}
     assert max(abs(a - b) for ns, v in plain.items() for a, b in zip(v, rows[ns], strict=True)) > 1e-6
 
 
-def test_the_clock_of_ros_that_goes_back_starts_the_estimate_anew_at_once(commands, messages, tmp_path):
+def test_the_clock_of_ros_that_goes_back_starts_the_estimate_anew_at_once(node, messages, tmp_path):
     part = [m for m in messages if {"q1", "q2"} <= set(m[1])][:50]
     early = [(ns - 10**10, *rest) for ns, *rest in part]
     plan = [
@@ -179,6 +159,6 @@ def test_the_clock_of_ros_that_goes_back_starts_the_estimate_anew_at_once(comman
         {"rate": RATE, "messages": early},
         {"clock": [START - 10**10 + k * 10**9 for k in (1, 2, 3)]},
     ]
-    seen = drive([*commands["python"], "--ros-args", "-p", "use_sim_time:=true"], plan, tmp_path)
+    seen = drive([*node, "--ros-args", "-p", "use_sim_time:=true"], plan, tmp_path)
     assert len(seen["heard"]) == 100, "no message of those after the jump counts as late"
     assert (seen["counts"][-1]["restarts"], seen["counts"][-1]["late"]) == ("1", "0")

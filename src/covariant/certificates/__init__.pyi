@@ -16,7 +16,7 @@ from .base import (
     parse as parse,
     tangent_metric as tangent_metric,
 )
-from .checking import Checked as Checked, check as check, check_sample as check_sample
+from .checking import Checked as Checked, check as check
 from .everywhere import certify_globally as certify_globally, check_globally as check_globally
 from .proving import (
     Attempt as Attempt,
@@ -42,7 +42,6 @@ from .theory import (
     CascadeCertificate as CascadeCertificate,
     Corners as Corners,
     MetricDesign as MetricDesign,
-    ReducedOrderDesign as ReducedOrderDesign,
     at_corners as at_corners,
     cascade as cascade,
     common_metric as common_metric,
@@ -50,11 +49,8 @@ from .theory import (
     decay as decay,
     falsify as falsify,
     feedthrough as feedthrough,
-    longest_interval as longest_interval,
     observability as observability,
     observer_gain as observer_gain,
-    part_limits as part_limits,
-    reduced_order as reduced_order,
     tracking as tracking,
     virtual as virtual,
 )

@@ -99,13 +99,6 @@ REPORT = Option(
     suffixes=(".html",),
 )
 PAGE = REPORT._replace(help="Write a page (.html) of the numbers, and figures beside it where there are some.")
-RERUN = Option(
-    "rerun",
-    PATH,
-    "Write a recording for the Rerun viewer (.rrd): curves, bands, and the robot in motion.",
-    flags=("--rerun",),
-    suffixes=(".rrd",),
-)
 OVERWRITE = Option("overwrite", FLAG, "Let --out replace a file of another origin.", False, ("--overwrite",))
 LISTED = {
     "observer": {
@@ -174,7 +167,7 @@ COMMANDS = (
         LOG,
         "estimate arm.toml log.csv -o velocity.csv --report page.html",
         "docs/your-log.md",
-        own=(ESTIMATE, REPORT, RERUN, OVERWRITE),
+        own=(ESTIMATE, REPORT, OVERWRITE),
         changes=LISTED | {"log": EACH},
         again=_is_estimate,
         over_logs=True,
@@ -184,7 +177,7 @@ COMMANDS = (
         LOG,
         "smooth arm.toml log.csv -o smooth.csv",
         "docs/smoothing.md",
-        own=(ESTIMATE, REPORT, RERUN, OVERWRITE),
+        own=(ESTIMATE, REPORT, OVERWRITE),
         changes={"log": EACH},
         again=_is_estimate,
         over_logs=True,
@@ -230,13 +223,6 @@ COMMANDS = (
         changes={"start": {"flags": ("--start",)}},
         run=_to_store,
         note="A run that was stopped goes on where it was.",
-    ),
-    Command(
-        "design_reduced_order",
-        ROBOTS,
-        "design reduced-order lorenz --rate 1",
-        "docs/contracting.md",
-        "design reduced-order",
     ),
     Command(
         "sweep",

@@ -75,7 +75,6 @@ def show(
     out: Path | None = None,
     report: Path | None = None,
     figure: Path | None = None,
-    rerun: Path | None = None,
     words: Callable[[str], str] = str,
     **save: bool,
 ) -> None:
@@ -87,7 +86,6 @@ def show(
         out: Where `result.save` writes, or None.
         report: Where `result.report` writes its page, or None.
         figure: Where `result.draw` draws its figures, or None.
-        rerun: Where `result.rerun` writes its recording, or None.
         words: Puts the text of the result into the words of the command line.
         save: Further arguments of `result.save`.
 
@@ -101,8 +99,8 @@ def show(
         if out is not None:
             places["out"] = str(result.save(out, **save))
             _print_paths([str(path) for path in result.written_files(out)], quiet=as_json)
-        if report is not None or figure is not None or rerun is not None:
-            _print_paths(_draw(result, report, figure, rerun, places, as_json), quiet=as_json)
+        if report is not None or figure is not None:
+            _print_paths(_draw(result, report, figure, places, as_json), quiet=as_json)
     finally:  # a result that cannot be drawn is still printed, with the files that were written
         if as_json:
             print(json.dumps(result.summary | places), flush=True)
@@ -112,11 +110,10 @@ def _draw(
     result: Any,
     report: Path | None,
     figure: Path | None,
-    rerun: Path | None,
     places: dict[str, Any],
     quiet: bool,
 ) -> list[str]:
-    """Draw page, figures and recording of a result; returns their paths, which are noted in `places`."""
+    """Draw page and figures of a result; returns their paths, which are noted in `places`."""
     paths: list[Path] = []
     with progress_bar(quiet) as progress:
         progress("drawing")
@@ -126,9 +123,6 @@ def _draw(
         if figure is not None:
             paths += result.draw(figure)
             places["figure"] = str(figure)
-        if rerun is not None:
-            paths.append(result.rerun(rerun))
-            places["rerun"] = str(rerun)
     return [str(path) for path in paths]
 
 

@@ -1,4 +1,4 @@
-"""Packs an exported observer as two packages of ROS 2: a node in Python around its module, and a node in C on rcl.
+"""Packs an exported observer as a package of ROS 2: a node in Python around its module.
 
 Sources: REP 149, package.xml; the messages of sensor_msgs and diagnostic_msgs.
 """
@@ -20,17 +20,12 @@ LONGEST_GAP, SET_BACK = 1.0, 5
 """Gap [s] and number of late samples in a row after which the estimate restarts, as in `engine.Stream`."""
 POSITIVE = ("mass", "inertia", "length", "alpha", "beta", "noise", "speed")
 """Numbers that stay above zero; their range is from a tenth to ten times the exported value."""
-DEPENDS = {
-    "ament_python": (
-        "exec",
-        ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces", "launch_ros", "python3-numpy"),
-    ),
-    "ament_cmake": ("", ("rcl", "sensor_msgs", "diagnostic_msgs")),
-}
+DEPENDS = ("rclpy", "sensor_msgs", "diagnostic_msgs", "rcl_interfaces", "launch_ros", "python3-numpy")
+"""Packages that the node needs when it runs."""
 
 
 def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str, rate: float) -> dict[str, bytes]:
-    """Build two packages of ROS 2 around an exported observer of joints.
+    """Build a package of ROS 2 around an exported observer of joints.
 
     Args:
         program: The observer as graphs.
@@ -40,8 +35,7 @@ def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str,
         rate: Sampling rate [Hz] for which it was made.
 
     Returns:
-        Contents by their path in the folder of the export: `ros2/NAME_ros`, which pip and colcon build, and
-        `ros2/NAME_ros_c`, which colcon builds.
+        Contents by their path in the folder of the export: `ros2/NAME_ros`, which pip and colcon build.
 
     Raises:
         ValueError: The observer needs measurements other than one position of each joint.
@@ -55,17 +49,17 @@ def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str,
         >>> source = codegen.write_source(program, "speed", "A filtered derivative.")
         >>> texts = {"speed.h": source.header, "speed.c": source.source}
         >>> files = codegen.ros_files(program, texts, "speed", "A filtered derivative.", 100.0)
-        >>> "ros2/speed_ros/package.xml" in files, "ros2/speed_ros_c/src/node.c" in files
-        (True, True)
+        >>> "ros2/speed_ros/package.xml" in files
+        True
     """
     if len(program.y) != 1 or program.sensors or [leaf.name for leaf in program.output][:2] != ["q", "v"]:
         raise InputError("--ros2 is for observers of joints, each with a position; this one reads something else")
     words = common_words(program, name, about) | _words(program, name, about, rate)
-    package, native = f"{name.lower()}_ros", f"{name.lower()}_ros_c"
+    package = f"{name.lower()}_ros"
     module = python_files(program, texts, name, about, rate)
     files = {path.removeprefix("python/"): data for path, data in module.items() if not path.endswith(".whl")}
     files |= {
-        "package.xml": _manifest(package, about, "ament_python"),
+        "package.xml": _manifest(package, about),
         "setup.py": fill("covariant.codegen", "ros_setup.py", words),
         "setup.cfg": f"[develop]\nscript_dir=$base/lib/{package}\n[install]\ninstall_scripts=$base/lib/{package}\n",
         f"resource/{package}": "",
@@ -74,15 +68,7 @@ def ros_files(program: Program, texts: Mapping[str, str], name: str, about: str,
         f"launch/{name}.launch.py": fill("covariant.codegen", "ros_launch.py", words),
         f"config/{name}.yaml": fill("covariant.codegen", "ros_config.yaml", words),
     }
-    in_c = {
-        "package.xml": _manifest(native, about, "ament_cmake"),
-        "CMakeLists.txt": fill("covariant.codegen", "ros_CMakeLists.txt", words | {"PACKAGE": native}),
-        "src/node.c": fill("covariant.codegen", "ros_node.c", words),
-        f"src/{name}.c": texts[f"{name}.c"],
-        f"src/{name}.h": texts[f"{name}.h"],
-    }
     written = {f"ros2/{package}/{path}": content for path, content in files.items()}
-    written |= {f"ros2/{native}/{path}": content for path, content in in_c.items()}
     return {path: text.encode() if isinstance(text, str) else text for path, text in written.items()}
 
 
@@ -91,31 +77,19 @@ def _words(program: Program, name: str, about: str, rate: float) -> Words:
     labels = program.signals.y if len(program.signals.y) == n else tuple(f"joint{k + 1}" for k in range(n))
     joints = [label.partition(" [")[0].removesuffix("/position").rpartition("/")[2] for label in labels]
     force = next((x.name for x in program.stored if x.name.endswith("force") and x.size == n), "")
-    effort = program.u == n
-    numbers = [
-        (f"model.{key}{f'_{k + 1}' if len(values) > 1 else ''}", f"&params.{key}{f'[{k}]' if shape else ''}")
-        for (key, values), shape in zip(flat.items(), (leaf.shape for leaf in program.parameters), strict=True)
-        for k in range(len(values))
-    ]
     return {
         "PACKAGE": f"{name.lower()}_ros",
         "ABOUT": about.replace("\\", "/").replace('"', "'").replace("*/", ""),
         "JOINTS": json.dumps(joints),
-        "JOINTS_C": ", ".join(map(json.dumps, joints)),
         "FORCE": json.dumps(force),
-        "FORCE_FIELD": force or "none",
-        "HAS_FORCE": int(bool(force)),
         "RATE": repr(float(rate)),
         "LONGEST_GAP": LONGEST_GAP,
         "SET_BACK": SET_BACK,
-        "U": max(1, program.u),
-        "USE_EFFORT": str(effort).lower(),
-        "USE_EFFORT_C": int(effort),
+        "USE_EFFORT": str(program.u == n).lower(),
         "RANGES": [
             f"    {key!r}: {[(*_range(key, value), program.units.get(key) or '') for value in values.tolist()]},"
             for key, values in flat.items()
         ],
-        "NUMBERS": [f'    {{"{key}", {place}}},' for key, place in numbers],
     }
 
 
@@ -127,10 +101,7 @@ def _range(name: str, value: float) -> tuple[float, float]:
     return (0.0 if name.startswith(("viscous", "coulomb")) and value >= 0 else -reach), reach
 
 
-def _manifest(package: str, about: str, build: str) -> str:
-    kind, names = DEPENDS[build]
-    tag = f"{kind}_depend" if kind else "depend"
-    depends = [f"  <{tag}>{each}</{tag}>" for each in names]
-    depends += ["  <buildtool_depend>ament_cmake</buildtool_depend>"] if build == "ament_cmake" else []
-    words = {"PACKAGE": package, "DESCRIPTION": escape(about), "LICENSE": "Proprietary", "BUILD": build}
+def _manifest(package: str, about: str) -> str:
+    depends = [f"  <exec_depend>{each}</exec_depend>" for each in DEPENDS]
+    words = {"PACKAGE": package, "DESCRIPTION": escape(about), "LICENSE": "Proprietary"}
     return fill("covariant.codegen", "ros_package.xml", words | {"DEPENDS": depends})

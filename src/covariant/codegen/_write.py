@@ -87,8 +87,7 @@ _PYTHON = """| `python/NAME` | a Python package that needs NumPy alone; put `pyt
 _WASM = """| `NAME.wasm`, `NAME_wasm.c` | the observer as WebAssembly, and the C of its calls |
 | `NAME.js` | a script for web pages and Node that holds it |
 | `test/NAME_test.js` | its self-test: `node test/NAME_test.js` |"""
-_ROS = """| `ros2/PACKAGE` | ROS 2, a node in Python: `colcon build`, `ros2 launch PACKAGE NAME.launch.py` |
-| `ros2/PACKAGE_c` | ROS 2, a node in C on rcl: `colcon build`, `ros2 run PACKAGE_c observer` |"""
+_ROS = "| `ros2/PACKAGE` | ROS 2, a node in Python: `colcon build`, `ros2 launch PACKAGE NAME.launch.py` |"
 """Rows of the README for files that are written on demand."""
 
 

@@ -50,7 +50,6 @@ from .systems import (
     heavy_top as heavy_top,
     hopping_leg as hopping_leg,
     hovercraft as hovercraft,
-    induction_motor as induction_motor,
     lorenz as lorenz,
     oscillator as oscillator,
     pendulum_chain as pendulum_chain,

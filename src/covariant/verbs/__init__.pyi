@@ -9,7 +9,6 @@ from ._export import export as export
 from ._fit import check_machine_files as check_machine_files, fit as fit
 from ._init import init as init
 from ._metric import design_metric as design_metric
-from ._reduced_order import design_reduced_order as design_reduced_order
 from ._reproduce import reproduce_paper as reproduce_paper
 from ._simulate import simulate as simulate
 from ._smooth import smooth as smooth
@@ -29,6 +28,5 @@ __all__ = [
     "check_certificate",
     "describe_model",
     "design_metric",
-    "design_reduced_order",
     "init",
 ]

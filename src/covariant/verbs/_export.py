@@ -86,7 +86,7 @@ def export(
             for samples in which nothing else was read: less work, more code.
         python: Write a Python package that needs NumPy alone beside the C, and a wheel of it.
         wasm: Compile the observer to WebAssembly as well, with a script for pages and Node.
-        ros2: Write two packages of ROS 2: a node in Python, and one in C.
+        ros2: Write a package of ROS 2 with a node in Python.
         gate: Write the gate of the observer, which refuses outliers.
         log: The log on which `estimate` runs, for the usual speed in the gate, for encoder ticks, and for sensors that
             it has no columns of, which are left out; by default the speed is the product of `motion_acceleration` and

@@ -14,9 +14,8 @@ from jaxtyping import Array, Float
 
 from covariant import models
 from covariant.metrics import Equation, Grid, MetricSummary, metric_on_grid, metric_summary, rate_from_gramian
-from covariant.models import Overrides, StateSpace
+from covariant.models import ModelFile, Overrides, StateSpace
 from covariant.verbs.base.arguments import Amounts, Region, Scheduler, above_zero, bounds, numbers
-from covariant.verbs.base.coordinates import box_of, system_in_coordinates
 from covariant.verbs.base.inputs import numbered
 from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
@@ -103,7 +102,7 @@ def design_metric(
     name = models.spec_name(model)
     progress("reading the model")
     file = models.load(model, overrides)
-    system = system_in_coordinates(name, file)
+    system = _system(name, file)
     axes = _grid(name, system, grid, region)
     u = None if input is None else jnp.asarray(numbers("input", input, numbered("u", system.inputs)))
     process = _diagonal("process-cov", process_cov, system.coordinates)
@@ -217,8 +216,35 @@ def _check_rates(rate: float, window: float | None, process_cov: Amounts | None)
         above_zero("window", window)
 
 
+def _system(name: str, file: ModelFile) -> StateSpace:
+    """The model as a state-space model with names of its states."""
+    if not file.model.manifold.commuting:
+        raise InputError(
+            f"{name} is on a group, and metrics are designed in coordinates; give a StateSpace or a Lagrangian, or use "
+            "the observers on groups by `covariant estimate`"
+        )
+    model = models.state_space(file.model)
+    if not model.coordinates:
+        raise InputError(f"{name}: the model names no coordinates; give it some: they are the axes of the grid")
+    return model
+
+
+def _box_of(name: str, model: StateSpace, region: Region | None) -> dict[str, tuple[float, float]]:
+    """Bounds of every state by name: from `region` if it has them, else from the model's own box."""
+    # The box is empty where the model has none, so its length is not checked.
+    ends = {name: (float(low), float(high)) for name, (low, high) in zip(model.coordinates, model.box, strict=False)}
+    ends |= bounds("region", region or {}, model.coordinates)
+    missing = [each for each in model.coordinates if each not in ends]
+    if missing:
+        example = ",".join(f"{each}=LOW:HIGH" for each in model.coordinates)
+        raise InputError(
+            f"region lacks {', '.join(missing)}, and {name} has no box of its own; give the ends of all: {example}"
+        )
+    return ends
+
+
 def _grid(name: str, model: StateSpace, grid: int | Sequence[int], region: Region | None) -> Grid:
-    ends = box_of(name, model, region)
+    ends = _box_of(name, model, region)
     units = model.units or ("",) * len(model.coordinates)
     low, high = zip(*(ends[each] for each in model.coordinates), strict=True)
     return Grid(model.coordinates, units, low, high, _counts(grid, model.coordinates))

@@ -169,10 +169,6 @@ class SmoothResult(AbstractEstimates):
             units |= {f"{name}_filtered": unit, f"{name}_filtered_std": unit}
         return units | self.smoothed.loaded.file.columns.units_of(units)
 
-    @property
-    def _estimated(self) -> EstimateResult:
-        return self.smoothed
-
     written = logs.WRITTEN
 
     @property

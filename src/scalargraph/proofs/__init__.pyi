@@ -1,5 +1,4 @@
 from . import checker as checker
-from ._balls import BITS as BITS, BallMatrix as BallMatrix
 from ._box import Box as Box, box as box, check_box as check_box
 from ._conditions import show_conditions as show_conditions
 from ._file import Field as Field, digest as digest, parse_file as parse_file, read_file as read_file

@@ -1,3 +1,2 @@
 from ._check import follows as follows
 from ._checked import Checked as Checked, check as check, judged as judged
-from ._sample import Sampled as Sampled, check_sample as check_sample

@@ -51,8 +51,7 @@ def check(
 
     Use it on a certificate that somebody else has made: it repeats the proof with a separate checker, and does not rely
     on the verdict in the file. The assumptions of the statement remain assumptions. The code of a given `model` is run.
-    A fault raises `ValueError`; `verbs.check_certificate` returns it as a result, and also checks some leaves in ball
-    arithmetic.
+    A fault raises `ValueError`; `verbs.check_certificate` returns it as a result.
 
     Args:
         source: the file, or the result of `parse`.

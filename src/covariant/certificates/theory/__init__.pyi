@@ -12,10 +12,6 @@ from ._distance import (
     upper_distance as upper_distance,
 )
 from ._falsify import falsify as falsify
-from ._implicit_limits import (
-    longest_interval as longest_interval,
-    part_limits as part_limits,
-)
 from ._lmi import (
     MetricDesign as MetricDesign,
     common_metric as common_metric,
@@ -29,5 +25,4 @@ from ._observability import (
     detectability_rate as detectability_rate,
     observability as observability,
 )
-from ._reduced_order import ReducedOrderDesign as ReducedOrderDesign, reduced_order as reduced_order
 from ._virtual import virtual as virtual

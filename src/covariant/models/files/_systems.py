@@ -22,7 +22,6 @@ SYSTEMS = {
     "heavy_top": "systems._heavy_top:heavy_top",
     "hopping_leg": "systems._hopping_leg:hopping_leg",
     "hovercraft": "systems._hovercraft:hovercraft",
-    "induction_motor": "systems._induction_motor:induction_motor",
     "legged_base": "systems._legged_base:legged_base",
     "lorenz": "systems._lorenz:lorenz",
     "manoeuvring_ship": "marine:manoeuvring_ship",

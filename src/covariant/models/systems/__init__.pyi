@@ -4,7 +4,6 @@ from ._duffing import duffing as duffing
 from ._heavy_top import free_body as free_body, heavy_top as heavy_top
 from ._hopping_leg import hopping_leg as hopping_leg
 from ._hovercraft import hovercraft as hovercraft
-from ._induction_motor import induction_motor as induction_motor
 from ._lorenz import lorenz as lorenz
 from ._oscillator import oscillator as oscillator
 from ._pendulum_chain import pendulum_chain as pendulum_chain

@@ -1,4 +1,4 @@
-"""Observers with constant gains: intrinsic, geodesic, on groups, for ships, contracting, reduced-order."""
+"""Observers with constant gains: intrinsic, geodesic, on groups, for ships, contracting."""
 
 import lazy_loader
 

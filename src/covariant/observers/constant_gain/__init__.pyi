@@ -12,5 +12,4 @@ from ._passive_ship import (
     notch_gains as notch_gains,
     printed_rate as printed_rate,
 )
-from ._reduced_order import ReducedOrder as ReducedOrder
 from ._salcudean import Salcudean as Salcudean, of_mean_inertia as of_mean_inertia

@@ -5,7 +5,7 @@ Source: Jouffroy & Fossen 2004, equation (12). Its Theorem 2 is replaced by the 
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -94,7 +94,17 @@ class Contracting(AbstractFlowObserver):
     memory: Scalar = eqx.field(default=jnp.inf, converter=as_gain)
 
     def __check_init__(self):
-        check_gain("Contracting", self.model, self.start, "gain", self.gain)
+        n, p = self.start.shape[0], len(self.model.outputs)
+        if self.model.coordinates and n != len(self.model.coordinates):
+            raise InputError(f"start has {n} entries; the model has {len(self.model.coordinates)} states")
+        if callable(self.gain):  # it has no shape to check
+            return
+        if p and self.gain.shape != (n, p):
+            raise InputError(
+                f"gain must have a row for each of {n} states, a column for each of {p} outputs; its shape is "
+                f"{self.gain.shape}"
+            )
+        check_finite("Contracting", gain=self.gain)
 
     def init(self, y: Float[Array, "p"], t: Number = 0.0) -> ContractingState:
         """State at the first estimate `start`.
@@ -172,24 +182,6 @@ class Contracting(AbstractFlowObserver):
 
     def _gain(self, t: Scalar, z: Float[Array, "p"]) -> Float[Array, "n p"]:
         return self.gain(t, z) if callable(self.gain) else jnp.asarray(self.gain, z.dtype)
-
-
-def check_gain(whose: str, model: StateSpace, start: Vector, name: str, gain: Any) -> None:
-    """Check that the gain of an observer has a row for each state of its start, and a column for each output.
-
-    A function `(t, z) -> (n, p)` has no shape to check.
-    """
-    n, p = start.shape[0], len(model.outputs)
-    if model.coordinates and n != len(model.coordinates):
-        raise InputError(f"start has {n} entries; the model has {len(model.coordinates)} states")
-    if callable(gain):
-        return
-    if p and gain.shape != (n, p):
-        raise InputError(
-            f"{name} must have a row for each of {n} states, a column for each of {p} outputs; its shape is "
-            f"{gain.shape}"
-        )
-    check_finite(whose, **{name: gain})
 
 
 def craft_observer(craft: Craft, k1: Numbers, k2: Numbers, start: Vector | None = None) -> Contracting:

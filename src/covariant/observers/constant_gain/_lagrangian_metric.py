@@ -50,8 +50,8 @@ class LagrangianMetric(AbstractGeodesicObserver):
     `K = R(·, v)v − ∇S`. In exchange no α is too large and, in a flat metric, no error is. β/α must be well below 2/h.
     If no geodesic is found, the first-order error of `Intrinsic` replaces it, and `result` says `NOT_CONVERGED`.
 
-    Use it for a high gain at a low sampling rate, long gaps, or large errors; `certificates.part_limits` chooses gains
-    for samples. At low gains on a curved space it may not converge where `Intrinsic` does.
+    Use it for a high gain at a low sampling rate, long gaps, or large errors. At low gains on a curved space
+    it may not converge where `Intrinsic` does.
 
     Attributes:
         model: The mechanical system.

@@ -16,11 +16,10 @@ from scalargraph.proofs import read_file
 def check_certificate(
     path: str | Path, *, model: str | None = None, processes: int = 1, progress: Progress = notebook_line
 ) -> "CertificateCheckResult":
-    """Verify a saved certificate: all leaves of its proofs, and some of them again in ball arithmetic.
+    """Verify a saved certificate: all leaves of its proofs.
 
-    A certificate that is not verified gives a result with the reason, rather than an exception. `model` runs code of
-    the person who checks, and never code from the file. `certificates.check` is the same without ball arithmetic, and
-    returns the statement.
+    A certificate that is not verified gives a result with the reason, where `certificates.check` raises an exception.
+    `model` runs code of the person who checks, and never code from the file.
 
     Args:
         path: The certificate (.json), as `certify` saves it.
@@ -43,18 +42,17 @@ def check_certificate(
         True
     """
     path = Path(path)
-    content = read_file(path)  # only once, so that both checks examine the same content
+    content = read_file(path)  # only once, so that both kinds of certificates are read from the same content
     counted = functools.partial(_leaves, progress)
     try:
         checked = certificates.check_globally(path, content, model=model, progress=counted)
-        if checked is not None:
-            return CertificateCheckResult(path, model, checked, 0, "none in ball arithmetic")
-        document = certificates.parse(path, content)
-        processes = int(above_zero("processes", processes))
-        checked = certificates.check(document, model=model, processes=processes, progress=counted)
-        return CertificateCheckResult(path, model, checked, *_in_balls(document, model))
+        if checked is None:
+            document = certificates.parse(path, content)
+            processes = int(above_zero("processes", processes))
+            checked = certificates.check(document, model=model, processes=processes, progress=counted)
     except InputError as refusal:
-        return CertificateCheckResult(path, model, None, 0, str(refusal))
+        return CertificateCheckResult(path, model, None, str(refusal))
+    return CertificateCheckResult(path, model, checked)
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,20 +63,18 @@ class CertificateCheckResult(AbstractResult):
         path: The file.
         model: The `module:attribute` that was given for its model, or None.
         checked: What was verified; None where the certificate is refused.
-        balls: Number of leaves that were verified again in ball arithmetic.
-        note: A remark on the balls, or why the certificate is refused.
+        reason: Why the certificate is refused; empty where it is verified.
 
     Example:
         >>> from covariant import verbs
-        >>> verbs.CertificateCheckResult("top.json", None, None, 0, "its digest does not fit")
+        >>> verbs.CertificateCheckResult("top.json", None, None, "its digest does not fit")
         <CertificateCheckResult: top.json: refused>
     """
 
     path: Path
     model: str | None
     checked: certificates.Checked | None
-    balls: int
-    note: str
+    reason: str = ""
 
     @property
     def verified(self) -> bool:
@@ -92,16 +88,16 @@ class CertificateCheckResult(AbstractResult):
     @property
     def summary(self) -> dict[str, Any]:
         if self.checked is None:
-            return {"verified": False, "reason": self.note}
+            return {"verified": False, "reason": self.reason}
         assumed = [each.text for each in self.checked.statement.hypotheses if each.evidence == "assumed"]
-        details = {"model": self.model, "balls": self.balls, "assumed": assumed}
+        details = {"model": self.model, "assumed": assumed}
         return {"verified": True, **self.checked._asdict(), "statement": self.checked.statement.document(), **details}
 
     def __str__(self) -> str:
         details = self.checked
         if details is None:
-            return f"Refused: {self.note}"
-        lines = [f"Verified: {details.leaves} leaves in {details.seconds:.1f} s, {self.note}."]
+            return f"Refused: {self.reason}"
+        lines = [f"Verified: {details.leaves} leaves in {details.seconds:.1f} s."]
         if details.model_given:
             given = f"The model is {self.model}, given by the person who checks"
             lines.append(f"{given}; that the file means this one is not verified.")
@@ -110,12 +106,3 @@ class CertificateCheckResult(AbstractResult):
 
 def _leaves(progress: Progress, done: int, total: int) -> None:
     progress(f"checking leaves, {done} of {total}", done / max(total, 1))
-
-
-def _in_balls(document: certificates.Document, model: str | None) -> tuple[int, str]:
-    """The number of leaves verified in ball arithmetic, also in words."""
-    try:
-        balls = certificates.check_sample(document, model=model).leaves
-    except ImportError as missing:
-        return 0, f"none in ball arithmetic: {missing}"
-    return balls, f"{balls} of them again in ball arithmetic"

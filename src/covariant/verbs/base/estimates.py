@@ -170,10 +170,6 @@ class EstimateResult(AbstractEstimates):
         table |= {name: values for name, (_, values) in self._torques.items()}
         return table if self.pushes is None else table | {"pushed": self.pushes.rows.astype(float)}
 
-    @property
-    def _estimated(self) -> "EstimateResult":
-        return self
-
     written = logs.WRITTEN
 
     @property

@@ -17,8 +17,6 @@ from covariant.report import Along, EstimateReport, write_article, write_report
 from covariant.signals import StepCode
 from covariant.verbs.base.inputs import Job, Loaded
 from covariant.verbs.base.outcome import Outcome, deviations, known, pushes, slow_units
-from covariant.verbs.base.outputs import check_output
-from covariant.verbs.base.recording import write_recording
 from covariant.verbs.base.result import AbstractResult, AbstractTable
 
 if TYPE_CHECKING:
@@ -209,32 +207,6 @@ def write_result_page(
 
 class AbstractEstimates(AbstractTable):
     """Table of estimates, which is drawn on one page."""
-
-    def rerun(self, path: str | Path) -> Path:
-        """Write a recording for the Rerun viewer: measured and estimated curves, bands of ±2σ, forces, and the robot.
-
-        The timeline `t` is that of the log [s]. Curves have every row; the bodies of a robot move at most 50 times a
-        second.
-
-        Args:
-            path: The recording to write (.rrd), whole or not at all.
-
-        Returns:
-            The path.
-
-        Raises:
-            ValueError: For another suffix, or a folder that does not exist.
-            ImportError: Without Rerun, `pip install 'covariant[live]'`.
-        """
-        path = Path(path)
-        check_output(path, ".rrd")
-        write_recording(path, self._page().title, self.columns, self._estimated)
-        return path
-
-    @property
-    @abc.abstractmethod
-    def _estimated(self) -> Any:
-        """The `EstimateResult` whose measurements, results and configurations are drawn."""
 
     def _write_page(self, path: Path) -> list[Path]:
         return write_report(self._page(), path)

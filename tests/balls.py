@@ -1,7 +1,7 @@
-"""Checks boxes of a proof again in ball arithmetic of many digits, a third arithmetic after the prover's and checker's.
+"""Checks leaves of saved certificates in ball arithmetic of many digits: a third one, beside prover and checker.
 
-The graphs of the matrix and of its derivatives are the same as the prover's. The graphs and the test of positive
-definiteness are evaluated in the arithmetic of Arb, which needs python-flint.
+The graphs of a matrix and of its derivatives are the same as the prover's. The graphs and the test of positive
+definiteness are evaluated in the arithmetic of Arb, by python-flint.
 
 Source: F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interval arithmetic, IEEE Trans. Computers
 66(8), 2017.
@@ -9,16 +9,31 @@ Source: F. Johansson, Arb: efficient arbitrary-precision midpoint-radius interva
 
 import math
 import operator
+from pathlib import Path
 from typing import Any
 
+import flint
 import jax.numpy as jnp
 import numpy as np
 
+from covariant.certificates.base import (
+    FORMS,
+    DisturbanceClaim,
+    Document,
+    PredictionClaim,
+    Resolved,
+    disturbance_bound,
+    joint_force_bound,
+    parse,
+)
+from covariant.certificates.checking._check import follows
+from covariant.certificates.checking._matrices import prediction_of_steps, sizes
+from covariant.certificates.sampled import defect_bound
 from scalargraph import Lowered, evaluate, expand
 from scalargraph.errors import InputError
 from scalargraph.graph import Domain, pairs
-from scalargraph.proofs._form import Form
-from scalargraph.proofs.checker import halves
+from scalargraph.proofs import Form
+from scalargraph.proofs.checker import halves, leaves
 
 BITS = 106
 """Precision in bits, twice that of a double."""
@@ -29,8 +44,9 @@ DEPTH = 8
 class BallMatrix:
     """Taylor's form of a symmetric matrix (n, n), `S(c) + S'(c) δ + ½ S''(box) δ²`, in balls of many digits.
 
+    The caller sets the precision, `flint.ctx.workprec(BITS)`.
+
     Args:
-        flint: The package python-flint, whose precision in bits the caller sets, such as to `BITS`.
         form: The matrix.
         low: Lower corner (d,) of a box that contains all others.
         high: Upper corner (d,).
@@ -39,21 +55,9 @@ class BallMatrix:
         n: Number of rows.
         free: Indices of the variables that the matrix reads and that have distinct bounds.
         reads: Their number.
-
-    Example:
-        >>> import importlib.util
-        >>> import jax.numpy as jnp, numpy as np
-        >>> from scalargraph.proofs import BITS, BallMatrix, as_form
-        >>> form = as_form(lambda z: jnp.array([[2.0 + z[0], 1.0], [1.0, 2.0]]))
-        >>> low, high = np.array([-0.9]), np.array([1.0])
-        >>> if importlib.util.find_spec("flint"):
-        ...     import flint
-        ...
-        ...     with flint.ctx.workprec(BITS):
-        ...         assert BallMatrix(flint, form, low, high).show(low, high, "claim 1") == 1
     """
 
-    def __init__(self, flint: Any, form: Form, low: np.ndarray, high: np.ndarray):
+    def __init__(self, form: Form, low: np.ndarray, high: np.ndarray):
         entries = form.then(lambda m: (m + m.T) / 2).graph(jnp.asarray(low)).entries
         self.n = entries.results[0].shape[0]
         read = {int(node.value or 0) for node in entries.graph.nodes if node.op == "input"}
@@ -219,3 +223,59 @@ def _stumpff(arb: Any, k: int, x: Any) -> Any:
         raise _UndecidedError
     # 2 is 1/(1 − 1/2), the sum of the geometric series. arb(0, 1) is the ball [−1, 1]: the remainder has either sign.
     return total + 2 * abs(term).upper() * arb(0, 1)
+
+
+MOST_VARIABLES = 10
+"""Largest number of variables of a leaf that is checked whole."""
+PART = 64
+"""Ratio of a leaf with many variables to its checked part, in every direction."""
+
+
+def check_sample(source: str | Path | Document, count: int = 20, seed: int = 0) -> tuple[int, int]:
+    """Check random leaves of a saved certificate, drawn from all its claims; returns their number and that of all.
+
+    Balls bound derivatives operation by operation, which needs smaller boxes than the Taylor models of the proof, so
+    leaves are halved. Two kinds of leaves are too large for that: leaves with more than ten variables, and leaves on
+    the steps of predictions. Of these only a random part is checked. A box that is not confirmed raises `ValueError`.
+    """
+    document = source if isinstance(source, Document) else parse(source)
+    resolved, claims = follows(document), document.claims
+    boxes = [leaves(*document.bounds(claim), claim.levels, f"claims[{index}]") for index, claim in enumerate(claims)]
+    ends = np.cumsum([len(low) for low, _ in boxes])
+    rng = np.random.default_rng(seed)
+    # Drawn without repetition over all claims together, so that each leaf has the same probability.
+    drawn = np.sort(rng.permutation(ends[-1])[:count])
+    with flint.ctx.workprec(BITS):
+        for index, claim in enumerate(claims):
+            chosen = drawn[(drawn < ends[index]) & (drawn >= ends[index] - len(boxes[index][0]))]
+            if not len(chosen):
+                continue
+            form = BallMatrix(_FORMS[claim.kind](resolved, claim), *document.bounds(claim))
+            for k in chosen - (ends[index] - len(boxes[index][0])):
+                leaf = boxes[index][0][k], boxes[index][1][k]
+                # Derivatives of the defect of steps are too wide for balls on a whole leaf.
+                large = form.reads > MOST_VARIABLES or isinstance(claim, PredictionClaim)
+                piece = _part(*leaf, rng) if large else leaf
+                form.show(*piece, f"{document.file}: leaf {k} of claims[{index}]")
+    return len(drawn), int(ends[-1])
+
+
+def _part(low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """A random part of a box."""
+    start = low + rng.uniform(size=len(low)) * (1 - 1 / PART) * (high - low)
+    return start, np.minimum(start + (high - low) / PART, high)
+
+
+def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Form:
+    if of.document.sampling is None:
+        return disturbance_bound(of.about, sizes(of.document), claim.square)
+    return joint_force_bound(of.about, of.document.given.disturbance, claim.square)
+
+
+_FORMS = FORMS | {
+    "disturbance": _disturbance,
+    "prediction": lambda of, claim: defect_bound(
+        prediction_of_steps(of.document, of.observer), claim.square, claim.order
+    ),
+}
+"""The forms of all claims, including those that need the checker's bounds of noise or the observer that runs."""
