@@ -8,9 +8,9 @@ from ._columns import (
     check_log as check_log,
 )
 from ._configuration import bodies as bodies, coordinates as coordinates, matrices as matrices, to_columns as to_columns
-from ._data_set import episodes as episodes, survey as survey
+from ._data_set import survey as survey
 from ._endings import MESSAGES as MESSAGES, WRITTEN as WRITTEN
-from ._episodes import episodes_fault as episodes_fault, part_of as part_of
+from ._episodes import episodes as episodes, episodes_fault as episodes_fault, part_of as part_of
 from ._read import OPTIONAL as OPTIONAL, read as read, record as record
 from ._register import Register as Register
 from ._tables import source_name as source_name

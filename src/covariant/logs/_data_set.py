@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import re
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -14,8 +13,8 @@ from jaxtyping import Float
 
 from covariant._door import STORE
 from covariant.logs._cells import numbers
-from covariant.logs._columns import TEXTS, LogError, kind, pyarrow
-from covariant.logs._episodes import episode_columns, part_of
+from covariant.logs._columns import LogError, pyarrow
+from covariant.logs._episodes import INFO, episodes, part_of
 from covariant.logs._read import legible, open_source
 from covariant.logs._register import Register
 from covariant.logs._stamps import stamps, timed
@@ -24,8 +23,6 @@ from covariant.logs._text import with_points
 from covariant.logs._unit_in_name import words_of
 from scalargraph.files import bounded, read_bytes
 
-_INFO = Path("meta", "info.json")
-"""Description of a LeRobot data set, from its folder."""
 _CALIBRATIONS = ("calibration.json", "meta/calibration.json")
 """Files with the calibration of the arm, from the folder of its data set."""
 TRIED, LEAST_MOTION = 20, 0.01
@@ -85,8 +82,8 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
         ['t', 'q1']
     """
     if not isinstance(log, str | PathLike) or len(each := episodes(log)) < 2:
-        return _survey(log)
-    tried = [_survey(each[k]) for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int))]
+        return survey_log(log)
+    tried = [survey_log(each[k]) for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int))]
     names = [name for name in tried[0].columns if all(name in found.columns for found in tried)]
     moved = np.array([[np.nanstd(found.columns[name]) for name in names] for found in tried])
     most = moved.max(axis=0)
@@ -95,7 +92,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     return best if data_set is None else data_set.describe(best)
 
 
-def _survey(log: Any) -> LogSurvey:
+def survey_log(log: Any) -> LogSurvey:
     name = source_name(log)
     with legible(name, log):
         source = open_source(name, log)
@@ -114,73 +111,6 @@ def _survey(log: Any) -> LogSurvey:
     return LogSurvey(columns, source.units, tuple(remarks), source.labels, log)
 
 
-def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
-    """The logs of a file or a folder, in the order of the numbers in their names.
-
-    A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one. A folder
-    has those of all logs in it; of a LeRobot data set, those of its `data`.
-
-    Args:
-        log: A path.
-
-    Returns:
-        Paths of logs, for `read` and all that takes a log.
-
-    Raises:
-        LogError: The folder has no log.
-
-    Example:
-        >>> import pandas, tempfile
-        >>> from pathlib import Path
-        >>> from covariant import logs
-        >>> folder = Path(tempfile.mkdtemp())
-        >>> frame = pandas.DataFrame({"t": [0.0, 0.1, 0.0, 0.1], "q": [1.0, 2.0, 3.0, 4.0], "episode": [0, 0, 1, 1]})
-        >>> frame.to_csv(folder / "runs.csv", index=False)
-        >>> [Path(each).name for each in logs.episodes(folder)]
-        ['runs.csv#0', 'runs.csv#1']
-    """
-    path, number = part_of(log)
-    if path.is_dir() and not _is_log(path):
-        inside = (path / "data").rglob("*.parquet") if (path / _INFO).is_file() else path.iterdir()
-        files = sorted(filter(_is_log, inside), key=lambda file: _natural(str(file)))
-        if not files:
-            raise LogError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
-        return tuple(each for file in files for each in episodes(file))
-    if number is not None or not path.is_file() or path.suffix.lower() not in (*TEXTS, ".parquet"):
-        return (str(log),)
-    numbers = _numbers(path)
-    return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (str(log),)
-
-
-def _is_log(path: Path) -> bool:
-    with contextlib.suppress(LogError):
-        return bool(kind(path))
-    return False
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Sorting key by which numbers within names count as such."""
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", name)]
-
-
-def _numbers(path: Path) -> list[int]:
-    """Numbers of the episodes of a file, in the order of its rows; empty if it does not have any."""
-    if path.suffix.lower() == ".parquet":
-        with pyarrow().parquet.ParquetFile(path) as file:
-            columns = episode_columns(file.schema_arrow.names)[:1]
-            found = file.read(columns=columns).column(0).unique().to_numpy() if columns else np.empty(0)
-    else:
-        with path.open("rb") as file:  # most texts have no such column, and are not read for it
-            header = file.readline(1 << 20).decode(errors="replace")
-        if not episode_columns(re.split(r"[,;\t\s]+", header.strip())):
-            return []
-        columns = _survey(path).columns
-        named = episode_columns(columns)
-        found = columns[named[0]] if named else np.empty(0)
-    whole = [int(each) for each in found if np.isfinite(each) and each == int(each)]
-    return list(dict.fromkeys(whole))
-
-
 class DataSet(NamedTuple):
     """What a LeRobot data set says of its robot.
 
@@ -195,7 +125,7 @@ class DataSet(NamedTuple):
     @classmethod
     def of(cls, folder: Path) -> "DataSet | None":
         """The data set in a folder, or None if there is none."""
-        info = _json(folder / _INFO)
+        info = _json(folder / INFO)
         if not info:
             return None
         calibration: dict[str, Any] = next(filter(None, (_json(folder / name) for name in _CALIBRATIONS)), {})

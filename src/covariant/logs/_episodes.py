@@ -8,9 +8,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from covariant.logs._endings import WRITTEN
+from scalargraph.errors import InputError
+
 _NAME = re.compile(
     r"(?:.*[_ ./])?(?:episode|trial|traj|trajectory|rollout|demo)(?:[_ ]?(?:index|idx|id|no|nr|number))?"
 )
+INFO = Path("meta", "info.json")
+"""Description of a LeRobot data set, from its folder."""
+NOT_TABLES = (".mcap", ".rosbag2", ".db3", ".bag")
+"""Suffixes of logs of messages, which have no episodes."""
+READ = (*WRITTEN, *NOT_TABLES)
+"""Suffixes of logs."""
 SHOWN = 3
 """Number of episodes whose rows are listed in a message."""
 
@@ -37,6 +46,76 @@ def part_of(log: str | PathLike[str]) -> tuple[Path, int | None]:
     path = Path(log)
     name, _, number = str(path).rpartition("#")
     return (Path(name), int(number)) if name and number.isdecimal() and not path.exists() else (path, None)
+
+
+def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
+    """The logs of a file or a folder, in the order of the numbers in their names.
+
+    A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one. A folder
+    has those of all logs in it; of a LeRobot data set, those of its `data`.
+
+    Args:
+        log: A path.
+
+    Returns:
+        Paths of logs, for `read` and all that takes a log.
+
+    Raises:
+        ValueError: The folder has no log.
+
+    Example:
+        >>> import pandas, tempfile
+        >>> from pathlib import Path
+        >>> from covariant import logs
+        >>> folder = Path(tempfile.mkdtemp())
+        >>> frame = pandas.DataFrame({"t": [0.0, 0.1, 0.0, 0.1], "q": [1.0, 2.0, 3.0, 4.0], "episode": [0, 0, 1, 1]})
+        >>> frame.to_csv(folder / "runs.csv", index=False)
+        >>> [Path(each).name for each in logs.episodes(folder)]
+        ['runs.csv#0', 'runs.csv#1']
+    """
+    path, number = part_of(log)
+    if path.is_dir() and not is_log(path):
+        inside = (path / "data").rglob("*.parquet") if (path / INFO).is_file() else path.iterdir()
+        files = sorted(filter(is_log, inside), key=lambda file: _natural(str(file)))
+        if not files:
+            raise InputError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
+        return tuple(each for file in files for each in episodes(file))
+    if number is not None or not path.is_file() or path.suffix.lower() in NOT_TABLES:
+        return (str(log),)
+    numbers = _numbers(path)
+    return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (str(log),)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a path is that of a log, by its suffix."""
+    return path.suffix.lower() in READ or (path / "metadata.yaml").is_file()
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sorting key by which numbers within names count as such."""
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", name)]
+
+
+def _numbers(path: Path) -> list[int]:
+    """Numbers of the episodes of a file, in the order of its rows; empty if it does not have any."""
+    if path.suffix.lower() == ".parquet":
+        from covariant.logs._columns import pyarrow  # loads JAX, which comes after everything is checked
+
+        with pyarrow().parquet.ParquetFile(path) as file:
+            columns = episode_columns(file.schema_arrow.names)[:1]
+            found = file.read(columns=columns).column(0).unique().to_numpy() if columns else np.empty(0)
+    else:
+        with path.open("rb") as file:  # most texts have no such column, and are not read for it
+            header = file.readline(1 << 20).decode(errors="replace")
+        if not episode_columns(re.split(r"[,;\t\s]+", header.strip())):
+            return []
+        from covariant.logs._data_set import survey_log
+
+        columns = survey_log(path).columns
+        named = episode_columns(columns)
+        found = columns[named[0]] if named else np.empty(0)
+    whole = [int(each) for each in found if np.isfinite(each) and each == int(each)]
+    return list(dict.fromkeys(whole))
 
 
 def episodes_fault(

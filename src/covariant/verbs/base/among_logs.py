@@ -277,6 +277,12 @@ def find_change(value: np.ndarray, std: np.ndarray) -> tuple[int, float, float] 
     sizes, errors = rest / after - sums / before, np.sqrt(1 / before + 1 / after)
     inside = slice(SHORTEST_STRETCH - 1, count - SHORTEST_STRETCH)
     at = int(np.argmax(np.abs(sizes / errors)[inside])) + inside.start
+    left = value - np.where(np.arange(count) <= at, sums[at] / before[at], rest[at] / after[at])
+    root = np.sqrt(weights)
+    line = np.stack([root, root * np.arange(count)], axis=1)
+    along = root * value - line @ np.linalg.lstsq(line, root * value)[0]
+    if np.sum(along**2) < np.sum(weights * left**2):
+        return None  # a drift explains it better
     clear = np.abs(sizes[at]) > stdtrit(count - 2, 1 - CHANCE / (2 * count)) * errors[at]
     return (at + 1, float(sizes[at]), float(errors[at])) if clear else None
 
