@@ -257,6 +257,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         f"# acceleration = 2.0  # {_both(guess, 'm/s^2', 'rad/s^2')}",
         "# correlation_time = 0.01  # s, over which it persists",
         *(motion if guess.quaternion else []),
+        *(_WATER if guess.is_ship else []),
         "",
     ]
     return "\n".join(lines)
@@ -309,7 +310,12 @@ def _ship(guess: Draft) -> list[str]:
         "",
         "[parameters]",
         *stated,
+        "current = [0.0, 0.0]  # m/s, of the water towards north and east; it is estimated in each log",
     ]
+
+
+_WATER = ("parameters = {current = 0.3}  # m/s, before a log begins", "parameters_drift = 0.003  # m/s in a second")
+"""Lines of [uncertainty] of a ship: how large the current usually is, and how it changes."""
 
 
 def _of_ship(guess: Draft) -> dict[str, models.Parameter]:

@@ -32,7 +32,7 @@ from covariant.calibration.tuning._filters import relative_error
 from covariant.calibration.tuning._judge import ErrorRatio
 from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, refuse_noise_free, tuning_logs
-from covariant.models import MechanicalSystem
+from covariant.models import Family, MechanicalSystem
 from covariant.signals import Record
 
 NumpyArray = np.ndarray
@@ -123,6 +123,7 @@ def tune(
     progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
     names: Sequence[str] = (),
+    uncertain: Family | None = None,
 ) -> Tuning:
     """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
 
@@ -141,6 +142,8 @@ def tune(
         progress: Called with the name of each of the three stages when it begins.
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
         names: What messages call the records; by default record 1, record 2, ….
+        uncertain: The model with the numbers open that a filter estimates along with the motion, as the `family` of a
+            model file; none by default.
 
     Returns:
         Gains, noise, and their errors on the held-out rows.
@@ -159,9 +162,14 @@ def tune(
     proposed: dict[str, Poles] = {"innovations": (frequency, damping, 0.0)}
     estimates = followed(model, logs, proposed["innovations"], runner)
     progress("noise")
-    errors = [RunErrors.of(model, *each) for each in zip(logs, estimates, strict=True)]
+    speed, both = largest_speed(logs), list(zip(logs, estimates, strict=True))
+    errors = [RunErrors.of(model, *each, uncertain) for each in both]
     likeliest = best_noise(errors, frequency, size, std)
-    noise, speed = likeliest, largest_speed(logs)
+    if uncertain is not None:  # forces need not be linear in numbers that are far from those of the model
+        at = [each.uncertain(likeliest, speed) for each in errors]
+        errors = [RunErrors.of(model, *each, uncertain, z) for each, z in zip(both, at, strict=True)]
+        likeliest = best_noise(errors, frequency, size, std)
+    noise = likeliest
     progress("held-out rows")
     baseline, kept, old = None, "", None
     if before is not None:

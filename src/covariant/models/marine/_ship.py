@@ -95,7 +95,7 @@ def _thrust(t, g, u, propeller):
 
 def _hydrodynamic_force(t, g, v, u, current, inertia, **numbers):
     # In water that moves uniformly the laws are those of water at rest, for the velocity relative to it (Fossen 2011,
-    # property 8.1): M ν_r' = ad*_{ν_r} M ν_r + force(ν_r). The model has M ν' = ad*_ν M ν, so the difference is a force.
+    # property 8.1): M ν_r' = ad*_{ν_r} M ν_r + force(ν_r). Here M ν' = ad*_ν M ν, so that the difference is a force.
     flow = jnp.append(g[:2, :2].T @ current, 0.0).astype(v.dtype)
     turning = v[2] * jnp.stack([flow[1], -flow[0], 0.0 * flow[0]])  # the rate of a flow that is constant in the earth
     through = v - flow

@@ -83,7 +83,8 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
 
     try:
         names, model = [Path(job.log_name).name for job in jobs], loaded[0].model
-        tuning = tune(model, records, velocities, std=known, before=before, progress=report, runs=runs, names=names)
+        more = {"runs": runs, "names": names, "uncertain": file.family}
+        tuning = tune(model, records, velocities, std=known, before=before, progress=report, **more)
     except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     report("observers")
