@@ -190,7 +190,8 @@ def of_motion(manifold: Any, linear: Any, dt: Array, run: Motion, rows: Rows, wa
 def assembled(linear: Any, dt: Array, rows: Rows, processes: tuple[Array, ...], *read: Array) -> ErrorModel:
     """The error model of transitions, defects, slopes and input matrices of the steps after each row but the last.
 
-    `processes` are, of each error (N,), whether it is driven, and deviations `first` and `walk`; `read` is what readings show, its slopes, the residual, and whether each number is present.
+    `processes` are, of each error (N,), whether it is driven, and deviations `first` and `walk`; `read` is what
+    readings show, its slopes, the residual, and whether each number is present.
     """
     # After an invalid step the filter restarts and its numbers are not used: zero is as good as any, and finite.
     valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & ~jnp.asarray(rows.fresh)[1:]

@@ -37,6 +37,8 @@ from covariant.signals import AnyArray
 
 LEAST = 0.01
 """Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
+DRIFTS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Factors that are tried of the drift that a model file states."""
 TIMES = 3
 """Number of time constants that the search starts from."""
 RANGE = 1e4
@@ -71,6 +73,10 @@ class RunErrors(NamedTuple):
         z, steps = jnp.zeros_like(unknowns.first) if z is None else z, jnp.asarray(fixed.substeps or 1)
         return cls(log, np.asarray(v), error_model(unknowns, z, rows.start, rows, steps))
 
+    def drifting(self, factor: float) -> "RunErrors":
+        """The same with numbers that drift by a factor more."""
+        return self._replace(system=self.system._replace(walk=factor * self.system.walk))
+
     def uncertain(self, noise: NoiseLevels, speed: jax.Array) -> Array:
         """Mean change (k,) of the uncertain numbers over the log, beside those of the linearisation."""
         n, size = self.v.shape[1], self.system.defect.shape[1]
@@ -92,6 +98,19 @@ _filtered, smoothed_errors, later_errors = eqx.filter_jit(kalman), eqx.filter_ji
 def largest_speed(logs: list[TuningLog]) -> jax.Array:
     """Largest velocity of the reference: the standard deviation of velocities before anything is measured."""
     return jnp.asarray(max(float(np.abs(log.velocity[log.tuned]).max()) for log in logs))
+
+
+def likelier_drift(runs: list[RunErrors], noise: NoiseLevels) -> float:
+    """Factor of the drift of numbers that walk with which the rows for tuning are likeliest; 1 if none is worth it."""
+    speed = largest_speed([run.log for run in runs])
+
+    def loss(factor: float) -> float:
+        each = (run.drifting(factor).filtered(noise, speed).loss[run.log.tuned] for run in runs)
+        return float(sum(map(jnp.sum, each)))
+
+    losses = {factor: loss(factor) for factor in DRIFTS}
+    best = min(losses, key=losses.__getitem__)
+    return best if losses[1.0] - losses[best] > 2 else 1.0  # what a number has to be worth (Akaike 1974)
 
 
 def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: np.ndarray | None) -> NoiseLevels:

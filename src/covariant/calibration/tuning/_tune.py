@@ -30,7 +30,7 @@ from covariant.calibration.tuning._data_sheet import DataSheet
 from covariant.calibration.tuning._estimators import observer_gains
 from covariant.calibration.tuning._filters import relative_error
 from covariant.calibration.tuning._judge import ErrorRatio
-from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed
+from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed, likelier_drift
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, refuse_noise_free, tuning_logs
 from covariant.models import Family, MechanicalSystem
 from covariant.signals import Record
@@ -86,6 +86,7 @@ class Tuning(NamedTuple):
             velocity error on held-out rows.
         noise_kept: Why the noise is that of the data sheet: "likelihood", because held-out measurements are likelier
             with it, or "velocities" from the verb `tune`, because a filter's velocities are; empty where it is tuned.
+        drift: Standard deviation of the relative change in a second of numbers that a filter estimates; 0 for none.
 
     Example:
         >>> import jax.numpy as jnp
@@ -111,6 +112,7 @@ class Tuning(NamedTuple):
     same: tuple[float, float] | None = None
     gains_kept: bool = False
     noise_kept: str = ""
+    drift: float = 0.0
 
 
 def tune(
@@ -162,6 +164,7 @@ def tune(
     proposed: dict[str, Poles] = {"innovations": (frequency, damping, 0.0)}
     estimates = followed(model, logs, proposed["innovations"], runner)
     progress("noise")
+    drift = 0.0 if uncertain is None else uncertain.file.parameters_drift
     speed, both = largest_speed(logs), list(zip(logs, estimates, strict=True))
     errors = [RunErrors.of(model, *each, uncertain) for each in both]
     likeliest = best_noise(errors, frequency, size, std)
@@ -169,6 +172,9 @@ def tune(
         at = [each.uncertain(likeliest, speed) for each in errors]
         errors = [RunErrors.of(model, *each, uncertain, z) for each, z in zip(both, at, strict=True)]
         likeliest = best_noise(errors, frequency, size, std)
+        if (by := likelier_drift(errors, likeliest)) != 1:
+            drift, errors = by * drift, [each.drifting(by) for each in errors]
+            likeliest = best_noise(errors, frequency, size, std)
     noise = likeliest
     progress("held-out rows")
     baseline, kept, old = None, "", None
@@ -200,6 +206,7 @@ def tune(
         None if gains_kept else same,
         gains_kept,
         kept,
+        drift,
     )
 
 
