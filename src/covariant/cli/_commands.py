@@ -18,7 +18,7 @@ from scalargraph.errors import InputError
 
 
 def _fit(call: Invocation, out: Path | None, report: Path | None, overwrite: bool) -> Any:
-    model, parameters = call.values["model"], call.values["parameters"].split(",")
+    model, parameters = call.values["model"], call.values.get("parameters", "").split(",")
     inertias = any(name.strip().removeprefix("parameters.").split(".")[0] == "inertia" for name in parameters)
     urdf = inertias and not model.endswith(".xml")
     if out is not None and "each" in call.values:

@@ -13,7 +13,7 @@ from covariant.verbs.base.among_logs import machine_of
 from covariant.verbs.base.arguments import ColumnNames, Overrides, OverridesOfLogs
 from covariant.verbs.base.model_output import as_logs, check_model_output, read_sources, urdf_beside, write_models
 from covariant.verbs.base.model_text import WRITTEN_BY
-from covariant.verbs.base.placeholders import placeholder_sentence
+from covariant.verbs.base.placeholders import drafted_names, placeholder_sentence
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
 from scalargraph.errors import InputError
@@ -22,7 +22,7 @@ from scalargraph.errors import InputError
 def fit(
     model: Any,
     log: Any,
-    parameters: str | Sequence[str],
+    parameters: str | Sequence[str] = (),
     *,
     each: str | Sequence[str] | None = None,
     overrides: OverridesOfLogs = (),
@@ -46,7 +46,7 @@ def fit(
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
             "friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets" or "servo", for all
             joints and links or for one, as in "friction.elbow" or "servo.elbow.delay". Several in a list, or by commas;
-            see `models.robot_family`.
+            see `models.robot_family`. By default, those that `covariant init` marked in the model file as placeholders.
         each: Those of the parameters of which each machine has its own value, such as friction; the others are shared.
             Logs of one machine lie in a folder of their own. The last log of each machine with several is held out, and
             if none has several, the last third of each. Not for robots with servos.
@@ -76,7 +76,7 @@ def fit(
             f"model: a fit makes the model anew with other numbers, so it takes a model file, a name or "
             f"module:attribute, and no finished {type(model).__name__}"
         )
-    names = _names(parameters)  # whoever makes the family says which names there are
+    names = _names(parameters) or drafted_names(model)  # whoever makes the family says which names there are
     by_machine = log if type(log) is dict else {}  # a Dataset is a mapping of another type
     logs = as_logs([one for own in by_machine.values() for one in as_logs(own)] if by_machine else log)
     sources = read_sources(model)

@@ -79,7 +79,7 @@ class Unknowns(eqx.Module, OfMotions):
     positive: Any
     parts: Int[AnyArray, "M k"]
     manifold: AbstractManifold
-    walks: tuple[Walk, ...] = eqx.field(static=True)
+    walks: tuple[Walk, ...] = eqx.field(default=(), static=True, kw_only=True)
 
     @classmethod
     def of(cls, family: Family, known: bool = False) -> "Unknowns":
@@ -88,12 +88,12 @@ class Unknowns(eqx.Module, OfMotions):
         first, parts, drift = jnp.asarray(family.first), jnp.asarray(family.parts), family.file.parameters_drift
         stds = enumerate(map(family.file.uncertain_std, family.names)) if drift or known else ()
         walks = tuple(Walk(j, std * known, drift) for j, std in stds if std is not None)
-        return cls(family.make, first, family.positive, parts, family.file.model.manifold, walks)
+        return cls(family.make, first, family.positive, parts, family.file.model.manifold, walks=walks)
 
     @classmethod
     def none(cls, model: MechanicalSystem) -> "Unknowns":
         """A model without any unknown number."""
-        return cls(eqx.Partial(_as_it_is, model), jnp.zeros(0), (), jnp.zeros((1, 0), int), model.manifold, ())
+        return cls(eqx.Partial(_as_it_is, model), jnp.zeros(0), (), jnp.zeros((1, 0), int), model.manifold)
 
     def model(self, z: Array, machine: int = 0) -> Any:
         """The model of a machine at relative changes z (p,)."""
