@@ -68,10 +68,10 @@ class NoiseLevels(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """A number of the model that changes along a log: its index, its standard deviation where a stretch begins, and
+    """A number of the model that changes along a log: which it is, its standard deviation where a stretch begins, and
     that of its change in a second, both relative."""
 
-    index: int
+    number: int
     first: float
     drift: float
 
@@ -176,7 +176,7 @@ def of_motion(manifold: Any, linear: Any, dt: Array, run: Motion, rows: Rows, wa
     read = jax.vmap(manifold.towards)(run.q, y), ~jax.vmap(manifold.missing)(y)
     shows = jnp.broadcast_to(jnp.eye(n, 2 * n + k), (len(y), n, 2 * n + k)), jnp.zeros((len(y), n, slopes.shape[2]))
     # A step changes the errors by a number that walks as by one that is unknown, and leaves the number.
-    changes = slopes[:, :, jnp.array([walk.index for walk in walks], int)]
+    changes = slopes[:, :, jnp.array([walk.number for walk in walks], int)]
     transition = jnp.pad(transition, ((0, 0), (0, k), (0, k))).at[:, : 2 * n, 2 * n :].set(changes)
     transition = transition.at[:, 2 * n :, 2 * n :].set(jnp.eye(k))
     defect, slopes = (jnp.pad(each, [(0, 0), (0, k), (0, 0)][: each.ndim]) for each in (defect, slopes))

@@ -53,7 +53,7 @@ def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
     """What the model file has estimated along with the motion, beside an external force."""
     components = ()
     if file.family is not None:
-        stds = [file.uncertain_std(name) for name in file.family.names]
+        stds = [file.uncertain_std(name) or 0.0 for name in file.family.names]
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
