@@ -56,11 +56,11 @@ HULLS = {
 }
 
 
-def sail(hull, seed=0, current=0.0, circle=False, seconds=SECONDS, gust=GUST):
+def sail(hull, seed=0, current=0.0, circle=False, seconds=SECONDS, gust=GUST, turns=0.5):
     """A log of zig-zags as a table (T, 6) of `NAMES`, and the true surge, sway and yaw rate (T, 3).
 
-    The current [m/s] turns by half a turn in the time of the log, and wind and waves accelerate the boat by random
-    `gust` [m/s² and rad/s²]. A circle is one of the rudder at 20°.
+    The current [m/s] towards north turns by `turns` in the time of the log, and wind and waves accelerate the boat by
+    random `gust` [m/s² and rad/s²]. A circle is one of the rudder at 20°.
     """
     random = np.random.default_rng(seed)
     full = 1.6 * (60.0 + 45.0 * 2.5) * hull.mass[0] / 1650.0
@@ -78,7 +78,7 @@ def sail(hull, seed=0, current=0.0, circle=False, seconds=SECONDS, gust=GUST):
         place = x[:3] + noise
         rows.append([k / RATE, *place[:2], np.degrees(place[2]) % 360.0, np.degrees(angle), thrust])
         truth.append(x[3:])
-        turn = np.pi * k / (seconds * RATE)
+        turn = 2 * np.pi * turns * k / (seconds * RATE)
         flow = current * np.array([np.cos(turn), np.sin(turn)])
         pushed = fade * pushed + random.normal(0.0, gust * np.sqrt(1 - fade**2), 3)
         h, wind = 1.0 / RATE / STEPS, np.append(np.zeros(3), pushed)

@@ -98,8 +98,9 @@ def test_the_estimate_from_later_rows_is_that_of_least_squares():
 
 
 def _driven(count):
-    """Which errors a force drives, and which readings show: velocities and positions of n = 2."""
-    return jnp.tile(jnp.arange(4) >= 2, (count, 1)), jnp.tile(jnp.eye(2, 4), (count, 1, 1)), jnp.zeros((count, 2, 0))
+    """Which errors a force drives, that none walks, and which readings show: velocities and positions of n = 2."""
+    driven, shows = jnp.tile(jnp.arange(4) >= 2, (count, 1)), jnp.tile(jnp.eye(2, 4), (count, 1, 1))
+    return driven, *jnp.zeros((2, count, 4)), shows, jnp.zeros((count, 2, 0))
 
 
 def _random_system(count):

@@ -1,5 +1,6 @@
 """The likelihood of logs is that of a plainly written Kalman filter, and its derivatives are those of its values."""
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -16,11 +17,13 @@ from covariant.calibration.identification import (
     Unknowns,
     _likelihood as likelihoods,
     error_model,
+    from_later,
     gather,
     held_out_rows,
     kalman,
     total_loss,
 )
+from covariant.calibration.identification._error_model import Walk
 from covariant.calibration.identification._likelihood import Likelihood, logarithms
 from covariant.signals import Record
 
@@ -170,6 +173,41 @@ def test_the_loss_is_that_of_a_plain_filter_through_holes_and_uneven_stamps(z):
     np.testing.assert_allclose(loss, np.sum(e**2 + 2 * np.log(expected.std[seen])), rtol=3e-6)
 
 
+def test_a_number_that_walks_is_as_a_force_that_does():
+    """The load is a force: its walk and that of an unknown force of the same size have the same likelihood."""
+    log, drift = swing(), 0.3
+    walking = dataclasses.replace(unknowns(), walks=(Walk(3, drift, drift),))
+    force = NOISE._replace(force=jnp.array([drift * LOAD]), force_time=jnp.inf)
+    as_force = problem(log, force).blocks(np.zeros(4))
+    as_number = problem(log, NOISE._replace(force=jnp.zeros(1)), walking).blocks(np.zeros(4))
+    np.testing.assert_allclose(np.sum(as_number.loss), np.sum(as_force.loss), rtol=1e-6)
+    np.testing.assert_allclose(np.sum(as_number.z, axis=0)[:3], np.sum(as_force.z, axis=0)[:3], rtol=1e-3)
+    # From the rows after each they are estimated alike too.
+    late = [
+        from_later(each.rest.system, noise, jnp.asarray(5.0))
+        for each, noise in ((as_force, force), (as_number, NOISE._replace(force=jnp.zeros(1))))
+    ]
+    np.testing.assert_allclose(late[1][1][20:-20], late[0][1][20:-20], rtol=1e-3)
+    assert np.sum(problem(log, NOISE._replace(force=jnp.zeros(1))).blocks(np.zeros(4)).loss) > np.sum(as_force.loss) + 9
+
+
+def test_noise_without_wiggles_or_forces_searches_the_other_kinds():
+    likelihood = problem(swing())
+    kept = likelihood.blocks(np.zeros(4)).rest
+    bounds = np.repeat(np.log([[1e-6, 10.0]]), 6, axis=0)
+    names = ("acceleration", "measurement", "force", "force_time", "wiggle")
+    full, without_wiggle, quiet = (
+        {
+            name: float(np.squeeze(getattr(likelihood.likelier(kept, bounds, 3, without)[0].noise, name)))
+            for name in names
+        }
+        for without in ((), ("wiggle",), ("wiggle", "forces"))
+    )
+    assert min(full.values()) > 1e-7
+    assert without_wiggle["wiggle"] < 1e-11 < min(without_wiggle[name] for name in names[:4])
+    assert max(quiet["acceleration"], quiet["force"], quiet["wiggle"]) < 1e-11 < quiet["measurement"]
+
+
 def loss_and_score(likelihood: Likelihood, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     blocks = likelihood.blocks(z)
     return float(np.sum(blocks.loss)), np.sum(blocks.z, axis=0), blocks.information
@@ -237,6 +275,7 @@ def test_what_readings_are_off_together_is_a_process_of_its_own():
         jnp.zeros((count, 2, 0)),
         jnp.tile(jnp.array([[0.0], [1.0]]), (count, 1, 1)),
         jnp.tile(jnp.array([False, True]), (count, 1)),
+        *jnp.zeros((2, count, 2)),
         jnp.tile(jnp.eye(1, 2), (count, 1, 1)),
         jnp.zeros((count, 1, 0)),
         jnp.asarray(residual[:, None]),

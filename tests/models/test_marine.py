@@ -78,15 +78,31 @@ def test_planar_coriolis_matrix_is_the_printed_one():
 
 
 def test_a_ship_moves_as_the_one_of_the_gallery_that_is_written_out_in_numpy():
-    """Also astern, and with the sides of rudder, sway and yaw exchanged."""
+    """Also astern, with the sides of rudder, sway and yaw exchanged, and in a current."""
     random = np.random.default_rng(0)
     for hull in workboat["HULLS"].values():
-        ship = marine.ship(hull.mass, 0.0, hull.drag, hull.quadratic_drag, hull.rudder, hull.rudder_arm)
-        for _ in range(10):
-            x, (rudder, thrust) = random.normal(size=6), random.normal(size=2)
-            state = ship.group.exp(jnp.asarray(x[:3])), jnp.asarray(x[3:])
-            found = models.acceleration(ship, 0.0, *state, jnp.array([rudder, thrust]))
-            np.testing.assert_allclose(found, hull.rates(x, rudder, thrust, np.zeros(2))[3:], rtol=1e-12, atol=1e-12)
+        for current in (np.zeros(2), random.normal(size=2)):
+            numbers = hull.mass, 0.0, hull.drag, hull.quadratic_drag, hull.rudder, hull.rudder_arm
+            ship = marine.ship(*numbers, current=current.tolist())
+            for _ in range(10):
+                x, (rudder, thrust) = random.normal(size=6), random.normal(size=2)
+                state = ship.group.exp(jnp.asarray(x[:3])), jnp.asarray(x[3:])
+                found = models.acceleration(ship, 0.0, *state, jnp.array([rudder, thrust]))
+                expected = hull.rates(x, rudder, thrust, current)[3:]
+                np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_a_ship_that_drifts_with_the_water_feels_nothing_and_a_coupled_one_turns_as_in_water_at_rest():
+    current = jnp.array([0.4, -0.3])
+    ship = marine.ship(coupling=300.0, current=current.tolist())
+    g, still = ship.group.exp(jnp.array([0.0, 0.0, 0.7])), jnp.array([0.3, -0.2, 0.5])
+    flow = jnp.append(g[:2, :2].T @ current, 0.0)
+    np.testing.assert_allclose(models.acceleration(ship, 0.0, g, flow, jnp.zeros(2)), 0.0, atol=1e-15)
+    u = jnp.array([0.2, 400.0])
+    # Seen from the water the motion is that in water at rest; the velocity of the water turns in the body.
+    expected = models.acceleration(marine.ship(coupling=300.0), 0.0, g, still, u)
+    expected += still[2] * jnp.array([flow[1], -flow[0], 0.0])
+    np.testing.assert_allclose(models.acceleration(ship, 0.0, g, still + flow, u), expected, rtol=1e-12)
     driven = marine.ship((1650.0, 2300.0, 4200.0), propeller=3.0)
     at_rest = models.acceleration(driven, 0.0, jnp.eye(3), jnp.zeros(3), jnp.array([0.4, -2.0]))
     np.testing.assert_allclose(at_rest, [-12.0 / 1650.0, 0.0, 0.0], rtol=1e-12)

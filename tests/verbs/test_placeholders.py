@@ -7,7 +7,7 @@ import pytest
 from covariant import verbs
 from covariant.verbs._fit import FitResult
 from covariant.verbs.base.inputs import Job, load
-from covariant.verbs.base.placeholders import placeholder_sentence, placeholders
+from covariant.verbs.base.placeholders import drafted_names, placeholder_sentence, placeholders
 
 T = np.arange(0.0, 4.0, 0.01)
 TWO_ANGLES = {"t": T, "q1_rad": np.cos(3 * T), "q2_rad": np.sin(2 * T)}
@@ -41,6 +41,9 @@ def test_what_is_changed_overridden_or_confirmed_is_none(draft):
     named = placeholders(path, {"parameters.inertia": [0.01, 0.02], "parameters.viscous": [0.1, 0.1]})
     assert list(named) == ["mass[0]", "length[0]", "inertia[0]", "coulomb[0]", "coulomb[1]"]
     assert placeholders("oscillator", ()) == {}
+    # What a fit is for by default does not depend on the numbers that somebody put there.
+    assert drafted_names(path) == ["mass", "length", "inertia", "viscous", "coulomb"]
+    assert drafted_names("oscillator") == []
     assert placeholder_sentence({}) == ""
 
 

@@ -13,7 +13,7 @@ from covariant.verbs.base.among_logs import machine_of
 from covariant.verbs.base.arguments import ColumnNames, Overrides, OverridesOfLogs
 from covariant.verbs.base.model_output import as_logs, check_model_output, read_sources, urdf_beside, write_models
 from covariant.verbs.base.model_text import WRITTEN_BY
-from covariant.verbs.base.placeholders import placeholder_sentence
+from covariant.verbs.base.placeholders import drafted_names, placeholder_sentence
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractTable
 from scalargraph.errors import InputError
@@ -48,8 +48,9 @@ def fit(
         parameters: Names of the numbers to fit: "mass" or "com[0]" of [parameters], or "inputs.lag"; of a robot
             "friction", "armature", "payload", "inertia", "gravity", "torque_constants", "offsets" or "servo", for all
             joints and links or for one, as in "friction.elbow" or "servo.elbow.delay". Several in a list, or by commas;
-            see `models.robot_family`. Without any: those of all servos, friction and rotors of another robot, and all
-            numbers of [parameters] that are not zero of another machine.
+            see `models.robot_family`. By default, those that `covariant init` marked in the model file as placeholders;
+            without any, those of all servos, friction and rotors of another robot, and of another machine all numbers
+            of [parameters] that are not zero.
         each: Those of the parameters of which each machine has its own value, such as friction; the others are shared.
             Logs of one machine lie in a folder of their own. The last log of each machine with several is held out, and
             if none has several, the last third of each. Not for robots with servos.
@@ -91,7 +92,8 @@ def fit(
     from covariant.verbs.base.open_numbers import open_numbers
 
     given_overrides: Any = () if _are_of_logs(overrides) else overrides
-    names = _names(parameters or ()) or open_numbers(os.fspath(model), given_overrides)
+    # Whoever makes the family says which names there are.
+    names = _names(parameters or ()) or drafted_names(model) or open_numbers(os.fspath(model), given_overrides)
     own = None
     if own_names := _names(each or ()):
         machines = [str(machine) for machine, its_logs in by_machine.items() for _ in as_logs(its_logs)]

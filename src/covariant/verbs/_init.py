@@ -260,6 +260,7 @@ def _model_file(name: str, guess: Draft, machine: list[str], remarks: Sequence[s
         f"# acceleration = 2.0  # {_both(guess, 'm/s^2', 'rad/s^2')}",
         "# correlation_time = 0.01  # s, over which it persists",
         *(motion if guess.quaternion else []),
+        *(_WATER if guess.is_ship else []),
         "",
     ]
     return "\n".join(lines)
@@ -306,13 +307,21 @@ def _turning_body() -> list[str]:
 
 def _ship(guess: Draft) -> list[str]:
     """The system and its parameters of a ship with rudder and propeller."""
-    stated = (_list_line(name, np.ravel(each.value), each.unit) for name, each in _of_ship(guess).items())
+    first = {name: (np.ravel(each.value), each.unit) for name, each in _of_ship(guess).items()}
+    stated = [_list_line(name, *each) for name, each in first.items()]
+    if not _has_thrust(guess):  # no force is logged, so that the data sheet alone tells the masses
+        stated[0] = f"mass = {first['mass'][0].tolist()}  # {first['mass'][1]}, of the data sheet"
     return [
         'system = "ship"  # of surge, sway and yaw; the masses are those with added mass',
         "",
         "[parameters]",
         *stated,
+        "current = [0.0, 0.0]  # m/s, of the water towards north and east; it is estimated in each log",
     ]
+
+
+_WATER = ("parameters = {current = 0.3}  # m/s, before a log begins", "parameters_drift = 0.003  # m/s in a second")
+"""Lines of [uncertainty] of a ship: how large the current usually is, and how it changes."""
 
 
 def _of_ship(guess: Draft) -> dict[str, models.Parameter]:
@@ -327,12 +336,11 @@ def _has_thrust(guess: Draft) -> bool:
 
 def _next_of_ship(guess: Draft) -> list[str]:
     """What to do next with the draft of a ship."""
-    names, scale = list(_of_ship(guess)), "the thrust tells the masses"
-    if not _has_thrust(guess):
-        names, scale = names[1:], "no force is logged: all forces scale with the masses, which are not fitted"
+    thrust, scale = "the thrust tells the masses", "no force is logged: all forces scale with the masses, not fitted"
     return [
-        f"put the numbers of the data sheet into [parameters] of the model file; {scale}",
-        f"then fit: covariant fit MODEL LOG --parameters {','.join(names)} -o FITTED",
+        "put the numbers of the data sheet into [parameters] of the model file; "
+        + (thrust if _has_thrust(guess) else scale),
+        "then fit: covariant fit MODEL LOG -o FITTED",
     ]
 
 

@@ -4,7 +4,8 @@ Along a run of an observer, with the estimate x̂ after each sample, the true st
 
     δ⁺ = F δ + c + C ζ + G f + w,   r = Hδ + e,
 
-where δ are positions and velocities along the retraction, or the states of a `StateSpace` in their usual sizes; c is
+where δ are positions and velocities along the retraction, followed by numbers of the model that walk, as the current in
+which a ship sails, in units of ζ; or the states of a `StateSpace` in their usual sizes. c is
 the model's prediction minus the next estimate, F and C its derivatives in the state and in unknown numbers of the
 model, and r the reading minus the estimated one. f is a force that the model does not know, or an unknown rate of each
 state, a random walk or a Gauss–Markov process; w is white acceleration, e the noise of a reading. F, C, G, c and r do
@@ -66,16 +67,27 @@ class NoiseLevels(NamedTuple):
     wiggle_time: Scalar | float = jnp.inf
 
 
+class Walk(NamedTuple):
+    """A number of the model that changes along a log: which it is, its standard deviation where a stretch begins, and
+    that of its change in a second, both relative."""
+
+    number: int
+    first: float
+    drift: float
+
+
 class ErrorModel(NamedTuple):
     """Linear system of the errors along a run of T rows.
 
     Attributes:
-        transition: F (T, N, N) of the step to each row, N = 2n for a mechanical system.
+        transition: F (T, N, N) of the step to each row, N = 2n + k for a mechanical system with k numbers that walk.
         defect: c (T, N) of the step to each row.
         slopes: C (T, N, p) of the step to each row, for p unknown numbers.
         input_matrix: Rate (T, N, d) of the errors per unit of the unknown force, at the beginning of the step.
         driven: Errors (T, N) whose rates the force and white noise change; of the others readings tell where a stretch
-            begins.
+            begins, or `first`.
+        first: Standard deviations (T, N) where a stretch begins, of numbers that walk; else 0.
+        walk: Square root (T, N) of the variance that these gain in a second; else 0.
         shows: H (T, n, N).
         shown_slopes: Derivatives (T, n, p) of what a reading shows in the unknown numbers, at the same state.
         residual: r (T, n), zero where nothing was measured.
@@ -89,6 +101,8 @@ class ErrorModel(NamedTuple):
     slopes: Float[Array, "T N p"]
     input_matrix: Float[Array, "T N d"]
     driven: Bool[Array, "T N"]
+    first: Float[Array, "T N"]
+    walk: Float[Array, "T N"]
     shows: Float[Array, "T n N"]
     shown_slopes: Float[Array, "T n p"]
     residual: Float[Array, "T n"]
@@ -150,25 +164,34 @@ def error_model(unknowns: Any, z: Array, run: Motion, rows: Rows, steps: Any) ->
 
     now, then = (jax.tree.map(lambda part, cut=cut: part[cut], run) for cut in (slice(-1), slice(1, None)))
     linear = jax.vmap(step)(t[:-1], now, u[:-1], change[:-1], machine[1:], dt, then)
-    return of_motion(manifold, linear, dt, run, rows)
+    return of_motion(manifold, linear, dt, run, rows, unknowns.walks)
 
 
-def of_motion(manifold: Any, linear: Any, dt: Array, run: Motion, rows: Rows) -> ErrorModel:
+def of_motion(manifold: Any, linear: Any, dt: Array, run: Motion, rows: Rows, walks: Any = ()) -> ErrorModel:
     """The error model of a motion, of transitions, defects, slopes and accelerations per unit of a force, (T − 1, n,
-    n), of the steps after each row but the last."""
-    n = run.v.shape[1]
-    *linear, pushes = linear
+    n), of the steps after each row but the last; with the `Walk` of numbers that change along it."""
+    n, k = run.v.shape[1], len(walks)
+    transition, defect, slopes, pushes = linear
     y = jnp.asarray(rows.y)
     read = jax.vmap(manifold.towards)(run.q, y), ~jax.vmap(manifold.missing)(y)
-    shows = jnp.broadcast_to(jnp.eye(n, 2 * n), (len(y), n, 2 * n)), jnp.zeros((len(y), n, linear[2].shape[2]))
-    pushes = jnp.concatenate([jnp.zeros_like(pushes), pushes], axis=1)
-    return assembled((*linear, pushes), dt, rows, jnp.arange(2 * n) >= n, *shows, *read)
+    shows = jnp.broadcast_to(jnp.eye(n, 2 * n + k), (len(y), n, 2 * n + k)), jnp.zeros((len(y), n, slopes.shape[2]))
+    # A step changes the errors by a number that walks as by one that is unknown, and leaves the number.
+    changes = slopes[:, :, jnp.array([walk.number for walk in walks], int)]
+    transition = jnp.pad(transition, ((0, 0), (0, k), (0, k))).at[:, : 2 * n, 2 * n :].set(changes)
+    transition = transition.at[:, 2 * n :, 2 * n :].set(jnp.eye(k))
+    defect, slopes = (jnp.pad(each, [(0, 0), (0, k), (0, 0)][: each.ndim]) for each in (defect, slopes))
+    pushes = jnp.pad(pushes, ((0, 0), (n, k), (0, 0)))
+    sizes = jnp.zeros((2, 2 * n + k)).at[:, 2 * n :].set(jnp.array([walk[1:] for walk in walks]).reshape(k, 2).T)
+    errors = jnp.arange(2 * n + k)
+    processes = ((errors >= n) & (errors < 2 * n), *sizes)
+    return assembled((transition, defect, slopes, pushes), dt, rows, processes, *shows, *read)
 
 
-def assembled(linear: Any, dt: Array, rows: Rows, driven: Bool[Array, "N"], *read: Array) -> ErrorModel:
+def assembled(linear: Any, dt: Array, rows: Rows, processes: tuple[Array, ...], *read: Array) -> ErrorModel:
     """The error model of transitions, defects, slopes and input matrices of the steps after each row but the last.
 
-    `read` is what readings show, its slopes, the residual, and whether each number is present.
+    `processes` are, of each error (N,), whether it is driven, and deviations `first` and `walk`; `read` is what
+    readings show, its slopes, the residual, and whether each number is present.
     """
     # After an invalid step the filter restarts and its numbers are not used: zero is as good as any, and finite.
     valid = jnp.all(jnp.isfinite(linear[0]), axis=(1, 2)) & ~jnp.asarray(rows.fresh)[1:]
@@ -179,7 +202,7 @@ def assembled(linear: Any, dt: Array, rows: Rows, driven: Bool[Array, "N"], *rea
     read = *shows, jnp.where(present, residual, 0.0), present
     found: Any = (
         *linear,
-        jnp.tile(driven, (len(present), 1)),
+        *(jnp.tile(each, (len(present), 1)) for each in processes),
         *read,
         jnp.concatenate([zero, dt]),
         jnp.concatenate([fresh, ~valid]),
@@ -296,25 +319,27 @@ def from_later(
 @eqx.filter_jit
 def _from_later(errors: ErrorModel, inverse: Array, noise: NoiseLevels, speed: Scalar | float) -> Any:
     n, variance = errors.residual.shape[1], noise.measurement**2
+    many, size = errors.input_matrix.shape[1:]
+    whole_size = many + size
     # Nothing is known: positions and velocities far beyond their size, and a force far beyond its own.
-    first = VAGUE**2 * _first(errors, noise, speed)[: 3 * n, : 3 * n]
+    first = VAGUE**2 * _first(errors, noise, speed)[:whole_size, :whole_size]
     later = jax.tree.map(lambda column: jnp.roll(column, -1, axis=0), (errors, inverse))
 
     def step(state, rows):
         row, (then, back), last = rows
         x: Any
-        whole, defect, added = (each[tuple([slice(3 * n)] * each.ndim)] for each in _transition(then, noise))
-        push, decay = whole[: 2 * n, 2 * n :], whole[2 * n :, 2 * n :]
+        whole, defect, added = (each[tuple([slice(whole_size)] * each.ndim)] for each in _transition(then, noise))
+        push, decay = whole[:many, many:], whole[many:, many:]
         remains = jnp.diag(1 / jnp.diag(decay))
-        back = jnp.block([[back, -back @ push @ remains], [jnp.zeros((n, 2 * n)), remains]])
+        back = jnp.block([[back, -back @ push @ remains], [jnp.zeros((size, many)), remains]])
         x = jnp.where(last, 0.0, back @ (state[0] - defect))
         cov = jnp.where(last, first, _symmetric(back @ (state[1] + added) @ back.T))
         estimate = x[: 2 * n], jnp.sqrt(jnp.diag(cov)[n : 2 * n])
-        numbers = jnp.eye(n, 3 * n), row.residual, variance, row.present
+        numbers = jnp.eye(n, whole_size), row.residual, variance, row.present
         return jax.lax.scan(lambda both, number: (_reading(*both, *number)[:2], None), (x, cov), numbers)[0], estimate
 
     rows = errors, later, later[0].fresh.at[-1].set(True)
-    return jax.lax.scan(step, (jnp.zeros(3 * n), first), rows, reverse=True)[1]
+    return jax.lax.scan(step, (jnp.zeros(whole_size), first), rows, reverse=True)[1]
 
 
 def _recursion(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt: float):
@@ -367,7 +392,7 @@ def _first(errors: ErrorModel, noise: NoiseLevels, speed: Scalar | float, doubt:
     processes = zip((noise.force, noise.wiggle), sizes, strict=True)
     force, wiggle = (jnp.broadcast_to(jnp.asarray(size) ** 2, count) for size, count in processes)
     errors_first = jnp.where(errors.driven[0], speed**2, (doubt * noise.measurement) ** 2 @ errors.shows[0])
-    return jnp.diag(jnp.concatenate([errors_first, force, wiggle]))
+    return jnp.diag(jnp.concatenate([errors_first + errors.first[0] ** 2, force, wiggle]))
 
 
 def _transition(row: ErrorModel, noise: NoiseLevels) -> tuple[Array, Array, Array]:
@@ -385,7 +410,7 @@ def _transition(row: ErrorModel, noise: NoiseLevels) -> tuple[Array, Array, Arra
         for share, each, many in ((added, noise.force, count), (moved, noise.wiggle, n))
     ]
     defect = jnp.pad(row.defect, (0, count + n))
-    walk = jnp.diag(jnp.concatenate([jnp.zeros(size), *grown]))
+    walk = jnp.diag(jnp.concatenate([row.dt * row.walk**2, *grown]))
     return whole, defect, walk + jnp.pad(noise.acceleration**2 * _white(row), (0, count + n))
 
 

@@ -117,7 +117,7 @@ class Fit(NamedTuple):
 
 class Solved(NamedTuple):
     """The end of a search: the fit, the point of the likelihood at it, what is fixed, bounds of the logarithms of
-    noise, and whether readings alone are noisy."""
+    noise, and the kinds of noise that there are not."""
 
     family: Family
     fit: Fit
@@ -125,7 +125,12 @@ class Solved(NamedTuple):
     point: Point
     fixed: Fixed
     bounds: Float[NumpyArray, "k 2"]
-    quiet: bool = False
+    without: tuple[str, ...] = ()
+
+    @property
+    def quiet(self) -> bool:
+        """Whether readings alone are noisy."""
+        return "forces" in self.without
 
     @property
     def least(self) -> Float[NumpyArray, "n"]:
@@ -204,12 +209,16 @@ def search(
 
 
 def likeliest(solved: Solved, progress: Callable[[int, int], object]) -> Solved:
-    """The end of the search from a point, with forces or without, whichever explains the rows better."""
-    rounds = itertools.count(1)
+    """The end of the search from a point, with forces and wiggles or without, whichever explains the rows better."""
+    rounds, n = itertools.count(1), solved.problem.noise.measurement.size
     solved, loss = _alternate(solved, progress, rounds)
-    # What forces explain has to be worth the numbers of their noise (Akaike 1974); else readings alone are noisy.
-    worth = loss + 2 * (len(solved.bounds) - 1)
-    quiet, quiet_loss = _alternate(solved._replace(quiet=True), progress, rounds, worth)
+    # What a kind of noise explains has to be worth its numbers (Akaike 1974). Readings that are off together pass for
+    # forces, without the doubt that these leave about the numbers of the model.
+    worth = loss + 2 * (n + 1)
+    still, still_loss = _alternate(solved._replace(without=("wiggle",)), progress, rounds, worth)
+    solved, loss = _exact(*((still, still_loss) if still_loss < worth else (solved, loss)))
+    worth = loss + 2 * (len(solved.bounds) - 1 - (n + 1) * len(solved.without))
+    quiet, quiet_loss = _alternate(solved._replace(without=("wiggle", "forces")), progress, rounds, worth)
     return quiet if quiet_loss < worth else solved
 
 
@@ -234,11 +243,11 @@ def _alternate(
 ) -> tuple[Solved, float]:
     """Rounds of searches for noise and for parameters, until neither gains, or what is reached is not `worth` going on;
     what is not determined is fixed then. Also twice the negative log-likelihood."""
-    _, _, problem, point, fixed, bounds, quiet = solved
+    _, _, problem, point, fixed, bounds, without = solved
     loss, before = np.inf, np.inf
     for k in range(1, ROUNDS):
         problem = problem._replace(substeps=problem.unknowns.steps(point.z, problem.rows))
-        problem, loss = problem.likelier(point.blocks.rest, bounds, NOISE_STEPS, quiet)
+        problem, loss = problem.likelier(point.blocks.rest, bounds, NOISE_STEPS, without)
         point = Point.at(problem, point.z, point.blocks.rest)
         point = minimise(problem, point, fixed, functools.partial(progress, next(rounds)), ROUND_STEPS)
         if k > 1 and loss > worth + (FAR_OFF if k > 2 else np.isfinite(np.asarray(problem.rows.y)).sum()):
@@ -248,18 +257,18 @@ def _alternate(
                 break
             fixed = Fixed(held, problem.unknowns.fixed_at(point.z))
         before = loss
-    solved = solved._replace(problem=problem, point=point, fixed=fixed)
-    return (solved, loss) if quiet or len(point.z) > MOST_EXACT else _exact(solved, loss)
+    return solved._replace(problem=problem, point=point, fixed=fixed), loss
 
 
 def _exact(solved: Solved, loss: float) -> tuple[Solved, float]:
-    """The same after steps with derivatives of the loss by differences, and twice the negative log-likelihood.
+    """The same after steps with derivatives of the loss by differences, if there are forces and few numbers, and twice
+    the negative log-likelihood.
 
     Scores take the gains of the filter as given. Where the model drives the gains, as that of a fast state under an
     unknown force, a search by scores ends off the likeliest numbers.
     """
-    _, _, problem, point, fixed, bounds, _ = solved
-    for _ in range(EXACT_STEPS):
+    _, _, problem, point, fixed, bounds, without = solved
+    for _ in range(0 if solved.quiet or len(point.z) > MOST_EXACT else EXACT_STEPS):
         inverse, now, rest = point.blocks.inverse(fixed.directions), point.loss(fixed), point.blocks.rest
         off = NEAR * np.sqrt(np.diagonal(inverse))
         places = [[point.z + way * row for way in (1, -1)] for row in np.diag(off)]
@@ -271,7 +280,7 @@ def _exact(solved: Solved, loss: float) -> tuple[Solved, float]:
         better = next((end for z in steps if (end := Point.at(problem, z, rest)).loss(fixed) < now), None)
         if better is None:
             break
-        problem, loss = problem.likelier(better.blocks.rest, bounds, NOISE_STEPS)
+        problem, loss = problem.likelier(better.blocks.rest, bounds, NOISE_STEPS, without)
         point = Point.at(problem, better.z, better.blocks.rest)
     return solved._replace(problem=problem, point=point), loss
 
@@ -320,7 +329,7 @@ def again(solved: Solved, rows: Rows, progress: Callable[[int, int], object] = l
     problem = solved.problem._replace(rows=jax.tree.map(jnp.asarray, rows))
     point = Point.at(problem, solved.point.z)
     begun = solved._replace(problem=problem, point=point, fixed=Fixed.nothing(len(point.z)))
-    return _conclude(_alternate(begun, progress, itertools.count())[0])
+    return _conclude(_exact(*_alternate(begun, progress, itertools.count()))[0])
 
 
 def profile(solved: Solved, again: int = RESTARTS) -> Solved:

@@ -128,16 +128,18 @@ class Likelihood(NamedTuple):
         return self.unknowns.along(kept.run, errors)
 
     def likelier(
-        self, kept: "Kept", bounds: Float[NumpyArray, "k 2"], steps: int, quiet: bool = False
+        self, kept: "Kept", bounds: Float[NumpyArray, "k 2"], steps: int, without: Sequence[str] = ()
     ) -> tuple["Likelihood", float]:
-        """The same with the likeliest noise within bounds, and twice its negative log-likelihood; where it is `quiet`,
-        readings alone are noisy."""
+        """The same with the likeliest noise within bounds, `without` forces or wiggles, and twice its negative
+        log-likelihood."""
         (_, n), d = kept.system.residual.shape, kept.pushes.shape[2]
         system = without_slopes(kept.system)._replace(input_matrix=kept.pushes)
-        start = np.clip(logarithms(self.noise, n, d), *bounds.T)
-        free = np.arange(1, 1 + n) if quiet else np.arange(len(start))
-        if quiet:
-            start[[0, *range(1 + n, 1 + n + d), *range(2 + n + d, 2 + 2 * n + d)]] = QUIET
+        start, entries = np.clip(logarithms(self.noise, n, d), *bounds.T), np.arange(len(bounds))
+        wiggle = entries >= 2 + n + d
+        groups = {"wiggle": wiggle, "forces": ~wiggle & ((entries < 1) | (entries > n))}
+        held = np.any([np.zeros(len(bounds), bool), *(groups[name] for name in without)], axis=0)
+        free, times = entries[~held], (entries == 1 + n + d) | (entries == entries[-1])
+        start[held & ~times] = QUIET
         # The first step of L-BFGS-B goes as far as bounds let it, where filters of hardly any noise overflow.
         near = np.clip(bounds, (start - REACH)[:, None], (start + REACH)[:, None])
         best, loss = descend(start, free, near, [system], None, self.speed, steps, VAGUE)

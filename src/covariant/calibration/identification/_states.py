@@ -124,7 +124,7 @@ def _linearised(unknowns: StateUnknowns, z: Array, run: Motion, rows: Rows, step
     linear = jax.vmap(step)(t[:-1], run.v[:-1], u[:-1], change[:-1], machine[1:], dt, run.v[1:])
     pushes = jnp.broadcast_to(jnp.eye(n), (len(dt), n, n))
     read = jax.vmap(reading)(t, run.v, u, change, machine, jnp.where(jnp.isnan(y), run.q, y))
-    return assembled((*linear, pushes), dt, rows, jnp.ones(n, bool), *read, ~jnp.isnan(y))
+    return assembled((*linear, pushes), dt, rows, (jnp.ones(n, bool), *jnp.zeros((2, n))), *read, ~jnp.isnan(y))
 
 
 def unknowns_of(family: Family, rows: Rows) -> Unknowns:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from covariant.calibration._least_squares import PRIOR
-from covariant.calibration.identification._error_model import ErrorModel, error_model
+from covariant.calibration.identification._error_model import ErrorModel, Walk, error_model
 from covariant.calibration.identification._predict import needed_substeps
 from covariant.calibration.identification._rows import Rows
 from covariant.geometry import AbstractManifold
@@ -69,7 +69,7 @@ def _along(manifold: Any, run: Motion, errors: Array) -> Motion:
 
 class Unknowns(eqx.Module, OfMotions):
     """The fitted function `make (k,) -> (model, lag)`, first values (p,), which are positive, which k of the p are
-    those of each machine, and the configurations of the model.
+    those of each machine, the configurations of the model, and the numbers that walk along a log.
 
     The unknowns z (p,) are relative changes of the values.
     """
@@ -79,11 +79,16 @@ class Unknowns(eqx.Module, OfMotions):
     positive: Any
     parts: Int[AnyArray, "M k"]
     manifold: AbstractManifold
+    walks: tuple[Walk, ...] = eqx.field(default=(), static=True, kw_only=True)
 
     @classmethod
-    def of(cls, family: Family) -> "Unknowns":
-        first, parts = jnp.asarray(family.first), jnp.asarray(family.parts)
-        return cls(family.make, first, family.positive, parts, family.file.model.manifold)
+    def of(cls, family: Family, known: bool = False) -> "Unknowns":
+        """The unknowns of a family; `known` are values of which only those that the model file calls uncertain are
+        not, and walk from where they begin as uncertain as the file says."""
+        first, parts, drift = jnp.asarray(family.first), jnp.asarray(family.parts), family.file.parameters_drift
+        stds = enumerate(map(family.file.uncertain_std, family.names)) if drift or known else ()
+        walks = tuple(Walk(j, std * known, drift) for j, std in stds if std is not None)
+        return cls(family.make, first, family.positive, parts, family.file.model.manifold, walks=walks)
 
     @classmethod
     def none(cls, model: MechanicalSystem) -> "Unknowns":

@@ -31,12 +31,14 @@ from covariant.calibration.identification import (
     total_loss,
 )
 from covariant.calibration.tuning._tuning_log import TuningLog, constant_gains
-from covariant.models import MechanicalSystem, Motion
+from covariant.models import Family, MechanicalSystem, Motion
 from covariant.observers import with_fixed_substeps
 from covariant.signals import AnyArray
 
 LEAST = 0.01
 """Least noise of a reading, as a fraction of the innovations: with less of it no estimate changes."""
+DRIFTS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Factors that are tried of the drift that a model file states."""
 TIMES = 3
 """Number of time constants that the search starts from."""
 RANGE = 1e4
@@ -53,14 +55,32 @@ class RunErrors(NamedTuple):
     system: ErrorModel
 
     @classmethod
-    def of(cls, model: MechanicalSystem, log: TuningLog, estimate: tuple[Array, Array, Array]) -> "RunErrors":
+    def of(
+        cls,
+        model: MechanicalSystem,
+        log: TuningLog,
+        estimate: tuple[Array, Array, Array],
+        uncertain: Family | None,
+        z: Array | None = None,
+    ) -> "RunErrors":
+        """Linearise at relative changes z (k,) of the uncertain numbers; by default, at the values of the model."""
         q, v, _ = estimate
+        unknowns = Unknowns.none(model) if uncertain is None else Unknowns.of(uncertain, known=True)
         t, u, y = (jnp.asarray(each) for each in log.record[:3])
         sampled = np.linspace(0, len(t) - 2, min(200, len(t) - 1)).astype(int)
         fixed = with_fixed_substeps(constant_gains(model, 1.0, 1.0), log.rate, q[sampled], v[sampled], u[sampled])
         rows = stretch(t, y, u, Motion(q, v))
-        linear = error_model(Unknowns.none(model), jnp.zeros(0), rows.start, rows, jnp.asarray(fixed.substeps or 1))
-        return cls(log, np.asarray(v), linear)
+        z, steps = jnp.zeros_like(unknowns.first) if z is None else z, jnp.asarray(fixed.substeps or 1)
+        return cls(log, np.asarray(v), error_model(unknowns, z, rows.start, rows, steps))
+
+    def drifting(self, factor: float) -> "RunErrors":
+        """The same with numbers that drift by a factor more."""
+        return self._replace(system=self.system._replace(walk=factor * self.system.walk))
+
+    def uncertain(self, noise: NoiseLevels, speed: jax.Array) -> Array:
+        """Mean change (k,) of the uncertain numbers over the log, beside those of the linearisation."""
+        n, size = self.v.shape[1], self.system.defect.shape[1]
+        return jnp.mean(smoothed_errors(self.system, noise, speed)[:, 2 * n : size], axis=0)
 
     def filtered(self, noise: NoiseLevels, speed: jax.Array) -> Filtered:
         """The Kalman filter on the errors."""
@@ -80,6 +100,19 @@ def largest_speed(logs: list[TuningLog]) -> jax.Array:
     return jnp.asarray(max(float(np.abs(log.velocity[log.tuned]).max()) for log in logs))
 
 
+def likelier_drift(runs: list[RunErrors], noise: NoiseLevels) -> float:
+    """Factor of the drift of numbers that walk with which the rows for tuning are likeliest; 1 if none is worth it."""
+    speed = largest_speed([run.log for run in runs])
+
+    def loss(factor: float) -> float:
+        each = (run.drifting(factor).filtered(noise, speed).loss[run.log.tuned] for run in runs)
+        return float(sum(map(jnp.sum, each)))
+
+    losses = {factor: loss(factor) for factor in DRIFTS}
+    best = min(losses, key=losses.__getitem__)
+    return best if losses[1.0] - losses[best] > 2 else 1.0  # what a number has to be worth (Akaike 1974)
+
+
 def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: np.ndarray | None) -> NoiseLevels:
     """Noise of the greatest likelihood; with an unknown force where that gains more than its parameters cost.
 
@@ -90,7 +123,7 @@ def best_noise(runs: list[RunErrors], frequency: float, size: np.ndarray, std: n
     # At first one half of the variance of the innovations is noise of the reading.
     first = np.maximum(size / np.sqrt(2), least)
     explained = frequency**2 * float(np.sqrt(np.mean(first**2)))
-    gains = [np.sqrt(np.mean(np.asarray(s.input_matrix)[:, n:] ** 2, axis=(0, 1))) for s in systems]
+    gains = [np.sqrt(np.mean(np.asarray(s.input_matrix)[:, n : 2 * n] ** 2, axis=(0, 1))) for s in systems]
     force = explained / np.mean(gains, axis=0)  # (n,) that explains all innovations
     rate = logs[0].rate
     ends = [len(log.first_part.t) for log in logs]

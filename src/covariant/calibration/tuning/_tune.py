@@ -30,9 +30,9 @@ from covariant.calibration.tuning._data_sheet import DataSheet
 from covariant.calibration.tuning._estimators import observer_gains
 from covariant.calibration.tuning._filters import relative_error
 from covariant.calibration.tuning._judge import ErrorRatio
-from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed
+from covariant.calibration.tuning._noise_search import RunErrors, best_noise, largest_speed, likelier_drift
 from covariant.calibration.tuning._tuning_log import Runs, TuningLog, by_jax, followed, refuse_noise_free, tuning_logs
-from covariant.models import MechanicalSystem
+from covariant.models import Family, MechanicalSystem
 from covariant.signals import Record
 
 NumpyArray = np.ndarray
@@ -86,6 +86,7 @@ class Tuning(NamedTuple):
             velocity error on held-out rows.
         noise_kept: Why the noise is that of the data sheet: "likelihood", because held-out measurements are likelier
             with it, or "velocities" from the verb `tune`, because a filter's velocities are; empty where it is tuned.
+        drift: Standard deviation of the relative change in a second of numbers that a filter estimates; 0 for none.
 
     Example:
         >>> import jax.numpy as jnp
@@ -111,6 +112,7 @@ class Tuning(NamedTuple):
     same: tuple[float, float] | None = None
     gains_kept: bool = False
     noise_kept: str = ""
+    drift: float = 0.0
 
 
 def tune(
@@ -123,6 +125,7 @@ def tune(
     progress: Callable[[str], object] = lambda stage: None,
     runs: Runs | None = None,
     names: Sequence[str] = (),
+    uncertain: Family | None = None,
 ) -> Tuning:
     """Tune gains and noise of a model on the first two thirds of each record, and confirm them on the rest.
 
@@ -141,6 +144,8 @@ def tune(
         progress: Called with the name of each of the three stages when it begins.
         runs: Runs the observers with constant gains, of which there are dozens; by default JAX, one by one.
         names: What messages call the records; by default record 1, record 2, ….
+        uncertain: The model with the numbers open that a filter estimates along with the motion, as the `family` of a
+            model file; none by default.
 
     Returns:
         Gains, noise, and their errors on the held-out rows.
@@ -159,9 +164,18 @@ def tune(
     proposed: dict[str, Poles] = {"innovations": (frequency, damping, 0.0)}
     estimates = followed(model, logs, proposed["innovations"], runner)
     progress("noise")
-    errors = [RunErrors.of(model, *each) for each in zip(logs, estimates, strict=True)]
+    drift = 0.0 if uncertain is None else uncertain.file.parameters_drift
+    speed, both = largest_speed(logs), list(zip(logs, estimates, strict=True))
+    errors = [RunErrors.of(model, *each, uncertain) for each in both]
     likeliest = best_noise(errors, frequency, size, std)
-    noise, speed = likeliest, largest_speed(logs)
+    if uncertain is not None:  # forces need not be linear in numbers that are far from those of the model
+        at = [each.uncertain(likeliest, speed) for each in errors]
+        errors = [RunErrors.of(model, *each, uncertain, z) for each, z in zip(both, at, strict=True)]
+        likeliest = best_noise(errors, frequency, size, std)
+        if (by := likelier_drift(errors, likeliest)) != 1:
+            drift, errors = by * drift, [each.drifting(by) for each in errors]
+            likeliest = best_noise(errors, frequency, size, std)
+    noise = likeliest
     progress("held-out rows")
     baseline, kept, old = None, "", None
     if before is not None:
@@ -192,6 +206,7 @@ def tune(
         None if gains_kept else same,
         gains_kept,
         kept,
+        drift,
     )
 
 

@@ -178,6 +178,11 @@ class ModelFile(NamedTuple):
         """Whether the model is a mechanical system, with a velocity to estimate; otherwise it is a `StateSpace`."""
         return isinstance(self.model, MechanicalSystem)
 
+    def uncertain_std(self, name: str) -> float | None:
+        """Relative standard deviation of a number such as `mass[0]`, by that of `mass` too; None if it is known."""
+        plain = {key.strip().removeprefix("parameters."): std for key, std in self.uncertain.items()}
+        return plain.get(name, plain.get(name.partition("@")[0].partition("[")[0]))
+
     def need_mechanical(self, spec: str, why: str) -> MechanicalSystem:
         """Require a mechanical model.
 

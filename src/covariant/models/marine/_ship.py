@@ -24,6 +24,7 @@ def ship(
     rudder: Number = 100.0,
     rudder_arm: Number = 2.5,
     propeller: Number | None = None,
+    current: Sequence[Number] = (0.0, 0.0),
 ) -> GroupSystem:
     """Ship with rudder and propeller on SE(2); v = (surge, sway, yaw rate) [m/s, m/s, rad/s].
 
@@ -44,6 +45,8 @@ def ship(
         rudder: Normal force of the rudder by the square of surge and the sine of its angle [N s²/m²].
         rudder_arm: Distance of the rudder aft of the origin [m].
         propeller: Thrust by the square of the propeller's speed [N s²/rad²]; none where the input is the thrust.
+        current: Velocity of the water towards north and east [m/s], constant over a log or, for a filter with
+            `uncertain_parameters`, slowly varying. The ship's velocities are those over ground.
 
     Returns:
         The system with three velocities and two inputs.
@@ -68,13 +71,16 @@ def ship(
         "quadratic_drag": Parameter(quadratic_drag, "N s^2/m^2, N s^2/m^2, N m s^2/rad^2", _SOURCE),
         "rudder": Parameter(rudder, "N s^2/m^2", _SOURCE),
         "rudder_arm": Parameter(rudder_arm, "m", _SOURCE),
+        "current": Parameter(current, "m/s", "chosen: water at rest"),
     }
+    inertia = xp.stack([xp.stack([xp.asarray(entry, float) for entry in row]) for row in inertia])
+    numbers = {"linear": drag, "square": quadratic_drag, "rudder": rudder, "arm": rudder_arm}
     return GroupSystem(
         SE2,
-        xp.stack([xp.stack([xp.asarray(entry, float) for entry in row]) for row in inertia]),
+        inertia,
         None,
         Parametric(_thrust, propeller=() if propeller is None else (propeller,)),
-        Parametric(_resistance, linear=drag, square=quadratic_drag, rudder=rudder, arm=rudder_arm),
+        Parametric(_hydrodynamic_force, **numbers, current=current, inertia=inertia),
         velocities=("surge", "sway", "yaw_rate"),
         units=("m/s", "m/s", "rad/s"),
         inputs={"rudder": "rad", "thrust": "N"} if propeller is None else {"rudder": "rad", "propeller": "rad/s"},
@@ -87,7 +93,17 @@ def _thrust(t, g, u, propeller):
     return jnp.zeros(3, u.dtype).at[0].set(thrust)
 
 
-def _resistance(t, g, v, u, linear, square, rudder, arm):
+def _hydrodynamic_force(t, g, v, u, current, inertia, **numbers):
+    # In water that moves uniformly the laws are those of water at rest, for the velocity relative to it (Fossen 2011,
+    # property 8.1): M ν_r' = ad*_{ν_r} M ν_r + force(ν_r). Here M ν' = ad*_ν M ν, so that the difference is a force.
+    flow = jnp.append(g[:2, :2].T @ current, 0.0).astype(v.dtype)
+    turning = v[2] * jnp.stack([flow[1], -flow[0], 0.0 * flow[0]])  # the rate of a flow that is constant in the earth
+    through = v - flow
+    inertial = SE2.coadjoint(through, inertia @ through) - SE2.coadjoint(v, inertia @ v) + inertia @ turning
+    return _resistance(through, u, **numbers) + inertial
+
+
+def _resistance(v, u, linear, square, rudder, arm):
     # Astern the water comes from the other side of the rudder, hence |u| u.
     normal = rudder * jnp.abs(v[0]) * v[0] * jnp.sin(u[0])
     # A positive angle turns the trailing edge to starboard: the force points to port and aft, behind the origin.

@@ -107,7 +107,7 @@ def fit_to_logs(
     better = not predicts_worse(before, after) and not suspicion
     progress("all rows" if better else "what the logs do not tell", 1.0)
     found: Any = problem.ended(best, part if better else None)
-    values = np.array([float(f"{value:.{DIGITS}g}") for value in found.values])[problem.family.parts]
+    values = np.array([float(f"{value:.{DIGITS}g}") for value in problem.lasting(found.values)])[problem.family.parts]
     contents = {
         machine: problem.family.with_values(part) for machine, part in zip(problem.machines, values, strict=True)
     }
@@ -191,6 +191,10 @@ class _Problem:
         del part
         return best
 
+    def lasting(self, values: np.ndarray) -> np.ndarray:
+        """Fitted values (p,), with the first ones of numbers that drift: those of a log are not those of the next."""
+        return values
+
     def suspicion(self, best: Any, part: _Part) -> str:
         """A sentence on another reading of the logs that explains them better than the fit; or ""."""
         del part
@@ -221,7 +225,9 @@ class _PredictionProblem(_Problem):
         refuse_other_parameters(jobs, ("between", "lag"))
         if on_legs((file := models.load(jobs[0].model, jobs[0].overrides)).model):
             file.need_mechanical(jobs[0].model_name, "numbers are fitted for")
-        family = models.family(jobs[0].model_name, names, jobs[0].overrides)
+        # A number that drifts has a value in each log, which the other numbers depend on.
+        drifting = [name for name in file.uncertain if file.parameters_drift and name not in names]
+        family = models.family(jobs[0].model_name, [*names, *drifting], jobs[0].overrides)
         family, machines, of_log = _of_machines(family, own, lambda own: own)
         return cls(family, FitLogs.read([job._replace(fits=True) for job in jobs], of_log), machines)
 
@@ -256,6 +262,10 @@ class _PredictionProblem(_Problem):
     def fitted(self, best: Solved, machine: int, file: models.ModelFile) -> models.ModelFile:
         model, lag = self.family.make(best.fit.values[self.family.parts[machine]])
         return file._replace(model=model, input_lag=float(lag))
+
+    def lasting(self, values: np.ndarray) -> np.ndarray:
+        drifts = [self.family.file.uncertain_std(name) is not None for name in self.family.names]
+        return np.where(drifts, self.family.first, values) if self.family.file.parameters_drift else values
 
     def gain(self, fits: dict[str, Solved]) -> Gain:
         """Errors are weighed as in both fits, by turns, so that none is ahead."""

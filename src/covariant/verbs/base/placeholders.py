@@ -43,6 +43,15 @@ def placeholders(model: object, overrides: Overrides) -> dict[str, float]:
     return unchanged
 
 
+def drafted_names(model: str | PathLike[str]) -> list[str]:
+    """Parameters that `init` marked in a model file, whatever their values are now."""
+    table, names = "", []
+    for line in _LINE.finditer(model_text(model)):
+        table = line["table"] or table
+        names += [line["key"]] if line["key"] and table == "parameters" else []
+    return names
+
+
 def placeholder_sentence(values: Mapping[str, float]) -> str:
     """A sentence that names them, with what to do; "" where there are none."""
     if not values:

@@ -53,8 +53,7 @@ def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
     """What the model file has estimated along with the motion, beside an external force."""
     components = ()
     if file.family is not None:
-        keys = [next(key for key in file.uncertain if _stands_for(key, name)) for name in file.family.names]
-        stds = [file.uncertain[key] for key in keys]
+        stds = [file.uncertain_std(name) or 0.0 for name in file.family.names]
         components += (uncertain_parameters(file.family, stds, file.parameters_drift),)
     if file.bias is not None:
         components += (sensor_bias(np.broadcast_to(file.bias, file.dimension), file.bias_drift),)
@@ -69,9 +68,3 @@ def _wrench(file: ModelFile, name: str, given: Mapping[str, Any]) -> SlowVariabl
         return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
     except (InputError, TypeError) as error:
         raise InputError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error
-
-
-def _stands_for(key: str, name: str) -> bool:
-    """Whether a number, such as `mass[0]`, is meant by a key, such as `mass`."""
-    plain = key.strip().removeprefix("parameters.")
-    return name == plain or name.startswith(f"{plain}[")

@@ -83,7 +83,8 @@ def tune_to_logs(jobs: list[Job], engine: EngineName, progress: Progress, source
 
     try:
         names, model = [Path(job.log_name).name for job in jobs], loaded[0].model
-        tuning = tune(model, records, velocities, std=known, before=before, progress=report, runs=runs, names=names)
+        more = {"runs": runs, "names": names, "uncertain": file.family}
+        tuning = tune(model, records, velocities, std=known, before=before, progress=report, **more)
     except InputError as error:
         raise InputError(f"{', '.join(job.log_name for job in jobs)}: {error}") from error
     report("observers")
@@ -227,7 +228,7 @@ def _tables(file: models.ModelFile, tuning: Tuning, rate: float) -> dict[str, di
     # A deviation σ that persists over the time τ acts as white noise of the density σ √(2τ).
     acceleration = float(tuning.noise.acceleration) / np.sqrt(2 * time)
     uncertainty = {"acceleration": short(acceleration), "correlation_time": time}
-    uncertainty |= _force(file, tuning)
+    uncertainty |= _force(file, tuning) | ({"parameters_drift": short(tuning.drift)} if tuning.drift else {})
     tables: dict[str, dict[str, Any]] = {"uncertainty": uncertainty, "design": design}
     # Rounding to ticks has a uniform error, of the standard deviation quantum/√12.
     ticks = np.inf if file.quantum is None else np.asarray(file.quantum) / np.sqrt(12)
