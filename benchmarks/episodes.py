@@ -177,7 +177,11 @@ def simulated(run: int, root: Path) -> str:
         f"{run}: {n} joints, {kind} {size:+.2f} at {at} of {joint}: {said}; {(abs(off) <= 4).sum()} of {len(off)} "
         f"numbers within 4 standard errors; {np.median(errors):.1f} mrad; {time.process_time() - began:.0f} s; "
         f"better {result.better} {result.summary['suspicion']}"
-        + "".join(f" {row['name']} {z:+.1f}" for row, z in zip(rows, off, strict=True) if abs(z) > 4)
+        + "".join(
+            f"\n    {row['name']} {row['after']:.4g} ± {row['standard_error']:.2g}, true {x:.4g}"
+            for row, z, x in zip(rows, off, true, strict=True)
+            if abs(z) > 4
+        )
     )
 
 

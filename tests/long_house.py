@@ -98,7 +98,6 @@ MOST_LINES = 400
 MOST_LINES_OF = {
     "certificates/checking/_check.py": 300,
     "observers/filters/_intrinsic_kalman.py": 430,
-    "verbs/base/fit_to_logs.py": 490,
 }
 """Of the check, which has to be believed, less than of others; its jobs are parts of the trees of claims. The filter is
 one step, which is read as a whole; the three kinds of fit answer one protocol, and are read beside each other."""

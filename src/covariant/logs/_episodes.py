@@ -20,6 +20,8 @@ NOT_TABLES = (".mcap", ".rosbag2", ".db3", ".bag")
 """Suffixes of logs of messages, which have no episodes."""
 READ = (*WRITTEN, *NOT_TABLES)
 """Suffixes of logs."""
+LONGEST_HEADER = 1 << 20
+"""Largest size of a header [bytes] in which the column of an episode is looked for."""
 SHOWN = 3
 """Number of episodes whose rows are listed in a message."""
 
@@ -98,24 +100,29 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 def _numbers(path: Path) -> list[int]:
     """Numbers of the episodes of a file, in the order of its rows; empty if it does not have any."""
-    if path.suffix.lower() == ".parquet":
-        from covariant.logs._columns import pyarrow  # loads JAX, which comes after everything is checked
-
-        with pyarrow().parquet.ParquetFile(path) as file:
-            columns = episode_columns(file.schema_arrow.names)[:1]
-            found = file.read(columns=columns).column(0).unique().to_numpy() if columns else np.empty(0)
-    else:
+    if path.suffix.lower() != ".parquet":
         with path.open("rb") as file:  # most texts have no such column, and are not read for it
-            header = file.readline(1 << 20).decode(errors="replace")
+            header = file.readline(LONGEST_HEADER).decode(errors="replace")
         if not episode_columns(re.split(r"[,;\t\s]+", header.strip())):
             return []
-        from covariant.logs._data_set import survey_log
+    # Loads JAX, which comes after everything is checked.
+    from covariant.logs._columns import pyarrow
+    from covariant.logs._text import read_text, sheet
 
-        columns = survey_log(path).columns
-        named = episode_columns(columns)
-        found = columns[named[0]] if named else np.empty(0)
-    whole = [int(each) for each in found if np.isfinite(each) and each == int(each)]
-    return list(dict.fromkeys(whole))
+    pa = pyarrow()
+    if path.suffix.lower() == ".parquet":
+        with pa.parquet.ParquetFile(path) as file:
+            columns = episode_columns(file.schema_arrow.names)[:1]
+            cells = file.read(columns=columns).column(0) if columns else pa.chunked_array([[]], pa.int64())
+    else:
+        text = sheet(path)
+        columns = episode_columns(text.header)[:1]
+        cells = read_text(pa, path, text, columns).column(0) if columns else pa.chunked_array([[]], pa.int64())
+    try:
+        found = pa.compute.cast(cells.unique(), pa.float64()).to_numpy()
+    except pa.ArrowInvalid:  # names in place of numbers
+        return []
+    return list(dict.fromkeys(int(each) for each in found if np.isfinite(each) and each == int(each)))
 
 
 def episodes_fault(

@@ -99,6 +99,8 @@ def fit_servos(
         other = search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds)
         same = search.scaled(point)
         point = min(point, other, key=lambda each, same=same: same.weighed(each).loss(Fixed.nothing(len(x))))
+    search = search._replace(central=True)
+    point = search.descend(point.z, progress, rounds)
     search = search.scaled(point)
     point = search.weighed(point)
     # Rounded, a number at its bound would be beyond it.
@@ -139,7 +141,7 @@ def own_numbers(
         part = records[begin : begin + LOGS_AT_ONCE]
         longest = max(float(record.t[-1] - record.t[0]) for record in part)
         length = WINDOW if longest > 1.5 * WINDOW else 3 * SETTLING
-        search = _Search.of([family] * len(part), part, between, late, length)
+        search = _Search.of([family] * len(part), part, between, late, length)._replace(central=True)
         search = search.scaled(Point.at(search, x))
         errors, slopes = search.blocks(x).rest
         ends = np.cumsum(search.counts)[:-1]
@@ -155,7 +157,8 @@ def own_numbers(
 class _Search(NamedTuple):
     """Logs and their windows, with the usual sizes and lower bounds of the open numbers, and the scale (n,) of errors.
 
-    Logs without a window are left out; `used` has the indices of the others.
+    Logs without a window are left out; `used` has the indices of the others. Differences are `central` at the end of a
+    search: numbers that act by their ratios nearly cancel, and errors of the first order would seem to tell them.
     The unknowns z (p,) of the search are coordinates in usual sizes.
     """
 
@@ -168,6 +171,7 @@ class _Search(NamedTuple):
     length: float
     scale: Float[np.ndarray, "n"]
     used: tuple[int, ...]
+    central: bool = False
 
     @classmethod
     def of(
@@ -275,11 +279,17 @@ class _Search(NamedTuple):
         """The loss of each block of rows, and its derivatives; `rest` has the errors of all windows and their own."""
         del kept
         p, x = len(z), z * self.sizes
-        steps = DIFFERENCE_STEP * np.diag(self.sizes)
-        weights = np.concatenate([np.zeros((1, p)), np.eye(p)])[:, list(self.rigid)]
+        ahead = DIFFERENCE_STEP * np.eye(p)
+        # Backwards as far as the bounds of the numbers permit.
+        back = np.diag(np.minimum(DIFFERENCE_STEP, z - self.least / self.sizes)) if self.central else np.zeros((0, p))
+        moves = np.concatenate([ahead, -back])
+        steps = [DIFFERENCE_STEP * self.sizes * (np.arange(p) == i) for i in self.rigid]
+        weights = np.concatenate([np.zeros((1, p)), moves / DIFFERENCE_STEP])[:, list(self.rigid)]
         # Errors, and their derivatives by finite differences, all in one batch.
-        batch = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
-        return self._weigh((batch[0], (batch[1:] - batch[:1]) / DIFFERENCE_STEP))
+        batch = self._residuals([x, *(x + self.sizes * move for move in moves)], x, steps, weights)
+        before = batch[1 + p :] if self.central else batch[:1]
+        widths = DIFFERENCE_STEP + back.sum(axis=1) if self.central else np.full(p, DIFFERENCE_STEP)
+        return self._weigh((batch[0], (batch[1 : 1 + p] - before) / widths[:, None, None, None]))
 
     def moved(self, z: np.ndarray, dz: np.ndarray) -> np.ndarray:
         """Unknowns (p,) after a step of limited length."""
@@ -352,10 +362,10 @@ class _Search(NamedTuple):
 
     @staticmethod
     def _by_blocks(scores: np.ndarray) -> np.ndarray:
-        """Sums (B, p) of scores (W, R, p) over blocks: windows, or parts of windows if there are few."""
+        """Sums (B, p) of scores (W, R, p) over blocks: windows, or parts of windows if these are too few for p."""
         windows, rows, p = scores.shape
-        # Errors of a joint that sticks are alike for long: parts of a window are the last resort.
-        parts = 1 if windows >= MIN_WINDOWS else min(math.ceil(BLOCKS_PER_NUMBER * p / windows), rows)
+        # Errors of a joint that sticks are alike for long, so that parts are as long as they may be.
+        parts = min(max(math.ceil(BLOCKS_PER_NUMBER * p / windows), 1), rows)
         starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
         return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
 

@@ -197,8 +197,9 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
         "coulomb": (FIRST_COULOMB * FIRST_STIFFNESS, "N m, dry friction of the gear"),
     }
     if joints.many:  # of many logs more is told
-        values["stribeck"] = FIRST_COULOMB * FIRST_STIFFNESS / 2, "N m, more of it near rest"
         values["limit"] = FIRST_LIMIT * FIRST_STIFFNESS, "N m, the largest torque"
+    if joints.one_type:
+        values["stribeck"] = FIRST_COULOMB * FIRST_STIFFNESS / 2, "N m, more of it near rest"
     carried = {"load": (FIRST_LOAD, "friction per torque that the gear carries")}
     first = ""
     for name, servo in zip(joints.names, draft.servos, strict=True):
@@ -212,7 +213,7 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
             lines.append(f"{key} = {rounded!r}  {marked([rounded])}; {what}")
         if not first:
             lines.append(f"delay = {lag / 2:.3g}  # s, half {seen}")
-            lines += ["stribeck_velocity = 0.1  # rad/s"] * joints.many
+            lines += ["stribeck_velocity = 0.1  # rad/s"] * joints.one_type
         if joints.many:
             lines.append("offset = 0.0  # rad, of the position beyond the command")
         else:
