@@ -124,6 +124,10 @@ def main() -> None:
             print("{:40s} {:9.4g} ± {:8.2g} {:9.4g} ± {:8.2g}".format(*row))
 
 
+UNLIKE = dict.fromkeys(("viscous", "stribeck"), (0.0, 0.0))
+"""Ranges of numbers that a draft does not have: damping and viscous friction act by their sum."""
+
+
 def chain(n: int) -> servo_machines.Machine:
     """An arm of n joints about alternating axes, the first of them vertical."""
     text = '<robot name="chain"><link name="base"/>\n'
@@ -145,7 +149,7 @@ def simulated(run: int, root: Path) -> str:
     rng = np.random.default_rng([76, run])
     n = 2 + run % 5
     machine, kind = chain(n), ("none", "from", "in")[run % 3]
-    servo = servo_machines.draw_servo(machine, servo_machines.SO101 | {"delay": (0.005, 0.1)}, rng)
+    servo = servo_machines.draw_servo(machine, servo_machines.SO101 | {"delay": (0.005, 0.1), **UNLIKE}, rng)
     at, joint, size = (
         int(rng.integers(4, 20)),
         int(rng.integers(n)),

@@ -45,6 +45,8 @@ RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
 DIFFERENCE_STEP = 0.02
 """Step of the finite differences, in usual sizes: a joint that sticks jumps as a number changes, and over much shorter
 steps the differences of single rows outweigh all others."""
+ALONG_STEP = 1e-4
+"""Step of the derivatives along the motion, in usual sizes."""
 MIN_RATIO = 0.02
 """Least value of a number that must be positive, relative to its first value."""
 POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
@@ -99,7 +101,7 @@ def fit_servos(
         other = search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds)
         same = search.scaled(point)
         point = min(point, other, key=lambda each, same=same: same.weighed(each).loss(Fixed.nothing(len(x))))
-    search = search._replace(central=True)
+    search = search._replace(along=True)
     point = search.descend(point.z, progress, rounds)
     search = search.scaled(point)
     point = search.weighed(point)
@@ -141,7 +143,7 @@ def own_numbers(
         part = records[begin : begin + LOGS_AT_ONCE]
         longest = max(float(record.t[-1] - record.t[0]) for record in part)
         length = WINDOW if longest > 1.5 * WINDOW else 3 * SETTLING
-        search = _Search.of([family] * len(part), part, between, late, length)._replace(central=True)
+        search = _Search.of([family] * len(part), part, between, late, length)._replace(along=True)
         search = search.scaled(Point.at(search, x))
         errors, slopes = search.blocks(x).rest
         ends = np.cumsum(search.counts)[:-1]
@@ -157,8 +159,10 @@ def own_numbers(
 class _Search(NamedTuple):
     """Logs and their windows, with the usual sizes and lower bounds of the open numbers, and the scale (n,) of errors.
 
-    Logs without a window are left out; `used` has the indices of the others. Differences are `central` at the end of a
-    search: numbers that act by their ratios nearly cancel, and errors of the first order would seem to tell them.
+    Logs without a window are left out; `used` has the indices of the others. At the end of a search derivatives are
+    those `along` the motion: in them numbers that act by their ratios cancel, where jumps of a joint that sticks would
+    seem to tell these numbers.
+
     The unknowns z (p,) of the search are coordinates in usual sizes.
     """
 
@@ -171,7 +175,7 @@ class _Search(NamedTuple):
     length: float
     scale: Float[np.ndarray, "n"]
     used: tuple[int, ...]
-    central: bool = False
+    along: bool = False
 
     @classmethod
     def of(
@@ -279,17 +283,12 @@ class _Search(NamedTuple):
         """The loss of each block of rows, and its derivatives; `rest` has the errors of all windows and their own."""
         del kept
         p, x = len(z), z * self.sizes
-        ahead = DIFFERENCE_STEP * np.eye(p)
-        # Backwards as far as the bounds of the numbers permit.
-        back = np.diag(np.minimum(DIFFERENCE_STEP, z - self.least / self.sizes)) if self.central else np.zeros((0, p))
-        moves = np.concatenate([ahead, -back])
-        steps = [DIFFERENCE_STEP * self.sizes * (np.arange(p) == i) for i in self.rigid]
-        weights = np.concatenate([np.zeros((1, p)), moves / DIFFERENCE_STEP])[:, list(self.rigid)]
-        # Errors, and their derivatives by finite differences, all in one batch.
-        batch = self._residuals([x, *(x + self.sizes * move for move in moves)], x, steps, weights)
-        before = batch[1 + p :] if self.central else batch[:1]
-        widths = DIFFERENCE_STEP + back.sum(axis=1) if self.central else np.full(p, DIFFERENCE_STEP)
-        return self._weigh((batch[0], (batch[1 : 1 + p] - before) / widths[:, None, None, None]))
+        size = ALONG_STEP if self.along else DIFFERENCE_STEP
+        steps = size * np.diag(self.sizes)
+        weights = np.concatenate([np.zeros((1, p)), np.eye(p)])[:, list(self.rigid)]
+        # Errors, and their derivatives, all in one batch.
+        batch = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
+        return self._weigh((batch[0], (batch[1:] - batch[:1]) / size))
 
     def moved(self, z: np.ndarray, dz: np.ndarray) -> np.ndarray:
         """Unknowns (p,) after a step of limited length."""
@@ -341,7 +340,7 @@ class _Search(NamedTuple):
             own = list(group)
             logs, rows = [self.logs[k] for k in own], [self.rows[k] for k in own]
             drives = [logs[0].drive(candidate) for candidate in candidates]
-            q = np.split(simulate(logs, drives, x, rows, weights, steps), len(own), axis=1)
+            q = np.split(simulate(logs, drives, x, rows, weights, steps, self.along), len(own), axis=1)
             for k, log, each in zip(own, logs, q, strict=True):
                 parts[k] = (each - log.y[self.rows[k]])[:, : self.counts[k], self._skipped(log) :]
         return np.concatenate([parts[k] for k in range(len(self.logs))], axis=1)

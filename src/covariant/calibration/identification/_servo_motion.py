@@ -9,6 +9,7 @@ Numerica 12, for leapfrog; Moreau 1988, Unilateral contact and dry friction, for
 solved by projected Gauss–Seidel sweeps.
 """
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -206,11 +207,13 @@ def simulate(
     rows: Sequence[np.ndarray],
     weights: Float[np.ndarray, "P r"],
     steps: Sequence[Float[np.ndarray, "p"]],
+    along: bool = False,
 ) -> Float[np.ndarray, "P W R1 n"]:
     """Positions in windows of logs of one family with these rows, (W, R + 1) in all, for each of P drives.
 
     Commands are delayed exactly for the first drive, and to first order for the others. The rigid body is that at x
-    plus its changes under r steps of x, weighted for each drive.
+    plus its changes under r steps of x, weighted for each drive. With `along` all drives but the first have positions
+    of first order, by the derivative along the motion of the first, in which no joint sticks or slips earlier or later.
     """
     delays = np.asarray(drives[0].servos.delay)
     cuts, bodies = zip(*(log.cut(delays, x, own, steps) for log, own in zip(logs, rows, strict=True)), strict=True)
@@ -219,7 +222,7 @@ def simulate(
         for parts in (cuts, *zip(*bodies, strict=True))
     )
     stacked = jax.tree.map(lambda *parts: jnp.stack(parts), *drives)
-    return np.asarray(_simulate(stacked, weights, delays, cut, first, tuple(changes)))
+    return np.asarray(_simulate(stacked, weights, delays, cut, first, tuple(changes), along))
 
 
 _Compiled = tuple[Callable[[Any], Drive], Callable[..., RigidBody]]
@@ -270,7 +273,7 @@ def _compiled(family: RobotFamily) -> _Compiled:
     return _CACHE[id(family)][1]
 
 
-@jax.jit
+@functools.partial(jax.jit, static_argnames="along")
 def _simulate(
     drives: Drive,
     weights: Float[Array, "P r"],
@@ -278,8 +281,9 @@ def _simulate(
     cut: Cut,
     body: RigidBody,
     changes: tuple[RigidBody, ...],
+    along: bool,
 ) -> Float[Array, "P W R1 n"]:
-    """Positions at all rows of all windows, for each of P drives."""
+    """Positions at all rows of all windows, for each of P drives, or to first order along the motion of the first."""
 
     def window(drive: Drive, weight: Array, cut: Any, body: Any, changes: Any) -> Array:
         late = drive.servos.delay - delays
@@ -303,7 +307,17 @@ def _simulate(
         return jnp.concatenate([cut.q[None], after])
 
     over_windows = jax.vmap(window, in_axes=(None, None, 0, 0, 0))
-    return jax.vmap(over_windows, in_axes=(0, 0, None, None, None))(drives, weights, cut, body, changes)
+
+    def motion(drive: Drive, weight: Array) -> Array:
+        return over_windows(drive, weight, cut, body, changes)
+
+    if not along:
+        return jax.vmap(motion)(drives, weights)
+    at = jax.tree.map(lambda each: each[0], (drives, weights))
+    steps = jax.tree.map(lambda each: each[1:] - each[0], (drives, weights))
+    first = motion(*at)
+    changed = jax.vmap(lambda *step: jax.jvp(motion, at, step)[1])(*steps)
+    return jnp.concatenate([first[None], first + changed])
 
 
 def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: Any) -> Any:
