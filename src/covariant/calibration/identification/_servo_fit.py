@@ -42,11 +42,8 @@ LOGS_AT_ONCE, SHOWN = 100, 0.1
 """Logs whose own numbers are found at once, and the largest standard error of one, relative to that before the log."""
 RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
 """Integration error in the fitted numbers: relative, and for times such as a delay absolute [s]."""
-DIFFERENCE_STEP = 0.02
-"""Step of the finite differences, in usual sizes: a joint that sticks jumps as a number changes, and over much shorter
-steps the differences of single rows outweigh all others."""
-ALONG_STEP = 1e-4
-"""Step of the derivatives along the motion, in usual sizes."""
+DIFFERENCE_STEP = 1e-4
+"""Step, in usual sizes, over which the change of the drive is a derivative."""
 MIN_RATIO = 0.02
 """Least value of a number that must be positive, relative to its first value."""
 POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
@@ -101,8 +98,6 @@ def fit_servos(
         other = search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds)
         same = search.scaled(point)
         point = min(point, other, key=lambda each, same=same: same.weighed(each).loss(Fixed.nothing(len(x))))
-    search = search._replace(along=True)
-    point = search.descend(point.z, progress, rounds)
     search = search.scaled(point)
     point = search.weighed(point)
     # Rounded, a number at its bound would be beyond it.
@@ -143,7 +138,7 @@ def own_numbers(
         part = records[begin : begin + LOGS_AT_ONCE]
         longest = max(float(record.t[-1] - record.t[0]) for record in part)
         length = WINDOW if longest > 1.5 * WINDOW else 3 * SETTLING
-        search = _Search.of([family] * len(part), part, between, late, length)._replace(along=True)
+        search = _Search.of([family] * len(part), part, between, late, length)
         search = search.scaled(Point.at(search, x))
         errors, slopes = search.blocks(x).rest
         ends = np.cumsum(search.counts)[:-1]
@@ -159,9 +154,8 @@ def own_numbers(
 class _Search(NamedTuple):
     """Logs and their windows, with the usual sizes and lower bounds of the open numbers, and the scale (n,) of errors.
 
-    Logs without a window are left out; `used` has the indices of the others. At the end of a search derivatives are
-    those `along` the motion: in them numbers that act by their ratios cancel, where jumps of a joint that sticks would
-    seem to tell these numbers.
+    Logs without a window are left out; `used` has the indices of the others. Derivatives are those along the motion: in
+    differences a joint that sticks jumps, which outweighs all else, and seems to tell numbers that act by their ratios.
 
     The unknowns z (p,) of the search are coordinates in usual sizes.
     """
@@ -175,7 +169,6 @@ class _Search(NamedTuple):
     length: float
     scale: Float[np.ndarray, "n"]
     used: tuple[int, ...]
-    along: bool = False
 
     @classmethod
     def of(
@@ -283,12 +276,12 @@ class _Search(NamedTuple):
         """The loss of each block of rows, and its derivatives; `rest` has the errors of all windows and their own."""
         del kept
         p, x = len(z), z * self.sizes
-        size = ALONG_STEP if self.along else DIFFERENCE_STEP
-        steps = size * np.diag(self.sizes)
+        steps = DIFFERENCE_STEP * np.diag(self.sizes)
         weights = np.concatenate([np.zeros((1, p)), np.eye(p)])[:, list(self.rigid)]
         # Errors, and their derivatives, all in one batch.
-        batch = self._residuals([x, *(x + step for step in steps)], x, [steps[i] for i in self.rigid], weights)
-        return self._weigh((batch[0], (batch[1:] - batch[:1]) / size))
+        rigid = [steps[i] for i in self.rigid]
+        batch = self._residuals([x, *(x + step for step in steps)], x, rigid, weights, along=True)
+        return self._weigh((batch[0], (batch[1:] - batch[:1]) / DIFFERENCE_STEP))
 
     def moved(self, z: np.ndarray, dz: np.ndarray) -> np.ndarray:
         """Unknowns (p,) after a step of limited length."""
@@ -329,7 +322,12 @@ class _Search(NamedTuple):
         return -inverse @ (flat @ (weight * e).ravel()) / rows, np.sqrt(np.diagonal(inverse))
 
     def _residuals(
-        self, candidates: Sequence[np.ndarray], x: np.ndarray, steps: Sequence[np.ndarray], weights: np.ndarray
+        self,
+        candidates: Sequence[np.ndarray],
+        x: np.ndarray,
+        steps: Sequence[np.ndarray],
+        weights: np.ndarray,
+        along: bool = False,
     ) -> np.ndarray:
         """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by `steps`."""
         steps = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
@@ -340,7 +338,7 @@ class _Search(NamedTuple):
             own = list(group)
             logs, rows = [self.logs[k] for k in own], [self.rows[k] for k in own]
             drives = [logs[0].drive(candidate) for candidate in candidates]
-            q = np.split(simulate(logs, drives, x, rows, weights, steps, self.along), len(own), axis=1)
+            q = np.split(simulate(logs, drives, x, rows, weights, steps, along), len(own), axis=1)
             for k, log, each in zip(own, logs, q, strict=True):
                 parts[k] = (each - log.y[self.rows[k]])[:, : self.counts[k], self._skipped(log) :]
         return np.concatenate([parts[k] for k in range(len(self.logs))], axis=1)
