@@ -60,6 +60,7 @@ def fit_servos(
     progress: Callable[[int], object] = lambda _: None,
     late: float = 0.0,
     whole: bool = False,
+    first: Float[np.ndarray, "p"] | None = None,
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
@@ -75,6 +76,7 @@ def fit_servos(
         late: Time [s] by which the stamps of positions are ahead of those of the commands.
         whole: Whether windows are as long as the logs, up to `LONGEST_WINDOW`, which suits joints that stick for
             seconds; else they have 2 s, and less in short logs.
+        first: Coordinates (p,) from which the search starts; by default those of several that predict best.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine; `torque` has residuals of positions.
@@ -92,7 +94,8 @@ def fit_servos(
         raise InputError("give a family and a log for each of the logs")
     search = _Search.of(families, records, between, late, whole=whole)
     rounds = itertools.count()
-    point = search.descend(search.started(), progress, rounds)
+    start = search.started() if first is None else first / search.sizes
+    point = search.descend(start, progress, rounds)
     # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
     for x in search.shifted(point.z * search.sizes):
         other = search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds)

@@ -300,9 +300,12 @@ class ServoProblem(Problem):
         if len(self.logs.logs) == 1:
             records = [_first_part(records[0])]
 
-        del part, start
+        del part
+        first = None if start is None else start.coordinates
         late = _late(self.logs.logs[0])
-        return fit_servos(self.families[:seen], records, word, lambda k: report(k, k / ROBOT_ROUNDS), late, whole)
+        return fit_servos(
+            self.families[:seen], records, word, lambda k: report(k, k / ROBOT_ROUNDS), late, whole, first
+        )
 
     def refined(self, best: RobotFit, part: Part, progress: Progress) -> RobotFit:
         """The fit with windows as long as the logs, where that predicts clearly better: they are few."""
@@ -310,7 +313,7 @@ class ServoProblem(Problem):
         def report(done: int, fraction: float) -> None:
             progress(f"whole logs, round {done + 1}", min(fraction, 1.0))
 
-        other = self.fit(self.logs.tried[0], part, None, report, whole=True)
+        other = self.fit(self.logs.tried[0], part, best, report, whole=True)
         return other if error_growth(self.errors(other), self.errors(best)) > CLEARLY_WORSE else best
 
     def suspicion(self, best: RobotFit, part: Part) -> str:

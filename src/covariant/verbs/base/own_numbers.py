@@ -10,7 +10,7 @@ import numpy as np
 from covariant import logs, models
 from covariant.calibration.identification import own_numbers
 from covariant.models.robots import complete_tables
-from covariant.verbs.base.among_logs import CLEAR, LogRow, find_change, find_drift, find_outliers, weighted_mean
+from covariant.verbs.base.among_logs import FAR, LogRow, find_change, find_drift, find_outliers, weighted_mean
 from covariant.verbs.base.inputs import Job
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
@@ -99,7 +99,7 @@ def find_moved(rows: Sequence[LogRow], ticks: float) -> Moved:
         shared, error, _ = weighted_mean(value[known][~odd], std[known][~odd])
         for k in known[odd]:
             off, own = float(value[k] - shared), float(np.hypot(std[k], error))
-            if abs(off) > max(CLEAR * own, least):
+            if abs(off) > max(FAR * own, least):
                 sentences.append(f"{what} is another in {rows[k].name}: {size(off, own)}")
                 odd_ones |= {k} if kind == "offset" else set()
         drift = find_drift(value[known], std[known])
