@@ -32,7 +32,7 @@ SETTLING = 0.2
 MIN_WINDOWS = 8
 BLOCKS_PER_NUMBER = 3
 """Least number of blocks per fitted number: with too few blocks their covariance has no full rank."""
-MAX_ROUNDS, STEPS, LONGEST_STEP = 48, 12, 1.5
+MAX_ROUNDS, STEPS, LONGEST_STEP = 24, 12, 1.5
 """Most steps of a search, and those until the scale of the errors is renewed; longest step of an unknown."""
 TOLERANCE = 3e-3
 """Relative decrease of the loss below which the search stops."""

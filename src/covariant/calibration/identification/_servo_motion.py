@@ -314,10 +314,10 @@ def _simulate(
     if not along:
         return jax.vmap(motion)(drives, weights)
     at = jax.tree.map(lambda each: each[0], (drives, weights))
-    steps = jax.tree.map(lambda each: each[1:] - each[0], (drives, weights))
+    steps = jax.tree.map(lambda each: each[1:] - each[:1], (drives, weights))
     first = motion(*at)
     changed = jax.vmap(lambda *step: jax.jvp(motion, at, step)[1])(*steps)
-    return jnp.concatenate([first[None], first + changed])
+    return jnp.concatenate([first[None], first[None] + changed])
 
 
 def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: Any) -> Any:

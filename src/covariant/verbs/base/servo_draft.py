@@ -196,10 +196,10 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
         "armature": (FIRST_STIFFNESS * (lag / 2) ** 2 / 4, "kg m^2, of the rotor as felt at the joint"),
         "coulomb": (FIRST_COULOMB * FIRST_STIFFNESS, "N m, dry friction of the gear"),
     }
-    if joints.many:  # of many logs more is told
-        values["limit"] = FIRST_LIMIT * FIRST_STIFFNESS, "N m, the largest torque"
-    if joints.one_type:
+    if joints.one_type:  # many logs of servos that share their numbers tell friction near rest
         values["stribeck"] = FIRST_COULOMB * FIRST_STIFFNESS / 2, "N m, more of it near rest"
+    elif joints.many:
+        values["limit"] = FIRST_LIMIT * FIRST_STIFFNESS, "N m, the largest torque"
     carried = {"load": (FIRST_LOAD, "friction per torque that the gear carries")}
     first = ""
     for name, servo in zip(joints.names, draft.servos, strict=True):
