@@ -17,7 +17,7 @@ FORMATS = {".urdf": "URDF", ".xml": "MJCF", ".bam.json": "BAM 1.0", ".json": "ta
 HEAD_NOTES = {
     ".urdf": "Positions of joints are those of the log.",
     ".xml": "Positions of joints are those of the log. There are no shapes, so nothing touches anything.",
-    ".bam.json": "Positions of the joint are those of the log. vin, kp, error_gain and max_pwm belong to kt and R.",
+    ".bam.json": "kt²/R is the sum of damping and back_emf; vin, kp, error_gain and max_pwm belong to kt and R.",
     ".json": "Positions of joints are those of the log. command_offsets are added to commands.",
 }
 """Notes for the head of a file, by the end of its name."""
