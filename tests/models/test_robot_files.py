@@ -101,8 +101,8 @@ def test_the_table_has_the_arguments_of_a_delayed_actuator_for_each_joint(model,
     assert (table["actuators"]["elbow"]["min_delay"], table["actuators"]["elbow"]["max_delay"]) == (0, 0)
     assert table["command_offsets"] == {"shoulder": 0.1, "elbow": 0.0}
     assert table["step"] == pytest.approx(0.005)
-    assert table["left_out"] == ["shoulder: dead_band = 0.01"]
-    assert result.warnings == ("table of actuators has no entry for shoulder: dead_band = 0.01",)
+    assert table["left_out"] == ["shoulder: dead_band = 0.01, stribeck_velocity = 0.1"]
+    assert result.warnings == tuple(f"table of actuators has no entry for {line}" for line in table["left_out"])
 
 
 def test_what_a_format_cannot_say_is_in_its_head(model, tmp_path):

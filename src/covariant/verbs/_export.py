@@ -63,8 +63,8 @@ def export(
     which `estimate` reads from its log.
 
     Where `out` ends in .urdf, .xml or .json, the robot itself is written with the numbers of its model file, for
-    simulators: its URDF file, an MJCF file, or a table of its servos for configurations of actuators. Such a file takes
-    no options of an observer.
+    simulators: its URDF file, an MJCF file, or a table of its servos for configurations of actuators. A file named
+    JOINT.bam.json is the servo of that joint for BAM. Such files take no options of an observer.
 
     Args:
         model: A model file (.toml), a robot, `module:attribute`, the name of a system, a `ModelFile`, or a system.

@@ -1,4 +1,4 @@
-"""Writes robots as files for simulators: URDF, MJCF, or a table of their servos, depending on the file's suffix."""
+"""Writes robots as files for simulators, depending on the end of the file's name: URDF, MJCF, or tables of servos."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,22 +13,27 @@ from covariant.models.robots._description import NO_INERTIA, Description, Joint,
 from covariant.models.robots._forces import reduction_of
 from covariant.models.robots._load import described
 from covariant.models.robots._servos import servo_of
+from covariant.models.robots._write_bam import bam_text
 from covariant.models.robots._write_isaac import isaac_text
 from covariant.models.robots._write_mjcf import ONE_AXIS, mjcf_text
 from covariant.models.robots._write_urdf import urdf_text
 from covariant.models.robots._write_xml import numbers_left_out
 from scalargraph.errors import InputError
 
-LAW = ("asymmetry", "stribeck", "load", "load_external")
+LAW = ("asymmetry", "stribeck", "stribeck_velocity", "load", "load_external")
 """Numbers of a `FrictionLaw` beyond viscous and Coulomb friction."""
 SERVO = ("dead_band", "backlash", "switch", "logged_supply")
 """Properties of a `Servo` that no simulator's drive has."""
+BAM = ".bam.json"
+"""End of the names of parameter files for BAM; a joint's name comes before it."""
 LEFT_OUT = {
     ".urdf": (("stiffness", "gain", "damping", "feedforward", "delay", "offset", *SERVO), LAW),
     ".xml": (SERVO, LAW),
-    ".json": (SERVO, ("asymmetry", "load", "load_external")),
+    BAM: (("damping", "offset", "delay", "dead_band", "backlash", "logged_supply", "command_scale"), ("asymmetry",)),
+    ".json": (SERVO, ("asymmetry", "stribeck_velocity", "load", "load_external")),
 }
-"""Properties of servos and friction that each format cannot represent: URDF, MJCF, and the table for Isaac Lab."""
+"""Properties of servos and friction that each format cannot represent, by the end of its file names: URDF, MJCF, BAM's
+file of one servo, and the table for Isaac Lab."""
 
 
 class RobotText(NamedTuple):
@@ -39,7 +44,7 @@ class RobotText(NamedTuple):
 
 
 def robot_text(
-    suffix: str,
+    name: str,
     path: str | Path,
     step: float,
     about: Sequence[str] = (),
@@ -50,15 +55,23 @@ def robot_text(
     payload: Mapping[str, Sequence[float]] | None = None,
     **numbers: Any,
 ) -> RobotText:
-    """Text of a file of the robot that `load` loads with the same arguments; `step` is the simulation's step [s]."""
+    """Text of a file of the robot that `load` loads with the same arguments; `step` is the simulation's step [s].
+
+    `name` is that of the file, or its end.
+    """
+    suffix = next(each for each in LEFT_OUT if name.endswith(each))
     robot = described(path, actuated, **numbers)
     try:
         robot = _with_payload(robot, payload or {})
         of_urdf, robot = robot, _with_motors(_at_rest(robot, lock or {}), actuated)
+        if suffix == BAM:
+            robot = robot._replace(joints=(_joint_with_servo(robot, name.removesuffix(BAM)),))
         left_out = numbers_left_out(robot.joints, *LEFT_OUT[suffix])
         head = [*about, "This format has no entry for:", *left_out] if left_out else about
         if suffix == ".urdf":
             text = urdf_text(path, of_urdf, head)
+        elif suffix == BAM:
+            text = bam_text(robot, about, left_out)
         elif suffix == ".json":
             text = isaac_text(robot, step, about, left_out)
         else:
@@ -76,6 +89,15 @@ def _check_mjcf(text: str) -> None:
         mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         raise InputError(f"MuJoCo cannot read it as MJCF: {' '.join(str(error).split())}") from error
+
+
+def _joint_with_servo(robot: Description, name: str) -> Joint:
+    """The joint of this name, which has a servo."""
+    joints = {joint.name: joint for joint in robot.joints if joint.servo is not None}
+    if name not in joints:
+        some = ", ".join(joints) or "there is none"
+        raise InputError(f"the part before {BAM} must be the name of a joint with a servo ({some}); got {name!r}")
+    return joints[name]
 
 
 def _with_payload(robot: Description, payload: Mapping[str, Sequence[float]]) -> Description:

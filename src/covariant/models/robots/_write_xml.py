@@ -39,8 +39,8 @@ def numbers_left_out(joints: Iterable[Joint], of_servo: Sequence[str], of_law: S
     for joint in joints:
         servo, law = joint.servo or Servo(0.0), joint.law or FrictionLaw()
         values = {key: getattr(servo, key) for key in of_servo} | {key: getattr(law, key) for key in of_law}
-        if law.stribeck and "stribeck" in values:
-            values["stribeck_velocity"] = law.stribeck_velocity
+        if not law.stribeck:
+            values.pop("stribeck_velocity", None)
         stated = [f"{key} = {_text(value)}" for key, value in values.items() if _stated(key, value)]
         if stated:
             lines.append(f"{joint.name}: {', '.join(stated)}")
@@ -48,7 +48,7 @@ def numbers_left_out(joints: Iterable[Joint], of_servo: Sequence[str], of_law: S
 
 
 def _stated(key: str, value: float | bool) -> bool:
-    return bool(np.isfinite(value)) and value != (1 if key == "gain" else 0)
+    return bool(np.isfinite(value)) and value != (1 if key in ("gain", "command_scale") else 0)
 
 
 def _text(value: float | bool) -> str:

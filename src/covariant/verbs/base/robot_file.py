@@ -12,20 +12,21 @@ from covariant.verbs.base.result import AbstractResult
 from scalargraph.errors import InputError
 from scalargraph.files import utf8, write_together
 
-FORMATS = {".urdf": "URDF", ".xml": "MJCF", ".json": "table of actuators"}
-"""Formats of robot files by extension."""
+FORMATS = {".urdf": "URDF", ".xml": "MJCF", ".bam.json": "BAM 1.0", ".json": "table of actuators"}
+"""Formats of robot files by the end of their names."""
 HEAD_NOTES = {
     ".urdf": "Positions of joints are those of the log.",
     ".xml": "Positions of joints are those of the log. There are no shapes, so nothing touches anything.",
+    ".bam.json": "kt²/R is the sum of damping and back_emf; vin, kp, error_gain and max_pwm belong to kt and R.",
     ".json": "Positions of joints are those of the log. command_offsets are added to commands.",
 }
-"""Notes for the head of a file, by extension."""
+"""Notes for the head of a file, by the end of its name."""
 
 
 def write_robot(
     model: Any, out: Path, rate: float, overwrite: bool, overrides: Overrides, options: Mapping[str, Any]
 ) -> "RobotFileResult":
-    """Write a robot in the format that the extension of `out` names; `options` of an observer must not be set."""
+    """Write a robot in the format that the name of `out` ends in; `options` of an observer must not be set."""
     for name, value in options.items():
         if value is not None and value is not False:
             raise InputError(f"{name} is for an observer, and {out} is the file of a robot; leave it out")
@@ -34,14 +35,15 @@ def write_robot(
     if model is not label and not isinstance(model, str | Path):
         raise InputError(f"{label}: a robot is written from its model file, its own file or its name")
     recipe = models.recipe(label, overrides)
+    suffix = next(each for each in FORMATS if out.name.endswith(each))
     if recipe.get("system") != "robot":
-        raise InputError(f"{label}: only a robot is written as {FORMATS[out.suffix]} ({out.suffix})")
+        raise InputError(f"{label}: only a robot is written as {FORMATS[suffix]} ({suffix})")
     parameters, step = dict(recipe["parameters"]), 1 / rate
     about = [f"Written by covariant export from {Path(label).name}, for steps of {step:.6g} s."]
-    about.append(HEAD_NOTES[out.suffix])
-    text, left_out = models.robots.robot_text(out.suffix, parameters.pop("path"), step, about, **parameters)
+    about.append(HEAD_NOTES[suffix])
+    text, left_out = models.robots.robot_text(out.name, parameters.pop("path"), step, about, **parameters)
     write_together({out: utf8(text)})
-    return RobotFileResult(label, out, FORMATS[out.suffix], left_out)
+    return RobotFileResult(label, out, FORMATS[suffix], left_out)
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,7 +53,7 @@ class RobotFileResult(AbstractResult):
     Attributes:
         model_name: Path or name of the model.
         out: Path of the file.
-        kind: Format of the file: URDF, MJCF, or a table of actuators.
+        kind: Format of the file: URDF, MJCF, BAM 1.0, or a table of actuators.
         left_out: Numbers for which the format has no entry, one line for each joint.
 
     Example:
