@@ -1,5 +1,6 @@
 """Several recordings in one file, the episodes of a data set: how one is named, and that they are no single log."""
 
+import contextlib
 import re
 from collections.abc import Callable, Iterable
 from os import PathLike
@@ -75,14 +76,19 @@ def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
     """
     path, number = part_of(log)
     if path.is_dir() and not is_log(path):
+        if number is not None:
+            raise InputError(f"{log}: this is a folder; #{number} belongs after the name of a file, as FILE#{number}")
         inside = (path / "data").rglob("*.parquet") if (path / INFO).is_file() else path.iterdir()
-        files = sorted(filter(is_log, inside), key=lambda file: _natural(str(file)))
+        shown = (file for file in inside if is_log(file) and not file.name.startswith("."))
+        files = sorted(shown, key=lambda file: _natural(str(file)))
         if not files:
             raise InputError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
         return tuple(each for file in files for each in episodes(file))
     if number is not None or not path.is_file() or path.suffix.lower() in NOT_TABLES:
         return (str(log),)
-    numbers = _numbers(path)
+    numbers: list[int] = []
+    with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
+        numbers = _numbers(path)
     return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (str(log),)
 
 
@@ -99,23 +105,28 @@ def _natural(name: str) -> list[tuple[int, str]]:
 def _numbers(path: Path) -> list[int]:
     """Numbers of the episodes of a file, in the order of its rows; empty if it does not have any."""
     if path.suffix.lower() == ".parquet":
-        from covariant.logs._columns import pyarrow  # loads JAX, which comes after everything is checked
+        # They load JAX, which comes after everything is checked.
+        from covariant.logs._columns import pyarrow
+        from covariant.logs._parquet import numeric_columns
 
         with pyarrow().parquet.ParquetFile(path) as file:
-            columns = episode_columns(file.schema_arrow.names)[:1]
-            found = file.read(columns=columns).column(0).unique().to_numpy() if columns else np.empty(0)
+            columns = episode_columns(numeric_columns(file.schema_arrow))[:1]
+            found = file.read(columns=columns).column(0).to_numpy() if columns else np.empty(0)
     else:
         with path.open("rb") as file:  # most texts have no such column, and are not read for it
             header = file.readline(1 << 20).decode(errors="replace")
-        if not episode_columns(re.split(r"[,;\t\s]+", header.strip())):
+        if not episode_columns(re.split(r"[^\w./]+", header)):
             return []
         from covariant.logs._data_set import survey_log
 
         columns = survey_log(path).columns
         named = episode_columns(columns)
         found = columns[named[0]] if named else np.empty(0)
-    whole = [int(each) for each in found if np.isfinite(each) and each == int(each)]
-    return list(dict.fromkeys(whole))
+    # Rows without a number belong to no episode. Numbers that are not whole, or come again, such as those of a desired
+    # trajectory, count none.
+    known = found[np.isfinite(found) & (found >= 0)]
+    begins = known[np.diff(known, prepend=-1.0) != 0]
+    return begins.astype(int).tolist() if not (begins % 1).any() and len(begins) == len({*begins}) else []
 
 
 def episodes_fault(

@@ -27,6 +27,12 @@ def read_parquet(path: Path, wanted: Sequence[str], episode: tuple[str, int] | N
     return pyarrow().table([plain_text(column) for column in table.columns], names=table.column_names)
 
 
+def numeric_columns(schema: Any) -> list[str]:
+    """Names of the columns of whole or floating numbers."""
+    types = pyarrow().types
+    return [each.name for each in schema if types.is_integer(each.type) or types.is_floating(each.type)]
+
+
 def of_episode(path: Path, source: LogSource, number: int) -> LogSource:
     """The source of one episode of a text."""
     column = episode_column(path, source.names)
