@@ -82,7 +82,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
         >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})).columns)
         ['t', 'q1']
     """
-    if not isinstance(log, str | PathLike) or len(each := episodes(log)) < 2:
+    if len(each := episodes(log)) < 2:
         return survey_log(log)
     tried, faults = [], []
     for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int)):

@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterable
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -49,17 +50,17 @@ def part_of(log: str | PathLike[str]) -> tuple[Path, int | None]:
     return (Path(name), int(number)) if name and number.isdecimal() and not path.exists() else (path, None)
 
 
-def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
+def episodes(log: Any) -> tuple[Any, ...]:
     """The logs of a file or a folder, in the order of the numbers in their names.
 
-    A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one. A folder
-    has those of all logs in it; of a LeRobot data set, those of its `data`.
+    A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one, also in
+    memory. A folder has those of all logs in it; of a LeRobot data set, those of its `data`.
 
     Args:
-        log: A path.
+        log: A path, or a log in memory.
 
     Returns:
-        Paths of logs, for `read` and all that takes a log.
+        Logs, by their paths, for `read` and all that takes a log.
 
     Raises:
         ValueError: The folder has no log.
@@ -74,6 +75,8 @@ def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
         >>> [Path(each).name for each in logs.episodes(folder)]
         ['runs.csv#0', 'runs.csv#1']
     """
+    if not isinstance(log, str | PathLike):
+        return (log,)
     path, number = part_of(log)
     if path.is_dir() and not is_log(path):
         if number is not None:
