@@ -135,7 +135,8 @@ def test_episodes_of_one_file_are_named_with_their_rows(tmp_path):
         logs.ClockError,
         match=re.escape(
             "column 'timestamp' starts again at row 3: by episode_index, 4 is rows 1 to 2, 5 is rows 3 to 5, 9 is rows "
-            "6 to 6; the name of a file with #5 after it is one of them, and in pandas frame[frame['episode_index'] == 5]"
+            "6 to 6; the name of a file with #5 after it is one of them, and in pandas "
+            "frame[frame['episode_index'] == 5]"
         ),
     ):
         logs.record(path, "timestamp", "action[0]")

@@ -238,3 +238,9 @@ def pyarrow() -> Any:
     except ImportError as error:
         raise MissingPackageError("reading and writing logs needs pyarrow: pip install 'covariant[logs]'") from error
     return pyarrow
+
+
+def numeric_columns(schema: Any) -> list[str]:
+    """Names of the columns of whole or floating numbers."""
+    types = pyarrow().types
+    return [each.name for each in schema if types.is_integer(each.type) or types.is_floating(each.type)]

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from collections import Counter
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -81,15 +82,30 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
         >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})).columns)
         ['t', 'q1']
     """
-    if not isinstance(log, str | PathLike) or len(each := episodes(log)) < 2:
+    if len(each := episodes(log)) < 2:
         return survey_log(log)
-    tried = [survey_log(each[k]) for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int))]
-    names = [name for name in tried[0].columns if all(name in found.columns for found in tried)]
-    moved = np.array([[np.nanstd(found.columns[name]) for name in names] for found in tried])
+    tried, faults = [], []
+    for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int)):
+        try:
+            tried.append(survey_log(each[k]))
+        except LogError as fault:
+            faults.append(fault)
+    if not tried:
+        raise faults[0]
+    # One that has other columns than most was recorded otherwise, or is no log.
+    names = Counter(tuple(found.columns) for found in tried).most_common(1)[0][0]
+    tried = [found for found in tried if tuple(found.columns) == names]
+    moved = np.array([[_deviation(column) for column in found.columns.values()] for found in tried])
     most = moved.max(axis=0)
     scores = np.log(moved[:, most > 0] / most[most > 0] + LEAST_MOTION).sum(axis=1)
     best, data_set = tried[int(np.argmax(scores))], DataSet.of(part_of(log)[0])
     return best if data_set is None else data_set.describe(best)
+
+
+def _deviation(column: Float[np.ndarray, "T"]) -> float:
+    """Standard deviation of the finite numbers of a column; 0 if it has none."""
+    known = column[np.isfinite(column)]
+    return float(known.std()) if len(known) else 0.0
 
 
 def survey_log(log: Any) -> LogSurvey:

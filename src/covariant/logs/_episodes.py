@@ -1,9 +1,11 @@
 """Several recordings in one file, the episodes of a data set: how one is named, and that they are no single log."""
 
+import contextlib
 import re
 from collections.abc import Callable, Iterable
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -50,17 +52,17 @@ def part_of(log: str | PathLike[str]) -> tuple[Path, int | None]:
     return (Path(name), int(number)) if name and number.isdecimal() and not path.exists() else (path, None)
 
 
-def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
+def episodes(log: Any) -> tuple[Any, ...]:
     """The logs of a file or a folder, in the order of the numbers in their names.
 
-    A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one. A folder
-    has those of all logs in it; of a LeRobot data set, those of its `data`.
+    A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one, also in
+    memory. A folder has those of all logs in it; of a LeRobot data set, those of its `data`.
 
     Args:
-        log: A path.
+        log: A path, or a log in memory.
 
     Returns:
-        Paths of logs, for `read` and all that takes a log.
+        Logs, by their paths, for `read` and all that takes a log.
 
     Raises:
         ValueError: The folder has no log.
@@ -75,16 +77,23 @@ def episodes(log: str | PathLike[str]) -> tuple[str, ...]:
         >>> [Path(each).name for each in logs.episodes(folder)]
         ['runs.csv#0', 'runs.csv#1']
     """
+    if not isinstance(log, str | PathLike):
+        return (log,)
     path, number = part_of(log)
     if path.is_dir() and not is_log(path):
+        if number is not None:
+            raise InputError(f"{log}: this is a folder; #{number} belongs after the name of a file, as FILE#{number}")
         inside = (path / "data").rglob("*.parquet") if (path / INFO).is_file() else path.iterdir()
-        files = sorted(filter(is_log, inside), key=lambda file: _natural(str(file)))
+        shown = (file for file in inside if is_log(file) and not file.name.startswith("."))
+        files = sorted(shown, key=lambda file: _natural(str(file)))
         if not files:
             raise InputError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
         return tuple(each for file in files for each in episodes(file))
     if number is not None or not path.is_file() or path.suffix.lower() in NOT_TABLES:
         return (str(log),)
-    numbers = _numbers(path)
+    numbers: list[int] = []
+    with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
+        numbers = _numbers(path)
     return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (str(log),)
 
 
@@ -100,29 +109,36 @@ def _natural(name: str) -> list[tuple[int, str]]:
 
 def _numbers(path: Path) -> list[int]:
     """Numbers of the episodes of a file, in the order of its rows; empty if it does not have any."""
-    if path.suffix.lower() != ".parquet":
+    is_text = path.suffix.lower() != ".parquet"
+    if is_text:
         with path.open("rb") as file:  # most texts have no such column, and are not read for it
             header = file.readline(LONGEST_HEADER).decode(errors="replace")
-        if not episode_columns(re.split(r"[,;\t\s]+", header.strip())):
+        if not episode_columns(re.split(r"[^\w./]+", header)):
             return []
     # Loads JAX, which comes after everything is checked.
-    from covariant.logs._columns import pyarrow
+    from covariant.logs._cells import numbers
+    from covariant.logs._columns import numeric_columns, pyarrow
     from covariant.logs._text import read_text, sheet
 
-    pa = pyarrow()
-    if path.suffix.lower() == ".parquet":
-        with pa.parquet.ParquetFile(path) as file:
-            columns = episode_columns(file.schema_arrow.names)[:1]
-            cells = file.read(columns=columns).column(0) if columns else pa.chunked_array([[]], pa.int64())
-    else:
+    if is_text:
         text = sheet(path)
         columns = episode_columns(text.header)[:1]
-        cells = read_text(pa, path, text, columns).column(0) if columns else pa.chunked_array([[]], pa.int64())
-    try:
-        found = pa.compute.cast(cells.unique(), pa.float64()).to_numpy()
-    except pa.ArrowInvalid:  # names in place of numbers
+        table = read_text(pyarrow(), path, text, columns)
+    else:
+        with pyarrow().parquet.ParquetFile(path) as file:
+            columns = episode_columns(numeric_columns(file.schema_arrow))[:1]
+            table = file.read(columns=columns)
+    if not columns:
         return []
-    return list(dict.fromkeys(int(each) for each in found if np.isfinite(each) and each == int(each)))
+    try:
+        found = numbers(str(path), table.column(0), needed=False)
+    except InputError:  # names in place of numbers
+        return []
+    # Rows without a number belong to no episode. Numbers that are not whole, or come again, such as those of a desired
+    # trajectory, count none.
+    known = found[np.isfinite(found) & (found >= 0)]
+    begins = known[np.diff(known, prepend=-1.0) != 0]
+    return begins.astype(int).tolist() if not (begins % 1).any() and len(begins) == len({*begins}) else []
 
 
 def episodes_fault(

@@ -11,7 +11,17 @@ from jaxtyping import Float
 from covariant.logs._bag import bag_columns, read_bag
 from covariant.logs._cells import numbers
 from covariant.logs._clock import displaced_rows
-from covariant.logs._columns import ATTITUDES, ClockError, Columns, Log, LogError, check_log, kind, pyarrow
+from covariant.logs._columns import (
+    ATTITUDES,
+    ClockError,
+    Columns,
+    Log,
+    LogError,
+    check_log,
+    kind,
+    numeric_columns,
+    pyarrow,
+)
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._entries import by_entries, is_list
 from covariant.logs._episodes import episodes_fault, part_of
@@ -394,6 +404,8 @@ def open_source(name: str, log: Any) -> LogSource:
         raise FileNotFoundError(f"{path}: no such file")
     check_log(path)
     if ending == "bag":
+        if episode is not None:
+            raise LogError(f"{name}: a log of messages has no episodes; leave #{episode} out")
         names = bag_columns(path)
         shown = [name for name, shortest in names.items() if shortest]
         return LogSource(list(names), shown, lambda *asked: pyarrow().table(read_bag(path, *asked)))
@@ -402,7 +414,7 @@ def open_source(name: str, log: Any) -> LogSource:
             schema = file.schema_arrow
             check_log(path, file.metadata.num_rows)
         names, lists = list(schema.names), [field.name for field in schema if is_list(field.type)]
-        part = None if episode is None else (episode_column(path, names), episode)
+        part = None if episode is None else (episode_column(path, numeric_columns(schema)), episode)
 
         def load(wanted: Sequence[str], held: Sequence[str], beside: Sequence[str]) -> Any:
             return read_parquet(path, [*wanted, *beside], part)

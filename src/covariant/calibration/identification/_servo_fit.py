@@ -304,14 +304,14 @@ class _Search(NamedTuple):
         return point._replace(blocks=self._weigh(point.blocks.rest))
 
     def _weigh(self, errors: tuple[np.ndarray, np.ndarray]) -> Blocks:
-        seen, share = np.isfinite(self._measured), 1 / self._alike
+        seen, share = np.isfinite(self._measured), self._shares[:, None, None]
         e, slopes = (np.where(seen, each, 0.0) / self.scale for each in errors)
         loss, weight = robust(e)
         slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-        losses = share * np.sum(loss * seen, axis=(1, 2))
-        scores = share * self._by_blocks(np.einsum("pbkj,bkj->bkp", slopes, weight * e, optimize=True))
+        losses = np.sum(share * loss * seen, axis=(1, 2))
+        scores = self._by_blocks(np.einsum("pbkj,bkj->bkp", slopes, share * weight * e, optimize=True))
         flat = slopes.reshape(len(slopes), -1)
-        majorised, information = (share * (flat * w.ravel()) @ flat.T for w in (weight, weight**3))
+        majorised, information = ((flat * (share * w).ravel()) @ flat.T for w in (weight, weight**3))
         return Blocks(losses, scores, majorised, information[None], errors)
 
     def step(self, errors: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -320,7 +320,7 @@ class _Search(NamedTuple):
         e, slopes = np.where(seen, errors, 0.0) / self.scale, np.where(seen, slopes, 0.0) / self.scale
         weight = robust(e)[1]
         flat = slopes.reshape(len(slopes), -1)
-        rows = max(1.0, errors.shape[1] / ROWS_ALIKE)
+        rows = max(1.0, np.sum(seen.any(axis=(0, 2))) / ROWS_ALIKE)
         inverse = np.linalg.inv((flat * weight.ravel()) @ flat.T / rows + np.eye(len(flat)) / PRIOR**2)
         return -inverse @ (flat @ (weight * e).ravel()) / rows, np.sqrt(np.diagonal(inverse))
 
@@ -335,8 +335,8 @@ class _Search(NamedTuple):
         """Residuals (P, B, R, n) of drives at P coordinates, with the rigid body at x and its changes by `steps`."""
         steps = steps if len(steps) == weights.shape[1] else [np.zeros_like(x)] * weights.shape[1]
         parts: dict[int, np.ndarray] = {}
-        # Logs of one family, with windows of as many rows, are simulated at once.
-        alike = lambda k: (id(self.logs[k].family), self.rows[k].shape[1])  # noqa: E731
+        # Logs of one family, with windows of as many rows and steps, are simulated at once.
+        alike = lambda k: (id(self.logs[k].family), self.rows[k].shape[1], self.logs[k].substeps)  # noqa: E731
         for _, group in itertools.groupby(sorted(range(len(self.logs)), key=alike), key=alike):
             own = list(group)
             logs, rows = [self.logs[k] for k in own], [self.rows[k] for k in own]
@@ -344,7 +344,7 @@ class _Search(NamedTuple):
             q = np.split(simulate(logs, drives, x, rows, weights, steps, along), len(own), axis=1)
             for k, log, each in zip(own, logs, q, strict=True):
                 parts[k] = (each - log.y[self.rows[k]])[:, : self.counts[k], self._skipped(log) :]
-        return np.concatenate([parts[k] for k in range(len(self.logs))], axis=1)
+        return _together([parts[k] for k in range(len(self.logs))])
 
     @staticmethod
     def _skipped(log: ServoLog) -> int:
@@ -353,12 +353,13 @@ class _Search(NamedTuple):
     @property
     def _measured(self) -> np.ndarray:
         parts = zip(self.logs, self.rows, self.counts, strict=True)
-        return np.concatenate([log.y[rows[:count]][:, self._skipped(log) :] for log, rows, count in parts])
+        return _together([log.y[rows[:count]][:, self._skipped(log) :] for log, rows, count in parts])
 
     @property
-    def _alike(self) -> float:
-        """Number of rows that count as one independent error: a tenth of a window."""
-        return max(1.0, self._measured.shape[1] / ROWS_ALIKE)
+    def _shares(self) -> Float[np.ndarray, "B"]:
+        """What a row of each window counts, since a tenth of its rows are one independent error."""
+        rows = [each.shape[1] - self._skipped(log) for log, each in zip(self.logs, self.rows, strict=True)]
+        return np.repeat(1 / np.maximum(1.0, np.array(rows) / ROWS_ALIKE), self.counts)
 
     @staticmethod
     def _by_blocks(scores: np.ndarray) -> np.ndarray:
@@ -368,6 +369,14 @@ class _Search(NamedTuple):
         parts = min(max(math.ceil(BLOCKS_PER_NUMBER * p / windows), 1), rows)
         starts = np.linspace(0, rows, parts, endpoint=False).astype(int)
         return np.add.reduceat(scores, starts, axis=1).reshape(-1, p)
+
+
+def _together(windows: Sequence[np.ndarray]) -> np.ndarray:
+    """Windows (…, B, R, n) of several logs, those of slower ones with unknown rows at their end."""
+    most = max(each.shape[-2] for each in windows)
+    shapes = [(*each.shape[:-2], most - each.shape[-2], each.shape[-1]) for each in windows]
+    ends = [np.full(shape, np.nan) for shape in shapes]
+    return np.concatenate([np.concatenate(pair, axis=-2) for pair in zip(windows, ends, strict=True)], axis=-3)
 
 
 def _scales(errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:

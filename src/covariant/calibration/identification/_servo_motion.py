@@ -129,6 +129,11 @@ class ServoLog(NamedTuple):
         drive, evaluate = _compiled(family)
         return cls(family, t, y, u, q, v, 2 * a, between, late, drive, evaluate)
 
+    @property
+    def substeps(self) -> int:
+        """Steps of the integration between two rows; a hundredth of one more is jitter of the stamps."""
+        return max(1, int(np.ceil(float(np.median(np.diff(self.t))) / MAX_STEP - 0.01)))
+
     def windows(self, length: float) -> list[np.ndarray]:
         """Rows of consecutive windows without gaps, of one length, each starting at a fully measured row."""
         usual = float(np.median(np.diff(self.t)))
@@ -155,9 +160,8 @@ class ServoLog(NamedTuple):
         first = rows[:, :-1]
         t = self.t[rows]
         step = np.diff(t, axis=1)
-        substeps = max(1, int(np.ceil(float(np.median(step)) / MAX_STEP - 1e-6)))
-        h = step / substeps
-        middle = t[:, :-1, None] + h[..., None] * np.arange(substeps)
+        h = step / self.substeps
+        middle = t[:, :-1, None] + h[..., None] * np.arange(self.substeps)
         inputs = self._commands(middle, h[..., None], delays + self.late)
         cut = Cut(self.y[rows[:, 0]], self.v[rows[:, 0]], step, inputs, self.q[first])
         body = self.evaluate(x, self.q, self.v)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
 FEWEST = 8
@@ -32,6 +33,8 @@ CLEAR = 4.0
 """Standard errors beyond which an offset or a drift is more than chance, among many logs."""
 JUDGED = ("nis", "nees", "innovation_rms", "velocity_rmse", "state_rmse", "rate")
 """Beginnings of the names of columns in which a log can be odd."""
+NEARLY_NONE = 1e-6
+"""Weight of an odd log, relative to another."""
 LISTED = 5
 """Most logs that a sentence names."""
 
@@ -271,7 +274,9 @@ def find_change(value: np.ndarray, std: np.ndarray) -> tuple[int, float, float] 
         return None
     steps = np.diff(value)
     scatter = max(0.0, (1.4826 * np.median(np.abs(steps))) ** 2 - np.median(std[1:] ** 2 + std[:-1] ** 2)) / 2
-    weights = 1 / (std**2 + scatter)
+    # One or two odd logs hardly count: a running median has a change where it is, and no odd ones.
+    odd = np.abs(value - median_filter(value, 5, mode="mirror")) > CLEAR * np.sqrt(std**2 + scatter)
+    weights = np.where(odd, NEARLY_NONE, 1) / (std**2 + scatter)
     before, sums = np.cumsum(weights)[:-1], np.cumsum(weights * value)[:-1]
     after, rest = weights.sum() - before, (weights * value).sum() - sums
     sizes, errors = rest / after - sums / before, np.sqrt(1 / before + 1 / after)
@@ -281,10 +286,13 @@ def find_change(value: np.ndarray, std: np.ndarray) -> tuple[int, float, float] 
     root = np.sqrt(weights)
     line = np.stack([root, root * np.arange(count)], axis=1)
     along = root * value - line @ np.linalg.lstsq(line, root * value)[0]
-    if np.sum(along**2) < np.sum(weights * left**2):
+    rest_of_squares = np.sum(weights * left**2)
+    if np.sum(along**2) < rest_of_squares:
         return None  # a drift explains it better
-    clear = np.abs(sizes[at]) > stdtrit(count - 2, 1 - CHANCE / (2 * count)) * errors[at]
-    return (at + 1, float(sizes[at]), float(errors[at])) if clear else None
+    # What two means leave unexplained widens the error of their difference.
+    error = errors[at] * max(1.0, math.sqrt(rest_of_squares / (count - 2)))
+    clear = np.abs(sizes[at]) > stdtrit(count - 2, 1 - CHANCE / (2 * count)) * error
+    return (at + 1, float(sizes[at]), float(error)) if clear else None
 
 
 def find_drift(value: np.ndarray, std: np.ndarray) -> float | None:

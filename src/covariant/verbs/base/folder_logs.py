@@ -14,7 +14,7 @@ from covariant.signals import Record
 from covariant.verbs.base.among_logs import CLEAR, find_change
 from covariant.verbs.base.fit_to_logs import fit_to_logs
 from covariant.verbs.base.inputs import Job, column_names
-from covariant.verbs.base.own_numbers import find_moved, servo_rows
+from covariant.verbs.base.own_numbers import find_moved, read_record, servo_rows
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
 
@@ -76,7 +76,7 @@ class _Folder(NamedTuple):
         for k in np.unique(np.linspace(0, len(jobs) - 1, MOST_READ).round().astype(int)).tolist():
             progress(f"reading {min(len(jobs), MOST_READ)} of {len(jobs)} logs", k / len(jobs))
             try:
-                records[k] = logs.read(jobs[k].log, columns, jobs[k].every, jobs[k].until, jobs[k].start).record
+                records[k] = read_record(jobs[k], columns)
             except (InputError, OSError) as error:
                 failed.append(str(error))
         if not records:

@@ -29,9 +29,7 @@ def as_logs(log: Any) -> tuple[Any, ...]:
     for one in each:
         if isinstance(one, str | os.PathLike) and not logs.part_of(one)[0].exists():
             raise FileNotFoundError(f"{one}: no such file")
-    return tuple(
-        part for one in each for part in (logs.episodes(one) if isinstance(one, str | os.PathLike) else (one,))
-    )
+    return tuple(part for one in each for part in logs.episodes(one))
 
 
 def check_model_output(model: object, path: str | Path | None, overwrite: bool = False, urdf: bool = False) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from covariant import logs, models
 from covariant.calibration.identification import own_numbers
 from covariant.models.robots import complete_tables
+from covariant.signals import Record
 from covariant.verbs.base.among_logs import FAR, LogRow, find_change, find_drift, find_outliers, weighted_mean
 from covariant.verbs.base.inputs import Job
 from covariant.verbs.base.progress import Progress
@@ -19,6 +20,8 @@ OWN = ("offset", "stiffness", "coulomb")
 """Numbers of a servo that may change from day to day."""
 LEAST_CHANGE = 0.3
 """Least relative change of stiffness or friction that counts."""
+FEWEST_ROWS = 10
+"""Fewest positions of each joint in a log that show how it moves."""
 AT_ONCE = 100
 """Logs that are held in memory at once."""
 
@@ -45,7 +48,7 @@ def servo_rows(
         records, places = [], []
         for k, job in enumerate(jobs[begin : begin + AT_ONCE], begin):
             try:
-                records.append(logs.read(job.log, columns, job.every, job.until, job.start).record)
+                records.append(read_record(job, columns))
                 places.append(k)
             except (InputError, OSError) as error:
                 rows[k].row["failed"] = str(error)
@@ -57,6 +60,15 @@ def servo_rows(
                     name = number.removeprefix("servo.")
                     rows[k].row.update({name: float(value), f"{name}_std": float(error)})
     return rows
+
+
+def read_record(job: Job, columns: logs.Columns) -> Record:
+    """The record of one of many logs; raises `InputError` for one with too few rows for velocities."""
+    record = logs.read(job.log, columns, job.every, job.until, job.start).record
+    known = np.isfinite(np.asarray(record.y)).reshape(len(record.t), -1).sum(axis=0).min()
+    if known < FEWEST_ROWS:
+        raise InputError(f"{job.log_name}: {known} rows have positions, and {FEWEST_ROWS} are needed")
+    return record
 
 
 class Moved(NamedTuple):

@@ -1,0 +1,90 @@
+"""From which log on a number is another: a step is named at its log, and neither noise nor a drift is one."""
+
+import numpy as np
+import pytest
+
+from covariant.verbs.base.among_logs import LogRow, find_change, find_drift
+from covariant.verbs.base.own_numbers import find_moved
+
+
+def drawn(rng, count, scatter=0.0):
+    """Values of logs with unequal standard errors, and scatter from log to log beyond these."""
+    std = rng.uniform(0.5, 2.0, count)
+    return std * rng.normal(size=count) + scatter * rng.normal(size=count), std
+
+
+@pytest.mark.parametrize("scatter", [0.0, 3.0])
+def test_in_noise_there_is_no_change(scatter):
+    rng = np.random.default_rng(0)
+    found = [find_change(*drawn(rng, int(rng.integers(3, 60)), scatter)) for _ in range(200)]
+    assert sum(each is not None for each in found) <= 1
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_step_is_named_at_its_log_with_its_size(sign):
+    rng = np.random.default_rng(1)
+    off = []
+    for _ in range(100):
+        count = int(rng.integers(10, 60))
+        at = int(rng.integers(3, count - 2))
+        value, std = drawn(rng, count)
+        found = find_change(value + sign * 20.0 * (np.arange(count) >= at), std)
+        assert found is not None
+        assert found[0] == at
+        off.append((found[1] - sign * 20.0) / found[2])
+    assert 0.8 < np.std(off) < 1.2, "its standard error is that of the difference of two means"
+
+
+def test_a_drift_is_no_change_and_a_step_on_a_drift_is_one():
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        value, std = drawn(rng, 24)
+        line = np.linspace(0.0, rng.uniform(-60.0, 60.0), 24)
+        assert find_change(value + line, std) is None
+        assert (find_drift(value + line, std) is not None) == (abs(line[-1]) > 8.0) or abs(line[-1]) < 16.0
+    found = find_change(value + np.linspace(0.0, 5.0, 24) + 20.0 * (np.arange(24) >= 9), std)
+    assert found is not None
+    assert found[0] == 9
+
+
+def test_one_or_two_logs_make_no_change_and_few_logs_tell_none():
+    rng = np.random.default_rng(3)
+    value, std = drawn(rng, 20)
+    for places in ([7], [7, 8], [0], [18, 19]):
+        other = value.copy()
+        other[places] += 60.0
+        found = find_change(other, std)
+        assert found is None or found[0] not in (7, 19)
+    assert find_change(np.repeat([0.0, 100.0], [4, 3]), np.ones(7)) is None
+    found = find_change(np.repeat([0.0, 100.0], [4, 4]), np.ones(8))
+    assert found is not None
+    assert found[0] == 4
+
+
+def zeros(values, std=0.001, **more):
+    """Rows of logs with a zero of the elbow, None where it was not found."""
+    known = [{} if each is None else {"elbow.offset": each, "elbow.offset_std": std} for each in values]
+    return [LogRow(f"log#{k}", row | more) for k, row in enumerate(known)]
+
+
+def test_a_zero_that_changes_parts_the_logs_and_one_that_is_another_in_single_logs_leaves_these_out():
+    jump = find_moved(zeros([0.0] * 5 + [0.1] * 11), 0.01)
+    assert jump.sentences == ("the zero of elbow changes by +0.1 ± 0.00054 from log#5 on",)
+    assert jump.alike == tuple(range(5, 16))
+    odd = find_moved(zeros([0.0] * 4 + [0.1] + [0.0] * 7), 0.01)
+    assert odd.sentences == ("the zero of elbow is another in log#4: +0.1 ± 0.001",)
+    assert odd.alike == (0, 1, 2, 3, *range(5, 12))
+    small = find_moved(zeros([0.0] * 5 + [0.006] * 11), 0.01)
+    assert small == ((), tuple(range(16))), "less than the resolution is no change"
+    drift = find_moved(zeros(np.linspace(0.0, 0.1, 12).tolist()), 0.01)
+    assert drift.sentences == ("the zero of elbow drifts: +0.1 from log#0 to log#11",)
+    assert drift.alike == tuple(range(12))
+
+
+def test_logs_without_a_number_keep_their_places():
+    values = [0.0, None, 0.0, 0.0, None, 0.0, 0.0, None, 0.1, 0.1, 0.1, None, 0.1]
+    moved = find_moved(zeros(values), 0.01)
+    assert moved.sentences[0].endswith("from log#8 on")
+    assert moved.alike == tuple(range(8))
+    assert find_moved(zeros([None] * 9), 0.01) == ((), tuple(range(9)))
+    assert find_moved(zeros([0.0] * 5 + [0.1] * 5, std=np.nan), 0.01).sentences == ()
