@@ -19,10 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from covariant.certificates.base import (
-    AbstractClaim,
     DisturbanceClaim,
     Document,
-    PredictionClaim,
     ReachClaim,
     RemainderClaim,
     Resolved,
@@ -258,7 +256,7 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     if isinstance(what, int):
         claim = document.claims[what]
         matrix = matrices.MATRICES[claim.kind](resolved, claim)
-        return TaylorEnclosure(matrix, *document.bounds(claim), _slack(document, claim))
+        return TaylorEnclosure(matrix, *document.bounds(claim), matrices.claim_slack(document, claim))
     if what in sampled.FRICTION_JOBS:
         return sampled.friction_matrix(document, model, what)
     if what == sampled.PREDICTED:
@@ -281,18 +279,6 @@ def _matrix(resolved: Resolved, what: int | str) -> TaylorEnclosure:
     }[what]
     least, largest = box
     return TaylorEnclosure(function, least, largest, np.zeros(len(least)), watch)
-
-
-def _slack(document: Document, claim: AbstractClaim) -> np.ndarray:
-    """Amounts (d,) by which the variables of a claim that are forces or friction slopes may exceed their bounds."""
-    low, high = document.bounds(claim)
-    place, n = np.arange(len(low)), len(document.velocity)
-    if isinstance(claim, PredictionClaim):  # its force, age and lengths of steps, where they are no constants
-        return np.where((place >= len(low) - n - 3) & (low < high), matrices.slack_of(low, high), 0.0)
-    # All variables after the errors, except for the age, and for signals.
-    after = len(low) - len(document.driven) - (document.sampling is not None)
-    forces = (document.forces.start <= place) & (place < after)
-    return np.where(forces, matrices.slack_of(low, high), 0.0)
 
 
 class Judge:

@@ -12,9 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from covariant.certificates.base import (
+    AbstractClaim,
     DisturbanceClaim,
     Document,
     ErrorSystem,
+    PredictionClaim,
     Resolved,
     friction_of,
     reach_squares,
@@ -319,6 +321,18 @@ def slack_of(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the amounts (d,) by which variables that are forces may exceed their bounds."""
     # The last term is for bounds that are zero.
     return SLACK * np.maximum(abs(low), abs(high)) + 1e-200
+
+
+def claim_slack(document: Document, claim: AbstractClaim) -> np.ndarray:
+    """Amounts (d,) by which the variables of a claim that are forces or friction slopes may exceed their bounds."""
+    low, high = document.bounds(claim)
+    place, n = np.arange(len(low)), len(document.velocity)
+    if isinstance(claim, PredictionClaim):  # its force, age and lengths of steps, where they are no constants
+        return np.where((place >= len(low) - n - 3) & (low < high), slack_of(low, high), 0.0)
+    # All variables after the errors, except for the age, and for signals.
+    after = len(low) - len(document.driven) - (document.sampling is not None)
+    forces = (document.forces.start <= place) & (place < after)
+    return np.where(forces, slack_of(low, high), 0.0)
 
 
 def _disturbance(of: Resolved, claim: DisturbanceClaim) -> Matrix:
