@@ -1,6 +1,7 @@
 """Folders of recorded episodes, and several episodes in one file: which logs there are, and what each of them holds."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -59,7 +60,7 @@ def csv(path, numbers, delimiter=",", name="episode"):
 
 
 def names_of(log):
-    return [each.rpartition("/")[2] for each in logs.episodes(log)]
+    return [Path(each).name for each in logs.episodes(log)]
 
 
 @pytest.mark.parametrize(
@@ -215,8 +216,10 @@ def test_a_folder_that_is_a_log_is_one_and_one_without_logs_is_refused(tmp_path)
     bag = tmp_path / "bag"
     bag.mkdir()
     (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
-    assert logs.episodes(bag) == (str(bag),)
+    assert logs.episodes(bag) == (bag,)
     assert logs.episodes(tmp_path) == (str(bag),)
+    with pytest.raises(LogError, match=r"bag#1: a log of messages has no episodes; leave #1 out"):
+        logs.read(f"{bag}#1", PLAIN)
     (bag / "metadata.yaml").unlink()
     for folder in (bag, tmp_path):
         with pytest.raises(ValueError, match=r"this folder has no log; give one with \.csv or \.parquet files"):
@@ -276,6 +279,16 @@ def test_an_episode_without_numbers_does_not_count(tmp_path, recwarn):
 def test_the_kind_of_robot_is_that_of_the_description(tmp_path, stated, robot):
     folder = data_set(tmp_path / "set", {"file-000.parquet": [table(0), table(1)]}, robot_type=stated)
     assert logs.survey(folder).robot == robot
+
+
+def test_a_folder_with_one_log_is_surveyed_as_others_are(tmp_path):
+    folder = data_set(tmp_path / "set", {"a.parquet": [table(0)]}, names=("pan.pos", "gripper.pos"), robot_type="so101")
+    found = logs.survey(folder)
+    assert found.log == str(folder / "data" / "chunk-000" / "a.parquet")
+    assert found.robot == "so101"
+    assert "action[1]" not in found.columns
+    path = csv(tmp_path / "run.csv", [0, 0, 0])
+    assert logs.survey(path).log is path
 
 
 def test_a_gripper_in_a_data_set_is_left_out(tmp_path):

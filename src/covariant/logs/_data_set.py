@@ -82,30 +82,24 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
         >>> list(logs.survey(pandas.DataFrame({"t": [0.0, 0.1], "q1": [0.0, 0.3], "remark": ["on", "off"]})).columns)
         ['t', 'q1']
     """
-    if len(each := episodes(log)) < 2:
+    if (each := episodes(log))[0] is log:
         return survey_log(log)
-    tried, faults = [], []
+    tried: list[LogSurvey] = []
     for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int)):
-        try:
+        with contextlib.suppress(LogError):
             tried.append(survey_log(each[k]))
-        except LogError as fault:
-            faults.append(fault)
     if not tried:
-        raise faults[0]
+        return survey_log(each[0])  # which says what is wrong
     # One that has other columns than most was recorded otherwise, or is no log.
     names = Counter(tuple(found.columns) for found in tried).most_common(1)[0][0]
     tried = [found for found in tried if tuple(found.columns) == names]
-    moved = np.array([[_deviation(column) for column in found.columns.values()] for found in tried])
+    moved = np.array(
+        [[np.ma.filled(np.ma.masked_invalid(x).std(), 0.0) for x in each.columns.values()] for each in tried]
+    )
     most = moved.max(axis=0)
     scores = np.log(moved[:, most > 0] / most[most > 0] + LEAST_MOTION).sum(axis=1)
     best, data_set = tried[int(np.argmax(scores))], DataSet.of(part_of(log)[0])
     return best if data_set is None else data_set.describe(best)
-
-
-def _deviation(column: Float[np.ndarray, "T"]) -> float:
-    """Standard deviation of the finite numbers of a column; 0 if it has none."""
-    known = column[np.isfinite(column)]
-    return float(known.std()) if len(known) else 0.0
 
 
 def survey_log(log: Any) -> LogSurvey:
@@ -157,12 +151,11 @@ class DataSet(NamedTuple):
         grippers = [name for name, text in joint.items() if words_of(text) & GRIPPERS]
         columns = {name: each for name, each in found.columns.items() if name not in grippers}
         # Positions from -100 to 100 have a tick of 200 over the ticks of the range.
-        scales = {name: self.ranges[text] / 200 for name, text in joint.items() if self.ranges.get(text, 0.0) > 0}
-        coded = {name: scale for name, scale in scales.items() if name in columns}
+        known = {name: self.ranges.get(joint[name], 0.0) / 200 for name in columns if name in joint}
         per_cent = {
             name: f"{scale * 360 / TICKS:.9g} deg"
-            for name, scale in coded.items()
-            if abs(Register.of(columns[name].astype(np.float32)).tick * scale - 1) < SAME_TICK
+            for name, scale in known.items()
+            if scale > 0 and abs(Register.of(columns[name].astype(np.float32)).tick * scale - 1) < SAME_TICK
         }
         left = f"{', '.join(grippers)} left out: per cent of the range of a gripper, and no angle"
         return found._replace(

@@ -88,13 +88,13 @@ def episodes(log: Any) -> tuple[Any, ...]:
         files = sorted(shown, key=lambda file: _natural(str(file)))
         if not files:
             raise InputError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
-        return tuple(each for file in files for each in episodes(file))
+        return tuple(each for file in files for each in episodes(str(file)))
     if number is not None or not path.is_file() or path.suffix.lower() in NOT_TABLES:
-        return (str(log),)
+        return (log,)
     numbers: list[int] = []
     with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
         numbers = _numbers(path)
-    return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (str(log),)
+    return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (log,)
 
 
 def is_log(path: Path) -> bool:

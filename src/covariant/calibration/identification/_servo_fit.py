@@ -38,8 +38,8 @@ TOLERANCE = 3e-3
 """Relative decrease of the loss below which the search stops."""
 ROWS_ALIKE = 10
 """Number of independent errors in a window."""
-LOGS_AT_ONCE, SHOWN = 100, 0.1
-"""Logs whose own numbers are found at once, and the largest standard error of one, relative to that before the log."""
+SHOWN = 0.1
+"""Largest standard error of a number of one log, relative to that before the log."""
 RELATIVE_ACCURACY, TIME_ACCURACY = 2e-3, 2e-4
 """Integration error in the fitted numbers: relative, and for times such as a delay absolute [s]."""
 DIFFERENCE_STEP = 1e-4
@@ -137,20 +137,18 @@ def own_numbers(
     x = np.zeros(len(family.names))
     slope = np.abs(np.diagonal(np.asarray(jax.jacfwd(family.values)(x))))
     values, std = (np.full((len(records), len(x)), np.nan) for _ in range(2))
-    for begin in range(0, len(records), LOGS_AT_ONCE):
-        part = records[begin : begin + LOGS_AT_ONCE]
-        longest = max(float(record.t[-1] - record.t[0]) for record in part)
-        length = WINDOW if longest > 1.5 * WINDOW else 3 * SETTLING
-        search = _Search.of([family] * len(part), part, between, late, length)
-        search = search.scaled(Point.at(search, x))
-        errors, slopes = search.blocks(x).rest
-        ends = np.cumsum(search.counts)[:-1]
-        usual = slope * search.sizes
-        for k, own, its in zip(search.used, np.split(errors, ends), np.split(slopes, ends, 1), strict=True):
-            change, error = search.step(own, its)
-            shown = error < SHOWN * PRIOR
-            values[begin + k] = np.where(shown, family.first + change * usual, np.nan)
-            std[begin + k] = np.where(shown, error * usual, np.nan)
+    longest = max((float(record.t[-1] - record.t[0]) for record in records), default=0.0)
+    length = WINDOW if longest > 1.5 * WINDOW else 3 * SETTLING
+    search = _Search.of([family] * len(records), records, between, late, length)
+    search = search.scaled(Point.at(search, x))
+    errors, slopes = search.blocks(x).rest
+    ends = np.cumsum(search.counts)[:-1]
+    usual = slope * search.sizes
+    for k, own, its in zip(search.used, np.split(errors, ends), np.split(slopes, ends, 1), strict=True):
+        change, error = search.step(own, its)
+        shown = error < SHOWN * PRIOR
+        values[k] = np.where(shown, family.first + change * usual, np.nan)
+        std[k] = np.where(shown, error * usual, np.nan)
     return values, std
 
 
@@ -197,8 +195,8 @@ class _Search(NamedTuple):
         counts = tuple(len(each) for each in windows)
         if not sum(counts):
             raise InputError(f"the logs hold no {length:.3g} s without a gap, which a fit needs; give longer logs")
-        # All logs have the same number of windows, so that one compiled program serves all; copies do not count.
-        max_windows = max(counts)
+        # Logs of several families have as many windows each, so that one program serves all; copies do not count.
+        max_windows = max(counts) if len({id(each) for each in families}) > 1 else 0
         padded = [each + each[:1] * (max_windows - len(each)) for each in windows if each]
         logs = tuple(log for log, each in zip(logs, windows, strict=True) if each)
         rows = tuple(np.stack(each) for each in padded)
@@ -341,7 +339,8 @@ class _Search(NamedTuple):
             own = list(group)
             logs, rows = [self.logs[k] for k in own], [self.rows[k] for k in own]
             drives = [logs[0].drive(candidate) for candidate in candidates]
-            q = np.split(simulate(logs, drives, x, rows, weights, steps, along), len(own), axis=1)
+            ends = np.cumsum([len(each) for each in rows])[:-1]
+            q = np.split(simulate(logs, drives, x, rows, weights, steps, along), ends, axis=1)
             for k, log, each in zip(own, logs, q, strict=True):
                 parts[k] = (each - log.y[self.rows[k]])[:, : self.counts[k], self._skipped(log) :]
         return _together([parts[k] for k in range(len(self.logs))])

@@ -13,7 +13,7 @@ from covariant.models.robots import servos_in
 from covariant.signals import Record
 from covariant.verbs.base.among_logs import CLEAR, find_change
 from covariant.verbs.base.fit_to_logs import fit_to_logs
-from covariant.verbs.base.inputs import Job, column_names
+from covariant.verbs.base.inputs import Job, columns_of
 from covariant.verbs.base.own_numbers import find_moved, read_record, servo_rows
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
@@ -121,9 +121,3 @@ class _Folder(NamedTuple):
     def jobs_of(self, used: _Used) -> list[Job]:
         """Jobs of the logs that are used; one that hardly moves is no reason to refuse the others."""
         return [self.jobs[k]._replace(anyway=len(used.logs) > 1) for k in used.logs]
-
-
-def columns_of(job: Job, file: models.ModelFile) -> logs.Columns:
-    """The columns of a model file, with those that are named otherwise."""
-    named = {key: names for key, names in job.columns.items() if names is not None}
-    return file.columns._replace(**{key: str(n) if key == "t" else column_names(n) for key, n in named.items()})

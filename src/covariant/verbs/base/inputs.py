@@ -176,13 +176,11 @@ def load(job: Job, score: bool = True, why: str = "", missing_inputs: bool = Fal
     """
     file = models.load(job.model, job.overrides)
     model: Any = file.need_mechanical(job.model_name, why) if why else file.model
-    named: dict[str, Any] = {key: names for key, names in job.columns.items() if names is not None}
-    named = {key: str(names).strip() if key == "t" else column_names(names) for key, names in named.items()}
-    columns = file.columns._replace(**named)
+    columns = columns_of(job, file)
     _check_columns(job, file, columns)
     file = file._replace(columns=columns)
     # Columns that the model file names may be absent from this log; those that the caller names may not.
-    optional = [field for field in logs.OPTIONAL if not named.get(field)]
+    optional = [field for field in logs.OPTIONAL if not job.columns.get(field)]
     parts = file_sensors(file)
     sensors = [(part.columns, part.unit) for part in parts]
     kind = kind_of(file)
@@ -259,6 +257,13 @@ def periods_of(job: Job, file: models.ModelFile) -> tuple[float, ...]:
     if not file.model.manifold.commuting:
         raise InputError(f"{job.model_name}: measurement.period is for coordinates, and this model is on a group")
     return tuple(np.broadcast_to(file.period, len(file.columns.q)).tolist())
+
+
+def columns_of(job: Job, file: models.ModelFile) -> logs.Columns:
+    """The columns of a model file, with those that are named otherwise."""
+    named: dict[str, Any] = {key: names for key, names in job.columns.items() if names is not None}
+    named = {key: str(names).strip() if key == "t" else column_names(names) for key, names in named.items()}
+    return file.columns._replace(**named)
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:
