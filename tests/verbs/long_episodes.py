@@ -16,7 +16,7 @@ bench = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "servo_mac
 EPISODES, JUMP, SIZE = 16, 9, 0.15
 """Number of episodes, the one from which on a zero is another, and by how much [rad]."""
 NAMES = ("upper_joint.pos", "lower_joint.pos")
-TRUTH = {"stiffness": 14.0, "damping": 0.6, "armature": 0.02, "viscous": 0.05, "coulomb": 0.06, "delay": 0.03}
+TRUTH = {"stiffness": 14.0, "damping": 0.6, "armature": 0.02, "coulomb": 0.06, "delay": 0.03, "limit": 6.0}
 
 
 def simulated(seed, rate, more=0.0):
@@ -24,7 +24,7 @@ def simulated(seed, rate, more=0.0):
     machine = bench["two_joints"]()
     servo = bench["Servo"].of(2, offset=np.array([0.02, -0.03 + more]), **TRUTH)
     t, command = bench["commands"](machine, 4.0, rate, np.random.default_rng(seed))
-    log = bench["simulate"](machine, servo, t, command, step=1e-3)
+    log = bench["simulate"](machine, servo, t, command)
     return Record(log.t, log.command, log.q)
 
 
@@ -110,8 +110,8 @@ def test_episodes_that_cannot_be_used_are_named_and_those_of_another_rate_count(
     path.with_name("file-008.parquet").write_bytes(b"PAR1 and no more")
     short = pq.read_table(path).slice(0, 3)
     pq.write_table(short, path.with_name("file-009.parquet"))
-    asked = ("--parameters", "servo.lower_joint.offset,servo.lower_joint.coulomb", "-o", tmp_path / "again.toml")
-    result = command("fit", arm / "fitted.toml", tmp_path / "set", *asked)
+    asked = ("--parameters", "servo.lower_joint.offset", "--set", "servo.lower_joint.offset=0.1")
+    result = command("fit", arm / "fitted.toml", tmp_path / "set", *asked, "-o", tmp_path / "again.toml")
     assert "2 could not be used, the first: " in result["chosen"]
     assert "file-008.parquet: cannot be read as .parquet" in result["chosen"]
     failed = {Path(row["log"]).name: row.get("failed", "") for row in result["each"]}

@@ -339,7 +339,7 @@ class ServoProblem(Problem):
         position, velocity = (np.concatenate(parts) for parts in zip(*errors, strict=True))
         parts = [part for off, _ in errors for part in np.array_split(off, max(1, len(off) // ROWS_OF_WINDOW))]
         windows = np.array([known_rms(part) ** 2 for part in parts])
-        tick = self.logs.logs[0].loaded.file.quantum
+        tick = self.family.file.quantum  # also where a log is noisier than that
         return PredictionErrors(known_rms(position), known_rms(velocity), windows, np.asarray(tick or 0.0))
 
     @property

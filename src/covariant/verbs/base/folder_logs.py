@@ -78,7 +78,7 @@ class _Folder(NamedTuple):
             try:
                 records[k] = read_record(jobs[k], columns)
             except (InputError, OSError) as error:
-                failed.append(str(error))
+                failed.append(str(error).rstrip("."))
         if not records:
             raise InputError(f"{len(failed)} logs, and none can be used; the first: {failed[0]}")
         return cls(jobs, file, columns, records, failed)
