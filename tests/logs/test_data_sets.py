@@ -336,3 +336,19 @@ def test_a_broken_calibration_or_description_tells_nothing(tmp_path, text):
     (folder / "meta" / "info.json").write_text(text)
     assert DataSet.of(folder) is None or text.startswith('{"pan')
     assert len(logs.survey(folder).columns) == 6
+
+
+def test_rows_that_lie_together_are_decoded_once(tmp_path, monkeypatch):
+    """However many columns a log has: in a large file an episode is a small part of a group of rows."""
+    path, decoded = tmp_path / "all.parquet", []
+    pq.write_table(pa.concat_tables([table(number) for number in range(6)]), path)
+    read = pq.ParquetFile.read_row_groups
+
+    def counted(file, groups, columns):
+        decoded.extend(columns)
+        return read(file, groups, columns=columns)
+
+    monkeypatch.setattr(pq.ParquetFile, "read_row_groups", counted)
+    for number in range(6):
+        logs.read(f"{path}#{number}", LISTS)
+    assert sorted(decoded) == ["action", "episode_index", "observation.state", "timestamp"]

@@ -22,7 +22,7 @@ def read_parquet(path: Path, wanted: Sequence[str], episode: tuple[str, int] | N
         changed = path.stat().st_mtime_ns
         least, most = _row_groups(path, changed, column)[1:]
         groups = tuple(np.flatnonzero((least <= number) & (number <= most)).tolist())
-        table = _groups(path, changed, groups, tuple(dict.fromkeys((*wanted, column))), column)
+        table = pyarrow().table({name: _of_groups(path, changed, groups, name, column) for name in (*wanted, column)})
         table = _rows_of(path, table, column, number).select(wanted)
     return pyarrow().table([plain_text(column) for column in table.columns], names=table.column_names)
 
@@ -70,8 +70,8 @@ def _row_groups(path: Path, changed: int, column: str) -> tuple[Any, np.ndarray,
     return metadata, least, most
 
 
-@functools.lru_cache(maxsize=2)
-def _groups(path: Path, changed: int, groups: tuple[int, ...], wanted: tuple[str, ...], column: str) -> Any:
-    """Columns of some groups of rows; kept, since the next episode often lies in the same group."""
+@functools.lru_cache(maxsize=16)
+def _of_groups(path: Path, changed: int, groups: tuple[int, ...], name: str, column: str) -> Any:
+    """A column in some groups of rows; kept, since the next episode often lies in the same group."""
     with pyarrow().parquet.ParquetFile(path, metadata=_row_groups(path, changed, column)[0]) as file:
-        return file.read_row_groups(groups, columns=list(wanted))
+        return file.read_row_groups(groups, columns=[name]).column(name)
