@@ -53,10 +53,10 @@ def servo_rows(
                 places.append(k)
             except (InputError, OSError) as error:
                 rows[k].row["failed"] = str(error)
-        own: Any = [], []
+        found: Any = [], []
         with contextlib.suppress(InputError):  # where no log is long enough, none shows a number
-            own = own_numbers(family, records, between, late)
-        for k, values, errors in zip(places, *own, strict=False):
+            found = own_numbers(family, records, between, late)
+        for k, values, errors in zip(places, *found, strict=False):
             for number, value, error in zip(family.names, values, errors, strict=True):
                 if np.isfinite(error):
                     name = number.removeprefix("servo.")
