@@ -9,6 +9,7 @@ Numerica 12, for leapfrog; Moreau 1988, Unilateral contact and dry friction, for
 solved by projected Gauss–Seidel sweeps.
 """
 
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -248,15 +249,15 @@ def _compiled(family: RobotFamily) -> _Compiled:
         return jax.vmap(one)(q, v)
 
     rigid = [i for i, number in enumerate(family.numbers) if number.group in RIGID_BODY_GROUPS]
-    kept: dict[int, tuple[np.ndarray, bytes, RigidBody]] = {}
+    kept: dict[int, tuple[bytes, RigidBody]] = {}
 
     def evaluate(x: np.ndarray, q: np.ndarray, v: np.ndarray) -> RigidBody:
         """The rigid body along a path, which is evaluated anew where one of its own numbers changes."""
-        path, numbers, body = kept.get(id(q), (None, b"", None))
-        if body is None or path is not q or numbers != x[rigid].tobytes():
-            body = evaluated(x, q, v)
-            kept[id(q)] = q, x[rigid].tobytes(), body
-        return body
+        if id(q) not in kept:
+            weakref.finalize(q, kept.pop, id(q), None)  # what is kept of a log goes with it
+        if id(q) not in kept or kept[id(q)][0] != x[rigid].tobytes():
+            kept[id(q)] = x[rigid].tobytes(), evaluated(x, q, v)
+        return kept[id(q)][1]
 
     def evaluated(x: np.ndarray, q: np.ndarray, v: np.ndarray) -> RigidBody:
         flat, n = at(x), q.shape[1]
