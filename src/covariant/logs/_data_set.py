@@ -88,8 +88,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int)):
         with contextlib.suppress(LogError):
             tried.append(survey_log(each[k]))
-    if not tried:
-        return survey_log(each[0])  # which says what is wrong
+    tried = tried or [survey_log(each[0])]  # which says what is wrong
     # One that has other columns than most was recorded otherwise, or is no log.
     names = Counter(tuple(found.columns) for found in tried).most_common(1)[0][0]
     tried = [found for found in tried if tuple(found.columns) == names]
@@ -121,8 +120,7 @@ def survey_log(log: Any) -> LogSurvey:
 def _of_data_set(found: LogSurvey, folder: Path) -> LogSurvey:
     """The survey with what a LeRobot data set says of its robot, if the folder is one: its kind, `so101` for
     `so101_follower`, no columns of a gripper, and the units of positions that the calibration of the arm shows."""
-    info = _json(folder / INFO)
-    if not info:
+    if not (info := _json(folder / INFO)):
         return found
     calibration: dict[str, Any] = next(filter(None, (_json(folder / name) for name in _CALIBRATIONS)), {})
     ranges: dict[str, float] = {}  # of the positions of each joint, in ticks

@@ -86,11 +86,10 @@ def episodes(log: Any) -> tuple[Any, ...]:
         if not files:
             raise InputError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
         return tuple(each for file in files for each in episodes(str(file)))
-    if number is not None or not path.is_file() or path.suffix.lower() in NOT_TABLES:
-        return (log,)
     numbers: list[int] = []
-    with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
-        numbers = _numbers(path)
+    if number is None and path.is_file() and path.suffix.lower() not in NOT_TABLES:
+        with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
+            numbers = _numbers(path)
     return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (log,)
 
 

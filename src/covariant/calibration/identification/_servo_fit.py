@@ -364,8 +364,7 @@ def _together(windows: Sequence[np.ndarray]) -> np.ndarray:
     """Windows (…, B, R, n) of several logs, those of slower ones with unknown rows at their end."""
     most = max(each.shape[-2] for each in windows)
     ends = [((0, 0),) * (each.ndim - 2) + ((0, most - each.shape[-2]), (0, 0)) for each in windows]
-    pairs = zip(windows, ends, strict=True)
-    return np.concatenate([np.pad(each, end, constant_values=np.nan) for each, end in pairs], axis=-3)
+    return np.concatenate([np.pad(*pair, constant_values=np.nan) for pair in zip(windows, ends, strict=True)], axis=-3)
 
 
 def _scales(errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:

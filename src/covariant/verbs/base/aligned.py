@@ -55,9 +55,8 @@ def aligned(job: Job) -> Aligned:
 
 def with_overrides(overrides: Overrides, more: Mapping[str, float]) -> Overrides:
     """Overrides of either kind, and more."""
-    if isinstance(overrides, Mapping):
-        return {**overrides, **more}
-    return (*overrides, *(f"{key}={value}" for key, value in more.items()))
+    texts = [f"{key}={value}" for key, value in more.items()]
+    return {**overrides, **more} if isinstance(overrides, Mapping) else (*overrides, *texts)
 
 
 def _together(loaded: Loaded, delay: np.ndarray) -> Loaded:

@@ -283,9 +283,8 @@ def find_change(value: np.ndarray, std: np.ndarray) -> tuple[int, float, float] 
     inside = slice(SHORTEST_STRETCH - 1, count - SHORTEST_STRETCH)
     at = int(np.argmax(np.abs(sizes / errors)[inside])) + inside.start
     left = value - np.where(np.arange(count) <= at, sums[at] / before[at], rest[at] / after[at])
-    along = np.polyfit(np.arange(count), value, 1, w=np.sqrt(weights), full=True)[1]
     rest_of_squares = np.sum(weights * left**2)
-    if along.sum() < rest_of_squares:
+    if np.polyfit(np.arange(count), value, 1, w=np.sqrt(weights), full=True)[1].sum() < rest_of_squares:
         return None  # a drift explains it better
     # What two means leave unexplained widens the error of their difference.
     error = errors[at] * max(1.0, math.sqrt(rest_of_squares / (count - 2)))

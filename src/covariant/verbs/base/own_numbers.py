@@ -38,8 +38,7 @@ def servo_rows(
     job, rows = jobs[0], [LogRow(job.log_name, {}) for job in jobs]
     known = with_overrides(job.overrides, fitted)
     spec = os.fspath(job.model)
-    document = models.document(spec, known)
-    tables = complete_tables(document["servo"])
+    tables = complete_tables(models.document(spec, known)["servo"])
     # Servos that share a number by `like` have it each by itself here.
     own = {f"servo.{joint}.{key}": table[key] for joint, table in tables.items() for key in OWN if key in table}
     first = {f"servo.{joint}.offset": 0.0 for joint in tables} | own
@@ -120,6 +119,5 @@ def find_moved(rows: Sequence[LogRow], ticks: float) -> Moved:
         drift = find_drift(value[known], std[known])
         if drift is not None and abs(drift) > least:
             sentences.append(f"{what} drifts: {drift:+.3g} from {rows[known[0]].name} to {rows[known[-1]].name}")
-    ends = sorted(edges)
-    begin, end = max(itertools.pairwise(ends), key=lambda pair: pair[1] - pair[0])
+    begin, end = max(itertools.pairwise(sorted(edges)), key=lambda pair: pair[1] - pair[0])
     return Moved(tuple(sentences), tuple(k for k in range(begin, end) if k not in odd_ones))
