@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -105,7 +106,7 @@ def test_an_episode_has_the_rows_that_the_whole_table_has(tmp_path, group, stati
         assert np.abs(record.t - t).max() < 1e-6
         assert np.abs(record.u - u).max() < 1e-6
         assert np.abs(record.y - q).max() < 1e-6 * 10
-        alone = logs.read(whole.filter(pa.compute.field("episode_index") == number), LISTS).record
+        alone = logs.read(whole.filter(pc.field("episode_index") == number), LISTS).record
         assert all(np.array_equal(a, b) for a, b in zip(record[:3], alone[:3], strict=True))
 
 

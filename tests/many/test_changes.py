@@ -54,6 +54,7 @@ def test_a_drift_is_no_change_and_a_step_on_a_drift_is_one():
         line = np.linspace(0.0, rng.uniform(-60.0, 60.0), 24)
         assert find_change(value + line, std) is None
         assert (find_drift(value + line, std) is not None) == (abs(line[-1]) > 8.0) or abs(line[-1]) < 16.0
+    value, std = drawn(rng, 24)
     found = find_change(value + np.linspace(0.0, 5.0, 24) + 20.0 * (np.arange(24) >= 9), std)
     assert found is not None
     assert found[0] == 9
