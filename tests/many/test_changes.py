@@ -35,6 +35,18 @@ def test_a_step_is_named_at_its_log_with_its_size(sign):
     assert 0.8 < np.std(off) < 1.2, "its standard error is that of the difference of two means"
 
 
+def test_a_single_odd_log_is_no_change_and_hides_none():
+    rng = np.random.default_rng(4)
+    found = []
+    for size in (20.0, 100.0, 1000.0):
+        for _ in range(50):
+            value, std = drawn(rng, 24)
+            value[int(rng.integers(24))] += size
+            assert find_change(value, std) is None
+            found.append(find_change(value + 30.0 * (np.arange(24) >= 12), std))
+    assert sum(each is not None and each[0] in (11, 12, 13) for each in found) > 0.95 * len(found)
+
+
 def test_a_drift_is_no_change_and_a_step_on_a_drift_is_one():
     rng = np.random.default_rng(2)
     for _ in range(100):
@@ -42,6 +54,7 @@ def test_a_drift_is_no_change_and_a_step_on_a_drift_is_one():
         line = np.linspace(0.0, rng.uniform(-60.0, 60.0), 24)
         assert find_change(value + line, std) is None
         assert (find_drift(value + line, std) is not None) == (abs(line[-1]) > 8.0) or abs(line[-1]) < 16.0
+    value, std = drawn(rng, 24)
     found = find_change(value + np.linspace(0.0, 5.0, 24) + 20.0 * (np.arange(24) >= 9), std)
     assert found is not None
     assert found[0] == 9

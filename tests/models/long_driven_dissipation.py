@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_driven_dissipation import boat, braked, pendulum, steered
+from driven import boat, braked, pendulum, steered
 
 from covariant import simulation
 from covariant.certificates import certify

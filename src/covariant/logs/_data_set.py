@@ -88,18 +88,14 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     for k in np.unique(np.linspace(0, len(each) - 1, TRIED).round().astype(int)):
         with contextlib.suppress(LogError):
             tried.append(survey_log(each[k]))
-    if not tried:
-        return survey_log(each[0])  # which says what is wrong
+    tried = tried or [survey_log(each[0])]  # which says what is wrong
     # One that has other columns than most was recorded otherwise, or is no log.
     names = Counter(tuple(found.columns) for found in tried).most_common(1)[0][0]
     tried = [found for found in tried if tuple(found.columns) == names]
-    moved = np.array(
-        [[np.ma.filled(np.ma.masked_invalid(x).std(), 0.0) for x in each.columns.values()] for each in tried]
-    )
+    moved = np.array([[np.ma.masked_invalid(x).std() or 0.0 for x in found.columns.values()] for found in tried])
     most = moved.max(axis=0)
     scores = np.log(moved[:, most > 0] / most[most > 0] + LEAST_MOTION).sum(axis=1)
-    best, data_set = tried[int(np.argmax(scores))], DataSet.of(part_of(log)[0])
-    return best if data_set is None else data_set.describe(best)
+    return _of_data_set(tried[int(np.argmax(scores))], part_of(log)[0])
 
 
 def survey_log(log: Any) -> LogSurvey:
@@ -121,49 +117,33 @@ def survey_log(log: Any) -> LogSurvey:
     return LogSurvey(columns, source.units, tuple(remarks), source.labels, log)
 
 
-class DataSet(NamedTuple):
-    """What a LeRobot data set says of its robot.
-
-    Attributes:
-        robot: Name of the kind of robot, `so101` for `so101_follower`; "" if it is not known.
-        ranges: Range of the positions of each joint [ticks] by its name, from the calibration of the arm.
-    """
-
-    robot: str
-    ranges: Mapping[str, float]
-
-    @classmethod
-    def of(cls, folder: Path) -> "DataSet | None":
-        """The data set in a folder, or None if there is none."""
-        info = _json(folder / INFO)
-        if not info:
-            return None
-        calibration: dict[str, Any] = next(filter(None, (_json(folder / name) for name in _CALIBRATIONS)), {})
-        ranges = {}
-        for joint, known in calibration.items():
-            with contextlib.suppress(TypeError, KeyError, ValueError):
-                ranges[joint] = float(known["range_max"]) - float(known["range_min"])
-        return cls(str(info.get("robot_type") or "").removesuffix("_follower"), ranges)
-
-    def describe(self, found: LogSurvey) -> LogSurvey:
-        """The columns without those of a gripper, with the units of positions that a calibration shows."""
-        joint = {name: text.removesuffix(".pos") for name, text in found.labels.items()}
-        grippers = [name for name, text in joint.items() if words_of(text) & GRIPPERS]
-        columns = {name: each for name, each in found.columns.items() if name not in grippers}
-        # Positions from -100 to 100 have a tick of 200 over the ticks of the range.
-        known = {name: self.ranges.get(joint[name], 0.0) / 200 for name in columns if name in joint}
-        per_cent = {
-            name: f"{scale * 360 / TICKS:.9g} deg"
-            for name, scale in known.items()
-            if scale > 0 and abs(Register.of(columns[name].astype(np.float32)).tick * scale - 1) < SAME_TICK
-        }
-        left = f"{', '.join(grippers)} left out: per cent of the range of a gripper, and no angle"
-        return found._replace(
-            columns=columns,
-            units={**found.units, **per_cent},
-            remarks=(*found.remarks, *[left] * bool(grippers)),
-            robot=self.robot,
-        )
+def _of_data_set(found: LogSurvey, folder: Path) -> LogSurvey:
+    """The survey with what a LeRobot data set says of its robot, if the folder is one: its kind, `so101` for
+    `so101_follower`, no columns of a gripper, and the units of positions that the calibration of the arm shows."""
+    if not (info := _json(folder / INFO)):
+        return found
+    calibration: dict[str, Any] = next(filter(None, (_json(folder / name) for name in _CALIBRATIONS)), {})
+    ranges: dict[str, float] = {}  # of the positions of each joint, in ticks
+    for joint, known in calibration.items():
+        with contextlib.suppress(TypeError, KeyError, ValueError):
+            ranges[joint] = float(known["range_max"]) - float(known["range_min"])
+    joints = {name: text.removesuffix(".pos") for name, text in found.labels.items()}
+    grippers = [name for name, text in joints.items() if words_of(text) & GRIPPERS]
+    columns = {name: each for name, each in found.columns.items() if name not in grippers}
+    # Positions from -100 to 100 have a tick of 200 over the ticks of the range.
+    scales = {name: ranges.get(joints[name], 0.0) / 200 for name in columns if name in joints}
+    per_cent = {
+        name: f"{scale * 360 / TICKS:.9g} deg"
+        for name, scale in scales.items()
+        if scale > 0 and abs(Register.of(columns[name].astype(np.float32)).tick * scale - 1) < SAME_TICK
+    }
+    left = f"{', '.join(grippers)} left out: per cent of the range of a gripper, and no angle"
+    return found._replace(
+        columns=columns,
+        units={**found.units, **per_cent},
+        remarks=(*found.remarks, *[left] * bool(grippers)),
+        robot=str(info.get("robot_type") or "").removesuffix("_follower"),
+    )
 
 
 def _json(path: Path) -> dict[str, Any]:

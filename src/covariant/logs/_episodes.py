@@ -84,22 +84,20 @@ def episodes(log: Any) -> tuple[Any, ...]:
         if number is not None:
             raise InputError(f"{log}: this is a folder; #{number} belongs after the name of a file, as FILE#{number}")
         inside = (path / "data").rglob("*.parquet") if (path / INFO).is_file() else path.iterdir()
-        shown = (file for file in inside if is_log(file) and not file.name.startswith("."))
-        files = sorted(shown, key=lambda file: _natural(str(file)))
+        files = sorted(filter(is_log, inside), key=lambda file: _natural(str(file)))
         if not files:
             raise InputError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
         return tuple(each for file in files for each in episodes(str(file)))
-    if number is not None or not path.is_file() or path.suffix.lower() in NOT_TABLES:
-        return (log,)
     numbers: list[int] = []
-    with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
-        numbers = _numbers(path)
+    if number is None and path.is_file() and path.suffix.lower() not in NOT_TABLES:
+        with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
+            numbers = _numbers(path)
     return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (log,)
 
 
 def is_log(path: Path) -> bool:
-    """Whether a path is that of a log, by its suffix."""
-    return path.suffix.lower() in READ or (path / "metadata.yaml").is_file()
+    """Whether a path is that of a log, by its suffix; those of hidden files are none."""
+    return (path.suffix.lower() in READ and not path.name.startswith(".")) or (path / "metadata.yaml").is_file()
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

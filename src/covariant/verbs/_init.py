@@ -437,8 +437,6 @@ def _sensor(guess: Draft) -> str:
         x, y, turn = np.ravel(guess.noise)
         noise = (max(x, y), max(x, y), turn)
         return f"std = {_digits(noise, 3)}  # m, m, rad, at most: along, across, about; from third differences"
-    if isinstance(guess.quantum, tuple) and guess.servos:
-        return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick of each position of this log"
     if guess.quantum is not None:
         return f"quantum = {_digits(guess.quantum, 6)}  # {unit}, the tick that positions of this log are multiples of"
     return f"std = {_digits(guess.noise, 3)}  # {unit}, at most: from third differences of the positions"

@@ -373,9 +373,8 @@ class _Search(NamedTuple):
 def _together(windows: Sequence[np.ndarray]) -> np.ndarray:
     """Windows (…, B, R, n) of several logs, those of slower ones with unknown rows at their end."""
     most = max(each.shape[-2] for each in windows)
-    shapes = [(*each.shape[:-2], most - each.shape[-2], each.shape[-1]) for each in windows]
-    ends = [np.full(shape, np.nan) for shape in shapes]
-    return np.concatenate([np.concatenate(pair, axis=-2) for pair in zip(windows, ends, strict=True)], axis=-3)
+    ends = [((0, 0),) * (each.ndim - 2) + ((0, most - each.shape[-2]), (0, 0)) for each in windows]
+    return np.concatenate([np.pad(*pair, constant_values=np.nan) for pair in zip(windows, ends, strict=True)], axis=-3)
 
 
 def _scales(errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:

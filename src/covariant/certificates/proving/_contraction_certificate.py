@@ -264,7 +264,7 @@ class ContractionCertificate(NamedTuple):
             slope" and "age"; if friction is a variable too, also "friction" and "friction slope"; "signal" for time and
             inputs that the friction depends on.
         """
-        n, driven = len(self.velocity), len(self.error_system.driven)
+        n, driven = len(self.velocity), len(self.error_system.driven) if self.error_system is not None else 0
         roles = ("estimate", "velocity", "error", "force")
         variables = len(self.domain.low) - driven
         parts = {3 * n: roles[1:], 4 * n: roles}.get(variables, (*roles, "friction", "friction slope"))

@@ -80,7 +80,9 @@ def _pairs(overrides: Overrides) -> Iterator[tuple[str, str, Any]]:
 
 
 def plain(value: Any) -> Any:
-    """A value in TOML's types: tuples and arrays become lists, NumPy's numbers become Python's."""
+    """A copy of a value in TOML's types: tuples and arrays become lists, NumPy's numbers become Python's."""
+    if isinstance(value, dict):
+        return {key: plain(entry) for key, entry in value.items()}
     value = value.tolist() if hasattr(value, "tolist") else value
     return [plain(entry) for entry in value] if isinstance(value, list | tuple) else value
 

@@ -39,7 +39,7 @@ def aligned(job: Job) -> Aligned:
     file = models.load(job.model, job.overrides)
     delay = np.asarray(file.delay, float)
     # Read without a delay: here the delay moves the inputs instead, by `late`.
-    undelayed = job._replace(overrides=_with(job.overrides, "measurement.delay", 0))
+    undelayed = job._replace(overrides=with_overrides(job.overrides, {"measurement.delay": 0}))
     loaded = load(undelayed, why="" if job.fits else "this command takes")
     complete = loaded.kind.complete(np.asarray(loaded.log.record.y))
     loaded = loaded._replace(log=loaded.log._replace(record=loaded.log.record._replace(y=complete)))
@@ -53,8 +53,10 @@ def aligned(job: Job) -> Aligned:
     return log._replace(loaded=loaded._replace(log=unlagged, record=log.acting(file.input_between, file.input_lag)))
 
 
-def _with(overrides: Overrides, key: str, value: object) -> Overrides:
-    return {**overrides, key: value} if isinstance(overrides, Mapping) else (*overrides, f"{key}={value}")
+def with_overrides(overrides: Overrides, more: Mapping[str, float]) -> Overrides:
+    """Overrides of either kind, and more."""
+    texts = [f"{key}={value}" for key, value in more.items()]
+    return {**overrides, **more} if isinstance(overrides, Mapping) else (*overrides, *texts)
 
 
 def _together(loaded: Loaded, delay: np.ndarray) -> Loaded:

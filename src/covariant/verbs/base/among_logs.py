@@ -283,11 +283,8 @@ def find_change(value: np.ndarray, std: np.ndarray) -> tuple[int, float, float] 
     inside = slice(SHORTEST_STRETCH - 1, count - SHORTEST_STRETCH)
     at = int(np.argmax(np.abs(sizes / errors)[inside])) + inside.start
     left = value - np.where(np.arange(count) <= at, sums[at] / before[at], rest[at] / after[at])
-    root = np.sqrt(weights)
-    line = np.stack([root, root * np.arange(count)], axis=1)
-    along = root * value - line @ np.linalg.lstsq(line, root * value)[0]
     rest_of_squares = np.sum(weights * left**2)
-    if np.sum(along**2) < rest_of_squares:
+    if np.polyfit(np.arange(count), value, 1, w=np.sqrt(weights), full=True)[1].sum() < rest_of_squares:
         return None  # a drift explains it better
     # What two means leave unexplained widens the error of their difference.
     error = errors[at] * max(1.0, math.sqrt(rest_of_squares / (count - 2)))
@@ -300,9 +297,8 @@ def find_drift(value: np.ndarray, std: np.ndarray) -> float | None:
     if len(value) < FEWEST:
         return None
     k = np.linspace(0.0, 1.0, len(value))
-    design = np.stack([np.ones_like(k), k], axis=1) / std[:, None]
-    (_, slope), squares, *_ = np.linalg.lstsq(design, value / std)
+    (slope, first), covariance = np.polyfit(k, value, 1, w=1 / std, cov="unscaled")
     # Scatter beyond the errors of the logs widens that of the slope.
-    scatter = max(1.0, float(squares.sum()) / (len(value) - 2))
-    error = math.sqrt(scatter * np.linalg.inv(design.T @ design)[1, 1])
+    scatter = max(1.0, float(np.sum(((value - first - slope * k) / std) ** 2)) / (len(value) - 2))
+    error = math.sqrt(scatter * covariance[0, 0])
     return float(slope) if abs(slope) > CLEAR * error else None

@@ -249,9 +249,9 @@ class RobotProblem(Problem):
                 of = Unknowns.none(self.family.file.model), np.zeros(0)
             if judged.any():
                 found.append(window_errors(of[0], of[1], rows, self.logs.length, judged))
-        *sizes, windows = zip(*found, strict=True)
-        position, velocity = (np.sqrt(np.mean(np.square(kind), axis=0)) for kind in sizes)
-        return PredictionErrors(position, velocity, np.concatenate(windows))
+        sizes = (each.position for each in found), (each.velocity for each in found)
+        position, velocity = (np.sqrt(np.mean(np.square(list(kind)), axis=0)) for kind in sizes)
+        return PredictionErrors(position, velocity, np.concatenate([each.windows for each in found]))
 
     def details(self, best: RobotFit) -> dict[str, Any]:
         return robot_details(best)

@@ -103,10 +103,9 @@ class _Folder(NamedTuple):
         places = [k for k in self.records if k in set(among)]
         counts = np.array([len(self.records[k].t) for k in places])
         only = "" if len(among) == len(self.jobs) else f" Only the {len(among)} logs between changes of a zero count."
-        few = counts.sum() <= MOST_ROWS * (1 + JUDGE)
-        if few and len(places) < FEWEST_LOGS:
+        most = min(MOST_ROWS, counts.sum() / (1 + JUDGE))
+        if most < MOST_ROWS and len(places) < FEWEST_LOGS:
             return _Used(places, 0, only.strip())
-        most = counts.sum() / (1 + JUDGE) if few else MOST_ROWS
         chosen = [places[k] for k in most_informative([self.records[k] for k in places], int(most))]
         others = [k for k in places if k not in chosen]
         judges = min(len(others), int(np.ceil(JUDGE * MOST_ROWS / counts.mean())))

@@ -261,9 +261,8 @@ def periods_of(job: Job, file: models.ModelFile) -> tuple[float, ...]:
 
 def columns_of(job: Job, file: models.ModelFile) -> logs.Columns:
     """The columns of a model file, with those that are named otherwise."""
-    named: dict[str, Any] = {key: names for key, names in job.columns.items() if names is not None}
-    named = {key: str(names).strip() if key == "t" else column_names(names) for key, names in named.items()}
-    return file.columns._replace(**named)
+    named = {key: names for key, names in job.columns.items() if names is not None}
+    return file.columns._replace(**{k: str(n).strip() if k == "t" else column_names(n) for k, n in named.items()})
 
 
 def column_names(columns: str | Sequence[str]) -> tuple[str, ...]:

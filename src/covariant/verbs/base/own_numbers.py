@@ -12,6 +12,7 @@ from covariant import logs, models
 from covariant.calibration.identification import own_numbers
 from covariant.models.robots import complete_tables
 from covariant.signals import Record
+from covariant.verbs.base.aligned import with_overrides
 from covariant.verbs.base.among_logs import FAR, LogRow, find_change, find_drift, find_outliers, weighted_mean
 from covariant.verbs.base.inputs import Job
 from covariant.verbs.base.progress import Progress
@@ -35,14 +36,13 @@ def servo_rows(
     `fitted` are the numbers of all logs, by their names.
     """
     job, rows = jobs[0], [LogRow(job.log_name, {}) for job in jobs]
-    known = {**_flat(models.override({}, job.overrides)), **fitted}
+    known = with_overrides(job.overrides, fitted)
     spec = os.fspath(job.model)
-    document = models.document(spec, known)
-    tables = complete_tables(document["servo"])
+    tables = complete_tables(models.document(spec, known)["servo"])
     # Servos that share a number by `like` have it each by itself here.
     own = {f"servo.{joint}.{key}": table[key] for joint, table in tables.items() for key in OWN if key in table}
     first = {f"servo.{joint}.offset": 0.0 for joint in tables} | own
-    family = models.robot_family(spec, [*first], known | first)
+    family = models.robot_family(spec, [*first], with_overrides(known, first))
     between, late = family.file.input_between, float(np.max(family.file.delay))
     for begin in range(0, len(jobs), AT_ONCE):
         progress(f"each of {len(jobs)} logs by itself", begin / len(jobs))
@@ -119,14 +119,5 @@ def find_moved(rows: Sequence[LogRow], ticks: float) -> Moved:
         drift = find_drift(value[known], std[known])
         if drift is not None and abs(drift) > least:
             sentences.append(f"{what} drifts: {drift:+.3g} from {rows[known[0]].name} to {rows[known[-1]].name}")
-    ends = sorted(edges)
-    begin, end = max(itertools.pairwise(ends), key=lambda pair: pair[1] - pair[0])
+    begin, end = max(itertools.pairwise(sorted(edges)), key=lambda pair: pair[1] - pair[0])
     return Moved(tuple(sentences), tuple(k for k in range(begin, end) if k not in odd_ones))
-
-
-def _flat(tables: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    """Values by their place in nested tables, `servo.elbow.gain`."""
-    flat: dict[str, Any] = {}
-    for key, value in tables.items():
-        flat |= _flat(value, f"{place}{key}.") if isinstance(value, Mapping) else {f"{place}{key}": value}
-    return flat
