@@ -64,7 +64,8 @@ def _slice(parameters: dict, value: np.ndarray) -> np.ndarray:
 
 
 def _split_array(parameters: dict, value: np.ndarray) -> list[np.ndarray]:
-    return np.split(value, np.cumsum(parameters["sizes"])[:-1], axis=parameters["axis"])
+    sizes = parameters["sizes"]  # NumPy would give one part for none
+    return np.split(value, np.cumsum(sizes)[:-1], axis=parameters["axis"]) if sizes else []
 
 
 def _iota(parameters: dict) -> np.ndarray:
