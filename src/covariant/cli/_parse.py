@@ -81,7 +81,8 @@ def log_paths(option: str, paths: list[Path]) -> list[Path]:
 
 def each_log(option: str, paths: list[Path]) -> list[Path]:
     """Check that a log exists. A folder stands for the logs in it, and a file of several episodes for these."""
-    return [Path(each) for path in log_paths(option, paths) for each in logs.episodes(path)]
+    strict = len(paths) == 1  # of many, one that is none is a row
+    return [Path(each) for path in log_paths(option, paths) for each in logs.episodes(path, strict)]
 
 
 def observer_name(option: str, text: str) -> str:

@@ -52,7 +52,7 @@ def part_of(log: str | PathLike[str]) -> tuple[Path, int | None]:
     return (Path(name), int(number)) if name and number.isdecimal() and not path.exists() else (path, None)
 
 
-def episodes(log: Any) -> tuple[Any, ...]:
+def episodes(log: Any, strict: bool = True) -> tuple[Any, ...]:
     """The logs of a file or a folder, in the order of the numbers in their names.
 
     A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one, also in
@@ -60,6 +60,7 @@ def episodes(log: Any) -> tuple[Any, ...]:
 
     Args:
         log: A path, or a log in memory.
+        strict: Whether a folder without any log is an error; otherwise it stays one log, which cannot be read.
 
     Returns:
         Logs, by their paths, for `read` and all that takes a log.
@@ -85,6 +86,8 @@ def episodes(log: Any) -> tuple[Any, ...]:
             raise InputError(f"{log}: this is a folder; #{number} belongs after the name of a file, as FILE#{number}")
         inside = (path / "data").rglob("*.parquet") if (path / INFO).is_file() else path.iterdir()
         files = sorted(filter(is_log, inside), key=lambda file: _natural(str(file)))
+        if not files and not strict:
+            return (log,)
         if not files:
             raise InputError(f"{path}: this folder has no log; give one with .csv or .parquet files, or a data set")
         return tuple(each for file in files for each in episodes(str(file)))

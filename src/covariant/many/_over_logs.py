@@ -101,7 +101,7 @@ def over_logs(
         )
     if not logs:
         raise InputError("over_logs: there are no logs; give a list of them")
-    logs = [part for log in logs for part in episodes(log)]
+    logs = [part for log in logs for part in episodes(log, strict=False)]
     in_memory = not all(isinstance(each, str | os.PathLike) for each in (model, *logs))
     crew = Crew(workers, scheduler).check()
     if scheduler is None and (in_memory or workers is None):
