@@ -111,8 +111,9 @@ class _Folder(NamedTuple):
         judges = min(len(others), int(np.ceil(JUDGE * MOST_ROWS / counts.mean())))
         judging = [others[k] for k in np.linspace(0, len(others) - 1, judges).round().astype(int)]
         lost = f"; {len(self.failed)} could not be used, the first: {self.failed[0]}" if self.failed else ""
+        read = f"{len(places)} read of " * (len(places) < len(among))
         sentence = (
-            f"Of {len(among)} logs the {len(chosen)} that tell most by the determinant of their information are "
+            f"Of {read}{len(among)} logs the {len(chosen)} that tell most by the determinant of their information are "
             f"fitted, and {len(judging)} others judge{lost}."
         )
         return _Used([*chosen, *judging], len(judging), f"{sentence}{only}")
