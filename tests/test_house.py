@@ -232,6 +232,12 @@ def test_no_file_names_a_package_host_or_a_path_of_one_machine():
     assert "://" not in (ROOT / "constraints.txt").read_text(encoding="utf-8")
 
 
+def test_files_of_tests_in_two_folders_have_two_names():
+    """Pytest imports them by their name alone, so of two it would run one."""
+    names = Counter(path.name for path in (ROOT / "tests").rglob("*.py") if path.name != "conftest.py")
+    assert [name for name, count in names.items() if count > 1] == []
+
+
 def test_what_make_quick_runs_is_there():
     text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     chosen = re.findall(r"^QUICK := (.*)$", text, re.MULTILINE)[0].split()
