@@ -14,6 +14,8 @@ HOLE = 3.0
 """Length of a hole, in steps between stamps of which 5 % are longer."""
 SETTLED = 0.5
 """Time [s] after a hole, within which its errors are counted as those of the hole."""
+FIRST_ROWS = 10
+"""First rows of a log, which are never scored: no observer knows a velocity well from so few readings."""
 
 CHUNK = 1000
 """Number of windows fitted at once: enough for NumPy to be fast, in a few megabytes."""
@@ -355,7 +357,7 @@ def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.
 
     Args:
         t: Stamps (T,) [s].
-        skip: Initial part [s] that is left out, in which the observer settles.
+        skip: Initial part [s] that is left out, in which the observer settles, at least `FIRST_ROWS` rows.
         tail: Final part [s] that is left out, where the windows of the reference end.
 
     Returns:
@@ -367,7 +369,7 @@ def scored_window(t: Float[NumpyArray, "T"], skip: float = 1.0, tail: float = 0.
         >>> int(scored_window(np.linspace(0.0, 2.0, 201)).sum())
         79
     """
-    mask = (t > t[0] + skip) & (t < t[-1] - tail)
+    mask = (t > t[0] + skip) & (t < t[-1] - tail) & (np.arange(len(t)) >= FIRST_ROWS)
     return mask if mask.sum() >= 10 else t >= (t[0] + t[-1]) / 2
 
 

@@ -16,9 +16,19 @@ import pytest
 
 from covariant.calibration import DataSheet, tuned_estimators
 from covariant.engine import run_log
-from covariant.models import MechanicalSystem, Motion, ball_and_beam, duffing, free_body, load
+from covariant.models import (
+    MechanicalSystem,
+    Motion,
+    ball_and_beam,
+    duffing,
+    free_body,
+    input_count,
+    load,
+    oscillator,
+)
 from covariant.observers import REGISTRY, AbstractObserver
 from covariant.observers.base._protocol import _scan
+from covariant.scoring import scored_window
 from covariant.signals import Record, Run, StepCode
 from covariant.simulation import hold, simulate
 
@@ -123,6 +133,45 @@ def relative_error(entry, name, v, rows=slice(-60, None)) -> float:
 def allowed(entry) -> float:
     """A filter without a model lags; with a model and no noise nothing remains but the inputs' steps."""
     return 0.01 if entry.tuned_by in ("gains", "gains and force", "noise", "noise or ticks") else 0.15
+
+
+STARTED = {
+    "oscillator at 5 Hz": (oscillator(), jnp.array([1.0, 0.5]), 5.0, 60.0, DataSheet(1e-2, 0.02, speed=(0.7,))),
+    "body at 100 Hz": (
+        MODELS["body on SO(3)"],
+        STARTS["body on SO(3)"],
+        100.0,
+        8.0,
+        DataSheet(1e-2, 0.5, speed=(0.7, 0.7, 0.7)),
+    ),
+}
+"""Systems that move from the first reading on: model, first state, rate [Hz], length [s], and what is known of them."""
+IN_MOTION = [(entry.name, name) for name, (model, *_) in STARTED.items() for entry in REGISTRY if entry.fits(model)]
+
+
+@functools.cache
+def started(name: str):
+    """A log with noise, its true velocities and the estimators tuned for it."""
+    model, x0, rate, length, sheet = STARTED[name]
+    t = np.arange(0.0, length, 1 / rate)
+    n = len(sheet.speed)
+    u = jnp.zeros((len(t), input_count(model, n)))
+    true = eqx.filter_jit(simulate)(model, x0, jnp.asarray(t), hold(jnp.asarray(t), u))
+    noise = sheet.measurement_std * np.random.default_rng(3).standard_normal((len(t), n))
+    y = jax.vmap(model.manifold.ambient.retract)(true.y, jnp.asarray(noise))
+    return Record(t, np.asarray(u), np.asarray(y)), velocities(true.x), tuned_estimators(model, n, sheet, rate)
+
+
+@pytest.mark.core(3)
+@pytest.mark.parametrize(("entry", "name"), IN_MOTION, ids=[f"{entry}-{name}" for entry, name in IN_MOTION])
+def test_a_velocity_is_known_as_soon_as_readings_tell(entry, name):
+    """In the first second that counts, errors are at most twice those of the second half, though all start at rest."""
+    log, true, tuned = started(name)
+    run, _ = run_log(tuned[entry], log, engine="jax")
+    squares = np.sum((velocities(run.estimate) - true) ** 2, axis=1)
+    counts, settled = scored_window(log.t), log.t > log.t[-1] / 2
+    first = counts & (log.t < log.t[counts][0] + max(1.0, 10 * (log.t[1] - log.t[0])))
+    assert np.mean(squares[first]) <= 4 * np.mean(squares[settled])
 
 
 @pytest.mark.core(1)

@@ -26,6 +26,7 @@ from covariant.report._png import draw_png
 from covariant.report._style import Style, styles
 from covariant.report._table import cells
 from covariant.report._whiteness import autocorrelation
+from covariant.scoring import scored_window
 from scalargraph.errors import printable
 from scalargraph.files import utf8, write_together
 from scalargraph.template import fill, template
@@ -108,13 +109,15 @@ def _sections(
         sections.append(_section(title, f"{title} over time in seconds", "wide"))
     if len(report.innovation) == 1:
         [(label, innovation)] = report.innovation.items()
-        found = autocorrelation(np.asarray(report.t, float), np.asarray(innovation, float))
+        t = np.asarray(report.t, float)
+        late = scored_window(t, tail=0.0)  # the start of an observer tells nothing about its model
+        found = autocorrelation(t[late], np.asarray(innovation, float)[late])
         if found is None:
             return sections, figures
         for i, name in enumerate(report.coordinates):
             figures.append(correlogram(found, i, styled[label]))
             title = f"{name}: autocorrelation of the innovation"
-            about = f"{title} over lag in milliseconds, with 95 % bounds of white noise"
+            about = f"{title} over lag in milliseconds after its start, with 95 % bounds of white noise"
             sections.append(_section(title, about, "lag"))
     return sections, figures
 

@@ -137,7 +137,7 @@ def export(
     runs, proof = designed.observer, None
     if certificate is not None:
         proof = _verify_certificate(Path(certificate), model, overrides, designed, rate)
-        runs = proof.with_substeps(runs)
+        runs = proof.proved(runs)
         if proof.is_bound(real) and parameters:
             raise InputError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     if step_per_sensor and not getattr(runs, "sensors", ()):
@@ -340,13 +340,11 @@ class _Proof(NamedTuple):
         """Number of Runge–Kutta steps in each prediction that is proved; None if the observer chooses it."""
         return None if self.certificate.sampling is None else self.certificate.sampling.substeps
 
-    def with_substeps(self, observer: Any) -> AbstractObserver:
-        """Set the number of Runge–Kutta steps in each prediction of an observer, which may have a gate."""
-        if self.substeps is None:
-            return observer
+    def proved(self, observer: Any) -> AbstractObserver:
+        """The observer as its proof has it: the substeps of a prediction, and constant gains from the start on."""
         if isinstance(observer, Gated):
-            return dataclasses.replace(observer, observer=self.with_substeps(observer.observer))
-        return dataclasses.replace(observer, substeps=self.substeps)
+            return dataclasses.replace(observer, observer=self.proved(observer.observer), fast_start=False)
+        return observer if self.substeps is None else dataclasses.replace(observer, substeps=self.substeps)
 
     def is_bound(self, real: str) -> bool:
         """Whether errors are proved: those of predictions only for doubles and a fixed number of substeps."""

@@ -212,7 +212,7 @@ def tuned_state_estimators(
 
 
 def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet) -> Gated:
-    """Wrap an observer in a gate that refuses outliers.
+    """Wrap an observer in a gate that refuses outliers; one with constant gains also starts fast.
 
     Args:
         observer: The observer.
@@ -232,7 +232,8 @@ def gated(observer: AbstractObserver, model: MechanicalSystem, sheet: DataSheet)
         ('Gated', 0.001)
     """
     std = sheet.coordinate_stds or sheet.measurement_std
-    return Gated(observer, model, jnp.asarray(std, float), jnp.asarray(sheet.speeds))
+    numbers = jnp.asarray(std, float), jnp.asarray(sheet.speeds)
+    return Gated(observer, model, *numbers, fast_start=hasattr(observer, "beta"))
 
 
 class _TorqueNoise(Functional):

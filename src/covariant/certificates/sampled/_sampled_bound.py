@@ -355,7 +355,8 @@ class Bounded(AbstractWrapper):
     def __check_init__(self):
         if not runs(self.observer, self.bound.certified):
             raise InputError(
-                "bounded: the observer is not the one of the certificate, nor that one behind a gate; certify it"
+                "bounded: the observer is not the one of the certificate, nor that one behind a gate without a fast "
+                "start; certify it"
             )
         if not isinstance(self.first_radius, Tracer) and not np.all(np.asarray(self.first_radius) >= 0):
             raise InputError(f"bounded: the first radius must be a number ≥ 0; got {self.first_radius}")
@@ -431,8 +432,10 @@ def without_gate(observer: Any) -> Any:
 
 
 def runs(observer: Any, certified: Any) -> bool:
-    """Whether an observer takes the steps of a certified one, possibly behind a gate."""
+    """Whether an observer takes the steps of a certified one, possibly behind a gate, from its start on."""
     inner = without_gate(observer)
+    if inner is not observer and observer.fast_start:
+        return False
     if inner is certified:
         return True
     inside = (any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(each)) for each in (inner, certified))

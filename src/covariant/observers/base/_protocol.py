@@ -521,9 +521,11 @@ def no_input(model: MechanicalSystem | StateSpace, like: Vector) -> Float[Array,
 
 
 def with_velocity(state: Any, v: Vector) -> Any:
-    """State of an observer, or of an inner one, with another velocity."""
+    """State of an observer, or of an inner one, with another velocity, which it takes for known: no start is needed."""
     if "v" in state._fields:
         return state._replace(v=v)
+    if getattr(state, "running", None) is not None:
+        state = state._replace(running=jnp.full_like(state.running, jnp.inf))
     if "inner" not in state._fields:
         raise InputError(f"{type(state).__name__}: the state of this observer has no velocity to start with")
     return state._replace(inner=with_velocity(state.inner, v))

@@ -12,12 +12,17 @@ it: `d² > 2(ks)² + (cS dt)²`. Here k is the threshold of the gate in deviatio
 c is 4 at the start and falls to 2 once smaller d have been seen. An outlier that passes has at most the effect of a
 velocity cS over one step.
 
+Observers with constant gains start at rest, and learn the velocity as slowly as they forget it. With a `fast_start`
+their gains are at least those of a line through all readings since the start, 4/t and 6/t² after the time t, so that
+the estimate is about as good as its readings allow. That the speed is the usual one counts as a time before the start.
+
 Consecutive refused readings that show a credible velocity, below cS with c = 4, give the state that velocity at the
 third of them; see `Gate`. If measurements agree with each other but not with the estimate, for example because the
 observer has lost a spinning body, d stays large. When its mean square exceeds that of a velocity error of 2S, the
 estimate is `ASTRAY`.
 
-Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4.
+Source: Bar-Shalom, Li & Kirubarajan 2001, Estimation with Applications to Tracking and Navigation, section 5.4;
+Morrison 1969, Introduction to Sequential Smoothing and Prediction, for the gains of an expanding memory.
 """
 
 from typing import Any, NamedTuple
@@ -47,6 +52,7 @@ from covariant.observers.base import (
     step_length,
 )
 from covariant.signals import StepCode
+from scalargraph.errors import InputError
 
 
 class GatedState(NamedTuple):
@@ -59,6 +65,7 @@ class GatedState(NamedTuple):
         slip: Average (n,) of d², relative to its threshold for `ASTRAY`.
         last_input: The last finite input (m,).
         dt: Length of the last prediction [s].
+        running: Time since the start or restart [s]; None without a fast start.
 
     Example:
         >>> import jax.numpy as jnp
@@ -76,6 +83,7 @@ class GatedState(NamedTuple):
     slip: Vector
     last_input: LastInput = None
     dt: Scalar | None = None
+    running: Scalar | None = None
 
 
 class Gated(AbstractObserver):
@@ -93,10 +101,14 @@ class Gated(AbstractObserver):
         noise: Standard deviation of the noise of one sample [rad or m], a number or (n,).
         speed: Usual size of the velocities [rad/s or m/s], a number or (n,).
         gate: The gate, by default `Gate()`.
+        fast_start: Whether the gains of an observer with constant ones, its `alpha` and `beta`, are larger just after
+            the start, so that it knows the velocity as soon as its readings tell it; False (default) keeps them
+            constant, as certificates assume.
 
     Raises:
-        ValueError: `noise` or `speed` is not positive and finite, or the reports of the observer concern its own steps,
-            such as a proved bound: bound the gated observer instead.
+        ValueError: `noise` or `speed` is not positive and finite, an observer without constant gains should start fast,
+            or the reports of the observer concern its own steps, such as a proved bound: bound the gated observer
+            instead.
 
     Example:
         >>> import jax
@@ -115,9 +127,12 @@ class Gated(AbstractObserver):
     noise: Scalar | Vector = eqx.field(converter=as_gain)
     speed: Scalar | Vector = eqx.field(converter=as_gain)
     gate: Gate = Gate()
+    fast_start: bool = eqx.field(default=False, static=True)
 
     def __check_init__(self):
         check_positive("Gated", noise=self.noise, speed=self.speed)
+        if self.fast_start and not hasattr(self.observer, "beta"):
+            raise InputError(f"Gated: {type(self.observer).__name__} has no constant gains, and so no fast_start")
         check_whole("Gated", self.observer)
 
     def init(self, y: Array, t: Number = 0.0) -> GatedState:
@@ -134,14 +149,16 @@ class Gated(AbstractObserver):
         inner = without_last_input(self.observer.init(y, t))
         last_input = no_input(self.model, rest)
         t = jnp.asarray(t, rest.dtype)
-        return GatedState(inner, t, GateMemory.at_start(rest), rest, last_input, jnp.zeros_like(t))
+        running = jnp.zeros_like(t) if self.fast_start else None
+        return GatedState(inner, t, GateMemory.at_start(rest), rest, last_input, jnp.zeros_like(t), running)
 
     def estimate(self, state: GatedState) -> Any:
         return self.observer.estimate(state.inner)
 
     def predict(self, state: GatedState, u: Float[Array, "m"], dt: Scalar) -> GatedState:
         inner = self.observer.predict(state.inner, u, dt)
-        return state._replace(inner=inner, t=state.t + dt, gate=state.gate.advanced(dt), dt=dt)
+        running = None if state.running is None else state.running + dt
+        return state._replace(inner=inner, t=state.t + dt, gate=state.gate.advanced(dt), dt=dt, running=running)
 
     def correct(self, state: GatedState, u: Float[Array, "m"], y: Array) -> tuple[GatedState, Any]:
         """Correct a predicted state by a measurement that passes the gate.
@@ -160,7 +177,7 @@ class Gated(AbstractObserver):
         verdict = self._judge(state, innovation, present)
         # A state without a velocity follows readings that show one through its ordinary correction.
         outlying = verdict.far if self._holds_velocity(state) else verdict.far & ~verdict.moved
-        inner, info = self.observer.correct(state.inner, u, self._without(y, outlying))
+        inner, info = self._at_its_gains(state).correct(state.inner, u, self._without(y, outlying))
         used = present & ~outlying
         motion = self.model.motion(self.observer.estimate(inner))
         slip = self._average_slip(state, innovation, used)
@@ -179,6 +196,18 @@ class Gated(AbstractObserver):
 
     def innovation(self, state: GatedState, u: Float[Array, "m"], y: Array) -> Vector:
         return self.observer.innovation(state.inner, u, y)
+
+    def _at_its_gains(self, state: GatedState) -> Any:
+        """The inner observer, just after the start with larger gains and without learning a force."""
+        observer: Any = self.observer
+        if state.running is None:
+            return observer
+        # With the time in which the usual speed moves by √12 noises, as the slope of a line over it tells no more.
+        t = state.running + 12**0.5 * jnp.max(self.noise / self.speed)
+        starts = {"alpha": jnp.maximum(observer.alpha, 4 / t), "beta": jnp.maximum(observer.beta, 6 / t**2)}
+        if hasattr(observer, "force_rate"):
+            starts["force_rate"] = jnp.where(starts["beta"] > observer.beta, 0.0, observer.force_rate)
+        return eqx.tree_at(lambda o: [getattr(o, name) for name in starts], observer, list(starts.values()))
 
     def _average_slip(self, state: GatedState, innovation: Vector, used: Bool[Array, "n"]) -> Vector:
         limit = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.gate.unused) ** 2
