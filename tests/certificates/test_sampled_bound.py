@@ -193,7 +193,7 @@ def test_a_bound_stays_with_the_observer_that_it_is_about():
         """A gate that does more than to refuse measurements."""
 
     nudged = Nudged(plain, plain.model, jnp.asarray(NOISE), jnp.asarray(1.0))
-    for other in (nudged, pendulum()):
+    for other in (nudged, dataclasses.replace(gated, fast_start=True), pendulum()):
         with pytest.raises(ValueError, match="not the one of the certificate"):
             Bounded(other, honest.bound, 0.005)
 

@@ -324,11 +324,15 @@ def _conclude(solved: Solved) -> Solved:
     return solved._replace(fit=found)
 
 
-def again(solved: Solved, rows: Rows, progress: Callable[[int, int], object] = lambda *_: None) -> Solved:
-    """The same numbers fitted once more to other rows, from where the search ended."""
+def again(
+    solved: Solved, rows: Rows, progress: Callable[[int, int], object] = lambda *_: None, noise: bool = True
+) -> Solved:
+    """The same numbers fitted once more to other rows, from where the search ended; the `noise` too, or as it was."""
     problem = solved.problem._replace(rows=jax.tree.map(jnp.asarray, rows))
     point = Point.at(problem, solved.point.z)
     begun = solved._replace(problem=problem, point=point, fixed=Fixed.nothing(len(point.z)))
+    if not noise:
+        return _conclude(begun._replace(point=minimise(problem, point, begun.fixed, functools.partial(progress, 0))))
     return _conclude(_exact(*_alternate(begun, progress, itertools.count()))[0])
 
 

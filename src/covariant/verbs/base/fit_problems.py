@@ -161,7 +161,7 @@ class PredictionProblem(Problem):
         # A fit that needs no force has read its inputs right.
         for signs in () if best.quiet else 1.0 - 2.0 * np.eye(inputs.shape[1]):
             read = part._replace(rows=part.rows._replace(inputs=inputs * signs))
-            other = search(self.family, read.rows.only(~read.judged), start=best.fit.values, least=best.least)
+            other = again(best, read.rows.only(~read.judged), noise=False)
             if error_growth(self.errors(best, part), self.errors(other, read)) < LESS:
                 return f"An input seems to be logged with the other sign. Mend it: {names_of(file).line('u', signs)}"
         return ""
