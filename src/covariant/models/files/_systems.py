@@ -1,4 +1,7 @@
-"""Lists the systems of this library, and checks names and paths of models; it loads nothing heavy."""
+"""Lists the systems of this library and what sentences call their parts; checks names and paths of models.
+
+It loads nothing heavy.
+"""
 
 import errno
 import os
