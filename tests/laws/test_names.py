@@ -49,7 +49,12 @@ OF_A_ROBOT = re.compile(r"\b(arm|encoder|gear|joint|link|motor|robot|rotor|servo
 def two_slides():
     """A machine of the user's own: two masses on rails, each with an input."""
     model = models.Lagrangian(
-        lambda q: jnp.eye(2), lambda q: 0.0, force=lambda t, q, u: u, coordinates=("x", "y"), units=("m", "m"), inputs=2
+        lambda q: jnp.eye(2),
+        lambda q: jnp.zeros(()),
+        force=lambda t, q, u: u,
+        coordinates=("x", "y"),
+        units=("m", "m"),
+        inputs=2,
     )
     return models.ModelFile("slides", model, logs.Columns(q=("x", "y"), u=("fx", "fy")))
 
@@ -73,9 +78,12 @@ def sentences_of_a_check(file):
     repeated, held = np.repeat(y[::2], 2, axis=0), np.where((t > 2.0) & (t < 3.0), y[200, 0], y[:, 0])
     read = np.column_stack([held, y[:, 1:]])
     suspicions += stuck(case.with_readings(read), read, Rows(t))
-    findings = [*still_findings(0.0 * y, *case.names[1:4:2])[0], standstill(record, (), case.names, case.ticks)]
+    findings = [
+        *still_findings(0.0 * y, case.names.q, case.names.units)[0],
+        standstill(record, (), case.names, case.ticks),
+    ]
     if n > 1:
-        findings += still_findings(y * (np.arange(n) > 0), *case.names[1:4:2])[0]
+        findings += still_findings(y * (np.arange(n) > 0), case.names.q, case.names.units)[0]
     findings += find_repeats(repeated, case.ticks, case.names.q, Rows(t))[1]
     yield from compared(file)
     yield from (text for each in suspicions for text in (each.what, each.words, each.remedy, *each.numbers))
