@@ -56,7 +56,7 @@ for color, (name, run) in zip((PALETTE.sky, PALETTE.covariant), runs.items(), st
     off = np.asarray(run.estimate)[:, 3] - v[:, 1]
     band = 2 * np.asarray(run.info.velocity_std)[:, 1]
     velocity.plot(t, v[:, 1] + off, color=color, label=name)
-    error.fill_between(t, -band, band, color=color, alpha=0.2, linewidth=0)
+    error.fill_between(t, -band, band, color=color, alpha=0.2, linewidth=0, label="±2σ")
     error.plot(t, off, color=color, label=name)
 shown = (t > 1.7) & (t < 2.9)
 low, high = v[shown, 1].min(), v[shown, 1].max()
@@ -64,6 +64,7 @@ velocity.set(xlim=(1.7, 2.9), ylim=(low - 2, high + 4), ylabel="dq₂/dt [rad/s]
 largest = 2.2 * np.asarray(smoothed.filtered.info.velocity_std)[shown, 1].max()
 error.set(ylabel="estimate − truth [rad/s]", xlabel="t [s]", ylim=(-largest, largest))
 velocity.legend(loc="upper left")
+error.legend(loc="upper left", ncols=2)
 velocity.annotate("no readings", (np.mean(GAP), velocity.get_ylim()[0]), ha="center", va="bottom", color=PALETTE.text)
 FIGURE.parent.mkdir(exist_ok=True)
 save_figure(figure, FIGURE)

@@ -66,12 +66,12 @@ figure, axes = new_figure(2, 1, panel=(8.0, 2.4), titles=titles, sharex=True)
 error, offset = axes[:, 0]
 for color, (name, run) in zip((PALETTE.sky, PALETTE.covariant), runs.items(), strict=True):
     off, band = np.asarray(run.estimate)[:, 3] - v[:, 1], 2 * np.asarray(run.info.velocity_std)[:, 1]
-    error.fill_between(t, -band, band, color=color, alpha=0.2, linewidth=0)
+    error.fill_between(t, -band, band, color=color, alpha=0.2, linewidth=0, label="±2σ")
     error.plot(t, off, color=color, label=name, linewidth=1.0)
 info = runs["encoders and gyro"].info
 found, band = np.asarray(info.slow)[:, 3], 2 * np.asarray(info.slow_std)[:, 3]  # after two forces and the bias about x
 offset.axhline(BIAS[1], color=PALETTE.truth, linewidth=3.5, label="true")
-offset.fill_between(t, found - band, found + band, color=PALETTE.covariant, alpha=0.2, linewidth=0)
+offset.fill_between(t, found - band, found + band, color=PALETTE.covariant, alpha=0.2, linewidth=0, label="±2σ")
 offset.plot(t, found, color=PALETTE.covariant, label="estimated")
 largest = 1.5 * np.abs(np.asarray(runs["encoders"].estimate)[late, 3] - v[late, 1]).max()
 error.set(ylabel="estimate − truth [rad/s]", ylim=(-largest, largest))

@@ -48,7 +48,7 @@ for name, error in errors.items():
 
 best = min(rivals, key=lambda name: errors[name][3])
 shown = (t > 0.45) & (t < 1.3)
-titles = ("Rate of the knee; the foot is on the ground in the shaded stretches", "Size of its error")
+titles = ("Rate of the knee", "Size of its error")
 figure, axes = new_figure(2, 1, panel=(8.0, 2.6), titles=titles, sharex=True)
 rate, error = axes[:, 0]
 rate.plot(t[shown], v[shown, 3], color=PALETTE.truth, linewidth=2.5, label="true")
@@ -66,6 +66,7 @@ for ax in (rate, error):
         color=PALETTE.truth,
         alpha=0.12,
         linewidth=0,
+        label="on the ground",
     )
 rate.set(ylabel="[rad/s]", ylim=(-13.0, 19.0))
 error.set(ylabel="[rad/s]", xlabel="t [s]", ylim=(1e-3, 1e4))

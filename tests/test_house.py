@@ -245,6 +245,19 @@ def test_what_make_quick_runs_is_there():
     assert [path for path in chosen if not (ROOT / path).is_file()] == []
 
 
+def test_bands_are_named_in_the_legend():
+    """Of the gallery and of the papers, as the reports of the library do it by themselves."""
+    scripts = [*(ROOT / "gallery").glob("*.py"), *(ROOT / "src/covariant/papers").rglob("*.py")]
+    calls = [
+        (script.name, node)
+        for script in scripts
+        for node in ast.walk(ast.parse(script.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "fill_between"
+    ]
+    assert len(calls) >= 6
+    assert [name for name, call in calls if "label" not in {key.arg for key in call.keywords}] == []
+
+
 def test_figures_take_colours_and_sizes_from_the_palette():
     """Of the gallery and of the papers: blue is this library, orange an EKF, green a filter, grey the truth."""
     by_hand = re.compile(r"""color="|"C\d"|fontsize=|PALETTE\[\d""")

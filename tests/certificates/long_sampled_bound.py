@@ -412,7 +412,7 @@ def test_what_is_proved_is_what_the_short_tests_use(proved, tmp_path, monkeypatc
         ("claims[3]", MISSING, "must be one of .disturbance"),
         ("given.noise", [0.0], "squares"),
         ("given.noise", [3e-4], "box|room"),
-        ("given.disturbance", [0.02], "the bound of the joint force|lead out of"),
+        ("given.disturbance", [0.02], "the bound of the force with friction|lead out of"),
         ("radius", 0.5 * proved.steady, "lead out of"),
     ):
         with pytest.raises(ValueError, match=message):

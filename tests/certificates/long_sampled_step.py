@@ -131,7 +131,7 @@ FORGERIES = {
     "metric after the measurement": (put("q[1][1]", lambda b: 3 * b), r"claims\[\d\] is not shown"),
     "gain": (put("observer.beta", 500.0), r"claims\[\d\] is not shown"),
     "input": (put("given.inputs.high[0]", 0.6), "the bound of the input's force is not shown"),
-    "force box": (put("box.high[4]", 0.4), "the bound of the joint force 1 is not shown"),
+    "force box": (put("box.high[4]", 0.4), "the bound of the force with friction 1 is not shown"),
     "slopes of friction": (
         together(put("box.low[5]", 0.1), put("box.high[5]", 0.2)),
         "the bound of the friction's slope 1 is not shown",
@@ -219,7 +219,7 @@ def coupled():
         (lambda: described(force=lambda t, q, u: u * jnp.cos(q)), "force of this model depends on q"),
         (lambda: described(dissipation=lambda q, v: -v * jnp.cos(q) ** 2), "depends on the position"),
         (lambda: described(dissipation=lambda t, q, v, u: -v * t), "depends on time"),
-        (lambda: Intrinsic(coupled(), 1.0, 1.0), "couples joints"),
+        (lambda: Intrinsic(coupled(), 1.0, 1.0), "couples coordinates"),
         (lambda: Intrinsic(models.GroupSystem(lie.SE3, jnp.eye(6)), 1.0, 1.0), "needs coordinates or rotations"),
         (lambda: Geodesic(swing(), 1.0, 1.0), "Intrinsic itself"),
     ],

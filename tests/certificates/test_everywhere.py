@@ -187,7 +187,7 @@ def of_friction(dissipation):
     ("dissipation", "message"),
     [
         (lambda q, v: -jnp.sign(v), "jumps"),
-        (lambda q, v: -v[::-1], "couples joints"),
+        (lambda q, v: -v[::-1], "couples coordinates"),
         (lambda q, v: -(2 + jnp.cos(q[1])) * v, "depends on the position"),
         (lambda t, q, v, u: -v * (1 + u**2), "depends on u1"),
     ],

@@ -194,11 +194,20 @@ def test_bands_marks_pushes_and_forces_are_drawn(make):
     assert [shape["x0"] for shape in motion["layout"]["shapes"]] == [1.0] == [force["layout"]["shapes"][0]["x0"]]
     bounds = [trace for trace in motion["data"] if trace["yaxis"] == "y3" and trace.get("hoverinfo") == "skip"]
     assert sorted(values(trace["y"])[0].round(4) for trace in bounds) == [-0.06, 0.06]
+    assert "±2σ" in [attrs["data-label"] for attrs in page.all("button")]
+    assert {trace["meta"].get("band") for trace in bounds} == {"±2σ"}
+    assert "two standard deviations" in page.text
     marks = {trace["legendgroup"]: trace for trace in motion["data"] if trace.get("yaxis") == "y" and "marker" in trace}
     assert len(values(marks["refused"]["x"])) == int((report.t > 19).sum())
     assert force["layout"]["yaxis"]["title"]["text"] == "hand<br>[N m]"
     band = values(next(trace for trace in force["data"] if trace.get("fill") == "toself")["y"])
     np.testing.assert_allclose([np.nanmin(band), np.nanmax(band)], [0.3, 0.7], rtol=1e-4)
+
+
+def test_a_page_without_bands_speaks_of_none(make):
+    page = Page(_html.page(make(1)))
+    assert "±2σ" not in page.text
+    assert not any("band" in trace["meta"] for trace in page.timed()[0]["data"])
 
 
 def test_hidden_curves_wait_for_a_click(make):

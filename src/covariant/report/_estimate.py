@@ -15,6 +15,9 @@ MEASURED = "measured"
 DIFFERENCE = "difference of the readings"
 """Legend entry of the raw velocity, the slope between consecutive readings."""
 
+BANDS = "±2σ"
+"""Legend entry of the bands of two standard deviations."""
+
 MARKS = {"no measurement": "circle-open", "refused": "x", "restarted": "diamond-open"}
 """Legend entries of rows that a report may mark, with the name of each symbol."""
 
@@ -159,11 +162,9 @@ class EstimateReport(NamedTuple):
                 raise InputError(
                     f"{name} has {sorted(unknown)}, but there are estimates only of {list(self.estimates)}"
                 )
-        reserved = set(self.estimates) & set(self.backdrops)
+        reserved = set(self.estimates) & {*self.backdrops, BANDS}
         if reserved:
-            raise InputError(
-                f"an estimate cannot be called {reserved.pop()!r}: that names the curve it is compared with"
-            )
+            raise InputError(f"an estimate cannot be called {reserved.pop()!r}: that names another entry of the legend")
         return self
 
     @property

@@ -23,7 +23,7 @@ from covariant.report._optional import optional
 from covariant.report._panels import Quantity, quantities
 from covariant.report._plotly import correlogram, stack
 from covariant.report._png import draw_png
-from covariant.report._style import Style, styles
+from covariant.report._style import Style, legend_styles, styles
 from covariant.report._table import cells
 from covariant.report._whiteness import autocorrelation
 from covariant.scoring import scored_window
@@ -70,14 +70,15 @@ def page(report: EstimateReport) -> str:
     panels = {name: each for name, each in panels.items() if "innovation" not in panels or name not in _SAID_BETTER}
     panels = condensed(panels)
     sections, figures = _sections(report, panels, styled)
+    legend = legend_styles(styled, panels.values())
     words = {
         "TITLE": escape(printable(report.title)),
         "STYLE": template("covariant.report", "page.css"),
         "VERDICT": verdict_html(report.headline, report.warnings),
         "FACTS": facts_html(report.facts) + _code(report),
         "TABLE": table_html(report.rows, report.best),
-        "DETAILS": _details(report, panels),
-        "LEGEND": _legend(_used(styled, panels), report.hidden),
+        "DETAILS": _details(report, panels, legend),
+        "LEGEND": _legend(legend, report.hidden),
         "COLUMNS": len(report.coordinates),
         "SECTIONS": sections,
         "FIGURES": _pack_text("figures", _with_common_stamps(figures)) + _csv(report),
@@ -167,11 +168,6 @@ def _code(report: EstimateReport) -> str:
     return f'<div class="code">{button}<pre><code>{escape(report.code)}</code></pre></div>\n'
 
 
-def _used(styled: dict[str, Style], panels: dict[str, Quantity]) -> dict[str, Style]:
-    labels = {curve.label for quantity in panels.values() for curve in quantity.curves}
-    return {label: style for label, style in styled.items() if label in labels}
-
-
 def _section(heading: str, description: str, kind: str = "") -> str:
     label = escape(description)
     return (
@@ -209,15 +205,15 @@ def _odd(warnings: Sequence[str]) -> str:
     return f'<ul class="odd" aria-label="Warnings">{lines}</ul>\n' if warnings else ""
 
 
-def _details(report: EstimateReport, panels: dict[str, Quantity]) -> str:
+def _details(report: EstimateReport, panels: dict[str, Quantity], legend: dict[str, Style]) -> str:
     """Notes, and folded terms; on a narrow screen, which notes would fill, page.js folds them too."""
-    notes, terms = _notes(report, panels), _glossary(report, panels)
+    notes, terms = _notes(report, panels), _glossary(report, {*panels, *legend})
     text = f"<details open><summary>Notes</summary>\n{notes}</details>\n" if notes else ""
     return text + (f"<details><summary>Terms</summary>\n{terms}</details>\n" if terms else "")
 
 
-def _glossary(report: EstimateReport, panels: dict[str, Quantity]) -> str:
-    terms = glossary(report, panels)
+def _glossary(report: EstimateReport, shown: set[str]) -> str:
+    terms = glossary(report, shown)
     text = " ".join(f"<strong>{escape(term)}</strong>: {escape(meaning)}" for term, meaning in terms.items())
     return f'<p class="glossary">{text}</p>\n' if terms else ""
 
@@ -268,5 +264,5 @@ def _swatch(style: Style) -> str:
     return f'<svg width="26" height="10" aria-hidden="true">{line}</svg>'
 
 
-_SYMBOLS = {"circle-open": "○", "x": "✕", "diamond-open": "◇"}
-"""Characters that resemble the plotly symbols named in styles."""
+_SYMBOLS = {"circle-open": "○", "x": "✕", "diamond-open": "◇", "band": "▭"}
+"""Characters that resemble the symbols named in styles."""

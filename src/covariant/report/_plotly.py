@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from covariant.report._axis_range import AxisRange, axis_range
+from covariant.report._estimate import BANDS
 from covariant.report._optional import optional
 from covariant.report._panels import Curve, Quantity, depths
 from covariant.report._polylines import polygons, polyline
@@ -87,11 +88,8 @@ def _layout(inner: int) -> dict[str, Any]:
 
 
 def _caption(quantity: Quantity) -> str:
-    """The title of a panel, which also mentions its bands."""
-    banded = any(curve.role == "bounds" for curve in quantity.curves) and "expected" not in quantity.title
-    if quantity.name == "distance":
-        return ""  # the heading of the section says it already
-    return f"{quantity.title}, ±2σ" if banded else quantity.title
+    """The title of a panel; none if the heading of its section says it already."""
+    return "" if quantity.name == "distance" else quantity.title
 
 
 def _shade(begin: float, end: float) -> dict[str, Any]:
@@ -179,10 +177,13 @@ def _traces(curve: Curve, column: int, quantity: Quantity, style: Style, axis: s
         "zorder": depth,
         "name": escape(curve.label, quote=False),
         "legendgroup": curve.label,
-        # The page uses this colour if it is dark, and fits the y axis to the curves marked with `fits`.
+        # The page uses this colour if it is dark, and fits the y axis to the curves marked with `fits`. It shows a
+        # band if both its curve and the legend's entry for bands, `band`, are switched on.
         "meta": {"dark": style.dark, "fits": curve.role not in ("raw", "mark")},
         "hovertemplate": "%{y:.4~g}",
     }
+    if curve.role == "bounds":
+        shared["meta"]["band"] = BANDS
     dash = ",".join(f"{length}px" for length in style.dash) or "solid"
     stroke = {"color": style.color, "width": style.width, "dash": dash}
     values = curve.values[:, column]

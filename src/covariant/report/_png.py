@@ -12,7 +12,7 @@ from covariant.report._estimate import EstimateReport
 from covariant.report._optional import optional
 from covariant.report._panels import Quantity, depths, quantities, shorten
 from covariant.report._polylines import polyline
-from covariant.report._style import BAND, BOUNDS, DPI, INK, MUTED, SHADE, Style, new_figure, styles
+from covariant.report._style import BAND, BOUNDS, DPI, GRID, INK, MUTED, SHADE, Style, legend_styles, new_figure, styles
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -100,8 +100,7 @@ def _figure(
     for ax in drawn:
         for begin, end in () if shaded is None else shaded:
             ax.axvspan(begin, end, color=SHADE, alpha=0.15, linewidth=0, zorder=0)
-    used = {curve.label for quantity in (*shown, *([below] if below else [])) for curve in quantity.curves}
-    legend_lines = _legend(figure, {label: style for label, style in styled.items() if label in used})
+    legend_lines = _legend(figure, legend_styles(styled, shown if below is None else [*shown, below]))
     lines = textwrap.wrap(title, int(10 * figure.get_figwidth()))
     figure.suptitle(_plain("\n".join(lines)), x=0.012, ha="left", fontsize=11, fontweight="bold", color=INK)
     # The figure grows by the height of title and legend, so that the panels keep their size.
@@ -144,10 +143,12 @@ def _draw(ax: "matplotlib.axes.Axes", quantity: Quantity, column: int, styled: d
     ax.set_title(_plain(limits.outside), loc="right", fontsize=7, color=MUTED)
 
 
+_BAR = [(-1, -0.3), (1, -0.3), (1, 0.3), (-1, 0.3), (-1, -0.3)]
 _MARKERS = {
     "circle-open": {"marker": "o", "markersize": 4, "markerfacecolor": "none", "markeredgewidth": 0.8},
     "x": {"marker": "x", "markersize": 4},
     "diamond-open": {"marker": "D", "markersize": 4, "markerfacecolor": "none", "markeredgewidth": 0.8},
+    "band": {"marker": _BAR, "markersize": 20, "markerfacecolor": GRID, "markeredgewidth": 0.8},
 }
 """Markers of matplotlib for the plotly symbols named in styles."""
 

@@ -3,14 +3,15 @@
 import functools
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from covariant.report._estimate import DIFFERENCE, MARKS, MEASURED, EstimateReport
+from covariant.report._estimate import BANDS, DIFFERENCE, MARKS, MEASURED, EstimateReport
 from covariant.report._optional import optional
+from covariant.report._panels import Quantity
 from scalargraph.errors import InputError
 from scalargraph.files import write_atomically
 
@@ -95,7 +96,7 @@ class Style(NamedTuple):
         dark: Colour on a dark page.
         width: Width of the line [points].
         dash: Lengths of dashes and gaps [points], empty if solid.
-        symbol: Name of the plotly symbol of marks.
+        symbol: Name of the plotly symbol of marks, and "band" for bands.
     """
 
     color: str
@@ -125,6 +126,15 @@ def styles(report: EstimateReport) -> dict[str, Style]:
     for label in report.marks:
         styled[label] = Style(*_MARK_COLORS[label], 2.0, symbol=MARKS[label])
     return styled
+
+
+def legend_styles(styled: Mapping[str, Style], shown: Iterable[Quantity]) -> dict[str, Style]:
+    """The legend of some panels: the styles of their curves and, if any has a band, of the bands."""
+    curves = [curve for quantity in shown for curve in quantity.curves]
+    labels = {curve.label for curve in curves}
+    banded = any(curve.role == "bounds" for curve in curves)
+    bands = {BANDS: Style(BOUNDS, BOUNDS_DARK, 2.0, symbol="band")} if banded else {}
+    return {label: style for label, style in styled.items() if label in labels} | bands
 
 
 _MARK_COLORS = {

@@ -163,7 +163,9 @@ class InitResult(AbstractResult):
         registers, others = self.draft.unused
         current = ", ".join(self.draft.registers.get("current", ()))
         how = f'; with a torque constant of 0.08 N m/A, [columns] u = {current}, [units] u = "0.08 N m"'
-        lines += [f"no torques, and left out: {', '.join(registers)}{how if current else ''}"] if registers else []
+        lines += (
+            [f"no forces or torques, and left out: {', '.join(registers)}{how if current else ''}"] if registers else []
+        )
         lines += [f"left out: {', '.join(others)}"] if others else []
         if self.joints is not None:
             return "\n".join([*lines, *self._next_of_servos()])

@@ -155,7 +155,7 @@ def swapped_inputs(case: Case, i: int, j: int, what: str = "inputs", threshold: 
 
 
 def swaps(case: Case) -> Iterator[Suspicion]:
-    """Swapped columns: two positions, two inputs, or positions and inputs of two joints."""
+    """Swapped columns: two positions, two inputs, or positions and inputs of two coordinates."""
     (q, u), none = (case.names.q, case.names.u), Change.none(case)
     for i, j in itertools.combinations(range(len(q)), 2):
         positions, inputs = (_transposition(columns, i, j) for columns in (q, u))
@@ -167,9 +167,9 @@ def swaps(case: Case) -> Iterator[Suspicion]:
             continue  # input i belongs to joint i only if there are as many inputs as joints
         yield swapped_inputs(case, i, j)
         line = f"[columns] {in_q}, u = {quoted_list(u[k] for k in inputs)}"
-        words = f"with joints {i + 1} and {j + 1} in each other's place"
+        words = f"with {q[i]} and {q[j]}, and {u[i]} and {u[j]}, in each other's place"
         change = none._replace(order=positions, input_order=inputs)
-        yield Suspicion("swapped joints", f"{q[i]}, {q[j]}", words, line, change.apply)
+        yield Suspicion(f"swapped {case.file.vocabulary.coordinate}s", f"{q[i]}, {q[j]}", words, line, change.apply)
 
 
 def position_signs(case: Case) -> Iterator[Suspicion]:

@@ -22,7 +22,7 @@ from covariant.calibration.diagnosis._case import in_coordinates, names_of
 from covariant.calibration.diagnosis._finding import Diagnosis, Finding, Rows
 from covariant.calibration.diagnosis._misfit import OF_COMMANDS
 from covariant.calibration.diagnosis._sensor_motion import Beside
-from covariant.calibration.diagnosis._stages import COMPARED, STAGES, Examination
+from covariant.calibration.diagnosis._stages import STAGES, Examination, compared
 from covariant.models import ModelFile
 from covariant.signals import Record
 
@@ -35,7 +35,7 @@ WEIGHTS = (
     *("servo off", "gain of a servo", "zero of a servo", "limit of a servo"),
     *("unit of", "period", "swapped", "sign of", "axes of", "sensor", "zero of"),
     *("lost counts", "offset", "limit", "dead band"),
-    *("gravity", "friction", "rotor inertia", "too little motion"),
+    *("gravity", "friction", "rotor inertia", "added inertia", "too little motion"),
     *("delay", "row shift", "scale of", "inputs between"),
     *("ticks", "a position", "bias of"),
     *("numbers", "model", "uncertainty", "noise"),
@@ -98,7 +98,7 @@ def diagnose(
             break
     findings, checks = sorted(log.findings, key=_weight), log.checks
     hidden = any(each.what in HIDING for each in findings)
-    return Diagnosis(tuple(findings), checks, tuple(each for each in COMPARED if hidden and each not in checks))
+    return Diagnosis(tuple(findings), checks, tuple(each for each in compared(file) if hidden and each not in checks))
 
 
 def _weight(finding: Finding) -> tuple[bool, int]:

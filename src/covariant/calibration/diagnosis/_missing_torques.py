@@ -27,14 +27,15 @@ LARGEST_ROTOR = 1e4
 look like a larger one."""
 TURNS = np.array([[1e-3], [3e-3], [1e-2]])
 """Distances over which friction may turn at a reversal, as fractions of the range of a coordinate."""
-KINDS = ("viscous friction", "Coulomb friction", "rotor inertia")
+KINDS = ("viscous friction", "Coulomb friction", "inertia")
+"""Missing torques; `Vocabulary` has the word for the inertia."""
 OF_CHAIN = {
     "viscous friction": ("viscous", 1.0),
     "Coulomb friction": ("coulomb", 2 / np.pi),  # times atan(100 v), which ends at pi/2
-    "rotor inertia": ("rotor_inertia", 1.0),
+    "inertia": ("rotor_inertia", 1.0),
 }
 """What a chain of pendulums calls them, and its numbers in these."""
-UNITS = {"viscous friction": ("N s/m", "N m s/rad"), "Coulomb friction": ("N", "N m"), "rotor inertia": ("kg", "kg m²")}
+UNITS = {"viscous friction": ("N s/m", "N m s/rad"), "Coulomb friction": ("N", "N m"), "inertia": ("kg", "kg m²")}
 """Units of their numbers, for a coordinate that is a length and one that is an angle."""
 
 
@@ -60,7 +61,7 @@ def missing_torques(case: Case, log: Smooth) -> Iterator[Suspicion]:
     every = regression.needed()
     if every and every[-1] >= len(friction):
         missing, inertia = regression.missing(every), _inertias(case.model, log)
-        rotors = [each.value / inertia[each.joint] for each in missing if each.kind == "rotor inertia"]
+        rotors = [each.value / inertia[each.joint] for each in missing if each.kind == "inertia"]
         if max(rotors) < LARGEST_ROTOR:
             yield _suspicion(case, regression, every, speeds, "rotors")
 
@@ -89,13 +90,15 @@ def _suspicion(
     for kind, joint, value in missing:
         table[KINDS.index(kind), joint] = value
     model = with_torques(case.model, table[0], table[1], table[2], speeds) if missing else case.model
-    named = [kind for kind in ("friction", "rotor inertia") if any(each.kind.endswith(kind) for each in missing)]
+    vocabulary = case.file.vocabulary
+    called = {kind: kind for kind in KINDS} | {"inertia": vocabulary.inertia}
+    named = ["friction"] * bool(table[:2].any()) + [vocabulary.inertia] * bool(table[2].any())
     what = " and ".join(["gravity"] * weightless + named)
     sizes = ", ".join(
-        f"{kind} {value:.2g} {UNITS[kind][int(names.angles[joint])]} in {names.q[joint]}"
+        f"{called[kind]} {value:.2g} {UNITS[kind][int(names.angles[joint])]} in {names.q[joint]}"
         for kind, joint, value in missing
     )
-    alike = "; too small an inertia of the links looks like it" if "rotor inertia" in named else ""
+    alike = f"; {vocabulary.like_it} looks like it" if table[2].any() else ""
     if alike and case.file.system == "pendulum_chain" and np.all(np.asarray(case.model.parameters["gear"].value) == 1):
         alike += (
             ", and behind a gear it is the rotor's times the square of [parameters] gear, which has to be set first"
@@ -111,7 +114,7 @@ def _suspicion(
         "; ".join(lines),
         lambda case: case._replace(model=model),
         threshold,
-        numbers={f"{kind} of {names.q[joint]}": value for kind, joint, value in missing},
+        numbers={f"{called[kind]} of {names.q[joint]}": value for kind, joint, value in missing},
         expected=regression.left(needed),
     )
 
@@ -177,7 +180,7 @@ def _command(case: Case, missing: list[_Missing]) -> str:
         stated, values = np.asarray(model.parameters[name].value), {i: x for k, i, x in missing if k == kind}
         if values and not stated.any():
             first = np.array([values.get(i, 0.1 * min(values.values())) for i in range(len(stated))])
-            geared = np.asarray(model.parameters["gear"].value) ** 2 if name == "rotor_inertia" else 1.0
+            geared = np.asarray(model.parameters["gear"].value) ** 2 if kind == "inertia" else 1.0
             fitted += f" --set 'parameters.{name}=[{', '.join(f'{x:.2g}' for x in factor * first / geared)}]'"
     return fitted
 
@@ -185,7 +188,7 @@ def _command(case: Case, missing: list[_Missing]) -> str:
 def _robot_parameters(missing: list[_Missing], coordinates: Sequence[str]) -> str:
     named = []
     for group, rotor in (("friction", False), ("armature", True)):
-        joints = sorted({each.joint for each in missing if (each.kind == "rotor inertia") == rotor})
+        joints = sorted({each.joint for each in missing if (each.kind == "inertia") == rotor})
         whole = len(joints) == len(coordinates)
         named += [group] if whole else [f"{group}.{coordinates[i]}" for i in joints]
     return ",".join(named)
@@ -242,7 +245,7 @@ class _Regression(NamedTuple):
     @property
     def friction(self) -> int:
         """Number of columns of friction, which are the first ones."""
-        return len(self.columns) // len(KINDS) * KINDS.index("rotor inertia")
+        return len(self.columns) // len(KINDS) * KINDS.index("inertia")
 
     def missing(self, needed: list[int]) -> list["_Missing"]:
         """The numbers that matter, with their names."""

@@ -267,7 +267,7 @@ def still_findings(
     what, line = "nothing moves", "log a motion: nothing can be told from this log"
     if not whole:
         what = "a position does not move"
-        line = "look at its sensor and its column, or hold that joint in the model as well: nothing can be told from it"
+        line = "look at its sensor and its column, or hold it in the model as well: nothing can be told from it"
     where, evidence = ", ".join(names[i] for i in still), f"{values} in all {len(y)} rows"
     return [Finding(what, where, evidence, line, whole, {"rows": len(y)})], whole
 

@@ -138,8 +138,7 @@ def stuck(case: Case, read: Float[np.ndarray, "T n"], rows: Rows) -> Iterator[Su
         where = ", ".join(case.names.q[i] for i in held)
         texts = (f"{case.names.q[i]} reads {value:.6g} {case.names.units[i]}".rstrip() for i, value in held.items())
         claim = f"{' and '.join(texts)} in all rows from {rows.named(begin)} to {rows.named(end)}"
-        line = f"leave the cells of {where} empty there; look at the sensor and its cable, and at what may hold the "
-        line += "joint"
+        line = f"leave the cells of {where} empty there; look at the sensor, its cable and what may hold it still"
         if end >= len(t) - 1 - HELD_ROWS:
             line = f"until = {stated_time(t[begin])} keeps the rows before that; or {line}"
         elif begin <= HELD_ROWS:

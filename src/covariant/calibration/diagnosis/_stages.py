@@ -62,11 +62,12 @@ NOISY = 0.01
 """Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
 BETTER = 0.5
 """What other numbers of the model leave at most, relative to what a fault leaves, to be the cause instead of it."""
-COMPARED = (
-    *("units", "order and signs of columns", "scales of inputs", "delays"),
-    *("friction and rotor inertia", "accelerations"),
-)
-"""Checks that compare accelerations."""
+
+
+def compared(file: ModelFile) -> tuple[str, ...]:
+    """Names of the checks that compare accelerations."""
+    torques = f"friction and {file.vocabulary.inertia}"
+    return "units", "order and signs of columns", "scales of inputs", "delays", torques, "accelerations"
 
 
 @dataclass
@@ -260,7 +261,7 @@ def compare_accelerations(log: Examination) -> bool:
         log.findings += [*_sensors(case, log.quantum, log.edges), *sensor_checks(case, log.rows.t, log.sensors)]
         log.findings.append(standstill(case.record, case.model.circles, case.names, case.ticks))
         return True
-    log.checks += COMPARED
+    log.checks += compared(log.file)
     found = _beyond_columns(log, case, best, constant)
     if any(each.wrong for each in found.findings) and log.family is not None:
         short = case._replace(record=busiest(case.record, FEW_ROWS))

@@ -200,7 +200,7 @@ def _drafted(log: LogColumns) -> Draft | None:
     guess = _roles_and_units(log, q, u, v)
     if "q" not in log.units:
         guess = guess._replace(guessed=tuple(dict.fromkeys((*guess.guessed, *guessed))))
-    own = "drives in a unit of its own: one of it in SI units is taken for 1 N m"
+    own = "drives in a unit of its own: one of it in SI units is taken for 1 N or N m"
     remarks = [*inputs.remarks, *odd_rates(log, q, v), *(f"{name} {own}" for name in driving(log, u))]
     remarks += [f"its names are those that {log.product} prints"] * bool(log.product)
     episodes = logs.episodes_fault(log[log.t], log.values, log.values.__getitem__, rising=True)

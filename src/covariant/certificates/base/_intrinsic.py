@@ -298,7 +298,7 @@ def need_joint_friction(model: MechanicalSystem) -> None:
     slopes = expansion.nodes()[1].reshape(n, n)
     if any(not expansion.graph.is_zero(int(slopes[i, j])) for i in range(n) for j in range(n) if i != j):
         raise InputError(
-            "the friction of this model couples joints; covered here is friction that acts in each joint by its own "
+            "the friction of this model couples coordinates; covered is friction that acts on each of them by its own "
             "velocity"
         )
 

@@ -70,7 +70,7 @@ def sampled_jobs(document: Document, pins: np.ndarray) -> Iterator[tuple]:
     yield "the definedness of the input's force", *inputs[:, None]
     # Joint by joint, since a common proof would need the product of the numbers of boxes.
     for joint in range(1, len(document.velocity) + 1):
-        yield f"the bound of the joint force {joint}", *both[:, None]
+        yield f"the bound of the force with friction {joint}", *both[:, None]
         yield f"the bound of the friction's slope {joint}", *speeds[:, None]
     yield FRICTION_JOBS[2], *speeds[:, None]
     for claim in document.claims:
@@ -107,7 +107,7 @@ def sampled_matrix(document: Document, system: ErrorSystem, model: MechanicalSys
     kinds: dict[str, tuple[Any, np.ndarray, Literal["", "defined", "smooth"]]] = {
         "the bound of the input's force": (_within(document, force, 3), inputs, ""),
         "the definedness of the input's force": (force, inputs, "defined"),
-        f"the bound of the joint force {joint + 1}": (joint_force, both, ""),
+        f"the bound of the force with friction {joint + 1}": (joint_force, both, ""),
         f"the bound of the friction's slope {joint + 1}": (slope, speeds, ""),
     }
     function, box, watch = kinds[what]

@@ -12,6 +12,7 @@ from covariant.models._parameters import ANY_SIGN, ZERO_OR_MORE
 from covariant.models.files._columns import unnamed_attitudes
 from covariant.models.files._keys import Choice, Deviations, Key, Number
 from covariant.models.files._source import Model, first_line
+from covariant.models.files._systems import JOINTED, OF_LINKS, PLAIN, Vocabulary
 from scalargraph.errors import InputError
 
 Several = float | tuple[float, ...]
@@ -83,8 +84,7 @@ class ModelFile(NamedTuple):
         external_force: Standard deviation of the change per second of an unknown force [N or N m], for a filter that
             estimates it: a random walk, which keeps its value through a gap.
         external_force_std: Usual size [N or N m] of an unknown force, for a filter that estimates it and forgets it
-        over
-            time.
+            over time.
         external_force_time: Time constant [s] with which that force is forgotten.
         presliding: Distance [rad or m] over which the Coulomb friction of a joint turns at a reversal, for a filter
             that has its force as a state; 0 for none.
@@ -104,6 +104,7 @@ class ModelFile(NamedTuple):
             scoring.
         reference_order: Degree of these polynomials.
         wrenches: Forces on links of a robot, by name, for a filter that estimates them: arguments of
+            `covariant.observers.wrench`.
         sensors: Further sensors, by name, with the keys of their tables, for a filter that uses them.
         family: The model with the numbers of `uncertain` open, in their order.
         system: Name of the system, if it is from this library, such as "robot".
@@ -177,6 +178,11 @@ class ModelFile(NamedTuple):
     def mechanical(self) -> bool:
         """Whether the model is a mechanical system, with a velocity to estimate; otherwise it is a `StateSpace`."""
         return isinstance(self.model, MechanicalSystem)
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        """What sentences call the parts of the machine, such as its joints."""
+        return JOINTED if self.system in OF_LINKS else PLAIN
 
     def uncertain_std(self, name: str) -> float | None:
         """Relative standard deviation of a number such as `mass[0]`, by that of `mass` too; None if it is known."""

@@ -1,9 +1,13 @@
-"""Lists the systems of this library, and checks names and paths of models; it loads nothing heavy."""
+"""Lists the systems of this library and what sentences call their parts; checks names and paths of models.
+
+It loads nothing heavy.
+"""
 
 import errno
 import os
 from os import PathLike
 from pathlib import Path
+from typing import NamedTuple
 
 from covariant._names import unknown
 from covariant.models.robots import ROBOTS
@@ -38,6 +42,28 @@ SYSTEMS = {
     "van_der_pol": "systems._van_der_pol:van_der_pol",
 }
 """The systems that a model file may name, and the functions that build them, as `module:function`."""
+
+
+class Vocabulary(NamedTuple):
+    """What sentences about a machine call its parts.
+
+    Attributes:
+        coordinate: One of its coordinates.
+        inertia: Inertia that moves with one coordinate alone, beside that of the model.
+        like_it: What looks like such an inertia.
+    """
+
+    coordinate: str = "coordinate"
+    inertia: str = "added inertia"
+    like_it: str = "too small a mass or inertia in the model"
+
+
+PLAIN = Vocabulary()
+"""Words for a machine of any kind."""
+JOINTED = Vocabulary("joint", "rotor inertia", "too small an inertia of the links")
+"""Words for links that joints connect and motors drive."""
+OF_LINKS = ("hopping_leg", "legged_base", "pendulum_chain", "robot", "satellite_arm")
+"""The systems of links; of a model from Python it is not known whether it is one."""
 
 
 def check_spec(spec: str | PathLike[str]) -> None:

@@ -245,7 +245,7 @@ class IntrinsicKalman(AbstractMechanicalFilter):
         if self.quantum is not None:
             check_positive("IntrinsicKalman", quantum=self.quantum)
             if not self.model.manifold.commuting:
-                raise InputError("IntrinsicKalman: quantum is for coordinates; encoders count no ticks of an attitude")
+                raise InputError("IntrinsicKalman: quantum is for coordinates; an attitude or pose has no ticks")
 
     def init(self, y: Array, t: Number = 0.0) -> KalmanState:
         """State at rest at a measured configuration; readings of sensors are ignored at the start.

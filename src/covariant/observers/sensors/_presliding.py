@@ -100,7 +100,7 @@ def presliding_friction(model: MechanicalSystem, displacement: Numbers) -> SlowV
     gain, last = np.abs(force).max(axis=1, initial=0.0), [int(np.flatnonzero(f)[-1]) if f.any() else 0 for f in force]
     at = np.flatnonzero((np.asarray(levels) > 0) & (gain > 0) & (distances[last] > 0))
     if not at.size:
-        raise InputError("presliding_friction: no joint with a displacement has Coulomb friction; fit it first")
+        raise InputError("presliding_friction: no coordinate with a displacement has Coulomb friction; fit it first")
     if not np.allclose(np.abs(force[at]), np.abs(other[at]), rtol=1e-6):
         raise InputError("presliding_friction: each level of Coulomb friction must be that of one fixed axis")
     axes = -force[at] / gain[at, None]

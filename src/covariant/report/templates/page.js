@@ -75,7 +75,8 @@ function save(name, text) {
     Object.entries(layout).filter(([key]) => /^[xy]axis/.test(key)).map(([key, axis]) => [key, axis.range?.slice()])));
   const buttons = [...document.querySelectorAll("nav button")];
   const pressed = (button) => button.getAttribute("aria-pressed") === "true";
-  const isOn = (label) => label === undefined || buttons.some((each) => each.dataset.label === label && pressed(each));
+  const isOn = ({ legendgroup, meta }) => [legendgroup, meta.band].every((label) =>
+    label === undefined || buttons.some((each) => each.dataset.label === label && pressed(each)));
   const shown = (trace, visible) => ({ ...(dark.matches ? darkened(trace) : trace), visible });
   const download = {
     name: "download", title: "Download the figure", icon: Plotly.Icons.camera,
@@ -92,7 +93,7 @@ function save(name, text) {
     const { data, layout } = figures[i];
     if (touch) layout.dragmode = false; // a finger scrolls the page; zoom by the buttons
     if (narrow) layout.xaxis.nticks = 5;
-    await Plotly.newPlot(plot, data.map((trace) => shown(trace, isOn(trace.legendgroup))), layout, config);
+    await Plotly.newPlot(plot, data.map((trace) => shown(trace, isOn(trace))), layout, config);
   }
   dark.addEventListener("change", () => {
     for (const [i, plot] of plots.entries()) {
@@ -147,7 +148,7 @@ function save(name, text) {
     buttons.forEach((button, i) => button.setAttribute("aria-pressed", String(next[i])));
     for (const plot of plots) {
       if (!plot.data.length) continue;
-      const visible = plot.data.map((trace) => isOn(trace.legendgroup));
+      const visible = plot.data.map(isOn);
       Plotly.restyle(plot, { visible }).then(() => {
         if (timed.includes(plot)) Plotly.relayout(plot, fitted(plot, plot.layout.xaxis.range, true));
       });

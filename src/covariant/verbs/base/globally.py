@@ -104,7 +104,7 @@ class GlobalResult(AbstractResult):
         lines = [str(cert.statement), ""]
         rows = zip(cert.observer.model.coordinates, cert.document.omega, cert.velocity_noise(1.0), strict=True)
         lines += [
-            f"{name}: ω = {omega:.4g} 1/s; noise σ of the encoder gives the velocity {noise:.4g} σ 1/s"
+            f"{name}: ω = {omega:.4g} 1/s; noise σ of the position gives the velocity {noise:.4g} σ 1/s"
             for name, omega, noise in (rows if self.holds else ())
         ]
         lines += [self.note] if self.note else []

@@ -74,8 +74,8 @@ class Job(NamedTuple):
         return f"{Path(self.model_name).stem} from {Path(self.log_name).name}"
 
 
-FITTED = ("friction", "rotor inertia", "friction and rotor inertia", "model")
-"""Findings on what a fit is for: the model may explain the log with other numbers."""
+FITTED = {"friction", "rotor inertia", "added inertia", "model"}
+"""Parts of findings on what a fit is for: the model may explain the log with other numbers."""
 
 
 class MisfitError(InputError):
@@ -357,7 +357,7 @@ def _refuse_misfit(job: Job, file: models.ModelFile, log: logs.Log, record: Reco
         finding = misfit(file, log.record)
     else:  # the inputs that act in the rows of a part of a log are known from the whole of it
         finding = misfit(file._replace(input_lag=0.0, input_delay=0.0, input_lead=0.0, input_between="held"), record)
-    if finding is not None and not (job.fits and finding.what in FITTED):
+    if finding is not None and not (job.fits and FITTED.issuperset(finding.what.split(" and "))):
         how = f"`covariant check {job.model_name} {job.log_name}` looks closer, and `anyway=True` goes on"
         guessed = placeholder_sentence(placeholders(job.model, job.overrides))
         raise MisfitError(f"{job.log_name}: {finding.evidence}. {finding.line}; {how}{guessed and '. '}{guessed}")

@@ -40,8 +40,8 @@ LINK_INERTIA = 0.001
 MIN_OFFSET = 0.005
 """Least offset [rad] between a servo and its joint that is written into the draft."""
 _REGISTERS = {
-    "current": "currents of the drive, which are no torques",
-    "load": "per cent of the drive's voltage or load, which are no torques",
+    "current": "currents of the drive, no forces or torques",
+    "load": "per cent of the drive's voltage or load, no forces or torques",
     "voltage": "supply: with resistance, torque_constant and supply of a drive in [servo.NAME], logged_supply = true "
     "takes them as inputs",
     "temperature": "temperatures",

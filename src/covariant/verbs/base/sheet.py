@@ -65,6 +65,6 @@ def _slow(file: ModelFile) -> tuple[SlowVariables, ...]:
 def _wrench(file: ModelFile, name: str, given: Mapping[str, Any]) -> SlowVariables:
     """A force on a link, which the model file names."""
     try:
-        return wrench(file.need_mechanical(file.name, "links are those of").space, name=name, **given)  # pyright: ignore[reportArgumentType]
+        return wrench(file.need_mechanical(file.name, "[wrench] is for").space, name=name, **given)  # pyright: ignore[reportArgumentType]
     except (InputError, TypeError) as error:
         raise InputError(f"{file.name}: [wrench.{name}]: {str(error).removeprefix('wrench: ')}") from error

@@ -139,7 +139,7 @@ def _limits_left(file: ModelFile, t: Float[np.ndarray, "T"], q: np.ndarray) -> t
 
 def _sensor(name: str, kind: AbstractKind, scenario: Scenario) -> PositionSensor:
     if np.any(scenario.quantum) and not kind.has_ticks:
-        raise InputError(f"quantum: encoders step in coordinates, and {name} is on a group; use noise")
+        raise InputError(f"quantum: ticks are of coordinates, and {name} is on a group; use noise")
     noise = amounts("noise", scenario.noise, kind.measured.names)
     quantum = amounts("quantum", scenario.quantum, kind.measured.names) if kind.has_ticks else 0.0
     return PositionSensor(scenario.rate, noise, quantum, scenario.jitter, scenario.dropout)
