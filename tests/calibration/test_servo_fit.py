@@ -1,11 +1,14 @@
 """Servos fitted from commands and positions, against a plain simulation that shares nothing with the library."""
 
+from types import SimpleNamespace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import covariant
+from covariant.calibration.identification import _servo_fit
 from covariant.signals import Record
 
 TICK = 2 * np.pi / 4096
@@ -121,3 +124,16 @@ def test_a_log_of_three_seconds_gives_intervals(arm):
     truth = np.array([TRUTH["stiffness"], TRUTH["coulomb"]])
     assert result.better
     assert (np.abs(result.values - truth) < np.maximum(4 * result.standard_errors, 0.02 * truth)).all()
+
+
+def test_a_delay_and_a_damping_relative_to_the_stiffness_are_alike():
+    numbers = [SimpleNamespace(group="servo", target="a", number=key) for key in ("stiffness", "damping", "delay")]
+    names, first = tuple(f"servo.a.{each.number}" for each in numbers), jnp.array([20.0, 1.2, 0.02])
+    family: Any = SimpleNamespace(names=names, numbers=numbers, values=lambda x: first + x)
+    # Errors of the scale of all torques, of the lag damping / stiffness, and of the delay.
+    parts = np.array([[20.0, 1.2, 0.0], [0.0, 20.0, -1.0], [0.0, 0.0, 1.0]]) * np.array([[0.5], [0.01], [0.002]])
+    (found,) = _servo_fit._alike(family, np.zeros(3), parts.T @ parts)
+    assert found[:2] == ("servo.a.delay", "servo.a.damping")
+    assert found[2] == pytest.approx(-1 / np.hypot(1, 0.2))
+    parts[2] *= 10
+    assert _servo_fit._alike(family, np.zeros(3), parts.T @ parts) == ()
