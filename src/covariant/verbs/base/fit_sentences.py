@@ -129,8 +129,8 @@ def servo_details(best: RobotFit, family: RobotFamily) -> dict[str, Any]:
         )
         details["undetermined"] = [*details["undetermined"], sentence]
     details["undetermined"] += [
-        f"{delay} is hardly told from {damping} (correlation {correlation:.3f}): where a joint moves slowly both only make "
-        "it late. Steps and fast reversals separate them: `covariant design excitation MODEL --parameters "
+        f"{delay} is hardly told from {damping} (correlation {correlation:.3f}): in slow motion both only make a joint "
+        "late. Steps and fast reversals separate them: `covariant design excitation MODEL --parameters "
         f"{delay},{damping} -o excitation.csv`"
         for delay, damping, correlation in best.alike
     ]
