@@ -333,6 +333,7 @@ class FitResult(AbstractTable):
                     if any(result["held_out_errors"]["before"][kind])
                     for when in ("before", "after")
                 },
+                **({"stops within ± (stick band)": result["stick_band"][i]} if "stick_band" in result else {}),
             }
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
