@@ -1,6 +1,7 @@
 """Names that are looked up among known ones, with a suggestion where there is none."""
 
 import difflib
+import re
 from collections.abc import Collection
 
 from scalargraph.errors import InputError
@@ -25,3 +26,8 @@ def refuse_unknown(what: str, name: str, known: Collection[str]) -> None:
     """Raise `ValueError` for a name that is not a known one."""
     if name not in known:
         raise InputError(unknown(what, name, known))
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sorting key by which numbers within names count as such."""
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"([0-9]+)", name) if part]

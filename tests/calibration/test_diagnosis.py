@@ -8,7 +8,9 @@ from covariant import models
 from covariant.calibration import diagnose, misfit, outliers, suggest_noise
 from covariant.calibration.diagnosis._case import busiest
 from covariant.calibration.diagnosis._finding import Names
+from covariant.calibration.diagnosis._servo_errors import independent_parts
 from covariant.calibration.diagnosis._smooth import smooth
+from covariant.calibration.diagnosis._suspicion import BLOCKS, Comparison, Unexplained
 from covariant.logs import unit_factor
 from covariant.models import load
 from covariant.signals import Record
@@ -169,3 +171,23 @@ def test_velocities_of_a_machine_without_inputs_are_compared():
     record = Record(t, np.zeros((len(t), 0)), swing + 1e-5 * np.random.default_rng(0).normal(size=swing.shape))
     assert not [each for each in diagnose(free, record, v=speed).findings if each.wrong]
     assert "unit of velocities" in {each.what for each in diagnose(free, record, v=np.rad2deg(speed)).findings}
+
+
+@pytest.mark.parametrize(("motions", "passes"), [(None, True), (20, True), (3, False)])
+def test_a_fall_is_evidence_as_often_as_a_log_has_motions(motions, passes):
+    share, one = np.linspace(0.1, 0.12, BLOCKS)[:, None], np.ones(1)
+    now = Unexplained(share, 0 * one, one > 0, None if motions is None else motions * one)
+    assert Comparison.of(now, now._replace(blocks=share / 10)).passes("servo change") == passes
+    # A fall that is nearly all in one part is one part's worth.
+    single = np.where(np.arange(BLOCKS)[:, None] == 2, 3.0, 1e-2)
+    parted = Comparison.of(now._replace(blocks=single), now._replace(blocks=single / 100))
+    assert parted.passes("servo change") == (motions is None)
+
+
+def test_motions_are_counted_by_their_autocorrelation():
+    t = np.arange(0.0, 20.0, 0.01)
+    sines = np.stack([np.sin(2 * np.pi * f * t) for f in (0.25, 1.0)], axis=1)
+    counts = independent_parts(sines)
+    assert counts == pytest.approx([15, 60], rel=0.1)  # π parts in each period
+    assert independent_parts(np.random.default_rng(0).normal(size=(2000, 1))) > 500
+    assert independent_parts(np.zeros((9, 1))) == 0.0

@@ -1,11 +1,15 @@
 """Servos fitted from commands and positions, against a plain simulation that shares nothing with the library."""
 
+from types import SimpleNamespace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import covariant
+from covariant import models
+from covariant.calibration.identification import _servo_fit, stick_bands
 from covariant.signals import Record
 
 TICK = 2 * np.pi / 4096
@@ -121,3 +125,50 @@ def test_a_log_of_three_seconds_gives_intervals(arm):
     truth = np.array([TRUTH["stiffness"], TRUTH["coulomb"]])
     assert result.better
     assert (np.abs(result.values - truth) < np.maximum(4 * result.standard_errors, 0.02 * truth)).all()
+
+
+def test_a_delay_and_a_damping_relative_to_the_stiffness_are_alike():
+    numbers = [SimpleNamespace(group="servo", target="a", number=key) for key in ("stiffness", "damping", "delay")]
+    names, first = tuple(f"servo.a.{each.number}" for each in numbers), jnp.array([20.0, 1.2, 0.02])
+    family: Any = SimpleNamespace(names=names, numbers=numbers, values=lambda x: first + x)
+    # Errors of the scale of all torques, of the lag damping / stiffness, and of the delay.
+    parts = np.array([[20.0, 1.2, 0.0], [0.0, 20.0, -1.0], [0.0, 0.0, 1.0]]) * np.array([[0.5], [0.01], [0.002]])
+    (found,) = _servo_fit._alike(family, np.zeros(3), parts.T @ parts)
+    assert found[:2] == ("servo.a.delay", "servo.a.damping")
+    assert found[2] == pytest.approx(-1 / np.hypot(1, 0.2))
+    parts[2] *= 10
+    assert _servo_fit._alike(family, np.zeros(3), parts.T @ parts) == ()
+
+
+def stops(command, start, weight, stiffness, friction, load):
+    """Where a joint stops that is released at rest at `start`, with dry friction that grows with the torque."""
+    q, v, h, damping, inertia = start, 0.0, 2e-3, 1.0, 0.05
+    for _ in range(600):
+        torque = stiffness * (command - q)
+        size = h * (friction + load * abs(torque))
+        free = inertia * v + h * (torque - weight(q) - damping * v)
+        v = (free - min(max(free, -size), size)) / inertia
+        q += h * v
+    assert v == 0
+    return q
+
+
+@pytest.mark.parametrize(("hanging", "load"), [(False, 0.0), (True, 0.3)])
+def test_a_joint_stops_within_the_band_in_which_friction_holds_it(hanging, load, arm):
+    known = {"stiffness": 12.0, "coulomb": 0.1, "stribeck": 0.05, "stribeck_velocity": 0.1, "load": load}
+    family = models.robot_family(arm(hanging, **known), ["servo.elbow.damping"])
+    rng, inside, widest = np.random.default_rng(0), [], 0.0
+    weight = lambda q: MASS * GRAVITY * LENGTH * np.sin(q) * hanging  # noqa: E731
+    for _ in range(40):
+        command = rng.uniform(-0.8, 0.8)
+        q = stops(command, command + rng.uniform(-0.3, 0.3), weight, 12.0, 0.15, load)
+        record = Record(np.arange(20) / 50, np.full((20, 1), command), np.full((20, 1), q))
+        (band,) = {float(f"{each:.6g}") for each in stick_bands(family, np.zeros(1), record)[:, 0]}
+        # Friction that grows with the torque holds more above the weight than below it.
+        ends = ((weight(q) + sign * 0.15) / (1 - sign * load * np.sign(weight(q) + sign * 0.15)) for sign in (1, -1))
+        high, low = (command - each / 12.0 for each in ends)
+        assert band == pytest.approx((low - high) / 2, rel=1e-4)
+        inside.append(abs(q - (low + high) / 2) <= 1.001 * band)
+        widest = max(widest, abs(q - (low + high) / 2) / band)
+    assert np.mean(inside) >= 0.95
+    assert widest > 0.9

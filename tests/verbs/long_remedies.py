@@ -35,6 +35,7 @@ def test_a_line_after_which_the_same_is_wrong_is_not_offered(log, monkeypatch, s
     [
         ('[units] t = "ms"; [units] q = "deg"', {"units.t": "ms", "units.q": "deg"}),
         ('[units] u = ["-1", "1"], or [parameters] that make it so', {"units.u": ["-1", "1"]}),
+        ('[columns] u = ["action[2]", "action[1]"]', {"columns.u": ["action[2]", "action[1]"]}),
         ("[measurement] period = 0.628318531", {"measurement.period": 0.628318531}),
         (
             "[parameters] gravity = 0, as the log has; covariant fit MODEL LOG --parameters viscous",

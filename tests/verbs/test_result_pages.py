@@ -55,11 +55,13 @@ def test_a_page_of_a_fit_has_numbers_errors_and_what_is_not_determined(tmp_path)
         "logs": ["log.csv", "other.csv"],
         "horizon": 0.5,
         "scored_against": "zero-phase reference",
+        "each": [{"log": "a/b.csv", "elbow.offset": 0.12345, "elbow.offset_std": 0.011}, {"log": "c.csv"}],
     }
     [path] = FitResult([Job("oscillator", "log.csv")], {}, details).report(tmp_path / "fit.html")
     text = text_of(path)
     for part in ("stiffness = 1.3 ± 0.01", "Not determined: only the ratio", "held out", "position, after", "0.5 s of"):
         assert part in text
+    assert re.search(r"Each log by itself.*elbow\.offset\s+b\.csv\s+0\.1235 ± 0\.011\s+c\.csv", text, re.DOTALL)
 
 
 def test_a_command_line_of_hundreds_of_logs_is_shortened(monkeypatch):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from covariant._names import natural_key
 from covariant.logs._endings import WRITTEN
 from scalargraph.errors import InputError
 
@@ -85,7 +86,7 @@ def episodes(log: Any, strict: bool = True) -> tuple[Any, ...]:
         if number is not None:
             raise InputError(f"{log}: this is a folder; #{number} belongs after the name of a file, as FILE#{number}")
         inside = (path / "data").rglob("*.parquet") if (path / INFO).is_file() else path.iterdir()
-        files = sorted(filter(is_log, inside), key=lambda file: _natural(str(file)))
+        files = sorted(filter(is_log, inside), key=lambda file: natural_key(str(file)))
         if not files and not strict:
             return (log,)
         if not files:
@@ -101,11 +102,6 @@ def episodes(log: Any, strict: bool = True) -> tuple[Any, ...]:
 def is_log(path: Path) -> bool:
     """Whether a path is that of a log, by its suffix; those of hidden files are none."""
     return (path.suffix.lower() in READ and not path.name.startswith(".")) or (path / "metadata.yaml").is_file()
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Sorting key by which numbers within names count as such."""
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"([0-9]+)", name)]
 
 
 def _numbers(path: Path) -> list[int]:

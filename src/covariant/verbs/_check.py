@@ -109,7 +109,7 @@ def _family_of_guesses(job: Job) -> Callable[[], Any] | None:
     return (lambda: models.family(spec, names, job.overrides)) if names else None
 
 
-_SETTING = re.compile(r"""\[(\w+|servo\.[\w-]+)\] (\w+) = ("[^"]*"|\[[^]]*\]|[-+\w.]+)""")
+_SETTING = re.compile(r"""\[(\w+|servo\.[\w-]+)\] (\w+) = ("[^"]*"|\[(?:"[^"]*"|[^]"])*\]|[-+\w.]+)""")
 """A line of a model file within a remedy: its table, key and value."""
 _WINDOW = re.compile(r"(start|until) = ([\d.]+) keeps")
 """A part of the log that a remedy keeps."""

@@ -333,6 +333,7 @@ class FitResult(AbstractTable):
                     if any(result["held_out_errors"]["before"][kind])
                     for when in ("before", "after")
                 },
+                **({"stops within ± (stick band)": result["stick_band"][i]} if "stick_band" in result else {}),
             }
             for i, (name, unit) in enumerate(zip(result["coordinates"], result["units"], strict=True))
         ]
@@ -356,6 +357,19 @@ class FitResult(AbstractTable):
             f"Root mean square errors of predictions {self._judged}.",
             self._errors,
             *([inputs] if inputs else []),
+            *(["# Each log by itself", self._each] if result.get("each") else []),
+        ]
+
+    @property
+    def _each(self) -> list[dict[str, Any]]:
+        """Rows of the numbers that each log of a folder shows by itself, with their standard errors."""
+        rows = self.details["each"]
+        names = dict.fromkeys(name for row in rows for name in row if f"{name}_std" in row)
+        return [
+            {"log": Path(row["log"]).name}
+            | {name: f"{row[name]:.4g} ± {row[f'{name}_std']:.2g}" if name in row else None for name in names}
+            | ({"not read": row.get("failed")} if any("failed" in each for each in rows) else {})
+            for row in rows
         ]
 
     def _figure(self) -> Any:

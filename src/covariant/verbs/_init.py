@@ -188,7 +188,7 @@ class InitResult(AbstractResult):
                 "each joint moves by itself, without weight, as in the .urdf file beside the model file; for a robot, "
                 "give its file by `overrides=['parameters.path=\"arm.urdf\"']`"
             ]
-        return [*lines, "then fit the servos: covariant fit MODEL LOG --parameters servo -o FITTED"]
+        return [*lines, f"then fit the servos: covariant fit MODEL {'FOLDER' if self.joints.many else 'LOG'} -o FITTED"]
 
     def written_files(self, path: str | Path) -> list[Path]:
         path = Path(path)

@@ -176,7 +176,7 @@ class CommandErrors:
         fits = [self.fit(case, i) for i in range(len(prepared.known))]
         blocks = [[np.mean(fit.left[prepared.blocks == b] ** 2) / fit.size for fit in fits] for b in range(BLOCKS)]
         noise = prepared.noise / np.array([fit.size for fit in fits])
-        return Unexplained(np.array(blocks), noise, known)
+        return Unexplained(np.array(blocks), noise, known, independent_parts(prepared.position[prepared.rows]))
 
     def prepared(self, case: Case) -> Prepared:
         """Smoothed positions and explanations of a case, cached by its positions."""
@@ -248,6 +248,17 @@ def _prepare(case: Case) -> Prepared:
     return Prepared(
         log, position, rate, columns, least, most, moves, np.array(weighs), known, rows, blocks_of(len(rows)), std**2
     )
+
+
+def independent_parts(position: Float[np.ndarray, "J k"]) -> Float[np.ndarray, "k"]:
+    """Number of independent parts of motions: their length over the sum of the autocorrelation up to its first zero.
+
+    Source: Sokal 1997, Monte Carlo methods in statistical mechanics, §3.
+    """
+    count, off = len(position), position - position.mean(axis=0)
+    products = np.fft.irfft(np.abs(np.fft.rfft(off, 2 * count, axis=0)) ** 2, axis=0)[:count]
+    positive = np.logical_and.accumulate(products > 0, axis=0)
+    return count * products[0] / np.maximum(2 * np.sum(products * positive, axis=0) - products[0], 1e-300)
 
 
 @functools.lru_cache(maxsize=4)

@@ -19,6 +19,8 @@ from covariant.calibration.diagnosis._thresholds import THRESHOLDS
 BLOCKS = 30
 HELD_OUT = np.arange(BLOCKS) % 3 == 2
 """Blocks of time that judge a suspicion; the others choose it."""
+EVIDENCE = 4.0
+"""Least evidence of a suspicion, in standard errors, where blocks of time are shorter than a motion."""
 FLOOR = 0.1
 """Fraction of the noise below which nothing shows of what a model leaves."""
 
@@ -30,11 +32,13 @@ class Unexplained(NamedTuple):
         blocks: Fractions (b, n) in each block, without the noise.
         noise: Fraction (n,) that is noise.
         known: Which coordinates (n,) exceed their noise.
+        motions: Number of independent parts (n,) of the motion, of which a short log has few; None if blocks are such.
     """
 
     blocks: Float[np.ndarray, "b n"]
     noise: Float[np.ndarray, "n"]
     known: Bool[np.ndarray, "n"]
+    motions: Float[np.ndarray, "n"] | None = None
 
     @classmethod
     def of(cls, residual: Residual) -> "Unexplained":
@@ -61,6 +65,7 @@ class Comparison(NamedTuple):
         sure: Standard errors of the signed ranks of the falls in all blocks.
         parts: Number of blocks in which less is left.
         floor: Fraction below which nothing shows for the noise.
+        evidence: Standard errors that the fall itself is worth, by as many independent parts as the log has.
     """
 
     choosing: float
@@ -69,6 +74,7 @@ class Comparison(NamedTuple):
     sure: float
     parts: int
     floor: float
+    evidence: float = np.inf
 
     @classmethod
     def of(cls, now: Unexplained | None, then: Unexplained) -> "Comparison":
@@ -82,13 +88,15 @@ class Comparison(NamedTuple):
         floor = FLOOR * max(float(each.noise[known].mean()) for each in (now, then))
         before, after = max(now.share(HELD_OUT, known), floor), max(after, floor)
         falls = (now.blocks - then.blocks)[:, known].mean(axis=1)
-        return cls(choosing, before, after, signed_ranks(falls), int((falls > 0).sum()), floor)
+        parts = int((falls > 0).sum())
+        return cls(choosing, before, after, signed_ranks(falls), parts, floor, _evidence(now, then, before / after))
 
     def passes(self, threshold: str) -> bool:
         """Whether it explains as much as a threshold of the table asks for."""
         limit = THRESHOLDS[threshold]
         far_less = not self.before <= limit.least and not self.after >= limit.falls * self.before
-        return far_less and self.after < limit.most and self.sure >= limit.sure
+        sure = self.sure >= limit.sure and self.evidence >= EVIDENCE
+        return far_less and self.after < limit.most and sure
 
 
 class Suspicion(NamedTuple):
@@ -210,6 +218,21 @@ def signed_ranks(falls: Float[np.ndarray, "b"]) -> float:
     ranks = np.argsort(np.argsort(np.abs(falls))) + 1.0
     # Under symmetry about zero the variance of the sum is b (b + 1) (2b + 1) / 6.
     return float(np.sum(ranks * np.sign(falls)) / np.sqrt(count * (count + 1) * (2 * count + 1) / 6))
+
+
+def _evidence(now: Unexplained, then: Unexplained, ratio: float) -> float:
+    """Root of the deviance n log(before / after) of n independent errors, as standard errors.
+
+    Errors of a model go on as long as a motion does, so n is no more than the number of motions; and it is no more than
+    the number of blocks over which the fall is spread.
+    """
+    if now.motions is None:
+        return np.inf
+    falls = (now.blocks - then.blocks) * then.known
+    i = int(np.argmax(falls.sum(axis=0)))
+    # Kish 1965, Survey sampling, eq. 11.2.6: the number of equal parts that are worth as much as unequal ones.
+    spread = max(float(falls[:, i].sum()), 0.0) ** 2 / max(float(np.sum(falls[:, i] ** 2)), 1e-300)
+    return float(np.sqrt(max(min(spread, now.motions[i]) * np.log(ratio), 0.0)))
 
 
 def _percent(share: float) -> str:

@@ -63,7 +63,7 @@ from ._servo_excitation import (
     of_coordinates as of_coordinates,
 )
 from ._servo_fit import fit_servos as fit_servos, own_numbers as own_numbers
-from ._servo_motion import predict_servos as predict_servos
+from ._servo_motion import predict_servos as predict_servos, stick_bands as stick_bands
 from ._servo_units import DraftedServo as DraftedServo
 from ._states import rows_of as rows_of, unknowns_of as unknowns_of
 from ._unknowns import Unknowns as Unknowns

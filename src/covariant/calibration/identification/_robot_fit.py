@@ -87,6 +87,7 @@ class RobotFit(NamedTuple):
         unlike: Sentences on machines whose logs contradict a number that all machines share.
         likeliest: Whether the numbers are those of the greatest likelihood, and not those by residual torques.
         kept: Joints whose numbers are the first ones, since those predict better.
+        alike: Pairs of names of numbers that the logs hardly separate, with the correlation of their errors.
 
     Example:
         >>> import numpy as np
@@ -112,6 +113,7 @@ class RobotFit(NamedTuple):
     unlike: tuple[str, ...] = ()
     likeliest: bool = False
     kept: tuple[str, ...] = ()
+    alike: tuple[tuple[str, str, float], ...] = ()
 
     def without(self, family: RobotFamily, joints: Bool[np.ndarray, "n"]) -> "RobotFit | None":
         """The fit with the first values of the numbers of some joints (n,); None where none or all are theirs."""

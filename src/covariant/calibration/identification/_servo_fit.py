@@ -49,6 +49,8 @@ MIN_RATIO = 0.02
 POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
 FIRST_DELAYS, STIFFNESS_FACTORS = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
 """Delays [s], and factors on the first stiffness, that are tried as starting points of the search."""
+LATE, ALIKE = ("damping", "back_emf"), 0.9
+"""Numbers that make a servo late as a delay does, and correlation of the errors from which logs hardly separate two."""
 DELAY_SHIFTS = 0.015, -0.01
 """Changes of the fitted delay [s] from which the search starts again."""
 
@@ -107,7 +109,8 @@ def fit_servos(
     x = np.maximum(point.z * search.sizes, search.least)
     blocks, outer = point.blocks, np.outer(search.sizes, search.sizes)
     prior, information = np.eye(len(x)) / PRIOR**2, blocks.information
-    covariance = outer * block_covariance(blocks.z, information, np.linalg.inv(information + prior), prior)
+    inverse = np.linalg.inv(information + prior)
+    covariance = outer * block_covariance(blocks.z, information, inverse, prior)
     family = families[0]
     # Integration steps of a few milliseconds bias the numbers in every window alike, which blocks do not show.
     values = np.asarray(family.values(x))
@@ -119,7 +122,24 @@ def fit_servos(
     covariance += np.diag(integration_error**2)
     known = Determined.of(family, x, search.sizes, information / outer, covariance)
     reached = search.scale, search.length / 2, x, blocks.loss
-    return RobotFit(family.names, family.first, values, *known[:3], *reached)
+    return RobotFit(family.names, family.first, values, *known[:3], *reached, alike=_alike(family, x, outer * inverse))
+
+
+def _alike(family: RobotFamily, x: np.ndarray, covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
+    """Delays of servos and dampings whose errors are correlated: slow motion shows little but the lag of both."""
+    slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
+    at = {(number.target, number.number): i for i, number in enumerate(family.numbers) if number.group == "servo"}
+    values, found = np.asarray(family.values(x)), []
+    for (target, _), i in ((key, i) for key, i in at.items() if key[1] == "delay"):
+        for j in (at[target, damping] for damping in LATE if (target, damping) in at):
+            # Without weight all torques scale together, so that a damping counts relative to its stiffness.
+            k, lag = at.get((target, "stiffness"), j), slopes[j]
+            lag = lag - values[j] / values[k] * slopes[k] if k != j else lag
+            pair = np.stack([slopes[i], lag])
+            (late, both), (_, lagging) = pair @ covariance @ pair.T
+            correlation = float(both / np.sqrt(late * lagging))
+            found += [(family.names[i], family.names[j], correlation)] * bool(abs(correlation) > ALIKE)
+    return tuple(found)
 
 
 def own_numbers(

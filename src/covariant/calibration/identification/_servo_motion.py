@@ -30,6 +30,8 @@ MAX_STEP = 4e-3
 """Longest step of the integration [s]: a servo's natural frequency is seldom above 60 rad/s."""
 SWEEPS = 3
 """Gauss–Seidel sweeps over the joints in a step; they start from the velocity change of the step before."""
+STICK_ROUNDS = 50
+"""Rounds in which the friction at rest follows the torque that it carries."""
 RIGID_BODY_GROUPS = ("payload", "inertia", "gravity", "offsets")
 """Groups of open numbers that change the rigid body."""
 SMOOTHING_ROWS = 3.5
@@ -102,6 +104,27 @@ def predict_servos(
     log = ServoLog.of(family, record, between, late)
     rows = np.arange(len(log.t))[None]
     return simulate([log], [log.drive(x)], x, [rows], np.zeros((1, 0)), ())[0, 0]
+
+
+def stick_bands(family: RobotFamily, x: Float[np.ndarray, "p"], record: Record) -> Float[np.ndarray, "T n"]:
+    """Half the width [rad or m] of the positions at which dry friction may hold each joint, for the rows of a log.
+
+    At rest the torque of a servo is anywhere between weight minus friction and weight plus friction, which may grow
+    with that torque.
+    """
+    log = ServoLog.of(family, record, "held", 0.0)
+    drive, slope = jax.tree.map(np.asarray, log.drive(x)), log.evaluate(x, log.q, np.zeros_like(log.q)).slope
+    servos, square = drive.servos, np.sum(drive.servos.rows**2, axis=1)
+    hold, size = slope @ servos.rows.T / square, np.abs(servos.rows)
+    law = drive.law["coulomb"] + drive.law["stribeck"]
+    dry, ends = size @ np.abs(drive.joints).T @ (drive.coulomb + law) / square, []
+    for side in (1.0, -1.0):
+        torque = hold
+        for _ in range(STICK_ROUNDS):
+            friction = dry + np.abs(servos.load_external * hold + servos.load * torque)
+            torque = np.clip(hold + side * friction, -servos.limit, servos.limit)
+        ends.append(torque)
+    return ((ends[0] - ends[1]) / 2 / servos.stiffness + servos.dead_band) / square @ size
 
 
 class ServoLog(NamedTuple):

@@ -11,6 +11,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
+from covariant._names import natural_key
+
 FEWEST = 8
 """Fewest logs among which one can be odd."""
 FAR = 6.0
@@ -88,14 +90,9 @@ def _in_time(rows: Sequence[LogRow]) -> list[int]:
     def key(k: int) -> tuple[Any, ...]:
         name, row = rows[k]
         machine = machine_of(name)
-        return _natural(machine), row.get("t_counts_from", "") if dated[machine] else "", _natural(name)
+        return natural_key(machine), row.get("t_counts_from", "") if dated[machine] else "", natural_key(name)
 
     return sorted(range(len(rows)), key=key)
-
-
-def _natural(name: str) -> list[tuple[int, int, str]]:
-    """Sorting key by which numbers within names count as such."""
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
 def _failures(rows: Sequence[LogRow], failed: Sequence[int]) -> Iterator[str]:

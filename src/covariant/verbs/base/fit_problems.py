@@ -32,6 +32,7 @@ from covariant.calibration.identification import (
     rows_of,
     search,
     standing_still,
+    stick_bands,
     unknowns_of,
     window_errors,
 )
@@ -39,14 +40,9 @@ from covariant.observers import on_legs
 from covariant.signals import Record
 from covariant.verbs.base.aligned import Aligned
 from covariant.verbs.base.fit_logs import BETWEEN, FitLogs, OwnNumbers, refuse_other_parameters
-from covariant.verbs.base.fit_sentences import (
-    Gain,
-    misread_sentence,
-    robot_details,
-    servo_details,
-    unlike_servos,
-)
+from covariant.verbs.base.fit_sentences import Gain, misread_sentence, robot_details, servo_details, unlike_servos
 from covariant.verbs.base.inputs import Job, MisfitError
+from covariant.verbs.base.outcome import rounded
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
 
@@ -348,7 +344,9 @@ class ServoProblem(Problem):
         return range(self.logs.seen, len(self.logs.logs)) if len(self.logs.logs) > 1 else range(1)
 
     def details(self, best: RobotFit) -> dict[str, Any]:
-        return servo_details(best, self.family)
+        records = ((self.families[i], self.logs.logs[i].raw) for i in self._judging)
+        bands = np.concatenate([stick_bands(family, best.coordinates, record) for family, record in records])
+        return {**servo_details(best, self.family), "stick_band": rounded(np.nanmedian(bands, axis=0))}
 
 
 def kind_of(job: Job, names: Sequence[str]) -> type[Any]:

@@ -128,6 +128,12 @@ def servo_details(best: RobotFit, family: RobotFamily) -> dict[str, Any]:
             "[{}, {'parameters.payload': {'LINK': [mass, x, y, z]}}]"
         )
         details["undetermined"] = [*details["undetermined"], sentence]
+    details["undetermined"] += [
+        f"{delay} is hardly told from {damping} (correlation {correlation:.3f}): in slow motion both only make a joint "
+        "late. Steps and fast reversals separate them: `covariant design excitation MODEL --parameters "
+        f"{delay},{damping} -o excitation.csv`"
+        for delay, damping, correlation in best.alike
+    ]
     return {**details, "residual_position": position, "open_loop": True}
 
 

@@ -8,17 +8,10 @@ from typing import Any
 import numpy as np
 
 from covariant.calibration import Fit, PredictionErrors, RobotFit
-from covariant.calibration.identification import (
-    error_growth,
-    predicts_worse,
-    worse_coordinates,
-)
+from covariant.calibration.identification import error_growth, predicts_worse, worse_coordinates
 from covariant.verbs.base.fit_logs import NAMED, FitLogs, OwnNumbers
 from covariant.verbs.base.fit_problems import Part, kind_of
-from covariant.verbs.base.fit_sentences import (
-    input_details,
-    number_rows,
-)
+from covariant.verbs.base.fit_sentences import input_details, number_rows
 from covariant.verbs.base.inputs import Job, coordinates
 from covariant.verbs.base.model_output import check_read_once
 from covariant.verbs.base.outcome import rounded
