@@ -1,6 +1,6 @@
 """Velocities of the observer that converges from anywhere, with proved gains, on simulated twins of the benchmark.
 
-Run `python -m benchmarks.proved_arms` from the repository's root: half a minute. The bound of the speeds is 1.1 times
+Run `PYTHONPATH=. python benchmarks/proved_arms.py` from the repository's root: half a minute. The bound of the speeds is 1.1 times
 the largest in each log. Errors of the others are those in `benchmarks/velocity/results.json`.
 """
 
