@@ -1,7 +1,7 @@
 """Velocities of the observer that converges from anywhere, with proved gains, on simulated twins of the benchmark.
 
-Run `PYTHONPATH=. python benchmarks/proved_arms.py` from the repository's root: half a minute. The bound of the speeds is 1.1 times
-the largest in each log. Errors of the others are those in `benchmarks/velocity/results.json`.
+Run `PYTHONPATH=. python benchmarks/proved_arms.py` from the repository's root: a minute. The bound of the speeds is 1.1
+times the largest in each log. Errors of the others are those in `benchmarks/velocity/results.json`.
 """
 
 import json

@@ -79,13 +79,12 @@ def _compare_noise(file: ModelFile, certificate: GlobalCertificate) -> tuple[dic
     # The steady Kalman filter of a channel has the gains of the rule for its own noise, to 1e-7 up to ωh = 1.
     kalman = [gains(std, rate, sheet.acceleration_std, sheet.correlation_time)[:2] for std in stds]
     own = zip(document.alpha.tolist(), document.beta.tolist(), strict=True)
-    errors = {
-        name: [
-            predict_sampled_errors(*pair, rate, std, density).velocity_std
-            for pair, std in zip(pairs, stds, strict=True)
-        ]
-        for name, pairs in {GLOBALLY: own, "intrinsic": [rule[:2]] * n, "intrinsic-kalman": kalman}.items()
-    }
+    pairs = {GLOBALLY: own, "intrinsic": [rule[:2]] * n, "intrinsic-kalman": kalman}
+
+    def error(pair, std):
+        return predict_sampled_errors(*pair, rate, std, density).velocity_std
+
+    errors = {name: list(map(error, each, stds)) for name, each in pairs.items()}
     each = "; ".join(f"{name} {', '.join(f'{std:.3g}' for std in stds)}" for name, stds in errors.items())
     text = f"Steady errors of velocities [unit/s]: {each}. Noise grows with ω^1.5. The gain rule of `intrinsic` has "
     if rule.beta > omega**2:
