@@ -82,7 +82,8 @@ def _compare_noise(file: ModelFile, certificate: GlobalCertificate) -> tuple[dic
     pairs = {GLOBALLY: own, "intrinsic": [rule[:2]] * n, "intrinsic-kalman": kalman}
 
     def error(pair, std):
-        return predict_sampled_errors(*pair, rate, std, density).velocity_std
+        alpha, beta = pair
+        return predict_sampled_errors(alpha, beta, rate, std, density).velocity_std
 
     errors = {name: list(map(error, each, stds)) for name, each in pairs.items()}
     each = "; ".join(f"{name} {', '.join(f'{std:.3g}' for std in stds)}" for name, stds in errors.items())
