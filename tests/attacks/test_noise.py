@@ -8,10 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems import ALPHA, BETA, Q, line, verdict
-
-from covariant.certificates import error_bounds, lyapunov, optimal_lyapunov
-from covariant.certificates.base import rate_of
+from systems import line, verdict
 
 
 def errors(alpha, beta, force, noise, seconds: float, steps: int, friction=0.0, start=0.3, unmodelled=None):
@@ -63,74 +60,6 @@ def worst_linear(alpha, beta, stiffness, noise, friction=0.0, unknown=0.0) -> np
         response = np.abs((vectors @ (np.exp(np.outer(values, t)) * parts[:, None])).real)
         total += size * np.trapezoid(response, t, axis=1)
     return total
-
-
-def test_a_stiff_spring_under_noise_of_a_millimetre():
-    """4000 1/s²: a millimetre of the place is four metres per second squared of force."""
-    stiffness, noise = 4000.0, 1e-3
-    rate = rate_of(ALPHA, BETA, Q)
-    position, velocity = error_bounds(ALPHA, BETA, Q, rate, noise, stiffness)
-    real = worst_linear(ALPHA, BETA, stiffness, noise)
-    assert real[0] > 0.07
-    assert real[1] > 0.7
-    assert real[0] <= position
-    assert real[1] <= velocity
-    steady = errors(ALPHA, BETA, lambda q: -stiffness * q, np.full((20_000, 1), noise), 4.0, 20_000)
-    np.testing.assert_allclose(steady[0], noise * abs(BETA - stiffness) / BETA, rtol=1e-3)
-    assert steady[0] <= position
-
-
-def test_no_noise_on_any_spring_exceeds_its_bound():
-    rng = np.random.default_rng(1)
-    tight = 0.0
-    for _ in range(100):
-        alpha = 10 ** rng.uniform(-1, 3)
-        beta = alpha**2 * 10 ** rng.uniform(-1.5, 1)
-        stiffness = rng.choice([-1, 1]) * beta * 10 ** rng.uniform(-2, 3) * rng.integers(0, 2)
-        best = -2 * np.linalg.eigvals(np.array([[-alpha, 1], [-beta, 0]])).real.max()
-        q = lyapunov(alpha, beta) if rng.random() < 0.5 else optimal_lyapunov(alpha, beta, best * rng.uniform(0.1, 0.9))
-        noise = 10 ** rng.uniform(-6, 0)
-        claimed = error_bounds(alpha, beta, q, rate_of(alpha, beta, q), noise, abs(stiffness))
-        real = worst_linear(alpha, beta, stiffness, noise)
-        assert real[0] <= claimed[0]
-        assert real[1] <= claimed[1]
-        tight = max(tight, real[0] / claimed[0])
-    assert tight > 0.3  # the bounds are not idle either
-
-
-@pytest.mark.core(1)
-@pytest.mark.parametrize(
-    ("force", "slope"),
-    [
-        (lambda q: -400 * np.sin(q), 400.0),
-        (lambda q: 300 * np.sin(3 * q), 900.0),
-        (lambda q: -200 * np.clip(q, -0.1, 0.1) - 50 * q, 250.0),
-        (lambda q: -500 * np.abs(q) - 600 * q, 1100.0),
-    ],
-    ids=["pendulum", "egg box", "soft stop", "kink"],
-)
-def test_no_noise_on_a_nonlinear_force_exceeds_its_bound(force, slope):
-    """Constant, switching at random and at the worst times, random: none is above the bound."""
-    steps, noise, rng = 6000, 1e-2, np.random.default_rng(2)
-    switching = np.sign(rng.normal(size=(steps // 100, 40))).repeat(100, axis=0)
-    periods = np.sign(np.sin(np.outer(np.arange(steps), 2 * np.pi / np.geomspace(20, 4000, 40))))
-    tried = noise * np.concatenate([np.ones((steps, 1)), -np.ones((steps, 1)), switching, periods], axis=1)
-    tried = np.concatenate([tried, noise * rng.uniform(-1, 1, (steps, 10))], axis=1)
-    found = errors(ALPHA, BETA, force, tried, 6.0, steps, start=0.05)
-    claimed = error_bounds(ALPHA, BETA, Q, rate_of(ALPHA, BETA, Q), noise, slope)
-    assert found[0].max() <= claimed[0]
-    assert found[1].max() <= claimed[1]
-    assert found[0].max() > noise
-
-
-def test_the_slope_of_the_force_must_be_told():
-    with pytest.raises(TypeError):
-        error_bounds(ALPHA, BETA, Q, 2.0, 1e-3)  # pyright: ignore[reportCallIssue]
-    for wrong in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match=r"slope|bound"):
-            error_bounds(ALPHA, BETA, Q, 2.0, 1e-3, wrong)
-        with pytest.raises(ValueError, match=r"noise|bound"):
-            error_bounds(ALPHA, BETA, Q, 2.0, wrong, 1.0)
 
 
 def sprung(stiffness: float, force=None):

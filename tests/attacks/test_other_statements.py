@@ -5,10 +5,8 @@ simulation in NumPy. `COVARIANT_ATTACKS=200` draws as many of each kind.
 """
 
 import numpy as np
-import pytest
 
-from covariant.certificates import common_metric, error_bounds, lyapunov
-from covariant.certificates.base import rate_of
+from covariant.certificates import common_metric
 
 
 def test_a_metric_that_the_solver_gets_wrong_is_not_proved(monkeypatch):
@@ -24,9 +22,3 @@ def test_a_metric_that_the_solver_gets_wrong_is_not_proved(monkeypatch):
     found = common_metric(np.eye(2), 1.0).statement
     assert [premise.verdict for premise in found.hypotheses] == ["undecided", "holds", "holds"]
     assert found.verdict == "undecided"
-
-
-def test_a_rate_that_the_gains_do_not_reach_has_no_bound():
-    q = lyapunov(2.0, 2.0, 1.0)
-    with pytest.raises(ValueError, match="the gains contract the metric q at"):
-        error_bounds(2.0, 2.0, q, 3 * rate_of(2.0, 2.0, q), 1.0, 0.0)

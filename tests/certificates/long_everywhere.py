@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from test_everywhere import ARM, RECIPE, ROWS
 
-from covariant import models, observers
+import covariant
+from covariant import engine, models, observers
+from covariant.calibration import gains
 from covariant.certificates import certify_globally, check_globally
-from covariant.observers import MeasuredCoefficients
-from covariant.signals import StepCode
+from covariant.observers import Intrinsic, IntrinsicKalman, MeasuredCoefficients
+from covariant.signals import Record, StepCode
 from covariant.simulation import hold, simulate
 
 STEP = (0.001, 0.001)
@@ -139,3 +141,35 @@ def test_a_whole_panda_is_undecided_and_says_why():
     made = certify_globally(models.load("panda").model, velocity=1.0, interval=STEP, boxes=2000)
     assert made.statement.verdict == "undecided"
     assert "boxes are too large for a bound" in str(made.statement)
+
+
+def test_velocity_errors_of_three_observers_are_those_of_a_simulated_log():
+    """In the plane without gravity, where the links float and only unknown accelerations push them."""
+    step, rows, std, lacking = 0.005, 20_000, np.array([1e-4, 3e-4]), 0.04
+    settings = {"parameters.gravity": 0.0, "uncertainty.acceleration": lacking}
+    found = covariant.certify("pendulum_chain", velocity=1.0, sampling=1 / step, noise=std, overrides=settings)
+    arm = models.load("pendulum_chain", settings).model
+    random = np.random.default_rng(0)
+
+    def slope(q, v):
+        return v, models.acceleration(arm, 0.0, q, v, jnp.zeros(2))
+
+    def moved(x, kick):
+        """A sample of the motion by the midpoint rule, at whose end the unknown acceleration changes the velocity."""
+        middle = jax.tree.map(lambda a, b: a + step / 2 * b, x, slope(*x))
+        q, v = jax.tree.map(lambda a, b: a + step * b, x, slope(*middle))
+        return (q, v + kick), (q, v + kick)
+
+    start = jnp.array([0.3, -0.5]), jnp.array([0.2, -0.3])
+    kicks = jnp.asarray(lacking * step * random.standard_normal((rows, 2)))
+    q, v = map(np.asarray, jax.jit(lambda x: jax.lax.scan(moved, x, kicks)[1])(start))
+    assert np.abs(v).max() < 1.0
+    log = Record(step * np.arange(rows), np.zeros((rows, 2)), q + std * random.standard_normal(q.shape))
+    rule, process = gains(float(np.sqrt(np.mean(std**2))), 1 / step, lacking), lacking**2 * step
+    kalman = IntrinsicKalman(arm, process * np.eye(2), np.diag(std**2), np.eye(2), gate=None, substeps=1)
+    intrinsic = Intrinsic(arm, rule.alpha, rule.beta, substeps=1)
+    for observer, (name, expected) in zip(
+        (found.certificate.observer, intrinsic, kalman), found.velocity_std.items(), strict=True
+    ):
+        errors = (np.asarray(engine.run_log(observer, log)[0].estimate)[:, 2:] - v)[600:]
+        np.testing.assert_allclose(expected, np.sqrt(np.mean(errors**2, axis=0)), rtol=0.1, err_msg=name)

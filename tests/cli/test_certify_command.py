@@ -171,3 +171,20 @@ def test_without_a_bound_of_errors_the_statement_is_about_all_of_them(tmp_path):
             covariant.certify("pendulum_chain", velocity=1.0, **{name: value})
     with pytest.raises(ValueError, match="jerk is for certificates of measured-coefficients"):
         covariant.certify("pendulum_chain", velocity=1.0, error=0.1, jerk=1.0)
+
+
+def test_the_price_in_noise_is_told_beside_that_of_other_observers():
+    """At ω above and below that of the gain rule; alone, a noise of 1e-4 is √(hω³/2c) times that of the velocity."""
+    asked = ("certify", "pendulum_chain", "--velocity", "1", "--sampling", "500", "--noise", "1e-4", "--json")
+    slow, fast = (command(*asked, "--set", f"uncertainty.acceleration={a}") for a in (1e-6, 1.0))
+    errors = slow["velocity_std"]
+    expected = 1e-4 * np.sqrt(0.002 * np.array(slow["omega"]) ** 3 / (2 * 1.92**0.5))
+    np.testing.assert_allclose(errors["measured-coefficients"], expected, rtol=0.02)
+    assert max(errors["intrinsic"]) < 0.01 * min(errors["measured-coefficients"])
+    # The rule has ω = √(a/σ) for accelerations a that are independent in every sample.
+    assert "ω = 0.1 1/s" in slow["note"]
+    assert f"accelerations of {1e-4 * max(slow['omega']) ** 2:.3g}, not of 1e-06" in slow["note"]
+    assert "alpha = 141.4 and beta = 1e+04: prove these" in fast["note"]
+    assert covariant.certify("pendulum_chain", velocity=1.0, sampling=500, alpha=141.4, beta=1e4, noise=1e-4).holds
+    assert max(fast["velocity_std"]["intrinsic"]) < min(fast["velocity_std"]["measured-coefficients"])
+    assert command(*asked)["velocity_std"] == {}

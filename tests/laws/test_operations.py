@@ -44,6 +44,10 @@ def intrinsic(system: System) -> observers.AbstractObserver:
     return observers.Intrinsic(system.model, 50.0, 1250.0, substeps=1)
 
 
+def measured(system: System) -> observers.AbstractObserver:
+    return observers.MeasuredCoefficients(system.model, 50.0, 1250.0, 1.0)
+
+
 def kalman(system: System, *sensors: observers.Sensor) -> observers.AbstractObserver:
     n = dimension(system)
     covariances = 0.1 * jnp.eye(n), 1e-8 * jnp.eye(n), jnp.eye(n)
@@ -58,6 +62,7 @@ def ekf(system: System) -> observers.AbstractObserver:
 OBSERVERS: dict[str, Callable[[System], observers.AbstractObserver]] = {
     "intrinsic": intrinsic,
     "gated": lambda system: observers.Gated(intrinsic(system), system.model, 1e-3, 1.0),
+    "measured": lambda system: observers.Gated(measured(system), system.model, 1e-3, 1.0),
     "delayed": lambda system: observers.Delayed(intrinsic(system), 0.01, 250.0),
     "geodesic": lambda system: observers.Geodesic(system.model, 50.0, 1250.0, substeps=1),
     "ekf": ekf,
@@ -68,7 +73,7 @@ SHORT = {
     "double pendulum": ("intrinsic", "gated", "delayed", "geodesic", "ekf", "kalman"),
     "top": ("intrinsic", "gated"),
     "SCARA": ("intrinsic", "gated"),
-    "Panda": ("intrinsic",),
+    "Panda": ("intrinsic", "measured"),
 }
 """Steps that the short suite counts."""
 LONG = {

@@ -9,7 +9,6 @@ from .base import (
     check_observer as check_observer,
     contraction as contraction,
     contraction_rate as contraction_rate,
-    error_bounds as error_bounds,
     error_system as error_system,
     lyapunov as lyapunov,
     optimal_lyapunov as optimal_lyapunov,

@@ -47,7 +47,11 @@ from ._error_system import (
     value_graph as value_graph,
     values as values,
 )
-from ._force_bounds import force_bounds as force_bounds, force_slopes as force_slopes
+from ._force_bounds import (
+    force_bounds as force_bounds,
+    force_slopes as force_slopes,
+    need_conditions as need_conditions,
+)
 from ._inequalities import (
     FORMS as FORMS,
     at_correction as at_correction,
@@ -80,7 +84,6 @@ from ._intrinsic import (
     observer_document as observer_document,
     with_model as with_model,
 )
-from ._noise import error_bounds as error_bounds, steady_distance as steady_distance
 from ._properties import (
     PERIODIC as PERIODIC,
     need_known as need_known,
@@ -109,7 +112,12 @@ from ._statement import (
     rounded_down as rounded_down,
     rounded_up as rounded_up,
 )
-from ._steady import disturbance_sizes as disturbance_sizes, loss_of as loss_of, steady_of as steady_of
+from ._steady import (
+    disturbance_sizes as disturbance_sizes,
+    loss_of as loss_of,
+    steady_distance as steady_distance,
+    steady_of as steady_of,
+)
 from ._tangent_metric import (
     TwoByTwo as TwoByTwo,
     check_q as check_q,

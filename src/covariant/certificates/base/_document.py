@@ -19,9 +19,10 @@ from covariant.certificates.base._box import Given, first_velocity
 from covariant.certificates.base._claims import CLAIMS, AbstractClaim, Setting, reach_squares
 from covariant.certificates.base._error_system import ErrorSystem
 from covariant.certificates.base._intrinsic import OBSERVERS, Intrinsics
+from covariant.certificates.base._radius_recursion import Recursion
 from covariant.certificates.base._remainder import Remainder
 from covariant.certificates.base._sampling import Loss, Sampling, unit_reach
-from covariant.certificates.base._steady import claimed_drift, loss_of, steady_of
+from covariant.certificates.base._steady import loss_of, steady_of
 from scalargraph.errors import InputError
 from scalargraph.files import write_atomically
 from scalargraph.proofs import (
@@ -142,7 +143,8 @@ class Document(NamedTuple):
     @property
     def drift(self) -> float:
         """The largest distance that errors of Runge–Kutta steps alone can cause; 0 if no claim bounds them."""
-        return claimed_drift(self.sampling, self.q, self.rate, self.claims)
+        sampling, claims = self.sampling, self.claims
+        return 0.0 if sampling is None else Recursion.of(sampling, self.q, self.rate, None, claims).steady
 
     def bounds(self, claim: AbstractClaim) -> tuple[Float[np.ndarray, "d"], Float[np.ndarray, "d"]]:
         """Bounds (d,) of the box of one claim.

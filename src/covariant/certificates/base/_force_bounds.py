@@ -48,7 +48,7 @@ def force_bounds(
     # Conditions on smoothness are dropped, since the bound is also valid for a force that jumps.
     defined = tuple(c for c in lowered.conditions.conditions if c.kind in ("true", "finite"))
     conditions = lowered.conditions._replace(conditions=defined)
-    _need_conditions("the force of the model is not defined", conditions, region)
+    need_conditions("the force of the model is not defined", conditions, region)
     enclosure = enclose(lowered, region.low[None], region.high[None])
     bounds = np.concatenate([enclosure.low, enclosure.high])
     if not np.isfinite(bounds).all():
@@ -72,7 +72,7 @@ def force_slopes(
     assert lowered.conditions is not None
     # The step from the position is fixed at 0; it only serves to bound derivatives by it.
     whole = region.with_fixed(np.zeros(n))
-    _need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
+    need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
     steps = range(len(region.low), len(whole.low))
     enclosure = enclose(expand(lowered._replace(conditions=None), steps, 1), whole.low[None], whole.high[None])
     # The derivatives are listed step by step; after transposition, each row belongs to one force.
@@ -98,7 +98,8 @@ def _force_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float
     return check_box(Box(names, ("s", *places.units, *("",) * inputs.shape[1]), low, high))
 
 
-def _need_conditions(what: str, conditions: Conditions, domain: Box) -> None:
+def need_conditions(what: str, conditions: Conditions, domain: Box) -> None:
+    """Refuse functions whose conditions are not shown on a box."""
     reason = show_conditions(conditions, domain)
     if reason:
         raise InputError(f"{what} everywhere in the region: {reason}")

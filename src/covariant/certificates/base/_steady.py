@@ -1,4 +1,7 @@
-"""Computes how factor, noise, unknown forces and errors of predictions reduce rate and accuracy."""
+"""Computes how factor, noise, unknown forces and errors of predictions reduce rate and accuracy.
+
+Source: Lohmiller & Slotine 1998, section 3.7 (robustness). For white noise see `calibration.predict_errors`.
+"""
 
 import math
 from collections.abc import Sequence
@@ -6,11 +9,34 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from covariant._domains import NotNegative, Positive, check_numbers
 from covariant.certificates.base._box import Given
 from covariant.certificates.base._claims import AbstractClaim, CorrectionClaim, DisturbanceClaim, MissingClaim, select
-from covariant.certificates.base._noise import steady_distance
 from covariant.certificates.base._radius_recursion import Recursion
 from covariant.certificates.base._sampling import Loss, Sampling
+
+
+@check_numbers
+def steady_distance(rate: Positive, disturbance: NotNegative) -> float:
+    """Compute the largest final distance between solutions of a contracting flow and a disturbed one: `2 D / λ`.
+
+    Args:
+        rate: rate λ [1/s] of squared lengths, positive.
+        disturbance: D, the largest length, in the metric, of the disturbance that is added to x'.
+
+    Returns:
+        The distance, in the metric.
+
+    Raises:
+        ValueError: a rate that is not positive.
+
+    Example:
+        >>> from covariant.certificates.base import steady_distance
+        >>> steady_distance(rate=4.0, disturbance=0.1)
+        0.05
+    """
+    # d' ≤ −(λ/2) d + D comes to rest at d = 2D/λ.
+    return 2 * disturbance / rate
 
 
 def loss_of(
@@ -21,13 +47,6 @@ def loss_of(
     if sampling is None or not missing:
         return Loss(0.0, 0.0)
     return Loss.of(sampling, q, rate, missing[0].square, missing[0].limit)
-
-
-def claimed_drift(
-    sampling: Sampling | None, q: Float[np.ndarray, "2 2"], rate: float, claims: Sequence[AbstractClaim]
-) -> float:
-    """Compute the largest distance that errors of Runge–Kutta steps alone can cause."""
-    return 0.0 if sampling is None else Recursion.of(sampling, q, rate, None, claims).steady
 
 
 def steady_of(

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from covariant.certificates.base import any_configuration, friction_of, need_joint_friction
+from covariant.certificates.base import any_configuration, friction_of, need_conditions, need_joint_friction
 from covariant.models import MechanicalSystem
-from scalargraph import Conditions, enclose, expand, lower
+from scalargraph import enclose, expand, lower
 from scalargraph.errors import InputError
-from scalargraph.proofs import Box, check_box, show_conditions
+from scalargraph.proofs import Box, check_box
 
 
 class JointBounds(NamedTuple):
@@ -41,7 +41,7 @@ def joint_bounds(
     assert force.conditions is not None
     # The force may jump, since only its values are bounded.
     defined = tuple(c for c in force.conditions.conditions if c.kind in ("true", "finite"))
-    _need("the force of the model is not defined", force.conditions._replace(conditions=defined), input_box)
+    need_conditions("the force of the model is not defined", force.conditions._replace(conditions=defined), input_box)
     enclosure = enclose(force._replace(conditions=None), input_box.low[None], input_box.high[None])
     force_bounds = np.concatenate([enclosure.low, enclosure.high])
     friction, slopes = friction_bounds(model, speed)
@@ -74,7 +74,7 @@ def friction_on(
     velocity_box = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
     assert friction.conditions is not None
     # All conditions are needed, since slopes have bounds only if the friction is continuous.
-    _need("the friction of the model jumps, or is not defined", friction.conditions, velocity_box)
+    need_conditions("the friction of the model jumps, or is not defined", friction.conditions, velocity_box)
     derivatives = expand(friction._replace(conditions=None), range(n), 1)
     enclosure = enclose(derivatives, low, high)
     # The derivatives are listed velocity by velocity; on the diagonal are those of friction i by velocity i.
@@ -102,9 +102,3 @@ def has_dry_friction(model: MechanicalSystem, speed: Float[np.ndarray, "n"]) -> 
     # Differences suffice, since no proof relies on this.
     at_rest, moving = drag(np.zeros(n)), drag(speed / 10)
     return bool((at_rest > 2 * moving).any())
-
-
-def _need(what: str, conditions: Conditions, domain: Box) -> None:
-    reason = show_conditions(conditions, domain)
-    if reason:
-        raise InputError(f"{what} everywhere in the region: {reason}")

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from covariant import certificates
+from covariant.calibration import gains, observer_gains, predict_sampled_errors
 from covariant.certificates.everywhere import GlobalCertificate
 from covariant.models import ModelFile
 from covariant.observers import MeasuredCoefficients
@@ -15,6 +16,7 @@ from covariant.verbs.base.arguments import Amounts, Region, amounts, bounds, num
 from covariant.verbs.base.inputs import numbered
 from covariant.verbs.base.progress import Progress
 from covariant.verbs.base.result import AbstractResult
+from covariant.verbs.base.sheet import data_sheet, tells_noise
 from scalargraph.errors import InputError
 
 GLOBALLY = "measured-coefficients"
@@ -57,7 +59,42 @@ def certify_globally(
         **settings,
     )
     notes = f"Samples every {INTERVAL:g} s are assumed; give `interval` or `sampling`." if interval is None else ""
-    return GlobalResult(name, certificate, notes)
+    errors, worth = _compare_noise(file, certificate)
+    return GlobalResult(name, certificate, f"{notes} {worth}".strip(), errors)
+
+
+def _compare_noise(file: ModelFile, certificate: GlobalCertificate) -> tuple[dict[str, list[float]], str]:
+    """Steady velocity errors (n,) by observer, and when this one is worth its noise; empty where noise is not known.
+
+    They are of the linear channel of each coordinate, by the noise that is stated, or else by that of the model file,
+    and by accelerations that the model lacks.
+    """
+    document, n = certificate.document, len(certificate.document.low)
+    file = file._replace(measurement_std=tuple(document.noise.tolist())) if document.noise.all() else file
+    if not (certificate.statement.proved and tells_noise(file)):
+        return {}, ""
+    sheet, rate, omega = data_sheet(file), float(1 / document.interval[1]), document.omega.max()
+    rule, stds, time = observer_gains(sheet, rate), sheet.stds(n).tolist(), sheet.white_time(rate)
+    density = 2 * sheet.acceleration_std**2 * time
+    # The steady Kalman filter of a channel has the gains of the rule for its own noise, to 1e-7 up to ωh = 1.
+    kalman = [gains(std, rate, sheet.acceleration_std, sheet.correlation_time)[:2] for std in stds]
+    own = zip(document.alpha.tolist(), document.beta.tolist(), strict=True)
+    pairs = {GLOBALLY: own, "intrinsic": [rule[:2]] * n, "intrinsic-kalman": kalman}
+
+    def error(pair, std):
+        alpha, beta = pair
+        return predict_sampled_errors(alpha, beta, rate, std, density).velocity_std
+
+    errors = {name: list(map(error, each, stds)) for name, each in pairs.items()}
+    each = "; ".join(f"{name} {', '.join(f'{std:.3g}' for std in stds)}" for name, stds in errors.items())
+    text = f"Steady errors of velocities [unit/s]: {each}. Noise grows with ω^1.5. The gain rule of `intrinsic` has "
+    if rule.beta > omega**2:
+        text += f"alpha = {rule.alpha:.4g} and beta = {rule.beta:.4g}: prove these, and the proof is free."
+        return errors, text
+    # The rule has this ω where the density of accelerations is ω⁴ times that of the noise.
+    missing = omega**2 * sheet.measurement_std / (2 * time * rate) ** 0.5
+    text += f"ω = {rule.beta**0.5:.4g} 1/s. The proof is worth it if estimates start far off, and free if "
+    return errors, f"{text}the model lacks accelerations of {missing:.3g}, not of {sheet.acceleration_std:.3g}."
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,7 +104,10 @@ class GlobalResult(AbstractResult):
     Attributes:
         model_name: The model, by its path or name.
         certificate: The statement with its proof, and the observer that it is about.
-        note: A sentence on what was assumed; may be empty.
+        note: Sentences on what was assumed, and on when the observer is worth its noise; may be empty.
+        velocity_std: Steady errors (n,) of the velocities by noise and by accelerations that the model lacks, for this
+            observer, for `intrinsic` with gains by its rule, and for the steady Kalman filter; empty for a model file
+            without these sizes, `measurement.std` (or a stated noise) and `uncertainty.acceleration`.
 
     Example:
         >>> import covariant
@@ -78,6 +118,7 @@ class GlobalResult(AbstractResult):
     model_name: str
     certificate: GlobalCertificate
     note: str
+    velocity_std: dict[str, list[float]]
 
     wrong: ClassVar[bool] = False
     written: ClassVar[tuple[str, ...]] = (".json",)
@@ -97,6 +138,7 @@ class GlobalResult(AbstractResult):
         document = self.certificate.document.document()
         kept = {key: document[key] for key in ("velocity", "alpha", "beta", "interval", "lost", "rate", "coupling")}
         numbers = {"omega": self.certificate.document.omega.tolist(), "boxes": self.certificate.proof.boxes}
+        numbers |= {"velocity_std": self.velocity_std, "note": self.note}
         return {"model": self.model_name, **self.certificate.statement.document(), **kept, **numbers}
 
     def __str__(self) -> str:
