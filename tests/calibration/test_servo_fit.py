@@ -172,3 +172,12 @@ def test_a_joint_stops_within_the_band_in_which_friction_holds_it(hanging, load,
         widest = max(widest, abs(q - (low + high) / 2) / band)
     assert np.mean(inside) >= 0.95
     assert widest > 0.9
+
+
+def test_friction_of_motor_and_weight_both_hold_a_joint(arm):
+    model = arm(stiffness=12.0, coulomb=0.15, load=0.3, load_external=0.2)
+    family, still = models.robot_family(model, ["servo.elbow.damping"]), np.full((20, 1), np.pi / 2)
+    band = stick_bands(family, np.zeros(1), Record(np.arange(20) / 50, still, still))
+    weight = MASS * GRAVITY * LENGTH
+    high, low = (1.2 * weight + 0.15) / (1 - 0.3), (0.8 * weight - 0.15) / (1 + 0.3)
+    assert band == pytest.approx((high - low) / 2 / 12.0, rel=1e-3)

@@ -98,3 +98,10 @@ def test_ticks_have_their_middle_as_zero(tmp_path, recorded):
     assert offset == pytest.approx(-np.pi, abs=1e-4)
     assert document["measurement"]["quantum"] == pytest.approx(2 * np.pi / 4096, rel=1e-4)
     assert "guessed from the numbers" in path.read_text()
+
+
+@pytest.mark.parametrize(("episodes", "what"), [(1, "LOG"), (2, "FOLDER")])
+def test_the_fit_of_what_was_drafted_from_is_advised(episodes, what, tmp_path, recorded):
+    numbers = np.repeat(np.arange(episodes), len(recorded.t) // episodes).tolist()
+    log = data_set(tmp_path, recorded, unit=1.0, episode_index=numbers)
+    assert f"covariant fit MODEL {what} -o FITTED" in str(verbs.init(log if episodes == 1 else tmp_path))
