@@ -14,7 +14,7 @@ from test_group_observers import CASES, OBSERVERS, system
 
 from covariant.geometry import Budget
 from covariant.geometry.lie import SO3
-from covariant.models import Lagrangian, Motion, acceleration, free_body, heavy_top
+from covariant.models import Lagrangian, Motion, acceleration, free_body, heavy_top, input_count
 from covariant.models.marine import euler_rotation
 from covariant.observers import Geodesic, Intrinsic
 from covariant.observers.constant_gain import GeodesicState
@@ -36,10 +36,10 @@ def test_error_in_a_parallel_frame_obeys_the_linear_law_at_any_speed(observer, n
 @pytest.mark.exhaustive
 def test_the_exact_observer_on_the_arm_is_the_approximate_one_to_first_order():
     """So it obeys the linear law as that does: integrating it along a motion of the arm compiles for minutes."""
-    model = system("SE(3) x joints")
+    model = system("robot, SE(3) x joints")
     x = model.manifold.retract(model.manifold.origin(), 0.4 * directions(model, model.manifold.origin(), 2)[0])
     along, error, rest = directions(model, x, 1)
-    u = jnp.array([0.3, -0.2])
+    u = jnp.linspace(0.3, -0.2, input_count(model, len(error)))
 
     @jax.jit
     def apart(size):

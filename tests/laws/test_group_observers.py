@@ -16,7 +16,6 @@ from covariant.geometry.lie import SE3, SO3, SU
 from covariant.models import (
     GroupSystem,
     robots,
-    satellite_arm,
 )
 from covariant.observers import REGISTRY, Intrinsic
 from covariant.papers._errata import SLIPS, PrintedGroup
@@ -56,7 +55,6 @@ SYSTEMS = {
     "SE(3)": partial(pulled, SE3),
     "SU(3)": lambda: pulled(SU(3)),
     "SU(5)": lambda: pulled(SU(5)),
-    "SE(3) x joints": satellite_arm,
     "robot, joints": partial(robot, "scara"),
     "robot, planar base": partial(robot, "biped", lock={"left_knee": 0.4, "right_knee": 0.7}),
     "robot, SE(3) x joints": partial(robot, "quadruped", lock=STILL),

@@ -26,7 +26,6 @@ NEEDED = {
     "free_body": ATTITUDES,
     "underwater_vehicle": ATTITUDES,
     "satellite": ATTITUDES,
-    "satellite_arm": ATTITUDES,
     "robot": {"parameters.path": "panda"},
 }
 

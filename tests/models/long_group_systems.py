@@ -138,31 +138,3 @@ def test_a_system_works_in_float32():
     assert end.q.dtype == end.v.dtype == jnp.float32
     exact = moved_freely(system, Motion(*state_of(system)), jnp.asarray(10))
     np.testing.assert_allclose(end.q, exact.q, atol=2e-6)
-
-
-@pytest.mark.exhaustive
-def test_the_energy_of_an_arm_is_that_of_its_bodies():
-    """A box and two slender rods, whose points are followed one by one; a rod's mean square speed is Simpson's rule."""
-    mass, inertia, links, lengths = 50.0, (6.0, 7.0, 5.0), (4.0, 3.0), (0.8, 0.6)
-    arm, rng = models.satellite_arm(mass, inertia, links, lengths), np.random.default_rng(5)
-    pose, v = np.asarray(SE3.exp(jnp.asarray(rng.normal(size=6)))), rng.normal(size=8)
-    angles = rng.normal(size=2)
-
-    def turn(axis, angle):
-        return np.asarray(SO3.exp(jnp.asarray(angle * np.eye(3)[axis])))
-
-    def points(time):
-        """Both ends and the middle of each rod in space (2, 3, 3), while the body and the joints go on."""
-        at = pose @ np.asarray(SE3.exp(jnp.asarray(time * v[:6])))
-        first, second = angles + time * v[6:]
-        root, outer = np.array([0.3, 0.0, 0.0]), turn(2, first)
-        elbow, inner = root + outer[:, 0] * lengths[0], outer @ turn(1, second)
-        parts = np.array([0.0, 0.5, 1.0])[:, None]
-        rods = np.array([root + parts * lengths[0] * outer[:, 0], elbow + parts * lengths[1] * inner[:, 0]])
-        return rods @ at[:3, :3].T + at[:3, 3]
-
-    speeds = np.sum(((points(1e-5) - points(-1e-5)) / 2e-5) ** 2, axis=2)
-    rods = sum(m / 2 * np.dot(s, [1, 4, 1]) / 6 for m, s in zip(links, speeds, strict=True))
-    expected = rods + (mass * v[:3] @ v[:3] + np.dot(inertia, v[3:6] ** 2)) / 2
-    q = jnp.asarray(np.concatenate([pose.ravel(), angles]))
-    assert energy(arm, q, jnp.asarray(v)) == pytest.approx(expected, rel=1e-8)

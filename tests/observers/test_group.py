@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant.models import free_body, satellite_arm, underwater_vehicle
+from covariant.models import free_body, robots, underwater_vehicle
 from covariant.observers import EKF, Geodesic, Intrinsic, Salcudean, run
 from covariant.signals import Record
 
@@ -34,7 +34,7 @@ def test_a_first_measurement_that_is_no_rotation_is_refused(name):
 
 
 def test_a_pose_that_is_none_leaves_the_joints_measured():
-    arm = satellite_arm()
+    arm = robots.load("quadruped")
     y = np.array(jnp.broadcast_to(arm.manifold.origin(), (4, *arm.manifold.shape)))
     y[2, :9] *= 2  # the rotation
     found = jax.vmap(arm.manifold.admitted)(jnp.asarray(y))

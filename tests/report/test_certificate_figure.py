@@ -11,12 +11,11 @@ from covariant.certificates import (
     error_system,
     optimal_lyapunov,
     projection,
-    trade_off,
     trajectories,
 )
 from covariant.certificates.base import CLAIMS, Given
 from covariant.observers import Intrinsic
-from covariant.report import _certificate, new_figure, save_figure
+from covariant.report import new_figure, save_figure
 from scalargraph.proofs import Box, Proof
 
 SQUARES, RADIUS, RATE = (56.0, 2178.0), 0.01336, 3.33
@@ -72,14 +71,6 @@ def test_the_share_left_open():
     assert canned().claims[0].proof.open_share == 0.0
 
 
-def test_faster_rates_cost_conditioning():
-    found = trade_off(canned(), count=5)
-    assert (np.diff(found.rate) > 0).all()
-    assert (np.diff(found.condition) > 0).all()
-    assert found.certified < found.used[0] < 10.0
-    assert found.paper[1] > found.used[1]
-
-
 def test_nothing_proved_is_no_tube():
     with pytest.raises(ValueError, match="nothing is proved"):
         _ = canned("undecided").half_widths
@@ -91,16 +82,3 @@ def test_a_figure_needs_a_format(tmp_path):
     with pytest.raises(ValueError, match="suffix"):
         save_figure(new_figure(), tmp_path / "proof")
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.long("10000.0")
-@pytest.mark.parametrize("highest", [5.6, 1e4])
-def test_the_axis_of_condition_numbers_has_several_numbers(highest):
-    allowed = trade_off(canned(), count=5)._replace(condition=np.geomspace(1.1, highest, 5), used=(1.0, 1.1))
-    figure, axes = new_figure()
-    _certificate._draw_trade_off(axes[0, 0], allowed._replace(paper=(1.0, 1.1)))
-    figure.draw_without_rendering()
-    axis = axes[0, 0].yaxis
-    low, high = axis.get_view_interval()
-    shown = [tick for tick in axis.get_majorticklocs() if low <= tick <= high]
-    assert 2 <= len(shown) <= 13

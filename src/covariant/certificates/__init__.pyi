@@ -22,12 +22,10 @@ from .proving import (
     CheckerName as CheckerName,
     ContractionCertificate as ContractionCertificate,
     Projection as Projection,
-    TradeOff as TradeOff,
     Trajectories as Trajectories,
     certify as certify,
     largest as largest,
     projection as projection,
-    trade_off as trade_off,
     trajectories as trajectories,
 )
 from .sampled import (

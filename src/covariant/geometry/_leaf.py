@@ -373,9 +373,7 @@ class _LeafManifold(AbstractManifold):
     def ambient(self) -> AbstractManifold:
         return self.leaf.space.manifold
 
-    @property
-    def redundant(self) -> bool:
-        return True
+    redundant = True
 
     @property
     def commuting(self) -> bool:

@@ -43,10 +43,8 @@ class AbstractManifold(eqx.Module):
         0.4
     """
 
-    @property
-    def commuting(self) -> bool:
-        """Whether the frame comes from coordinates: brackets vanish, and s are differences of the coordinates."""
-        return False
+    commuting = False
+    """Whether the frame comes from coordinates: brackets vanish, and s are differences of the coordinates."""
 
     @property
     @abc.abstractmethod
@@ -62,20 +60,14 @@ class AbstractManifold(eqx.Module):
         """
         return None
 
-    @property
-    def factors(self) -> "tuple[AbstractManifold, ...]":
-        """The manifolds of which this one is a product; empty if it is not a product."""
-        return ()
+    factors = tuple["AbstractManifold", ...]()
+    """The manifolds of which this one is a product; empty if it is not a product."""
 
-    @property
-    def circles(self) -> tuple[int, ...]:
-        """Indices of the entries of x that are angles on a full circle [rad]."""
-        return ()
+    circles = tuple[int, ...]()
+    """Indices of the entries of x that are angles on a full circle [rad]."""
 
-    @property
-    def redundant(self) -> bool:
-        """Whether some entries of x determine the others, as on a `Leaf`, so that not all have to be measured."""
-        return False
+    redundant = False
+    """Whether some entries of x determine the others, as on a `Leaf`, so that not all have to be measured."""
 
     @property
     def ambient(self) -> "AbstractManifold":
@@ -369,9 +361,7 @@ class Coordinates(AbstractManifold):
     circles: tuple[int, ...] = eqx.field(default=(), static=True, converter=tuple)
     dimension: int | None = eqx.field(default=None, static=True)
 
-    @property
-    def commuting(self) -> bool:
-        return True
+    commuting = True
 
     @property
     def shape(self) -> tuple[int | None, ...]:

@@ -54,7 +54,6 @@ from .systems import (
     oscillator as oscillator,
     pendulum_chain as pendulum_chain,
     satellite as satellite,
-    satellite_arm as satellite_arm,
     underwater_vehicle as underwater_vehicle,
     unknown_frequency as unknown_frequency,
     van_der_pol as van_der_pol,

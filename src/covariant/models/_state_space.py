@@ -89,10 +89,8 @@ class StateSpace(Functional):
             count = _check(self, box)
             self.outputs = self.outputs or tuple(f"y{i + 1}" for i in range(count))
 
-    @property
-    def velocities(self) -> tuple[str, ...]:
-        """Names of velocities: empty, since a state-space model has states only."""
-        return ()
+    velocities = tuple[str, ...]()
+    """Names of velocities: empty, since a state-space model has states only."""
 
     velocity_units = velocities
     feet = force = space = None  # what only a mechanical system has

@@ -1,4 +1,4 @@
-"""Draws a certificate: its region, the proved tube, the convergence of estimates, and the choice of metrics."""
+"""Draws a certificate: its region, the proved tube, and the convergence of estimates."""
 
 import textwrap
 from typing import TYPE_CHECKING
@@ -8,14 +8,12 @@ import numpy as np
 from covariant.certificates import (
     ContractionCertificate,
     Projection,
-    TradeOff,
     Trajectories,
     projection,
-    trade_off,
     trajectories,
 )
 from covariant.report._optional import optional
-from covariant.report._style import BACKDROP, INK, MUTED, PALETTE, new_figure
+from covariant.report._style import INK, MUTED, PALETTE, new_figure
 from scalargraph.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 _PROVED = _ESTIMATE = PALETTE.covariant
-_TUBE, _WRONG, _OPEN, _BEST = PALETTE.sky, PALETTE.purple, PALETTE.amber, PALETTE.brown
+_TUBE, _WRONG, _OPEN = PALETTE.sky, PALETTE.purple, PALETTE.amber
 _WORDS = {
     "estimate": "estimate of {}",
     "velocity": "estimated velocity {}",
@@ -34,11 +32,10 @@ _MOST_RECTANGLES = 20_000
 
 
 def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figure.Figure":
-    """Draw a certificate: its region, the proved tube, the convergence of estimates, and the choice of metrics.
+    """Draw a certificate: its region, the proved tube, and the convergence of estimates.
 
-    There are four panels: the region with its boxes; a motion with the proved tube and estimates that begin on its
-    border; their distances below the certified line; and the rates that the gains allow, against the condition number
-    of the metric. Without a proof, the second and third panels say so.
+    There are three panels: the region with its boxes; a motion with the proved tube and estimates that begin on its
+    border; and their distances below the certified line. Without a proof, the second and third panels say so.
 
     Args:
         certificate: The certificate, such as that of a `covariant.verbs.CertifyResult`.
@@ -55,25 +52,20 @@ def certificate_figure(certificate: ContractionCertificate) -> "matplotlib.figur
         >>> bounds = {"velocity": 1.0, "error": 0.1, "region": {"q": (-1.0, 1.0)}}
         >>> result = covariant.certify("oscillator", alpha=10.0, beta=50.0, rate=1.0, checker="off", **bounds)
         >>> len(certificate_figure(result.certificate).axes)
-        4
+        3
     """
-    titles = (
-        "Where it is proved",
-        "The tube around a simulated motion",
-        "Distance of estimates from the motion",
-        "What the gains allow",
-    )
-    figure, axes = new_figure(2, 2, panel=(4.5, 3.7), titles=titles, sharex=False)
-    _draw_region(axes[0, 0], projection(certificate), certificate)
+    titles = "Where it is proved", "The tube around a simulated motion", "Distance of estimates from the motion"
+    figure, axes = new_figure(3, 1, panel=(9.0, 3.0), titles=titles, sharex=False)
+    region, tube, distances = axes[:, 0]
+    _draw_region(region, projection(certificate), certificate)
     try:
         motion = trajectories(certificate)
     except InputError as error:
-        for ax in (axes[0, 1], axes[1, 0]):
+        for ax in (tube, distances):
             _write_message(ax, str(error))
     else:
-        (_draw_velocity if _on_group(certificate) else _draw_tube)(axes[0, 1], motion, certificate)
-        _draw_distances(axes[1, 0], motion, certificate)
-    _draw_trade_off(axes[1, 1], trade_off(certificate))
+        (_draw_velocity if _on_group(certificate) else _draw_tube)(tube, motion, certificate)
+        _draw_distances(distances, motion, certificate)
     lines = textwrap.wrap(_title(certificate), 95)
     figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=10, fontweight="bold", color=INK)
     figure.set_figheight(figure.get_figheight() + 0.19 * len(lines))
@@ -226,22 +218,3 @@ def _draw_distances(ax: "matplotlib.axes.Axes", motion: Trajectories, certificat
     ax.set_xlabel("t [s]")
     ax.set_ylabel("distance in the metric of Q")
     _legend(ax, loc="lower left")
-
-
-def _draw_trade_off(ax: "matplotlib.axes.Axes", rates: TradeOff) -> None:
-    ax.plot(rates.rate, rates.condition, color=BACKDROP, linewidth=2.5, label="best Q for each rate")
-    ax.axvline(rates.certified, color=_WRONG, linewidth=1.5, label=f"λ of the certificate, {rates.certified:.3g} 1/s")
-    same = np.allclose(rates.used, rates.paper)
-    if not same:
-        ax.plot(*rates.paper, "D", color=_BEST, markersize=7, label=f"Q of the paper, {rates.paper[0]:.3g} 1/s")
-    which = "its Q, that of the paper" if same else "its Q"
-    ax.plot(*rates.used, "o", color=_PROVED, markersize=8, label=f"{which}: {rates.used[0]:.3g} 1/s at no error")
-    ax.set_yscale("log")
-    ax.set_xlim(left=0)
-    ax.set_xlabel("rate λ of squared lengths [1/s]")
-    ax.set_ylabel("condition number of Q")
-    # Over a few decades, powers of ten alone could leave a single number on the axis.
-    ax.yaxis.set_major_locator(optional("matplotlib.ticker").LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter("{x:g}")
-    ax.yaxis.set_minor_formatter("")
-    _legend(ax, loc="best")

@@ -1,4 +1,4 @@
-"""Computes the data of figures: the boxes of a certificate projected on two variables, and the rates of its gains.
+"""Computes the data of figures: the boxes of a certificate projected on two variables.
 
 Source: Aghannan & Rouchon 2003, Fig. 2.
 """
@@ -8,8 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from covariant._domains import Count, check_numbers
-from covariant.certificates.base import conditioning, error_matrix, lyapunov, optimal_lyapunov, rate_of
 from covariant.certificates.proving._contraction_certificate import ContractionCertificate
 from scalargraph.proofs import OPEN, PROVED, leaves
 
@@ -46,31 +44,6 @@ class Projection(NamedTuple):
     counterexample: Float[np.ndarray, "2"] | None
 
 
-class TradeOff(NamedTuple):
-    """Rates λ [1/s] that the gains allow at q̂ = q, and the condition numbers of the metrics for them.
-
-    Attributes:
-        rate: rates (k,) [1/s], in rising order.
-        condition: condition number (k,) of the best conditioned Q for each rate.
-        used: rate and condition number of the certificate's Q.
-        paper: rate and condition number of the Q of the paper.
-        certified: rate of the certificate [1/s].
-
-    Example:
-        >>> import numpy as np
-        >>> from covariant.certificates import TradeOff
-        >>> curve = TradeOff(np.array([0.5, 1.0]), np.array([2.0, 3.0]), (0.9, 2.5), (0.4, 4.0), 0.45)
-        >>> curve.certified <= curve.used[0]
-        True
-    """
-
-    rate: Float[np.ndarray, "k"]
-    condition: Float[np.ndarray, "k"]
-    used: tuple[float, float]
-    paper: tuple[float, float]
-    certified: float
-
-
 def projection(certificate: ContractionCertificate) -> Projection:
     """Project the boxes of a certificate on the two variables that were halved most often.
 
@@ -105,29 +78,3 @@ def projection(certificate: ContractionCertificate) -> Projection:
         np.stack([domain.low[[i, j]], domain.high[[i, j]]]),
         None if counterexample is None else counterexample.mean(axis=0)[[i, j]],
     )
-
-
-@check_numbers
-def trade_off(certificate: ContractionCertificate, count: Count = 40) -> TradeOff:
-    """Compute the rates that the gains of a certificate's observer allow, and the best condition number for each.
-
-    Args:
-        certificate: a certificate, from which observer, Q and rate are used.
-        count: number of rates k, from 2 % to 98 % of the fastest one.
-
-    Returns:
-        The curve, and the points of the certificate's Q and of the paper's Q.
-    """
-    alpha, beta = float(certificate.observer.alpha), float(certificate.observer.beta)
-    # Twice the slower pole, since λ is a rate of squared lengths.
-    fastest = -2 * float(np.linalg.eigvals(error_matrix(alpha, beta)).real.max())
-    # Towards the fastest rate Q grows without bound.
-    rates = fastest * np.linspace(0.02, 0.98, count)
-    matrices = [optimal_lyapunov(alpha, beta, rate) for rate in rates]
-
-    def rate_and_condition(q) -> tuple[float, float]:
-        return rate_of(alpha, beta, q), conditioning(beta, q)
-
-    proved, conditions = np.array(sorted(rate_and_condition(q) for q in matrices)).T
-    chosen, at_lyapunov = (rate_and_condition(q) for q in (certificate.q, lyapunov(alpha, beta)))
-    return TradeOff(proved, conditions, chosen, at_lyapunov, certificate.rate)

@@ -361,9 +361,7 @@ class Bounded(AbstractWrapper):
         if not isinstance(self.first_radius, Tracer) and not np.all(np.asarray(self.first_radius) >= 0):
             raise InputError(f"bounded: the first radius must be a number ≥ 0; got {self.first_radius}")
 
-    @property
-    def fixed_numbers(self) -> bool:
-        return True
+    fixed_numbers = True
 
     @property
     def model(self) -> MechanicalSystem:

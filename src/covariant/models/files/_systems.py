@@ -34,7 +34,6 @@ SYSTEMS = {
     "pendulum_chain": "systems._pendulum_chain:pendulum_chain",
     "robot": "robots:load",
     "satellite": "systems._satellite:satellite",
-    "satellite_arm": "systems._satellite_arm:satellite_arm",
     "ship": "marine:ship",
     "supply_vessel": "marine:supply_vessel",
     "underwater_vehicle": "systems._underwater_vehicle:underwater_vehicle",
@@ -62,7 +61,7 @@ PLAIN = Vocabulary()
 """Words for a machine of any kind."""
 JOINTED = Vocabulary("joint", "rotor inertia", "too small an inertia of the links")
 """Words for links that joints connect and motors drive."""
-OF_LINKS = ("hopping_leg", "legged_base", "pendulum_chain", "robot", "satellite_arm")
+OF_LINKS = ("hopping_leg", "legged_base", "pendulum_chain", "robot")
 """The systems of links; of a model from Python it is not known whether it is one."""
 
 

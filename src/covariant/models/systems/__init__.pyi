@@ -8,7 +8,6 @@ from ._lorenz import lorenz as lorenz
 from ._oscillator import oscillator as oscillator
 from ._pendulum_chain import pendulum_chain as pendulum_chain
 from ._satellite import satellite as satellite
-from ._satellite_arm import satellite_arm as satellite_arm
 from ._underwater_vehicle import underwater_vehicle as underwater_vehicle
 from ._unknown_frequency import unknown_frequency as unknown_frequency
 from ._van_der_pol import van_der_pol as van_der_pol

@@ -284,15 +284,11 @@ class AbstractObserver(Functional, Generic[State, Report]):
         """The manifold of the configurations of the observer's model; None where it has no model."""
         return getattr(getattr(self, "model", None), "manifold", None)
 
-    @property
-    def fixed_numbers(self) -> bool:
-        """Whether all numbers are constants in generated code, because a proof holds for these numbers only."""
-        return False
+    fixed_numbers = False
+    """Whether all numbers are constants in generated code, because a proof holds for these numbers only."""
 
-    @property
-    def input_at_end(self) -> bool:
-        """Whether a step gets the input at its end, as for inputs that are linear between samples, or at its begin."""
-        return False
+    input_at_end = False
+    """Whether a step gets the input at its end, as for inputs that are linear between samples, or at its begin."""
 
     def configuration(self, y: AnyArray) -> Any:
         """The configuration within a measurement: all of it, unless the observer has further sensors.

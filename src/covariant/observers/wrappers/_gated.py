@@ -204,7 +204,10 @@ class Gated(AbstractObserver):
             return observer
         # With the time in which the usual speed moves by √12 noises, as the slope of a line over it tells no more.
         t = state.running + 12**0.5 * jnp.max(self.noise / self.speed)
-        starts = {"alpha": jnp.maximum(observer.alpha, 4 / t), "beta": jnp.maximum(observer.beta, 6 / t**2)}
+        starts: dict[str, Any] = {
+            "alpha": jnp.maximum(observer.alpha, 4 / t),
+            "beta": jnp.maximum(observer.beta, 6 / t**2),
+        }
         if hasattr(observer, "force_rate"):
             starts["force_rate"] = jnp.where(starts["beta"] > observer.beta, 0.0, observer.force_rate)
         return eqx.tree_at(lambda o: [getattr(o, name) for name in starts], observer, list(starts.values()))

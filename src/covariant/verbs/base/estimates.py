@@ -346,8 +346,9 @@ def error_lines(result: Mapping[str, Any], loaded: Loaded) -> list[str]:
     what = loaded.kind.what
     if f"{what}_rmse" in result:
         errors = with_units(result[f"{what}_rmse"], loaded.kind.estimates.units)
-        t, first = loaded.record.t, np.argmax(loaded.reference.scored)
-        lines.append(f"{what} RMSE against the {result['scored_against']}, from {t[first] - t[0]:.3g} s on: {errors}")
+        reference: Any = loaded.reference
+        since = loaded.record.t[np.argmax(reference.scored)] - loaded.record.t[0]
+        lines.append(f"{what} RMSE against the {result['scored_against']}, from {since:.3g} s on: {errors}")
     units = loaded.kind.measured.units
     lines.append(f"innovation RMS: {with_units(result['innovation_rms'], units)}")
     if "innovation_rms_refused" in result:

@@ -3,7 +3,6 @@
 import abc
 import base64
 import html
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -77,10 +76,8 @@ class AbstractResult(abc.ABC):
     def headline(self) -> str:
         """The result in one line, such as "5000 rows, intrinsic observer, velocity RMSE 0.031 rad/s"."""
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences on what was unusual, in the order in which they are printed; empty by default."""
-        return ()
+    warnings = tuple[str, ...]()
+    """Sentences on what was unusual, in the order in which they are printed; empty by default."""
 
     @abc.abstractmethod
     def __str__(self) -> str:
@@ -111,18 +108,14 @@ class AbstractResult(abc.ABC):
         image = f'<img src="data:image/png;base64,{base64.b64encode(picture).decode()}" alt="{alt}">'
         return "".join([*parts, image])
 
-    @property
-    def _blocks(self) -> Sequence[Any]:
-        """Paragraphs, headings and rows of tables that the page has, and a notebook; empty where there is only text."""
-        return ()
+    _blocks = tuple[Any, ...]()
+    """Paragraphs, headings and rows of tables that the page has, and a notebook; empty where there is only text."""
 
     written: ClassVar[tuple[str, ...]] = ()
     """Suffixes of the file that `save` writes; none for a result that has no file."""
 
-    @property
-    def _log(self) -> Any:
-        """The log that was read, whose file is never replaced; None by default."""
-        return None
+    _log = None
+    """The log that was read, whose file is never replaced; None by default."""
 
     def save(self, path: str | Path, overwrite: bool = True) -> Path:
         """Write the result to a file, whole or not at all.
