@@ -4,6 +4,7 @@ import ast
 import functools
 import graphlib
 import importlib
+import importlib.util
 import re
 import subprocess
 import tomllib
@@ -230,6 +231,24 @@ def test_no_file_names_a_package_host_or_a_path_of_one_machine():
     found = {str(p.relative_to(ROOT)): hosts.search(text) for p, text in tracked_texts() if p.name not in allowed}
     assert not {name: hit.group() for name, hit in found.items() if hit}
     assert "://" not in (ROOT / "constraints.txt").read_text(encoding="utf-8")
+
+
+def test_scripts_import_names_that_exist():
+    """No suite runs all of the gallery and the benchmarks."""
+    scripts = [path for folder in ("gallery", "benchmarks", "tools") for path in (ROOT / folder).rglob("*.py")]
+    froms = {
+        (node.module, alias.name)
+        for path in scripts
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in ("covariant", "scalargraph")
+        for alias in node.names
+    }
+    missing = [
+        f"{module}.{name}"
+        for module, name in sorted((str(module), name) for module, name in froms)
+        if not hasattr(importlib.import_module(module), name) and importlib.util.find_spec(f"{module}.{name}") is None
+    ]
+    assert missing == []
 
 
 def test_files_of_tests_in_two_folders_have_two_names():
