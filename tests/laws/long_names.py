@@ -21,8 +21,11 @@ def test_a_check_has_no_word_of_joints(name):
         assert not OF_A_ROBOT.search(text), text
 
 
-@pytest.mark.parametrize(("name", "number"), [("oscillator", "mass"), ("ball_and_beam", "mass"), ("ship", "drag")])
-def test_a_fit_has_no_word_of_joints(name, number):
+FITTED = [("oscillator", "stiffness", 1.2), ("ball_and_beam", "inertia", 0.9), ("ship", "rudder", 120.0)]
+
+
+@pytest.mark.parametrize(("name", "number", "first"), FITTED)
+def test_a_fit_has_no_word_of_joints(name, number, first):
     log = covariant.simulate(name, duration=5.0, rate=50.0, noise=1e-4).record
-    text = str(covariant.fit(name, log, number))
+    text = str(covariant.fit(name, log, number, overrides={f"parameters.{number}": first}))
     assert not OF_A_ROBOT.search(text), text

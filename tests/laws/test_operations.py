@@ -61,8 +61,8 @@ def ekf(system: System) -> observers.AbstractObserver:
 
 OBSERVERS: dict[str, Callable[[System], observers.AbstractObserver]] = {
     "intrinsic": intrinsic,
-    "gated": lambda system: observers.Gated(intrinsic(system), system.model, 1e-3, 1.0),
-    "measured": lambda system: observers.Gated(measured(system), system.model, 1e-3, 1.0),
+    "gated": lambda system: observers.Gated(intrinsic(system), system.model, 1e-3, 1.0, fast_start=True),
+    "measured": lambda system: observers.Gated(measured(system), system.model, 1e-3, 1.0, fast_start=True),
     "delayed": lambda system: observers.Delayed(intrinsic(system), 0.01, 250.0),
     "geodesic": lambda system: observers.Geodesic(system.model, 50.0, 1250.0, substeps=1),
     "ekf": ekf,

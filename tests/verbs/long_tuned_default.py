@@ -45,10 +45,10 @@ def test_noise_with_which_a_filter_is_worse_is_not_written(tuned, loaded):
 
 
 def test_a_filter_that_is_clearly_better_is_the_default_and_estimate_says_so(tuned, loaded, log):
-    """Gains that are far too slow, which no filter has."""
-    slow = tuned.tuning._replace(natural_frequency=0.3, damping=0.3)
+    """Gains that are far too fast, which no filter has."""
+    fast = tuned.tuning._replace(natural_frequency=60.0, damping=0.3)
     assert confirm([loaded], tuned.tuning).tables["design"]["observer"] == "intrinsic"
-    confirmed = confirm([loaded], slow)
+    confirmed = confirm([loaded], fast)
     assert confirmed.tables["design"]["observer"] == "intrinsic-kalman"
     pairs = {f"{table}.{key}": value for table, each in confirmed.tables.items() for key, value in each.items()}
     file = models.load(RIGHT, pairs)
