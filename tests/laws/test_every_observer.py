@@ -148,6 +148,11 @@ STARTED = {
 """Systems that move from the first reading on: model, first state, rate [Hz], length [s], and what is known of them."""
 IN_MOTION = [(entry.name, name) for name, (model, *_) in STARTED.items() for entry in REGISTRY if entry.fits(model)]
 
+SLOW_ON_GROUPS = (
+    *("ekf", "geodesic", "intrinsic-force", "intrinsic-kalman"),
+    *("intrinsic2", "lagrangian-metric", "tracking-loop", "ukf"),
+)
+
 
 @functools.cache
 def started(name: str):
@@ -163,6 +168,7 @@ def started(name: str):
 
 
 @pytest.mark.core(3)
+@pytest.mark.exhaustive(*(f"{entry}-body at 100 Hz" for entry in SLOW_ON_GROUPS))
 @pytest.mark.parametrize(("entry", "name"), IN_MOTION, ids=[f"{entry}-{name}" for entry, name in IN_MOTION])
 def test_a_velocity_is_known_as_soon_as_readings_tell(entry, name):
     """In the first second that counts, errors are at most twice those of the second half, though all start at rest."""
