@@ -67,6 +67,7 @@ def test_it_is_the_same_in_print_and_in_json_and_in_the_file_of_an_export(saved,
     covariant.export("ball_and_beam", tmp_path / "beam", certificate=path, **EXPORT)
     sheet = next((tmp_path / "beam").glob("*.md")).read_text(encoding="utf-8")
     assert said["claim"] in sheet
+    assert "gains are constant from the start" in " ".join(sheet.split())
     for line in said["about"]:
         assert line in sheet
 

@@ -1,12 +1,15 @@
 """Outliers: refused joint by joint, counted, believed when they stay; and a gate that learns what is usual."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
 from covariant.geometry import Coordinates, ProductManifold
 from covariant.geometry.lie import SE3, SO3
-from covariant.observers import Gate
+from covariant.models import oscillator
+from covariant.observers import Gate, Gated, Intrinsic
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6, 12])
@@ -36,3 +39,12 @@ def test_what_is_measured_together():
 def test_gates_that_make_no_sense_are_refused(wrong, words):
     with pytest.raises(ValueError, match=words):
         Gate(**wrong)
+
+
+def test_a_state_without_the_time_since_its_start_restarts_as_any_other():
+    observer = Gated(Intrinsic(oscillator(), 4.0, 8.0, substeps=1), oscillator(), 1e-3, 1.0, fast_start=True)
+    state, step = observer.init(jnp.zeros(1))._replace(running=None), jax.jit(observer.step)
+    for _ in range(12):
+        state, _ = step(state, jnp.zeros(1), jnp.array([5.0]), 0.01)
+    assert state.running is None
+    assert float(state.inner.q[0]) == pytest.approx(5.0, abs=0.01)

@@ -19,6 +19,16 @@ def log(tmp_path_factory):
     return path
 
 
+@pytest.mark.parametrize(("beta", "said"), [(0.01, True), (100.0, False)])
+def test_gains_that_are_larger_at_first_for_long_are_said(log, beta, said):
+    """Else two pairs of slow gains would give the same numbers without a reason."""
+    noise = {"measurement.std": 1e-3, "uncertainty.acceleration": 1.0}
+    given = {"alpha": 2 * beta**0.5, "beta": beta, "overrides": noise}
+    result = covariant.estimate(MODEL, log, **given, engine="jax")
+    assert ("In the first 24.5 s gains are larger" in str(result)) == said
+    assert (result.outcome.observer.start_length > 1) == said
+
+
 def test_a_notebook_shows_tables_warnings_and_links(tmp_path):
     @dataclasses.dataclass(frozen=True, repr=False)
     class Shown(covariant.verbs.AbstractResult):

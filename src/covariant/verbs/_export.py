@@ -138,6 +138,9 @@ def export(
     if certificate is not None:
         proof = _verify_certificate(Path(certificate), model, overrides, designed, rate)
         runs = proof.proved(runs)
+        about += (
+            " Its gains are constant from the start on, as in the certificate; `estimate` has larger ones at first."
+        )
         if proof.is_bound(real) and parameters:
             raise InputError("the certificate is about the numbers of the model as they are; leave out `parameters`")
     if step_per_sensor and not getattr(runs, "sensors", ()):

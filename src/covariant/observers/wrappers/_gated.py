@@ -212,6 +212,13 @@ class Gated(AbstractObserver):
             starts["force_rate"] = jnp.where(starts["beta"] > observer.beta, 0.0, observer.force_rate)
         return eqx.tree_at(lambda o: [getattr(o, name) for name in starts], observer, list(starts.values()))
 
+    @property
+    def start_length(self) -> float:
+        """Time [s] after which the gains are those of the inner observer; 0 without a fast start."""
+        observer: Any = self.observer
+        longest = jnp.maximum(4 / observer.alpha, jnp.sqrt(6 / observer.beta)) if self.fast_start else 0.0
+        return float(jnp.max(longest))
+
     def _average_slip(self, state: GatedState, innovation: Vector, used: Bool[Array, "n"]) -> Vector:
         limit = 2 * (self.gate.deviations * self.noise) ** 2 + (CREDIBLE / 2 * self.speed * state.gate.unused) ** 2
         # Twice the variance: two samples contribute to the difference d.
@@ -247,6 +254,8 @@ class Gated(AbstractObserver):
         manifold = self.model.manifold
         q = start(manifold, motion.q, manifold.ambient.towards(motion.q, y), y, verdict.anew)
         restarted = self.init(q, state.t)._replace(last_input=state.last_input, dt=state.dt)
+        if state.running is None:  # in a state written by hand
+            restarted = restarted._replace(running=None)
         if not self._holds_velocity(state):
             return restarted
         v = verdict.velocity.mean

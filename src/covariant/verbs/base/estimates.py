@@ -13,7 +13,7 @@ import numpy as np
 from covariant import logs
 from covariant.engine import EngineName
 from covariant.models.robots import servos_in
-from covariant.observers import AbstractObserver
+from covariant.observers import AbstractObserver, Gated
 from covariant.scoring import SETTLED, rmse
 from covariant.signals import Run, StepCode
 from covariant.verbs.base.bands import narrow_bands
@@ -324,9 +324,15 @@ def choose_observer(
     if gains is None:
         unused = loaded.kind.unused(designed.observer, observer, bool(loaded.sensors))
         chosen = f" The model file chooses {observer}." if observer == loaded.file.observer else ""
-        return designed.observer, (f"{designed.notes}{chosen}{loaded.note}{unused}",)
+        return designed.observer, (f"{designed.notes}{_start(designed.observer)}{chosen}{loaded.note}{unused}",)
     unknown = "" if tells_noise(loaded.file) else " No measurement is refused: the model file tells no noise."
-    return designed.observer, (designed.notes + unknown,)
+    return designed.observer, (designed.notes + _start(designed.observer) + unknown,)
+
+
+def _start(observer: AbstractObserver) -> str:
+    """A sentence on larger gains at the start that last longer than what is never scored; "" where none do."""
+    length = observer.start_length if isinstance(observer, Gated) else 0.0
+    return f" In the first {length:.3g} s gains are larger, to learn the velocity." if length > 1 else ""
 
 
 def head_lines(result: Mapping[str, Any], loaded: Loaded, extent: str = "") -> list[str]:
