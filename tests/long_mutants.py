@@ -54,15 +54,6 @@ def test_the_draw_is_reproducible_and_gives_every_room_its_share():
         assert abs(counts[room] - 150 * size / sum(sizes.values())) <= 1
 
 
-def test_what_is_taken_to_be_equivalent_is_a_mutant_of_the_source():
-    for (file, line, changed), reason in mutants.accepted().items():
-        room, name = file.split("/")
-        folder = SOURCE / room if room == "scalargraph" else SOURCE / "covariant" / room
-        places = [str(path.relative_to(SOURCE)) for path in folder.rglob(name)]
-        assert (line, changed) in {mutant.diff() for place in places for mutant in mutants_of(place)}, (file, line)
-        assert len(reason) > 40
-
-
 @pytest.mark.exhaustive
 def test_a_wrong_sign_is_killed_where_a_test_sees_it_and_survives_where_none_does():
     sign = "return ConstantCurvature(1.0 / radius**2)"

@@ -2,7 +2,7 @@
 
 import mutants
 import mutations
-from mutations import ROOMS, ROOT, SOURCE
+from mutations import ROOMS, ROOT, SOURCE, mutants_of
 
 SAMPLE = '''"""Text with 1 + 2."""
 
@@ -34,3 +34,12 @@ def test_every_source_has_its_tests():
             tests = mutants.relevant(str(path.relative_to(SOURCE)))
             assert tests
             assert all((ROOT / test).is_file() for test in tests)
+
+
+def test_what_is_taken_to_be_equivalent_is_a_mutant_of_the_source():
+    for (file, line, changed), reason in mutants.accepted().items():
+        room, name = file.split("/")
+        folder = SOURCE / room if room == "scalargraph" else SOURCE / "covariant" / room
+        places = [str(path.relative_to(SOURCE)) for path in folder.rglob(name)]
+        assert (line, changed) in {mutant.diff() for place in places for mutant in mutants_of(place)}, (file, line)
+        assert len(reason) > 40
