@@ -26,8 +26,15 @@ from covariant.certificates.base import (
     dimension,
     need_doubles,
 )
+from covariant.certificates.everywhere._chain import Chain, solve_for
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
-from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling, compare_connections
+from covariant.certificates.everywhere._coupling import (
+    MARGIN,
+    Coupling,
+    CouplingBound,
+    bound_coupling,
+    compare_connections,
+)
 from covariant.certificates.everywhere._document import GlobalDocument, need_covered, statement_of
 from covariant.certificates.proving import friction_bounds, friction_on
 from covariant.models import MechanicalSystem
@@ -41,6 +48,8 @@ RATE = 0.1
 """Rate μ of gains that are chosen here, as a fraction of the least ω."""
 DENSE = 1.0
 """Largest ω times the longest time between samples."""
+FEW = 2000
+"""Boxes that are tried before the inertia is bounded joint by joint."""
 CELLS, PLACES = 4096, 50
 """Parts of the velocities on which friction is bounded, and random configurations where the connection is compared."""
 
@@ -156,7 +165,7 @@ def certify_globally(
     gains = (ones, ones) if given is None else (given.alpha, given.beta)
     alpha, beta = (np.broadcast_to(np.asarray(gain, float), (n,)) for gain in gains)
     about = recipe, domain.low, domain.high, speed, alpha, beta, ones, viscous, dry, *errors, 0 * ones
-    found_later = rate or 0.0, math.inf, np.tile(np.eye(2), (n, 1, 1)), ()
+    found_later = rate or 0.0, math.inf, np.tile(np.eye(2), (n, 1, 1)), (), np.zeros((0, 49))
     document = GlobalDocument._make((*about, np.asarray(interval, float), lost, *found_later))
     coupling = Coupling.of(model, domain, document)
     # What is sampled here, at ω = W = 1, is the coupling itself.
@@ -173,15 +182,49 @@ def certify_globally(
     # Of given gains it is known which coupling they allow.
     enough = 0.0 if given is None else _allowed(document._replace(rate=rate or 0.02 * float(omega.min())))
     told = None if progress is None else lambda share, count: progress("the coupling", share, count)
-    bound = bound_coupling(coupling._replace(document=document), enough, boxes, seconds, told)
-    levels = tuple(to_letters(bound.proof.levels))
-    document = document._replace(acceleration=bound.acceleration, coupling=bound.norm, levels=levels)
-    tries = _tries(document, given is None, rate) if bound.norm < math.inf else ()
-    document = next((found for each in tries if (found := _metrics(each)) is not None), document)
-    hypotheses = (*_hypotheses(document, bound, omega, model), compare_connections(model.space, domain, PLACES))
+    effort = given is None, enough, boxes, seconds, told
+    bounded = _bounds(coupling._replace(document=document), Chain.of(model.space), *effort)
+    for document, bound in bounded:
+        tries = _tries(document, given is None, rate) if bound.norm < math.inf else ()
+        found = next((found for each in tries if (found := _metrics(each)) is not None), None)
+        if found is not None:
+            document = found
+            break
+    hypotheses = (*_hypotheses(document, bound, model), compare_connections(model.space, domain, PLACES))
     statement = statement_of(document, model, hypotheses, all(each.verdict == "holds" for each in hypotheses))
     made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given
     return GlobalCertificate(statement, made, document, bound.proof)
+
+
+def _bounds(
+    coupling: Coupling,
+    chain: Chain | None,
+    designed: bool,
+    enough: float,
+    boxes: int,
+    seconds: float | None,
+    told: Callable[[float, int], None] | None,
+) -> Iterator[tuple[GlobalDocument, CouplingBound]]:
+    """Bounds of the coupling, with their documents, in the order in which they are tried.
+
+    Boxes are sharp and few for three joints, and too many for six; joint by joint the bound is coarse, and cheap.
+    """
+    few = boxes if chain is None else min(boxes, FEW)
+    bound, document = bound_coupling(coupling, enough, few, seconds, told), coupling.document
+    levels = tuple(to_letters(bound.proof.levels))
+    by_boxes = document._replace(acceleration=bound.acceleration, coupling=bound.norm, levels=levels), bound
+    met = bound.norm <= max((1 + MARGIN) * bound.sampled, enough)
+    if chain is None or met:
+        yield by_boxes
+    if chain is not None and not met:
+        if (inertia := solve_for(chain, coupling)) is not None:
+            proof = chain.prove(inertia, coupling.domain)
+            if proof.verdict == "holds":
+                document = chain.gains(inertia, document, designed)
+                norm, acceleration = chain.bounds(inertia, document)
+                document = document._replace(acceleration=acceleration, coupling=norm, inertia=inertia.rows())
+                yield document, CouplingBound(norm, bound.sampled, acceleration, proof)
+        yield from _bounds(coupling, None, designed, enough, boxes, seconds, told)
 
 
 def _domain(model: MechanicalSystem, position: Bounds | None, noise: np.ndarray) -> Box:
@@ -265,15 +308,13 @@ def _tries(document: GlobalDocument, designed: bool, rate: float | None) -> Iter
         factor *= 1.03
 
 
-def _hypotheses(
-    document: GlobalDocument, bound: CouplingBound, omega: np.ndarray, model: MechanicalSystem
-) -> tuple[Hypothesis, ...]:
+def _hypotheses(document: GlobalDocument, bound: CouplingBound, model: MechanicalSystem) -> tuple[Hypothesis, ...]:
     def judge(text, holds, remedy=""):
         return Hypothesis(text, "proved", "holds" if holds else "undecided", place="" if holds else remedy)
 
     bounded = bound.proof.verdict == "holds"
     limit = f"below {document.coupling:.6g}" if bounded else "bounded"
-    needed = np.array2string(1.45 * (bound.norm if bounded else bound.sampled) * omega, precision=3)
+    needed = np.array2string(1.45 * (bound.norm if bounded else bound.sampled) * document.omega, precision=3)
     claims = [
         (gain_matrix(alpha, beta, p, document.rate, document.square), Box(("age",), ("s",), age[:1], age[1:]))
         for alpha, beta, p in zip(document.alpha.tolist(), document.beta.tolist(), document.metrics, strict=True)
@@ -282,8 +323,8 @@ def _hypotheses(
     turn = 2 * (document.velocity * document.ages[-1, 1] + document.noise)[list(model.circles)]
     return (
         judge(
-            f"the coupling of the coordinates is {limit}, and unknown "
-            f"accelerations are below their bounds ({bound.proof.boxes} boxes)",
+            f"the coupling of the coordinates is {limit}, and unknown accelerations are below their bounds, "
+            f"{'by bounds of the inertia joint by joint ' if len(document.inertia) else ''}({bound.proof.boxes} boxes)",
             bounded,
             f"{bound.proof.open_share:.1%} of the configurations, where boxes are too large for a bound; more boxes or "
             f"time, or a smaller region, may do; by sampling, ω = {needed} 1/s would suffice",

@@ -2,8 +2,8 @@
 
 It shares with the prover the model as JAX functions, the elimination of `_linalg`, and the formulas of `_document` for
 what follows from the numbers. The coupling is bounded anew by Taylor models of JAX's own derivatives, on the leaves of
-the saved tree; the channels are those of the observer's code, `correct` after `predict` on a unit mass, differentiated
-by JAX.
+the saved tree, or joint by joint from energies, which JAX differentiates twice. The channels are those of the
+observer's code, `correct` after `predict` on a unit mass, differentiated by JAX.
 """
 
 import math
@@ -19,8 +19,10 @@ from jaxtyping import Array
 from covariant._linalg import solve
 from covariant.certificates.base import Hypothesis, friction_of, need_doubles
 from covariant.certificates.checking import Checked
+from covariant.certificates.everywhere._chain import Inertia
 from covariant.certificates.everywhere._document import GlobalDocument, need_covered, read_document, statement_of
 from covariant.models import Lagrangian, MechanicalSystem, from_recipe
+from covariant.models.robots import KinematicTree, RobotSpace
 from covariant.observers import MeasuredCoefficients
 from scalargraph.errors import InputError
 from scalargraph.proofs.checker import ROUND, TaylorEnclosure, halves, jacobian, leaves, show_definite
@@ -96,7 +98,7 @@ def _show(document: GlobalDocument, system: MechanicalSystem, progress: Callable
         for low, high in document.ages[:, :, None]:
             matrix = TaylorEnclosure(_gain_matrix(observer, p, document), low, high, np.zeros(1))
             show_definite(matrix, low[None], high[None], 40, "metrics")
-    return _show_coupling(document, system, progress)
+    return _show_inertia(document, system) if len(document.inertia) else _show_coupling(document, system, progress)
 
 
 def _gain_matrix(observer: MeasuredCoefficients, p: np.ndarray, document: GlobalDocument) -> Callable[[Array], Array]:
@@ -137,6 +139,83 @@ def _show_friction(document: GlobalDocument, system: MechanicalSystem) -> None:
     total = np.where(total < 1e-290, 0.0, total)  # the radius of an exact 0 covers underflows, of which it has none
     if not (total * (1 + ROUND) <= document.dry).all():
         raise InputError(f"dry: friction beside F differs by {total.tolist()}; stated are {document.dry.tolist()}")
+
+
+def _show_inertia(document: GlobalDocument, system: MechanicalSystem) -> int:
+    """Show bounds of the inertia joint by joint, and what follows; returns the number of inequalities."""
+    space, n = system.space, len(document.low)
+    if type(space) is not RobotSpace or space.floating or not np.array_equal(space.tree.coordinates, np.eye(n)):
+        raise InputError("inertia: the model is no arm on a fixed base whose joints move by themselves")
+    tree, known = space.tree, Inertia.of(document.inertia)
+    least, floors, ceilings, shared = known
+    on_base, children = np.array(tree.parents) < 0, [np.flatnonzero(np.array(tree.parents) == i) for i in range(n)]
+    turns = np.linalg.norm(tree.turn, axis=1)
+
+    def energy(i, v, w, carried):
+        """Twice the energy of body i with a twist, and of what it carries."""
+        spin = jnp.cross(w, jnp.eye(3))  # rows ω × e_j, so that its transpose is ω ×
+        own = tree.mass[i] * v @ v + 2 * v @ jnp.cross(w, tree.first[i]) + jnp.trace(spin.T @ tree.second[i] @ spin)
+        twist = jnp.concatenate([v, w])
+        return own + sum(twist @ carried[c] @ twist for c in children[i])
+
+    def behind(i, z, v, w, rate):
+        """The twist of body i at its joint's position z, for that of its carrier and a rate."""
+        joints = space.joints(jnp.zeros(n).at[i].set(z[0]))
+        back = (0.0 if on_base[i] else 1.0) * joints.rotation[i].T
+        v, w = back @ (v + jnp.cross(w, joints.place[i])), back @ w
+        return v + tree.slide[i] * rate, w + tree.turn[i] * rate
+
+    def above(i, z, y):
+        kept = (tree.armature[i] - least[i]) * y[6] ** 2 - y[:6] @ floors[i] @ y[:6]
+        return energy(i, *behind(i, z, y[:3], y[3:6], y[6]), floors) + kept
+
+    def below(i, z, y):
+        return y @ ceilings[i] @ y - energy(i, *behind(i, z, y[:3], y[3:], 0.0), ceilings)
+
+    for i in range(n):
+        low, high = document.low[i : i + 1], document.high[i : i + 1]
+        for form, count in ((above, 7), (below, 6)):
+
+            def matrix(z, i=i, form=form, count=count):
+                return jacobian(lambda y: jacobian(lambda x: form(i, z, x), y), jnp.zeros(count))
+
+            show_definite(TaylorEnclosure(matrix, low, high, np.zeros(1)), low[None], high[None], 40, "inertia")
+    _show_masses(tree, children, shared)
+    up = 1 + ROUND
+    moments = [float(energy(i, tree.slide[i], tree.turn[i], ceilings)) * up for i in range(n)]
+    reach, roots, carried = np.zeros(n), np.sqrt(least) / up, tree.carried()
+    for i, k in zip(*np.nonzero(carried), strict=True):  # i carries k
+        size = turns[i] * math.sqrt(moments[k]) * up
+        reach[k] += 2 * document.velocity[i] * size
+        reach[i] += 2 * document.velocity[k] * size * (i != k)
+    weights, force = document.weights, document.dry + document.disturbance
+    norm = np.linalg.norm(reach * weights) + (document.viscous * weights / roots).max()
+    norm = norm * (1 / (document.omega * weights * roots)).max() * up
+    pushed = np.linalg.norm(force / roots) / roots * up
+    if not (norm <= document.coupling and (pushed <= document.acceleration).all()):
+        raise InputError(f"coupling: it is shown to be below {norm:.6g}, and accelerations below {pushed.tolist()}")
+    return 2 * n
+
+
+def _show_masses(tree: KinematicTree, children: list[np.ndarray], shared: np.ndarray) -> None:
+    """Show that no body has a negative mass anywhere, after each has got its share of what moves with two of them."""
+    shares = []
+    for turn, numbers in zip(np.asarray(tree.turn), shared, strict=True):
+        second = np.zeros((3, 3))
+        second[np.triu_indices(3)] = numbers
+        second = np.outer(turn, turn) * numbers[2] if turn.any() else second + np.triu(second, 1).T
+        first, mass = (turn * numbers[1], numbers[0]) if turn.any() else (turn, 0.0)
+        shares.append(np.block([[second, first[:, None]], [first[None], np.array([[mass]])]]))
+    for i, carried in enumerate(children):
+        first = np.asarray(tree.first[i])[:, None]
+        moments = np.block([[np.asarray(tree.second[i]), first], [first.T, np.asarray(tree.mass[i])[None, None]]])
+        moments = moments + shares[i]
+        for c in carried:
+            frame = np.block([[np.asarray(tree.rotation[c]), np.asarray(tree.place[c])[:, None]], [np.eye(4)[3:]]])
+            moments = moments - frame @ shares[c] @ frame.T
+        sizes = np.diag(moments)
+        if not (sizes > 0).all() or np.linalg.eigvalsh(moments / np.sqrt(np.outer(sizes, sizes)))[0] < 1e-9:
+            raise InputError(f"inertia: body {i} would have negative masses")
 
 
 def _show_coupling(

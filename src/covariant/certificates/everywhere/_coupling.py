@@ -128,6 +128,11 @@ class Coupling(NamedTuple):
         points = np.random.default_rng(0).uniform(*self.domain[2:], (SAMPLES, len(self.domain.low)))
         return self.at(points)
 
+    def inverses(self) -> np.ndarray:
+        """M⁻¹ (P, n, n) at these configurations."""
+        points = np.random.default_rng(0).uniform(*self.domain[2:], (SAMPLES, len(self.domain.low)))
+        return numbers(self.entries, points)[..., -len(self.domain.low) :]
+
     def climb(self, value: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> float:
         """The largest value found of a function of N and acceleration, by random steps from the best random points."""
         (low, high), rng = self.domain[2:], np.random.default_rng(0)

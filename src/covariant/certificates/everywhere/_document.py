@@ -44,7 +44,7 @@ from scalargraph import enclose, lower
 from scalargraph.errors import InputError
 from scalargraph.proofs import LETTERS, digest, parse_file, read_file, saved_levels
 
-FORMAT = "covariant certificate of all first errors 1"
+FORMAT = "covariant certificate of all first errors 2"
 MOST_JOINTS = len(LETTERS)
 DISTURBING = {
     "noise": "unit of noise",
@@ -90,7 +90,8 @@ class GlobalDocument(NamedTuple):
         rate: μ [1/s].
         coupling: R, the proved bound of the coupling.
         metrics: P (n, 2, 2).
-        levels: tree of boxes on which R and D are proved.
+        levels: tree of boxes on which R and D are proved; empty if they are proved joint by joint.
+        inertia: the numbers (n, 49) that prove them joint by joint, as in `Inertia`; else (0, 49).
     """
 
     recipe: dict[str, Any] | None
@@ -112,6 +113,7 @@ class GlobalDocument(NamedTuple):
     coupling: float
     metrics: Float[np.ndarray, "n 2 2"]
     levels: tuple[str, ...]
+    inertia: Float[np.ndarray, "m 49"]
 
     @property
     def omega(self) -> Float[np.ndarray, "n"]:
@@ -194,7 +196,10 @@ def read_document(path: str | Path, content: bytes | None = None) -> GlobalDocum
     numbers |= {key: fields[key].positive() for key in ("rate", "coupling")}
     numbers |= {"interval": read_interval(fields["interval"]), "lost": fields["lost"].whole(0, MOST_LOST)}
     numbers["metrics"] = np.stack([read_metric(row) for row in fields["metrics"].rows(n, n)])
-    numbers["levels"] = saved_levels(fields["levels"], n)
+    rows = fields["inertia"].rows(0, n)
+    fields["inertia"].need(len(rows) in (0, n), f"no rows, or {n}")
+    numbers["inertia"] = np.array([row.vector(49, 49) for row in rows], float).reshape(-1, 49)
+    numbers["levels"] = () if rows else saved_levels(fields["levels"], n)
     return GlobalDocument(recipe=read_recipe(fields["recipe"]), **numbers)
 
 

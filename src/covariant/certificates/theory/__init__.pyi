@@ -15,8 +15,10 @@ from ._falsify import falsify as falsify
 from ._lmi import (
     MetricDesign as MetricDesign,
     common_metric as common_metric,
+    is_definite as is_definite,
     minimise as minimise,
     observer_gain as observer_gain,
+    rational as rational,
 )
 from ._marine_cascade import crossed_metric as crossed_metric, feedthrough as feedthrough, tracking as tracking
 from ._observability import (
