@@ -69,7 +69,7 @@ def test_a_changed_file_is_refused(made, tmp_path, case):
 
 def test_masses_that_no_body_has_prove_nothing(made):
     """Moments about the axis that are smaller than those along it cannot be completed by what the carrier shares."""
-    chain, inertia = _chain.Chain.of(made.observer.model.space), _chain.Inertia.of(made.document.inertia)
+    chain, inertia = _chain.Chain.of(made.observer.model.space), _chain.InertiaBounds.of(made.document.inertia)
     second = np.array(chain.space.tree.second)
     second[1, 0, 0] = -0.01
     space = eqx.tree_at(lambda s: s.tree.second, chain.space, jnp.asarray(second))

@@ -61,7 +61,7 @@ def test_the_bounds_hold_at_random_configurations(made):
     model, document = made.observer.model, made.document
     assert made.statement.proved
     assert not document.levels
-    chain, inertia = _chain.Chain.of(model.space), _chain.Inertia.of(document.inertia)
+    chain, inertia = _chain.Chain.of(model.space), _chain.InertiaBounds.of(document.inertia)
     rng, n = np.random.default_rng(1), 4
     q = jnp.asarray(rng.uniform(document.low, document.high, (3000, n)))
     metric = np.asarray(jax.vmap(model.space)(q))
@@ -86,7 +86,7 @@ def test_the_bounds_hold_at_random_configurations(made):
 @pytest.mark.core(15)
 def test_joints_on_other_branches_do_not_couple(made):
     chain = _chain.Chain.of(made.observer.model.space)
-    inertia = _chain.Inertia.of(made.document.inertia)
+    inertia = _chain.InertiaBounds.of(made.document.inertia)
     only_last = chain.reach(inertia.ceilings, np.array([0.0, 0.0, 0.0, 1.0]))
     assert only_last[1] == only_last[2] == 0.0
     sliding = chain.reach(inertia.ceilings, np.array([0.0, 0.0, 1.0, 0.0]))

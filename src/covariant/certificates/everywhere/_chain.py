@@ -51,7 +51,7 @@ CORNER = np.outer(np.arange(7) == 6, np.arange(7) == 6).astype(float)
 """eeᵀ (7, 7), e the rate of the joint."""
 
 
-class Inertia(NamedTuple):
+class InertiaBounds(NamedTuple):
     """Proved bounds of the inertia of an arm of n joints, and the matrices that prove them.
 
     Attributes:
@@ -68,7 +68,7 @@ class Inertia(NamedTuple):
     shared: Float[np.ndarray, "n 6"]
 
     @classmethod
-    def of(cls, rows: Float[np.ndarray, "n 49"]) -> "Inertia":
+    def of(cls, rows: Float[np.ndarray, "n 49"]) -> "InertiaBounds":
         """The bounds of their numbers, of symmetric matrices the upper triangles."""
         least, floors, ceilings, shared = np.split(rows, [1, 22, 43], axis=1)
         return cls(least[:, 0], symmetric(floors), symmetric(ceilings), shared)
@@ -122,7 +122,7 @@ class Chain(NamedTuple):
         return jnp.block([[back, -back @ cross], [jnp.zeros((3, 3)), back]])
 
     def whole(self, i: int, of_carried: Any) -> Any:
-        """Inertia of body i together with the (n, 6, 6) of the joints that it carries."""
+        """InertiaBounds of body i together with the (n, 6, 6) of the joints that it carries."""
         return sum((of_carried[c] for c in self.carried[i]), self.inertias[i])
 
     def above(self, i: int, moved: Any, floors: Any, least: Any) -> Any:
@@ -170,7 +170,7 @@ class Chain(NamedTuple):
             found.append(own)
         return found
 
-    def prove(self, inertia: Inertia, domain: Box) -> Proof:
+    def prove(self, inertia: InertiaBounds, domain: Box) -> Proof:
         """Prove the inequalities between the ends of all joints; the proof has no tree, since it is one for each."""
         start, boxes, holds = time.monotonic(), 0, all(map(is_definite, self.bodies(rational(inertia.shared))))
         for i in range(len(self.axes)):
@@ -184,7 +184,7 @@ class Chain(NamedTuple):
         none = np.zeros((0, 2, len(self.axes)))
         return Proof("holds" if holds else "undecided", domain, [], None, none, boxes, time.monotonic() - start)
 
-    def gains(self, inertia: Inertia, document: GlobalDocument, designed: bool) -> GlobalDocument:
+    def gains(self, inertia: InertiaBounds, document: GlobalDocument, designed: bool) -> GlobalDocument:
         """A document with the weights, and if `designed` the ω up to a factor, for the least noise of velocities."""
         if not designed:
             return document._replace(weights=1 / (document.omega * np.sqrt(inertia.least)))
@@ -196,7 +196,7 @@ class Chain(NamedTuple):
         omega = np.sqrt(u / inertia.least)
         return document._replace(alpha=DAMPING * omega, beta=omega**2, weights=1 / np.sqrt(u))
 
-    def bounds(self, inertia: Inertia, document: GlobalDocument) -> tuple[float, np.ndarray]:
+    def bounds(self, inertia: InertiaBounds, document: GlobalDocument) -> tuple[float, np.ndarray]:
         """The coupling in the norm of a document, and the accelerations (n,) by its unknown forces."""
         roots, weights = np.sqrt(inertia.least), document.weights
         reach = self.reach(inertia.ceilings, document.velocity)
@@ -229,7 +229,7 @@ def symmetric(entries: np.ndarray) -> np.ndarray:
     return found
 
 
-def solve_for(chain: Chain, coupling: Coupling) -> Inertia | None:
+def solve_for(chain: Chain, coupling: Coupling) -> InertiaBounds | None:
     """Matrices that satisfy the inequalities between the ends of all joints, with a margin; None if none are found.
 
     Minimised are the sums of `size/D` and `m/size`, with the sizes that D and m have at most and at least, by sampling.
@@ -278,7 +278,7 @@ def solve_for(chain: Chain, coupling: Coupling) -> Inertia | None:
     if floors is None or ceilings is None or shared is None:
         return None
     d = least * floors[21 * n : 22 * n]
-    return Inertia(d, scaled(floors), scaled(ceilings), shared[:-1].reshape(n, 6) * shares)
+    return InertiaBounds(d, scaled(floors), scaled(ceilings), shared[:-1].reshape(n, 6) * shares)
 
 
 def _cut(

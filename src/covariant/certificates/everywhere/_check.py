@@ -19,7 +19,7 @@ from jaxtyping import Array
 from covariant._linalg import solve
 from covariant.certificates.base import Hypothesis, friction_of, need_doubles
 from covariant.certificates.checking import Checked
-from covariant.certificates.everywhere._chain import Inertia
+from covariant.certificates.everywhere._chain import InertiaBounds
 from covariant.certificates.everywhere._document import GlobalDocument, need_covered, read_document, statement_of
 from covariant.models import Lagrangian, MechanicalSystem, from_recipe
 from covariant.models.robots import KinematicTree, RobotSpace
@@ -146,7 +146,7 @@ def _show_inertia(document: GlobalDocument, system: MechanicalSystem) -> int:
     space, n = system.space, len(document.low)
     if type(space) is not RobotSpace or space.floating or not np.array_equal(space.tree.coordinates, np.eye(n)):
         raise InputError("inertia: the model is no arm on a fixed base whose joints move by themselves")
-    tree, known = space.tree, Inertia.of(document.inertia)
+    tree, known = space.tree, InertiaBounds.of(document.inertia)
     least, floors, ceilings, shared = known
     on_base, children = np.array(tree.parents) < 0, [np.flatnonzero(np.array(tree.parents) == i) for i in range(n)]
     turns = np.linalg.norm(tree.turn, axis=1)

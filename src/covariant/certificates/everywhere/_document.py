@@ -91,7 +91,7 @@ class GlobalDocument(NamedTuple):
         coupling: R, the proved bound of the coupling.
         metrics: P (n, 2, 2).
         levels: tree of boxes on which R and D are proved; empty if they are proved joint by joint.
-        inertia: the numbers (n, 49) that prove them joint by joint, as in `Inertia`; else (0, 49).
+        inertia: the numbers (n, 49) that prove them joint by joint, as in `InertiaBounds`; else (0, 49).
     """
 
     recipe: dict[str, Any] | None
