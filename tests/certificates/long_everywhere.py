@@ -136,11 +136,16 @@ def test_a_panda_near_its_ready_pose(tmp_path):
     assert checked.statement.proved
 
 
-@pytest.mark.core(20)
-def test_a_whole_panda_is_undecided_and_says_why():
-    made = certify_globally(models.load("panda").model, velocity=1.0, interval=STEP, boxes=2000)
-    assert made.statement.verdict == "undecided"
-    assert "boxes are too large for a bound" in str(made.statement)
+@pytest.mark.core(80)
+def test_a_whole_panda(tmp_path):
+    recipe = models.recipe("panda")
+    made = certify_globally(models.from_recipe(recipe), velocity=1.0, interval=STEP, noise=2e-5, recipe=recipe)
+    assert made.statement.proved
+    assert made.document.omega.max() < 370
+    assert made.velocity_noise(2e-5).max() < 2.7e-3
+    checked = check_globally(made.document.save(tmp_path / "panda.json"))
+    assert checked is not None
+    assert checked.statement.proved
 
 
 def test_velocity_errors_of_three_observers_are_those_of_a_simulated_log():

@@ -122,7 +122,7 @@ class Chain(NamedTuple):
         return jnp.block([[back, -back @ cross], [jnp.zeros((3, 3)), back]])
 
     def whole(self, i: int, of_carried: Any) -> Any:
-        """InertiaBounds of body i together with the (n, 6, 6) of the joints that it carries."""
+        """Inertia of body i together with the (n, 6, 6) of the joints that it carries."""
         return sum((of_carried[c] for c in self.carried[i]), self.inertias[i])
 
     def above(self, i: int, moved: Any, floors: Any, least: Any) -> Any:
