@@ -211,20 +211,18 @@ def _bounds(
     """
     few = boxes if chain is None else min(boxes, FEW)
     bound, document = bound_coupling(coupling, enough, few, seconds, told), coupling.document
-    levels = tuple(to_letters(bound.proof.levels))
-    by_boxes = document._replace(acceleration=bound.acceleration, coupling=bound.norm, levels=levels), bound
-    met = bound.norm <= max((1 + MARGIN) * bound.sampled, enough)
-    if chain is None or met:
-        yield by_boxes
-    if chain is not None and not met:
-        if (inertia := solve_for(chain, coupling)) is not None:
-            proof = chain.prove(inertia, coupling.domain)
-            if proof.verdict == "holds":
-                document = chain.gains(inertia, document, designed)
-                norm, acceleration = chain.bounds(inertia, document)
-                document = document._replace(acceleration=acceleration, coupling=norm, inertia=inertia.rows())
-                yield document, CouplingBound(norm, bound.sampled, acceleration, proof)
-        yield from _bounds(coupling, None, designed, enough, boxes, seconds, told)
+    if chain is None or bound.norm <= max((1 + MARGIN) * bound.sampled, enough):
+        levels = tuple(to_letters(bound.proof.levels))
+        yield document._replace(acceleration=bound.acceleration, coupling=bound.norm, levels=levels), bound
+        return
+    inertia = solve_for(chain, coupling)
+    proof = None if inertia is None else chain.prove(inertia, coupling.domain)
+    if inertia is not None and proof is not None and proof.verdict == "holds":
+        document = chain.gains(inertia, document, designed)
+        norm, acceleration = chain.bounds(inertia, document)
+        document = document._replace(acceleration=acceleration, coupling=norm, inertia=inertia.rows())
+        yield document, CouplingBound(norm, bound.sampled, acceleration, proof)
+    yield from _bounds(coupling, None, designed, enough, boxes, seconds, told)
 
 
 def _domain(model: MechanicalSystem, position: Bounds | None, noise: np.ndarray) -> Box:

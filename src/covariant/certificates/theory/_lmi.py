@@ -229,7 +229,7 @@ def minimise(
     cost: Float[np.ndarray, "d"], forms: list[AffineMatrix], tolerance: float = 1e-8
 ) -> Float[np.ndarray, "d"] | None:
     """Minimise a linear cost over unknowns for which all affine forms are positive semidefinite."""
-    needed = functools.partial(load_optional, use="designing a metric needs", extra="lmi")
+    needed = functools.partial(load_optional, use="solving matrix inequalities needs", extra="lmi")
     clarabel, sparse = map(needed, ("clarabel", "scipy.sparse"))
     d = len(cost)
     blocks, constants, cones = [], [], []
