@@ -184,7 +184,11 @@ def test_the_price_in_noise_is_told_beside_that_of_other_observers():
     # The rule has ω = √(a/σ) for accelerations a that are independent in every sample.
     assert "ω = 0.1 1/s" in slow["note"]
     assert f"accelerations of {1e-4 * max(slow['omega']) ** 2:.3g}, not of 1e-06" in slow["note"]
-    assert "alpha = 141.4 and beta = 1e+04: prove these" in fast["note"]
-    assert covariant.certify("pendulum_chain", velocity=1.0, sampling=500, alpha=141.4, beta=1e4, noise=1e-4).holds
-    assert max(fast["velocity_std"]["intrinsic"]) < min(fast["velocity_std"]["measured-coefficients"])
+    assert "the same ω, more than a proof needs: it is free" in fast["note"]
+    np.testing.assert_allclose(fast["omega"], 100.0)
+    np.testing.assert_allclose(
+        *(fast["velocity_std"][name] for name in ("intrinsic", "measured-coefficients")), rtol=0.02
+    )
+    given = command(*asked, "--set", "uncertainty.acceleration=1", "--alpha", "40", "--beta", "900")
+    assert "alpha = 141.4 and beta = 1e+04: prove these" in given["note"]
     assert command(*asked)["velocity_std"] == {}

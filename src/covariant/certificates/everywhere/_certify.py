@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from covariant._domains import NOT_NEGATIVE, SPAN, Count, Positive, Whole, check_numbers
+from covariant._domains import NOT_NEGATIVE, SPAN, Count, NotNegative, Positive, Whole, check_numbers
 from covariant.certificates.base import (
     PERIODIC,
     SPEED,
@@ -101,6 +101,7 @@ def certify_globally(
     jerk: Annotated[ArrayLike, NOT_NEGATIVE] = 0.0,
     lost: Whole = 0,
     rate: Positive | None = None,
+    omega: NotNegative = 0.0,
     recipe: dict[str, Any] | None = None,
     boxes: Count = 50 * MOST_BOXES,
     seconds: Positive | None = None,
@@ -125,6 +126,7 @@ def certify_globally(
         lost: how many samples in a row may be lost.
         rate: rate μ [1/s] of the errors; by default a tenth of the least ω for gains that are chosen, else the largest
             that is found.
+        omega: smallest ω [1/s] of gains that are chosen; larger ones follow unknown accelerations faster.
         recipe: recipe of the model, for the statement and its file.
         boxes: largest number of boxes.
         seconds: limit of time [s] for the boxes; the bound so far is then used.
@@ -175,17 +177,16 @@ def certify_globally(
     # Coordinates that do not couple get a small gain too.
     largest = largest + 0.02 * max(float(largest.max()), 1e-3)
     if given is None:
-        omega = _shape(largest, np.where(errors[0] > 0, errors[0], 1.0))
-        document = document._replace(alpha=DAMPING * omega, beta=omega**2)
-    omega = document.omega
-    document = document._replace(weights=_perron(largest / omega[:, None]))
+        shape = _shape(largest, np.where(errors[0] > 0, errors[0], 1.0))
+        document = document._replace(alpha=DAMPING * shape, beta=shape**2)
+    document = document._replace(weights=_perron(largest / document.omega[:, None]))
     # Of given gains it is known which coupling they allow.
-    enough = 0.0 if given is None else _allowed(document._replace(rate=rate or 0.02 * float(omega.min())))
+    enough = 0.0 if given is None else _allowed(document._replace(rate=rate or 0.02 * float(document.omega.min())))
     told = None if progress is None else lambda share, count: progress("the coupling", share, count)
     effort = given is None, enough, boxes, seconds, told
     bounded = _bounds(coupling._replace(document=document), Chain.of(model.space), *effort)
     for document, bound in bounded:
-        tries = _tries(document, given is None, rate) if bound.norm < math.inf else ()
+        tries = _tries(document, omega if given is None else None, rate) if bound.norm < math.inf else ()
         found = next((found for each in tries if (found := _metrics(each)) is not None), None)
         if found is not None:
             document = found
@@ -290,9 +291,9 @@ def _metrics(document: GlobalDocument) -> GlobalDocument | None:
     return document._replace(metrics=np.stack([p for _, p in found])) if fits else None
 
 
-def _tries(document: GlobalDocument, designed: bool, rate: float | None) -> Iterator[GlobalDocument]:
-    """Multiples of ω from the smallest that may do, or for given gains rates from the largest."""
-    if not designed:
+def _tries(document: GlobalDocument, least: float | None, rate: float | None) -> Iterator[GlobalDocument]:
+    """Multiples of ω from the smallest that may do, each at least as large as is asked; for given gains, rates."""
+    if least is None:
         fastest = 0.5 * float(document.alpha.min())
         for mu in [rate] if rate else np.geomspace(fastest, 2e-4 * fastest, 20).tolist():
             yield document._replace(rate=mu)
@@ -300,7 +301,7 @@ def _tries(document: GlobalDocument, designed: bool, rate: float | None) -> Iter
     shape, norm = document.omega, document.coupling
     factor = 1.38 * norm
     while factor * shape.max() * document.ages[-1, 1] <= DENSE:
-        omega = factor * shape
+        omega = np.maximum(factor * shape, min(least, DENSE / document.ages[-1, 1]))
         gains = {"alpha": DAMPING * omega, "beta": omega**2, "rate": rate or RATE * float(omega.min())}
         yield document._replace(coupling=norm / factor * (1 + 1e-12), **gains)
         factor *= 1.03

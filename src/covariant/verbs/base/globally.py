@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from covariant import certificates
-from covariant.calibration import gains, observer_gains, predict_sampled_errors
+from covariant.calibration import DataSheet, gains, observer_gains, predict_sampled_errors
 from covariant.certificates.everywhere import GlobalCertificate
 from covariant.models import ModelFile
 from covariant.observers import MeasuredCoefficients
@@ -48,33 +48,41 @@ def certify_globally(
     position = np.array([ends.get(each, (np.nan, np.nan)) for each in names]).T
     speeds = numbers("velocity", velocity, [f"d{each}/dt" for each in names], positive=True, one=True)
     observer = model if gains is None else MeasuredCoefficients(model, *gains, speeds)
+    interval = (INTERVAL, INTERVAL) if (assumed := interval is None) else interval
+    errors = {key: amounts(key, value, names) for key, value in disturbed.items()}
+    sizes = _known_sizes(file, errors["noise"], interval[-1]) if min(interval, default=0.0) > 0 else None
     certificate = certificates.certify_globally(
         observer,
         velocity=speeds,
         position=(position[0], position[1]),
-        interval=(INTERVAL, INTERVAL) if interval is None else interval,
+        interval=interval,
         rate=None if rate is None else rate / 2,  # of the errors, not of their squares
         progress=lambda what, share, count: progress(f"bounding {what}, {count} boxes", share),
-        **{key: amounts(key, value, names) for key, value in disturbed.items()},
+        omega=0.0 if sizes is None or gains is not None else observer_gains(*sizes).beta ** 0.5,
+        **errors,
         **settings,
     )
-    notes = f"Samples every {INTERVAL:g} s are assumed; give `interval` or `sampling`." if interval is None else ""
-    errors, worth = _compare_noise(file, certificate)
-    return GlobalResult(name, certificate, f"{notes} {worth}".strip(), errors)
+    notes = f"Samples every {INTERVAL:g} s are assumed; give `interval` or `sampling`." if assumed else ""
+    steady, worth = ({}, "") if sizes is None else _compare_noise(*sizes, certificate)
+    return GlobalResult(name, certificate, f"{notes} {worth}".strip(), steady)
 
 
-def _compare_noise(file: ModelFile, certificate: GlobalCertificate) -> tuple[dict[str, list[float]], str]:
+def _known_sizes(file: ModelFile, noise: np.ndarray, interval: float) -> tuple[DataSheet, float] | None:
+    """The data sheet with the noise that is stated, or else that of the model file, and the sampling rate [Hz]."""
+    file = file._replace(measurement_std=tuple(noise.tolist())) if noise.all() else file
+    return (data_sheet(file), float(1 / interval)) if tells_noise(file) else None
+
+
+def _compare_noise(sheet: DataSheet, rate: float, certificate: GlobalCertificate) -> tuple[dict[str, list[float]], str]:
     """Steady velocity errors (n,) by observer, and when this one is worth its noise; empty where noise is not known.
 
-    They are of the linear channel of each coordinate, by the noise that is stated, or else by that of the model file,
-    and by accelerations that the model lacks.
+    They are of the linear channel of each coordinate, by noise and by accelerations that the model lacks.
     """
     document, n = certificate.document, len(certificate.document.low)
-    file = file._replace(measurement_std=tuple(document.noise.tolist())) if document.noise.all() else file
-    if not (certificate.statement.proved and tells_noise(file)):
+    if not certificate.statement.proved:
         return {}, ""
-    sheet, rate, omega = data_sheet(file), float(1 / document.interval[1]), document.omega.max()
     rule, stds, time = observer_gains(sheet, rate), sheet.stds(n).tolist(), sheet.white_time(rate)
+    steady, omega = rule.beta**0.5, document.omega.max()
     density = 2 * sheet.acceleration_std**2 * time
     # The steady Kalman filter of a channel has the gains of the rule for its own noise, to 1e-7 up to ωh = 1.
     kalman = [gains(std, rate, sheet.acceleration_std, sheet.correlation_time)[:2] for std in stds]
@@ -88,12 +96,14 @@ def _compare_noise(file: ModelFile, certificate: GlobalCertificate) -> tuple[dic
     errors = {name: list(map(error, each, stds)) for name, each in pairs.items()}
     each = "; ".join(f"{name} {', '.join(f'{std:.3g}' for std in stds)}" for name, stds in errors.items())
     text = f"Steady errors of velocities [unit/s]: {each}. Noise grows with ω^1.5. The gain rule of `intrinsic` has "
-    if rule.beta > omega**2:
+    if steady > omega * (1 + 1e-9):
         text += f"alpha = {rule.alpha:.4g} and beta = {rule.beta:.4g}: prove these, and the proof is free."
         return errors, text
+    if steady > omega * (1 - 1e-9):
+        return errors, f"{text}the same ω, more than a proof needs: it is free."
     # The rule has this ω where the density of accelerations is ω⁴ times that of the noise.
     missing = omega**2 * sheet.measurement_std / (2 * time * rate) ** 0.5
-    text += f"ω = {rule.beta**0.5:.4g} 1/s. The proof is worth it if estimates start far off, and free if "
+    text += f"ω = {steady:.4g} 1/s. The proof is worth it if estimates start far off, and free if "
     return errors, f"{text}the model lacks accelerations of {missing:.3g}, not of {sheet.acceleration_std:.3g}."
 
 
