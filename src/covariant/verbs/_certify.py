@@ -16,7 +16,7 @@ from covariant._names import unknown
 from covariant.certificates import Attempt, CheckerName, ContractionCertificate, LostRows
 from covariant.models import ModelFile, Overrides, input_count
 from covariant.observers import OBSERVER_NAMES
-from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, given_gains, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
 from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
@@ -51,8 +51,8 @@ def certify(
     error: Amounts | None = None,
     region: Region | None = None,
     observer: str | None = None,
-    alpha: float | None = None,
-    beta: float | None = None,
+    alpha: Amounts | None = None,
+    beta: Amounts | None = None,
     sampling: float | None = None,
     input: Amounts | None = None,
     times: Sequence[float] | None = None,
@@ -92,7 +92,7 @@ def certify(
         observer: "intrinsic" (default with an `error`) or "geodesic"; or "measured-coefficients" (default without an
             `error`), without `times`, `q`, `input`, `find`, in one process, and with a checker of files alone.
         alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file, for all
-            first errors the least that are proved.
+            first errors the least that are proved. There it may be one for each coordinate.
         beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
         input: Bound of the inputs, one for all or one each, 0 by default; ends in `region` come first. An input that
@@ -139,7 +139,7 @@ def certify(
         )
     if observer is not None and observer not in OBSERVERS:
         raise InputError(unknown("observer", observer, OBSERVERS, OBSERVER_NAMES))
-    pair = gain_pair(alpha, beta)
+    pair = given_gains(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
     file = _read(model, name, overrides)

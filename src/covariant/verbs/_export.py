@@ -10,11 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import certificates, codegen, models
+from covariant.certificates.everywhere import GlobalCertificate
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, SMOOTHED, AbstractObserver, Delayed, FixedLag, Gated, Unwrapped
-from covariant.verbs.base.arguments import above_zero, gain_pair
+from covariant.verbs.base.arguments import Amounts, above_zero, given_gains
 from covariant.verbs.base.design import Design, design
 from covariant.verbs.base.exported_program import exported_program, open_family
+from covariant.verbs.base.globally import GLOBALLY
 from covariant.verbs.base.inputs import Job, Loaded, densest_rate, describe_inputs, load, with_acting_inputs
 from covariant.verbs.base.kinds import kind_of
 from covariant.verbs.base.progress import Progress, notebook_line
@@ -37,8 +39,9 @@ def export(
     *,
     rate: float,
     observer: str | None = None,
-    alpha: float | None = None,
-    beta: float | None = None,
+    alpha: Amounts | None = None,
+    beta: Amounts | None = None,
+    speed: Amounts | None = None,
     real: str = "double",
     name: str | None = None,
     parameters: Sequence[str] | None = None,
@@ -71,7 +74,7 @@ def export(
         out: The folder to write, or a unit for simulators where it ends in .fmu, or the file of a robot.
         rate: Sampling rate [Hz] that the observer is made for, or steps in a second of a robot's simulation.
         observer: Name of the observer; by default the first that fits the model.
-        alpha, beta: As for `estimate`.
+        alpha, beta, speed: As for `estimate`.
         real: Type of all numbers in C, "double" or "float".
         name: What all names in C begin with; that of the model by default.
         parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
@@ -112,12 +115,19 @@ def export(
     out = Path(out)
     above_zero("rate", rate)
     if out.suffix in FORMATS:
-        options = {"observer": observer, "alpha": alpha, "beta": beta, "real": real != REALS[0], "name": name}
-        options |= {"parameters": parameters, "certificate": certificate, "metric": metric, "fmi": fmi, "lag": lag}
+        options = {"observer": observer, "alpha": alpha, "beta": beta, "speed": speed, "name": name}
+        options |= {
+            "real": real != REALS[0],
+            "parameters": parameters,
+            "certificate": certificate,
+            "metric": metric,
+            "fmi": fmi,
+            "lag": lag,
+        }
         options |= {"step_per_sensor": step_per_sensor, "python": python, "wasm": wasm, "ros2": ros2}
         return write_robot(model, out, rate, overwrite, overrides, options | {"gate": not gate, "log": log})
     codegen.check_export(out, overwrite)
-    gains, unit = gain_pair(alpha, beta), out.suffix == ".fmu"
+    gains, unit = given_gains(alpha, beta, speed), out.suffix == ".fmu"
     packages = [name for name, wanted in (("python", python), ("wasm", wasm), ("ros2", ros2)) if wanted]
     _check(real, fmi, unit, step_per_sensor, packages)
     if name is not None:  # before the work
@@ -333,15 +343,16 @@ def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> Fix
 
 
 class _Proof(NamedTuple):
-    """A verified certificate of the observer, and its statement as lines."""
+    """A verified certificate of the observer, None for one of all first errors, and its statement as lines."""
 
-    certificate: certificates.ContractionCertificate
+    certificate: certificates.ContractionCertificate | None
     statement: str
 
     @property
     def substeps(self) -> int | None:
         """Number of Runge–Kutta steps in each prediction that is proved; None if the observer chooses it."""
-        return None if self.certificate.sampling is None else self.certificate.sampling.substeps
+        sampling = None if self.certificate is None else self.certificate.sampling
+        return None if sampling is None else sampling.substeps
 
     def proved(self, observer: Any) -> AbstractObserver:
         """The observer as its proof has it: the substeps of a prediction, and constant gains from the start on."""
@@ -357,7 +368,7 @@ class _Proof(NamedTuple):
         self, runs: AbstractObserver, whole: AbstractObserver, real: str
     ) -> tuple[AbstractObserver, str, str, str]:
         """The observer with a proved bound, a sentence on its start, the whole statement, and why there is no bound."""
-        if self.certificate.sampling is None:
+        if self.certificate is None or self.certificate.sampling is None:
             return whole, "", self.statement, ""
         if self.is_bound(real) and whole is runs:
             bounded = self.certificate.bounded(runs, radius=self.certificate.radius)
@@ -386,13 +397,17 @@ def _describe_start(certificate: certificates.ContractionCertificate) -> str:
 
 def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: Design, rate: float) -> _Proof:
     """Check a saved certificate of this observer; raises `ValueError`."""
-    document, name = certificates.parse(path), models.spec_name(model)
+    everywhere, name = GlobalCertificate.saved(path), models.spec_name(model)
+    document: Any = everywhere or certificates.parse(path)
     if not isinstance(model, str | os.PathLike) or document.recipe != (recipe := models.recipe(name, overrides)):
         raise InputError(f"{path}: the certificate is for another model, or other numbers, than {name}")
-    if (kind := document.observer["kind"]) != designed.name:
+    if (kind := GLOBALLY if everywhere else document.observer["kind"]) != designed.name:
         raise InputError(f"{path}: the certificate is for the observer {kind}, not for {designed.name}")
-    certificates.check_observer(document._replace(recipe=recipe), designed.inner)
-    sampling = document.sampling
+    if everywhere is None:
+        certificates.check_observer(document._replace(recipe=recipe), designed.inner)
+    elif not everywhere.is_of(designed.inner):
+        raise InputError(f"{path}: the certificate is for other gains; give those of its [design] in the model file")
+    sampling = everywhere or document.sampling
     time = "in continuous time" if sampling is None else "with sampled measurements"
     if sampling is not None:
         shortest, longest = sampling.interval.tolist()
@@ -403,7 +418,9 @@ def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: 
             )
     # Code that is trusted: the exported model was just built with it.
     attribute = (document.recipe or {}).get("attribute")
-    checked = certificates.check(document, model=attribute)
+    checked: Any = certificates.check_globally(path, model=attribute)
+    if checked is None:
+        checked = certificates.check(document, model=attribute)
     lines = [
         f"All {checked.leaves} leaves of `{path.name}` were verified when this was written. It is about the observer "
         f"{time}, with the default numbers:",
@@ -412,6 +429,8 @@ def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: 
     ]
     if designed.inner is not designed.observer:
         lines += ["", beyond_proof(0 if sampling is None else sampling.lost)]
+    if everywhere is not None:
+        return _Proof(None, "\n".join(lines))
     certificate = certificates.ContractionCertificate.load(path, model=attribute)
     return _Proof(certificate._replace(verified=True), "\n".join(lines))
 
@@ -426,8 +445,13 @@ def beyond_proof(lost: int) -> str:
     )
 
 
-def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
+def _plain(designed: Design, gains: tuple[Any, ...] | None) -> str:
     """How an observer was designed, in characters that stand in a comment of C."""
-    if gains is None and _ENTRIES[designed.name].tuned_by not in ("gains", "gains and force", "state noise"):
+    if gains is None and _ENTRIES[designed.name].tuned_by not in (
+        "gains",
+        "gains and force",
+        "gains and speed",
+        "state noise",
+    ):
         return "Tuned from its data sheet."  # the note is on gains that it does not have
     return designed.notes.replace("²", "^2").replace("±", "+-")

@@ -9,6 +9,7 @@ Source: an addition; Boyd, Kim, Vandenberghe & Hassibi 2007, A tutorial on geome
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
 from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling, compare_connections
-from covariant.certificates.everywhere._document import GlobalDocument, need_covered, statement_of
+from covariant.certificates.everywhere._document import GlobalDocument, need_covered, read_document, statement_of
 from covariant.certificates.proving import friction_bounds, friction_on
 from covariant.models import MechanicalSystem
 from covariant.observers import MeasuredCoefficients
@@ -66,6 +67,11 @@ class GlobalCertificate(NamedTuple):
     observer: MeasuredCoefficients
     document: GlobalDocument
     proof: Proof
+
+    @staticmethod
+    def saved(path: str | Path) -> GlobalDocument | None:
+        """Read the numbers of a saved certificate, which are not checked; None for one of another kind."""
+        return read_document(path)
 
     def velocity_noise(self, std: ArrayLike) -> Float[np.ndarray, "n"]:
         """Standard deviations (n,) of the velocities by independent encoder noise, of linear channels.

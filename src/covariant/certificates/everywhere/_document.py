@@ -40,6 +40,7 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.everywhere._channel import Channel
 from covariant.models import MechanicalSystem, recipe_text
+from covariant.observers import MeasuredCoefficients
 from scalargraph import enclose, lower
 from scalargraph.errors import InputError
 from scalargraph.proofs import LETTERS, digest, parse_file, read_file, saved_levels
@@ -117,6 +118,16 @@ class GlobalDocument(NamedTuple):
     def omega(self) -> Float[np.ndarray, "n"]:
         """ω (n,) [1/s]."""
         return np.sqrt(self.beta)
+
+    @property
+    def settings(self) -> tuple[Float[np.ndarray, "n"], ...]:
+        """The observer's gains α and β and the speeds to which it clips, (n,) each."""
+        return self.alpha, self.beta, self.velocity
+
+    def is_of(self, observer: MeasuredCoefficients) -> bool:
+        """Whether an observer has these gains and clips to these speeds, to the last digit."""
+        pairs = zip(self.settings, (observer.alpha, observer.beta, observer.speed), strict=True)
+        return all(np.array_equal(own, np.broadcast_to(np.asarray(other), own.shape)) for own, other in pairs)
 
     @property
     def force(self) -> Float[np.ndarray, "n"]:

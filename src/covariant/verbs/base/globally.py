@@ -21,6 +21,14 @@ from scalargraph.errors import InputError
 
 GLOBALLY = "measured-coefficients"
 """The observer whose certificate is about all first errors."""
+SETTINGS = """In a model file, the observer that is proved, for `estimate`, `compare` and `export`:
+
+[design]
+observer = "measured-coefficients"
+alpha = {}
+beta = {}
+speed = {}
+"""
 INTERVAL = 0.001
 """Time between samples [s] where none is given."""
 
@@ -28,7 +36,7 @@ INTERVAL = 0.001
 def certify_globally(
     name: str,
     file: ModelFile,
-    gains: tuple[float, float] | None,
+    gains: tuple[Any, ...] | None,
     region: Region | None,
     progress: Progress,
     without: dict[str, Any],
@@ -150,6 +158,7 @@ class GlobalResult(AbstractResult):
             for name, omega, noise in (rows if self.holds else ())
         ]
         lines += [self.note] if self.note else []
+        lines += [SETTINGS.format(*map(np.ndarray.tolist, cert.document.settings))] if self.holds else []
         return "\n".join([*lines, f"{cert.proof.boxes} boxes, {cert.proof.seconds:.1f} s"])
 
     def _write(self, path: Path) -> None:

@@ -1,0 +1,91 @@
+"""Gains of each coordinate and a bound of speeds, as `certify` finds them, in the other verbs."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+import covariant
+from covariant import models
+from covariant.calibration import tuned_estimators
+from covariant.observers import run
+from covariant.verbs.base.sheet import data_sheet
+
+ARM = "pendulum_chain"
+NAME = "measured-coefficients"
+NOISE = {"measurement.std": 1e-4, "uncertainty.acceleration": 1.0}
+
+
+@pytest.fixture(scope="module")
+def proved():
+    return covariant.certify(ARM, velocity=1.0, jerk=1.0)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return covariant.simulate(ARM, duration=0.4, q0=[0.1, -0.1], noise=1e-4).record
+
+
+@pytest.fixture
+def file(proved, tmp_path):
+    """A model file with the settings that `certify` prints."""
+    settings = str(proved).partition("[design]")[2].partition("\n\n")[0]
+    path = tmp_path / "arm.toml"
+    path.write_text(f'system = "{ARM}"\n[design]{settings}\n')
+    return path
+
+
+def options(proved):
+    return dict(
+        zip(("alpha", "beta", "speed"), (each.tolist() for each in proved.certificate.document.settings), strict=True)
+    )
+
+
+def test_settings_that_are_printed_are_the_observer_that_is_proved(proved, log, file):
+    expected = run(proved.certificate.observer, log).estimate
+    for estimates in (covariant.estimate(file, log), covariant.estimate(ARM, log, **options(proved))):
+        assert estimates.observer_name == NAME
+        np.testing.assert_allclose(estimates.run.estimate, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler, `cc`")
+def test_they_are_so_in_c(proved, log, file):
+    expected = run(proved.certificate.observer, log).estimate
+    np.testing.assert_allclose(covariant.estimate(file, log, engine="c").run.estimate, expected, rtol=0, atol=1e-12)
+
+
+def test_the_comparison_tunes_them_so(proved, file):
+    loaded = models.load(file, NOISE)
+    tuned = tuned_estimators(loaded.model, 2, data_sheet(loaded), 1000.0, names=(NAME,))[NAME]
+    for name, number in options(proved).items():
+        np.testing.assert_array_equal(getattr(tuned, name), number)
+
+
+def test_the_certificate_is_a_part_of_the_export(proved, file, tmp_path):
+    path = proved.save(tmp_path / "arm.json")
+    made = covariant.export(file, tmp_path / "c", rate=1000.0, certificate=path)
+    assert "from every first error" in (tmp_path / "c" / "DATASHEET.md").read_text()
+    np.testing.assert_array_equal(made.program.numbers["alpha"], proved.certificate.document.alpha)
+    for settings, message in (
+        ({"rate": 500.0}, "samples 0.001 to 0.001 s apart"),
+        ({"rate": 1000.0, "alpha": 20.0, "beta": 200.0, "observer": NAME}, "is for other gains"),
+        ({"rate": 1000.0, "alpha": 20.0, "beta": 200.0}, "not for intrinsic"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            covariant.export(file, tmp_path / "other", certificate=path, **settings)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"alpha": [20.0, 30.0], "beta": 200.0, "observer": "intrinsic"}, f"they do to {NAME}"),
+        ({"alpha": 20.0, "beta": 200.0, "speed": 1.0, "observer": "geodesic"}, f"they do to {NAME}"),
+        ({"alpha": [20.0, 30.0, 40.0], "beta": 200.0}, "2 finite numbers"),
+        ({"alpha": [20.0, -30.0], "beta": 200.0}, "positive numbers"),
+        ({"speed": 1.0}, "belongs to `alpha` and `beta`"),
+        ({"overrides": {"design.alpha": 20.0}, "observer": NAME}, "belong together"),
+    ],
+)
+def test_gains_that_do_not_fit_are_refused(log, given, message):
+    with pytest.raises(ValueError, match=message):
+        covariant.estimate(ARM, log, **given)
