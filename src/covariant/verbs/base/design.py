@@ -183,7 +183,8 @@ def _observers_with(file: ModelFile, gains: tuple[Any, ...]) -> dict[str, Abstra
 def default_observer(file: ModelFile, gains: tuple[Any, ...] | None = None) -> str:
     """Name of the observer of a model file where none is asked for: that which it chooses, or one that learns a force.
 
-    With given gains it is the first that takes them. A natural frequency without a rate at which a force is learnt is that of an observer without a force.
+    With given gains it is the first that takes them. A natural frequency without a rate at which a force is learnt is
+    that of an observer without a force.
     """
     told = file.force_rate
     if told is None and file.natural_frequency is None:

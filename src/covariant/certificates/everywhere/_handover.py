@@ -1,0 +1,198 @@
+"""Unites an observer that is proved to converge from all first errors with a sharper one near the truth.
+
+Both observers take all measurements. After each complete measurement the error x of the proved one satisfies, in the
+norm of its certificate,
+
+    |x⁺| ≤ b⁺ = e^(−μτ) b + (1 − e^(−μτ)) r,   and   |x⁺| ≤ |(ω(|q̂ − y| + n), |v̂| + V)|,
+
+the second by the measurement and the bound V of the true speeds alone. So b is known from the first sample on, and
+again from the first sample after a premise failed: a time for which nothing is proved, or an estimate that is farther
+from the measurement, or faster than V, than b allows. If b is below a level d, the sharper observer starts at the
+estimate of the proved one and is reported, for as long as the two are at most b + d apart. By the triangle inequality
+the reported error is at most b plus this distance, whatever the sharper observer does.
+
+Each return because of the distance halves d, so that between two of them b falls to half: they are at least ln 2/μ
+apart on average, beside those after failed premises, and in finite number if r > 0.
+
+Source: Astolfi, Postoyan & Nešić 2017, Uniting local and global observers for the state estimation of nonlinear
+continuous-time systems, IEEE CDC; Hespanha & Morse 1999, Stability of switched systems with average dwell-time.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from covariant._typing import Code, Number, Scalar, Vector
+from covariant.models import MechanicalSystem, Motion
+from covariant.observers import AbstractObserver, MeasuredCoefficients, with_velocity, without_last_input
+from covariant.observers.base import check_whole, time_since_measurement
+from covariant.signals import StepCode
+from scalargraph.errors import InputError
+
+ROUND = 1e-9
+"""Margin for rounding, relative to a bound, and as a fraction of the first bound the least one."""
+
+
+class HandoverState(NamedTuple):
+    """State of a `Handover`.
+
+    Attributes:
+        inner: state of the proved observer.
+        sharp: state of the sharper one.
+        bound: bound b of the proved observer's error after the last complete measurement.
+        level: d, below which b has to be.
+        holds: 1 while the sharper estimate is reported, else 0.
+        last_input: the last finite input (m,).
+    """
+
+    inner: Any
+    sharp: Any
+    bound: Scalar
+    level: Scalar
+    holds: Scalar
+    last_input: Float[Array, "m"] | None = None
+
+
+class HandoverInfo(NamedTuple):
+    """Diagnostics of a step of a `Handover`.
+
+    Attributes:
+        innovation: innovation (n,) of the estimate that was reported before.
+        distance: its length in the metric of the model.
+        position_bound: bound (n,) of the error of each reported position, infinite without a complete measurement.
+        velocity_bound: the same of each velocity.
+        holds: whether the sharper estimate is reported.
+        result: a `StepCode` code of the reported observer.
+    """
+
+    innovation: Vector
+    distance: Scalar
+    position_bound: Vector
+    velocity_bound: Vector
+    holds: Scalar
+    result: Code
+
+
+class Handover(AbstractObserver):
+    """A proved observer that hands over to a sharper one near the truth, with a proved bound of what is reported.
+
+    Attributes:
+        observer: the proved observer.
+        sharp: the sharper observer, such as `Intrinsic`, or a Kalman filter behind its gate.
+        matrices: P/w² (n, 2, 2) of the certificate's norm.
+        reach: bounds (2, n) of the errors of positions and velocities at a norm of 1.
+        noise: bounds (n,) of the errors of measurements.
+        ages: least and largest ages (p, 2) of a measurement at the next one.
+        rate: μ [1/s].
+        radius: r.
+        level: d at the start.
+    """
+
+    observer: MeasuredCoefficients
+    sharp: Any
+    matrices: Array
+    reach: Array
+    noise: Array
+    ages: Array
+    rate: float
+    radius: float
+    level: float
+
+    def __check_init__(self):
+        check_whole("hand_over", self.sharp)
+        own, other = self.model, getattr(self.sharp, "model", None)
+        if other is None or other.coordinates != own.coordinates or self.sharp.sensors:
+            raise InputError(
+                "hand_over: the sharper observer must be one of the same coordinates, without more sensors"
+            )
+
+    fixed_numbers = True
+
+    @property
+    def model(self) -> MechanicalSystem:
+        """The mechanical system of the proved observer."""
+        return self.observer.model
+
+    def init(self, y: Array, t: Number = 0.0) -> HandoverState:
+        first = self.observer.init(y, t)
+        inner = without_last_input(first)
+        zero = jnp.zeros_like(inner.t)
+        level = jnp.asarray(self.level, zero.dtype)
+        return HandoverState(inner, self._start(inner), self._by_data(inner), level, zero, first.last_input)
+
+    def estimate(self, state: HandoverState) -> Any:
+        sharp, own = self.sharp.estimate(state.sharp), self.observer.estimate(state.inner)
+        return jnp.where(state.holds > 0, sharp, own)
+
+    def predict(self, state: HandoverState, u: Float[Array, "m"], dt: Scalar) -> HandoverState:
+        inner, sharp = self.observer.predict(state.inner, u, dt), self.sharp.predict(state.sharp, u, dt)
+        return state._replace(inner=inner, sharp=sharp)
+
+    def innovation(self, state: HandoverState, u: Float[Array, "m"], y: Array) -> Vector:
+        innovations = self.sharp.innovation(state.sharp, u, y), self.observer.innovation(state.inner, u, y)
+        return jnp.where(state.holds > 0, *innovations)
+
+    def correct(self, state: HandoverState, u: Float[Array, "m"], y: Array) -> tuple[HandoverState, HandoverInfo]:
+        inner, info = self.observer.correct(state.inner, u, y)
+        sharp, sharp_info = self.sharp.correct(state.sharp, u, y)
+        missing = self.model.manifold.missing(y)
+        complete = ~jnp.any(missing)
+        followed, confirmed = self._followed(state, inner)
+        by_data = self._by_data(inner)
+        now = jnp.where(confirmed, jnp.minimum(followed, by_data), by_data)
+        apart = self._apart(inner, sharp)
+        held = state.holds > 0
+        near = (apart <= now + state.level) & (sharp_info.result < int(StepCode.NOT_FINITE))
+        # A row without any measurement changes nothing; one with some of them leaves nothing known.
+        holds = held & jnp.where(complete, confirmed & near, jnp.all(missing))
+        failed = held & complete & confirmed & ~near
+        takes = complete & confirmed & ~held & (now <= state.level)
+        start = self._start(inner)
+        sharp = jax.tree.map(lambda new, old: jnp.where(holds, new, old), sharp, start)
+        bound = jnp.where(complete, now, jnp.where(jnp.all(missing), state.bound, jnp.inf))
+        level = jnp.where(failed, state.level / 2, state.level)
+        reported = jnp.where(complete, now + jnp.where(holds, apart, 0.0), jnp.inf) * self.reach
+        of_both = jnp.where(held, sharp_info.innovation, info.innovation)
+        distance = self.model.space.norm(self.model.motion(self.estimate(state)).q, of_both)
+        result = jnp.where(holds, sharp_info.result, info.result).astype(info.result.dtype)
+        after = HandoverState(inner, sharp, bound, level, (holds | takes).astype(level.dtype), state.last_input)
+        return after, HandoverInfo(of_both, distance, reported[0], reported[1], after.holds, result)
+
+    def _start(self, inner: Any) -> Any:
+        """The state of the sharper observer at the estimate of the proved one."""
+        return without_last_input(with_velocity(self.sharp.init(inner.q, inner.t), inner.v))
+
+    def _followed(self, state: HandoverState, inner: Any) -> tuple[Scalar, Array]:
+        """The bound that follows from the one before, and whether the measurement confirms it."""
+        age = time_since_measurement(state.inner)
+        kept = jnp.exp(-self.rate * age)
+        bound = jnp.maximum((kept * state.bound + (1 - kept) * self.radius) * (1 + ROUND), ROUND * self._first())
+        known = jnp.any((self.ages[:, 0] <= age) & (age <= self.ages[:, 1]))
+        position, velocity = bound * self.reach
+        near = jnp.abs(inner.q - inner.seen) <= position + self.noise
+        return bound, known & jnp.all(near & (jnp.abs(inner.v) <= velocity + self.observer.speed))
+
+    def _by_data(self, inner: Any) -> Scalar:
+        """The bound that follows from the measurement alone, for the largest true speeds."""
+        return self._corner(jnp.abs(inner.q - inner.seen) + self.noise, jnp.abs(inner.v) + self.observer.speed)
+
+    def _first(self) -> Scalar:
+        """The bound at rest at the first measurement."""
+        return self._corner(self.noise, jnp.broadcast_to(self.observer.speed, self.noise.shape))
+
+    def _corner(self, position: Vector, velocity: Vector) -> Scalar:
+        """Largest norm of errors up to these (n,) in size."""
+        return jnp.sqrt(self._square(jnp.abs(self.matrices), position, velocity)) * (1 + ROUND)
+
+    def _apart(self, inner: Any, sharp: Any) -> Scalar:
+        """Norm of the difference of the two estimates."""
+        q, v = self.model.motion(self.sharp.estimate(sharp))
+        return jnp.sqrt(self._square(self.matrices, self.model.manifold.towards(inner.q, q), v - inner.v))
+
+    def _square(self, matrices: Array, position: Vector, velocity: Vector) -> Scalar:
+        first, second = jnp.sqrt(self.observer.beta) * position, velocity
+        terms = matrices[:, 0, 0] * first**2 + 2 * matrices[:, 0, 1] * first * second + matrices[:, 1, 1] * second**2
+        return jnp.sum(terms)
