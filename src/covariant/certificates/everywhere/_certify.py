@@ -118,8 +118,8 @@ class GlobalCertificate(NamedTuple):
                 f"hand_over: velocities are only proved to be within {left} in the end; give larger errors"
             )
         matrices = document.metrics / document.weights[:, None, None] ** 2
-        numbers = map(jnp.asarray, (matrices, reach, document.noise, document.ages))
-        return Handover(self.observer, sharp, *numbers, document.rate, radius, level)
+        numbers = matrices, reach, document.noise, document.ages, document.rate, radius, level
+        return Handover(self.observer, sharp, *map(jnp.asarray, numbers))
 
     def velocity_noise(self, std: ArrayLike) -> Float[np.ndarray, "n"]:
         """Standard deviations (n,) of the velocities by independent encoder noise, of linear channels.

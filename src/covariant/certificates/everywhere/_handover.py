@@ -7,9 +7,10 @@ norm of its certificate,
 
 the second by the measurement and the bound V of the true speeds alone. So b is known from the first sample on, and
 again from the first sample after a premise failed: a time for which nothing is proved, or an estimate that is farther
-from the measurement, or faster than V, than b allows. If b is below a level d, the sharper observer starts at the
-estimate of the proved one and is reported, for as long as the two are at most b + d apart. By the triangle inequality
-the reported error is at most b plus this distance, whatever the sharper observer does.
+from the measurement, or faster than V, than b allows. If b falls below a level d, the sharper observer is reported for
+as long as the two are at most b + d apart; if it is farther away at that time, it starts anew at the estimate of the
+proved one. By the triangle inequality the reported error is at most b plus the distance of the two, whatever the
+sharper observer does.
 
 Each return because of the distance halves d, so that between two of them b falls to half: they are at least ln 2/μ
 apart on average, beside those after failed premises, and in finite number if r > 0.
@@ -22,11 +23,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from covariant._typing import Code, Number, Scalar, Vector
-from covariant.models import MechanicalSystem, Motion
+from covariant.models import MechanicalSystem
 from covariant.observers import AbstractObserver, MeasuredCoefficients, with_velocity, without_last_input
 from covariant.observers.base import check_whole, time_since_measurement
 from covariant.signals import StepCode
@@ -97,9 +97,9 @@ class Handover(AbstractObserver):
     reach: Array
     noise: Array
     ages: Array
-    rate: float
-    radius: float
-    level: float
+    rate: Array
+    radius: Array
+    level: Array
 
     def __check_init__(self):
         check_whole("hand_over", self.sharp)
@@ -118,10 +118,10 @@ class Handover(AbstractObserver):
 
     def init(self, y: Array, t: Number = 0.0) -> HandoverState:
         first = self.observer.init(y, t)
-        inner = without_last_input(first)
-        zero = jnp.zeros_like(inner.t)
-        level = jnp.asarray(self.level, zero.dtype)
-        return HandoverState(inner, self._start(inner), self._by_data(inner), level, zero, first.last_input)
+        inner, zero = without_last_input(first), jnp.zeros_like(self.level)
+        if inner.q.dtype != zero.dtype:
+            raise InputError(f"hand_over: its bounds are about doubles; got measurements of type {inner.q.dtype}")
+        return HandoverState(inner, self._start(inner), self._by_data(inner), self.level, zero, first.last_input)
 
     def estimate(self, state: HandoverState) -> Any:
         sharp, own = self.sharp.estimate(state.sharp), self.observer.estimate(state.inner)
@@ -139,27 +139,28 @@ class Handover(AbstractObserver):
         inner, info = self.observer.correct(state.inner, u, y)
         sharp, sharp_info = self.sharp.correct(state.sharp, u, y)
         missing = self.model.manifold.missing(y)
-        complete = ~jnp.any(missing)
+        complete, lost = ~jnp.any(missing), jnp.all(missing)
         followed, confirmed = self._followed(state, inner)
         by_data = self._by_data(inner)
         now = jnp.where(confirmed, jnp.minimum(followed, by_data), by_data)
         apart = self._apart(inner, sharp)
-        held = state.holds > 0
-        near = (apart <= now + state.level) & (sharp_info.result < int(StepCode.NOT_FINITE))
-        # A row without any measurement changes nothing; one with some of them leaves nothing known.
-        holds = held & jnp.where(complete, confirmed & near, jnp.all(missing))
-        failed = held & complete & confirmed & ~near
-        takes = complete & confirmed & ~held & (now <= state.level)
-        start = self._start(inner)
-        sharp = jax.tree.map(lambda new, old: jnp.where(holds, new, old), sharp, start)
-        bound = jnp.where(complete, now, jnp.where(jnp.all(missing), state.bound, jnp.inf))
-        level = jnp.where(failed, state.level / 2, state.level)
-        reported = jnp.where(complete, now + jnp.where(holds, apart, 0.0), jnp.inf) * self.reach
-        of_both = jnp.where(held, sharp_info.innovation, info.innovation)
-        distance = self.model.space.norm(self.model.motion(self.estimate(state)).q, of_both)
-        result = jnp.where(holds, sharp_info.result, info.result).astype(info.result.dtype)
-        after = HandoverState(inner, sharp, bound, level, (holds | takes).astype(level.dtype), state.last_input)
-        return after, HandoverInfo(of_both, distance, reported[0], reported[1], after.holds, result)
+        valid = jnp.isfinite(apart) & (sharp_info.result < int(StepCode.NOT_FINITE))
+        near, held = valid & (apart <= now + state.level), state.holds > 0
+        # A row without any measurement changes nothing; of one with some of them nothing is known.
+        stays = held & jnp.where(complete, confirmed & near, lost & valid)
+        holds = stays | (complete & confirmed & ~held & (now <= state.level))
+        # Until then the sharper observer runs on its own, and keeps what it has learnt unless it is lost.
+        anew = ~valid | (holds & ~stays & ~near)
+        sharp = jax.tree.map(lambda start, new: jnp.where(anew, start, new), self._start(inner), sharp)
+        level = jnp.where(held & complete & confirmed & ~near, state.level / 2, state.level)
+        bound = jnp.where(complete, now, jnp.where(lost, state.bound, jnp.inf))
+        as_it_is = holds & ~anew
+        reported = jnp.where(complete, now + jnp.where(as_it_is, apart, 0.0), jnp.inf) * self.reach
+        innovation = jnp.where(held, sharp_info.innovation, info.innovation)
+        distance = self.model.space.norm(self.model.motion(self.estimate(state)).q, innovation)
+        result = jnp.where(as_it_is, sharp_info.result, info.result).astype(info.result.dtype)
+        after = HandoverState(inner, sharp, bound, level, holds.astype(level.dtype), state.last_input)
+        return after, HandoverInfo(innovation, distance, reported[0], reported[1], after.holds, result)
 
     def _start(self, inner: Any) -> Any:
         """The state of the sharper observer at the estimate of the proved one."""
