@@ -55,7 +55,7 @@ def test_negative_bounds_and_single_gains_are_refused():
     assert arguments.given_gains(2.0, 3.0) == (2.0, 3.0)
     alpha, beta, speed = arguments.given_gains([2.0, 3.0], [4.0], 5.0)
     assert (alpha.tolist(), beta, speed) == ([2.0, 3.0], 4.0, 5.0)
-    with pytest.raises(ValueError, match="`speed` belongs"):
+    with pytest.raises(ValueError, match="`speed` with them"):
         arguments.given_gains(None, None, 1.0)
     for pair, message in (((1.0, None), "belong together"), ((-1.0, 1.0), "positive"), ((1.0, math.inf), "positive")):
         with pytest.raises(ValueError, match=message):

@@ -148,15 +148,13 @@ def certify(
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
     limits = _effort(boxes, seconds, processes)
     if observer == GLOBALLY:
-        within = {"error": error, "times": times, "q": q, "input": input, "find": find}
-        within |= {"checker": checker == "all"}
+        within = {"error": error, "times": times, "q": q, "input": input, "find": find, "checker": checker == "all"}
         del limits["processes"]  # it takes one, whatever the command line's default is
-        given = {"lost": lost, "recipe": recipe, **limits}
-        given["disturbed"] = {"noise": noise, "disturbance": disturbance, "jerk": jerk}
+        disturbed = {"noise": noise, "disturbance": disturbance, "jerk": jerk}
         every = None if sampling is None else (1 / above_zero("sampling", sampling),) * 2
-        period = every if interval is None else tuple(interval)
-        given |= {"rate": rate, "interval": period, "velocity": velocity}
-        return certify_globally(name, file, pair, region, progress, within, **given)
+        limits |= {"lost": lost, "rate": rate, "interval": every if interval is None else tuple(interval)}
+        about = {"recipe": recipe, "velocity": velocity, "disturbed": disturbed}
+        return certify_globally(name, file, pair, region, progress, within, **about, **limits)
     if error is None:
         raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
     if np.any(jerk):

@@ -109,17 +109,18 @@ class GlobalCertificate(NamedTuple):
         document = self.document
         if not self.statement.proved:
             raise InputError("hand_over: nothing is proved")
-        reach, radius = np.stack(document.reach), document.radius()
-        levels = [np.min(np.asarray(each) / unit) for each, unit in zip((position, velocity), reach, strict=True)]
-        level = float(min(levels))
+        reach, radius = document.reach, document.radius()
+        level = min(np.min(np.asarray(each) / unit) for each, unit in zip((position, velocity), reach, strict=True))
         if not radius < level:
             left = ", ".join(f"{each:.3g}" for each in reach[1] * radius)
             raise InputError(
                 f"hand_over: velocities are only proved to be within {left} in the end; give larger errors"
             )
-        matrices = document.metrics / document.weights[:, None, None] ** 2
-        numbers = matrices, reach, document.noise, document.ages, document.rate, radius, level
-        return Handover(self.observer, sharp, *map(jnp.asarray, numbers))
+        scale = np.stack([document.omega, np.ones_like(document.omega)]) / document.weights
+        form = np.einsum("ai,iab,bi,ij->aibj", scale, document.metrics, scale, np.eye(len(scale.T)))
+        limits = np.concatenate([document.noise, document.velocity])
+        numbers = form.reshape(limits.size, -1), np.concatenate(reach), limits, document.ages, document.rate
+        return Handover(self.observer, sharp, *map(jnp.asarray, (*numbers, radius, level)))
 
     def velocity_noise(self, std: ArrayLike) -> Float[np.ndarray, "n"]:
         """Standard deviations (n,) of the velocities by independent encoder noise, of linear channels.

@@ -120,14 +120,13 @@ class GlobalDocument(NamedTuple):
         return np.sqrt(self.beta)
 
     @property
-    def settings(self) -> tuple[Float[np.ndarray, "n"], ...]:
-        """The observer's gains α and β and the speeds to which it clips, (n,) each."""
-        return self.alpha, self.beta, self.velocity
+    def settings(self) -> dict[str, Float[np.ndarray, "n"]]:
+        """The observer's gains α and β and the speeds to which it clips, (n,) each, as options of verbs."""
+        return {"alpha": self.alpha, "beta": self.beta, "speed": self.velocity}
 
     def is_of(self, observer: MeasuredCoefficients) -> bool:
         """Whether an observer has these gains and clips to these speeds, to the last digit."""
-        pairs = zip(self.settings, (observer.alpha, observer.beta, observer.speed), strict=True)
-        return all(np.array_equal(own, np.broadcast_to(np.asarray(other), own.shape)) for own, other in pairs)
+        return all(np.array_equal(0 * own + getattr(observer, key), own) for key, own in self.settings.items())
 
     @property
     def force(self) -> Float[np.ndarray, "n"]:

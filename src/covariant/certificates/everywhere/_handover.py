@@ -33,7 +33,7 @@ from covariant.signals import StepCode
 from scalargraph.errors import InputError
 
 ROUND = 1e-9
-"""Margin for rounding, relative to a bound, and as a fraction of the first bound the least one."""
+"""Margin for rounding, relative to a bound, and as a fraction of the level the least bound."""
 
 
 class HandoverState(NamedTuple):
@@ -61,7 +61,6 @@ class HandoverInfo(NamedTuple):
 
     Attributes:
         innovation: innovation (n,) of the estimate that was reported before.
-        distance: its length in the metric of the model.
         position_bound: bound (n,) of the error of each reported position, infinite without a complete measurement.
         velocity_bound: the same of each velocity.
         holds: whether the sharper estimate is reported.
@@ -69,7 +68,6 @@ class HandoverInfo(NamedTuple):
     """
 
     innovation: Vector
-    distance: Scalar
     position_bound: Vector
     velocity_bound: Vector
     holds: Scalar
@@ -82,9 +80,9 @@ class Handover(AbstractObserver):
     Attributes:
         observer: the proved observer.
         sharp: the sharper observer, such as `Intrinsic`, or a Kalman filter behind its gate.
-        matrices: P/w² (n, 2, 2) of the certificate's norm.
-        reach: bounds (2, n) of the errors of positions and velocities at a norm of 1.
-        noise: bounds (n,) of the errors of measurements.
+        form: matrix (2n, 2n) of the squared norm of errors of positions and velocities.
+        reach: bounds (2n,) of these errors at a norm of 1.
+        limits: bounds (2n,) of the errors of measurements, and of the true speeds.
         ages: least and largest ages (p, 2) of a measurement at the next one.
         rate: μ [1/s].
         radius: r.
@@ -93,9 +91,9 @@ class Handover(AbstractObserver):
 
     observer: MeasuredCoefficients
     sharp: Any
-    matrices: Array
+    form: Array
     reach: Array
-    noise: Array
+    limits: Array
     ages: Array
     rate: Array
     radius: Array
@@ -105,9 +103,7 @@ class Handover(AbstractObserver):
         check_whole("hand_over", self.sharp)
         own, other = self.model, getattr(self.sharp, "model", None)
         if other is None or other.coordinates != own.coordinates or self.sharp.sensors:
-            raise InputError(
-                "hand_over: the sharper observer must be one of the same coordinates, without more sensors"
-            )
+            raise InputError("hand_over: the sharper observer must have the same coordinates, and no more sensors")
 
     fixed_numbers = True
 
@@ -131,21 +127,17 @@ class Handover(AbstractObserver):
         inner, sharp = self.observer.predict(state.inner, u, dt), self.sharp.predict(state.sharp, u, dt)
         return state._replace(inner=inner, sharp=sharp)
 
-    def innovation(self, state: HandoverState, u: Float[Array, "m"], y: Array) -> Vector:
-        innovations = self.sharp.innovation(state.sharp, u, y), self.observer.innovation(state.inner, u, y)
-        return jnp.where(state.holds > 0, *innovations)
-
     def correct(self, state: HandoverState, u: Float[Array, "m"], y: Array) -> tuple[HandoverState, HandoverInfo]:
         inner, info = self.observer.correct(state.inner, u, y)
         sharp, sharp_info = self.sharp.correct(state.sharp, u, y)
         missing = self.model.manifold.missing(y)
-        complete, lost = ~jnp.any(missing), jnp.all(missing)
-        followed, confirmed = self._followed(state, inner)
-        by_data = self._by_data(inner)
-        now = jnp.where(confirmed, jnp.minimum(followed, by_data), by_data)
+        # Nothing is known of a second measurement at the same time.
+        complete = ~jnp.any(missing) & (time_since_measurement(state.inner) > 0)
+        lost, held = jnp.all(missing), state.holds > 0
+        now, confirmed = self._bound(state, inner)
         apart = self._apart(inner, sharp)
         valid = jnp.isfinite(apart) & (sharp_info.result < int(StepCode.NOT_FINITE))
-        near, held = valid & (apart <= now + state.level), state.holds > 0
+        near = valid & (apart <= now + state.level)
         # A row without any measurement changes nothing; of one with some of them nothing is known.
         stays = held & jnp.where(complete, confirmed & near, lost & valid)
         holds = stays | (complete & confirmed & ~held & (now <= state.level))
@@ -156,44 +148,37 @@ class Handover(AbstractObserver):
         bound = jnp.where(complete, now, jnp.where(lost, state.bound, jnp.inf))
         as_it_is = holds & ~anew
         reported = jnp.where(complete, now + jnp.where(as_it_is, apart, 0.0), jnp.inf) * self.reach
-        innovation = jnp.where(held, sharp_info.innovation, info.innovation)
-        distance = self.model.space.norm(self.model.motion(self.estimate(state)).q, innovation)
         result = jnp.where(as_it_is, sharp_info.result, info.result).astype(info.result.dtype)
         after = HandoverState(inner, sharp, bound, level, holds.astype(level.dtype), state.last_input)
-        return after, HandoverInfo(innovation, distance, reported[0], reported[1], after.holds, result)
+        innovation = jnp.where(held, sharp_info.innovation, info.innovation)
+        return after, HandoverInfo(innovation, *jnp.split(reported, 2), after.holds, result)
 
     def _start(self, inner: Any) -> Any:
         """The state of the sharper observer at the estimate of the proved one."""
         return without_last_input(with_velocity(self.sharp.init(inner.q, inner.t), inner.v))
 
-    def _followed(self, state: HandoverState, inner: Any) -> tuple[Scalar, Array]:
-        """The bound that follows from the one before, and whether the measurement confirms it."""
+    def _bound(self, state: HandoverState, inner: Any) -> tuple[Scalar, Array]:
+        """The bound b after a complete measurement, and whether that confirms what followed from the one before."""
         age = time_since_measurement(state.inner)
         kept = jnp.exp(-self.rate * age)
-        bound = jnp.maximum((kept * state.bound + (1 - kept) * self.radius) * (1 + ROUND), ROUND * self._first())
+        # The least bound is far above what rounding changes.
+        followed = jnp.maximum(kept * state.bound + (1 - kept) * self.radius, ROUND * self.level) * (1 + ROUND)
         known = jnp.any((self.ages[:, 0] <= age) & (age <= self.ages[:, 1]))
-        position, velocity = bound * self.reach
-        near = jnp.abs(inner.q - inner.seen) <= position + self.noise
-        return bound, known & jnp.all(near & (jnp.abs(inner.v) <= velocity + self.observer.speed))
+        confirmed = known & jnp.all(self._seen(inner) <= followed * self.reach + self.limits)
+        by_data = self._by_data(inner)
+        return jnp.where(confirmed, jnp.minimum(followed, by_data), by_data), confirmed
+
+    def _seen(self, inner: Any) -> Vector:
+        """Sizes (2n,) of the error towards the measurement, and of the velocity."""
+        return jnp.abs(jnp.concatenate([inner.q - inner.seen, inner.v]))
 
     def _by_data(self, inner: Any) -> Scalar:
         """The bound that follows from the measurement alone, for the largest true speeds."""
-        return self._corner(jnp.abs(inner.q - inner.seen) + self.noise, jnp.abs(inner.v) + self.observer.speed)
-
-    def _first(self) -> Scalar:
-        """The bound at rest at the first measurement."""
-        return self._corner(self.noise, jnp.broadcast_to(self.observer.speed, self.noise.shape))
-
-    def _corner(self, position: Vector, velocity: Vector) -> Scalar:
-        """Largest norm of errors up to these (n,) in size."""
-        return jnp.sqrt(self._square(jnp.abs(self.matrices), position, velocity)) * (1 + ROUND)
+        largest = self._seen(inner) + self.limits
+        return jnp.sqrt(largest @ jnp.abs(self.form) @ largest) * (1 + ROUND)
 
     def _apart(self, inner: Any, sharp: Any) -> Scalar:
         """Norm of the difference of the two estimates."""
         q, v = self.model.motion(self.sharp.estimate(sharp))
-        return jnp.sqrt(self._square(self.matrices, self.model.manifold.towards(inner.q, q), v - inner.v))
-
-    def _square(self, matrices: Array, position: Vector, velocity: Vector) -> Scalar:
-        first, second = jnp.sqrt(self.observer.beta) * position, velocity
-        terms = matrices[:, 0, 0] * first**2 + 2 * matrices[:, 0, 1] * first * second + matrices[:, 1, 1] * second**2
-        return jnp.sum(terms)
+        difference = jnp.concatenate([self.model.manifold.towards(inner.q, q), v - inner.v])
+        return jnp.sqrt(difference @ self.form @ difference)

@@ -102,13 +102,11 @@ def above_zero(argument: str, value: float | int) -> float:
 
 def given_gains(alpha: Amounts | None, beta: Amounts | None, speed: Amounts | None = None) -> tuple[Any, ...] | None:
     """Check the gains α and β, which belong together, and the speed that belongs to them: numbers, or arrays (n,)."""
-    if (alpha is None) != (beta is None):
-        raise InputError("`alpha` and `beta` belong together: give both or neither")
-    if alpha is None or beta is None:
-        if speed is not None:
-            raise InputError("`speed` belongs to `alpha` and `beta`: give them too")
+    given = {name: each for name, each in zip(GAINS, (alpha, beta, speed), strict=True) if each is not None}
+    if not given:
         return None
-    given = dict(zip(GAINS, (alpha, beta) if speed is None else (alpha, beta, speed), strict=False))
+    if alpha is None or beta is None:
+        raise InputError("`alpha` and `beta` belong together: give both or neither, and `speed` with them alone")
     values = [_values(name, value) for name, value in given.items()]
     if not all(each.ndim == 1 and each.size and ((each > 0) & (each < math.inf)).all() for each in values):
         names, got = (" and ".join(texts) for texts in (map("`{}`".format, given), map(_format_values, values)))

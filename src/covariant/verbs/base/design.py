@@ -152,12 +152,12 @@ def design(
     if gains is not None:
         available = _observers_with(file, gains)
         if name not in available:
-            known = f"they do to {', '.join(available)}"
-            known = known if available else "`alpha` and `beta` are for mechanical models"
-            raise InputError(
-                f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}; "
-                f"{known}"
+            known = ", ".join(available)
+            known = f"they do to {known}" if known else "`alpha` and `beta` are for mechanical models"
+            about = (
+                f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}"
             )
+            raise InputError(f"{about}; {known}")
         observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
         texts = (
             f"{key} = {', '.join(f'{x:g}' for x in np.ravel(value))} {unit}"

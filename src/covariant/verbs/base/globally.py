@@ -21,14 +21,6 @@ from scalargraph.errors import InputError
 
 GLOBALLY = "measured-coefficients"
 """The observer whose certificate is about all first errors."""
-SETTINGS = """In a model file, the observer that is proved, for `estimate`, `compare` and `export`:
-
-[design]
-observer = "measured-coefficients"
-alpha = {}
-beta = {}
-speed = {}
-"""
 INTERVAL = 0.001
 """Time between samples [s] where none is given."""
 
@@ -158,7 +150,9 @@ class GlobalResult(AbstractResult):
             for name, omega, noise in (rows if self.holds else ())
         ]
         lines += [self.note] if self.note else []
-        lines += [SETTINGS.format(*map(np.ndarray.tolist, cert.document.settings))] if self.holds else []
+        if self.holds:
+            lines += ["the observer that is proved, in a model file:", "", "[design]", f'observer = "{GLOBALLY}"']
+            lines += [f"{key} = {value.tolist()}" for key, value in cert.document.settings.items()] + [""]
         return "\n".join([*lines, f"{cert.proof.boxes} boxes, {cert.proof.seconds:.1f} s"])
 
     def _write(self, path: Path) -> None:
