@@ -59,18 +59,12 @@ def test_the_comparison_tunes_them_so(proved, file):
         np.testing.assert_array_equal(getattr(tuned, name), number)
 
 
-def test_the_certificate_is_a_part_of_the_export(proved, file, tmp_path):
-    path = proved.save(tmp_path / "arm.json")
-    made = covariant.export(file, tmp_path / "c", rate=1000.0, certificate=path)
-    assert "from every first error" in (tmp_path / "c" / "DATASHEET.md").read_text()
-    np.testing.assert_array_equal(made.program.numbers["alpha"], proved.certificate.document.alpha)
-    for settings, message in (
-        ({"rate": 500.0}, "samples 0.001 to 0.001 s apart"),
-        ({"rate": 1000.0, "alpha": 20.0, "beta": 200.0, "observer": NAME}, "is for other gains"),
-        ({"rate": 1000.0, "alpha": 20.0, "beta": 200.0}, "not for intrinsic"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            covariant.export(file, tmp_path / "other", certificate=path, **settings)
+def test_the_export_has_them(proved, file, tmp_path):
+    for name, given in (("a", file), ("b", ARM)):
+        settings = {} if given == file else options(proved)
+        made = covariant.export(given, tmp_path / name, rate=1000.0, **settings)
+        for key, number in options(proved).items():
+            np.testing.assert_array_equal(made.program.numbers[key], number)
 
 
 @pytest.mark.parametrize(

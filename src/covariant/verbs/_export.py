@@ -10,13 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from covariant import certificates, codegen, models
-from covariant.certificates.everywhere import GlobalCertificate
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, SMOOTHED, AbstractObserver, Delayed, FixedLag, Gated, Unwrapped
 from covariant.verbs.base.arguments import Amounts, above_zero, given_gains
 from covariant.verbs.base.design import Design, design
 from covariant.verbs.base.exported_program import exported_program, open_family
-from covariant.verbs.base.globally import GLOBALLY
 from covariant.verbs.base.inputs import Job, Loaded, densest_rate, describe_inputs, load, with_acting_inputs
 from covariant.verbs.base.kinds import kind_of
 from covariant.verbs.base.progress import Progress, notebook_line
@@ -116,16 +114,10 @@ def export(
     above_zero("rate", rate)
     if out.suffix in FORMATS:
         options = {"observer": observer, "alpha": alpha, "beta": beta, "speed": speed, "name": name}
-        options |= {
-            "real": real != REALS[0],
-            "parameters": parameters,
-            "certificate": certificate,
-            "metric": metric,
-            "fmi": fmi,
-            "lag": lag,
-        }
-        options |= {"step_per_sensor": step_per_sensor, "python": python, "wasm": wasm, "ros2": ros2}
-        return write_robot(model, out, rate, overwrite, overrides, options | {"gate": not gate, "log": log})
+        options |= {"parameters": parameters, "certificate": certificate, "metric": metric, "fmi": fmi, "lag": lag}
+        options |= {"step_per_sensor": step_per_sensor, "python": python, "wasm": wasm, "ros2": ros2, "log": log}
+        options |= {"real": real != REALS[0], "gate": not gate}
+        return write_robot(model, out, rate, overwrite, overrides, options)
     codegen.check_export(out, overwrite)
     gains, unit = given_gains(alpha, beta, speed), out.suffix == ".fmu"
     packages = [name for name, wanted in (("python", python), ("wasm", wasm), ("ros2", ros2)) if wanted]
@@ -343,16 +335,15 @@ def _late(observer: AbstractObserver, name: str, lag: float, rate: float) -> Fix
 
 
 class _Proof(NamedTuple):
-    """A verified certificate of the observer, None for one of all first errors, and its statement as lines."""
+    """A verified certificate of the observer, and its statement as lines."""
 
-    certificate: certificates.ContractionCertificate | None
+    certificate: certificates.ContractionCertificate
     statement: str
 
     @property
     def substeps(self) -> int | None:
         """Number of Runge–Kutta steps in each prediction that is proved; None if the observer chooses it."""
-        sampling = None if self.certificate is None else self.certificate.sampling
-        return None if sampling is None else sampling.substeps
+        return None if self.certificate.sampling is None else self.certificate.sampling.substeps
 
     def proved(self, observer: Any) -> AbstractObserver:
         """The observer as its proof has it: the substeps of a prediction, and constant gains from the start on."""
@@ -368,7 +359,7 @@ class _Proof(NamedTuple):
         self, runs: AbstractObserver, whole: AbstractObserver, real: str
     ) -> tuple[AbstractObserver, str, str, str]:
         """The observer with a proved bound, a sentence on its start, the whole statement, and why there is no bound."""
-        if self.certificate is None or self.certificate.sampling is None:
+        if self.certificate.sampling is None:
             return whole, "", self.statement, ""
         if self.is_bound(real) and whole is runs:
             bounded = self.certificate.bounded(runs, radius=self.certificate.radius)
@@ -397,17 +388,13 @@ def _describe_start(certificate: certificates.ContractionCertificate) -> str:
 
 def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: Design, rate: float) -> _Proof:
     """Check a saved certificate of this observer; raises `ValueError`."""
-    everywhere, name = GlobalCertificate.saved(path), models.spec_name(model)
-    document: Any = everywhere or certificates.parse(path)
+    document, name = certificates.parse(path), models.spec_name(model)
     if not isinstance(model, str | os.PathLike) or document.recipe != (recipe := models.recipe(name, overrides)):
         raise InputError(f"{path}: the certificate is for another model, or other numbers, than {name}")
-    if (kind := GLOBALLY if everywhere else document.observer["kind"]) != designed.name:
+    if (kind := document.observer["kind"]) != designed.name:
         raise InputError(f"{path}: the certificate is for the observer {kind}, not for {designed.name}")
-    if everywhere is None:
-        certificates.check_observer(document._replace(recipe=recipe), designed.inner)
-    elif not everywhere.is_of(designed.inner):
-        raise InputError(f"{path}: the certificate is for other gains; give those of its [design] in the model file")
-    sampling = everywhere or document.sampling
+    certificates.check_observer(document._replace(recipe=recipe), designed.inner)
+    sampling = document.sampling
     time = "in continuous time" if sampling is None else "with sampled measurements"
     if sampling is not None:
         shortest, longest = sampling.interval.tolist()
@@ -418,9 +405,7 @@ def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: 
             )
     # Code that is trusted: the exported model was just built with it.
     attribute = (document.recipe or {}).get("attribute")
-    checked: Any = certificates.check_globally(path, model=attribute)
-    if checked is None:
-        checked = certificates.check(document, model=attribute)
+    checked = certificates.check(document, model=attribute)
     lines = [
         f"All {checked.leaves} leaves of `{path.name}` were verified when this was written. It is about the observer "
         f"{time}, with the default numbers:",
@@ -429,8 +414,6 @@ def _verify_certificate(path: Path, model: Any, overrides: Overrides, designed: 
     ]
     if designed.inner is not designed.observer:
         lines += ["", beyond_proof(0 if sampling is None else sampling.lost)]
-    if everywhere is not None:
-        return _Proof(None, "\n".join(lines))
     certificate = certificates.ContractionCertificate.load(path, model=attribute)
     return _Proof(certificate._replace(verified=True), "\n".join(lines))
 
@@ -445,13 +428,9 @@ def beyond_proof(lost: int) -> str:
     )
 
 
-def _plain(designed: Design, gains: tuple[Any, ...] | None) -> str:
+def _plain(designed: Design, gains: dict[str, Any] | None) -> str:
     """How an observer was designed, in characters that stand in a comment of C."""
-    if gains is None and _ENTRIES[designed.name].tuned_by not in (
-        "gains",
-        "gains and force",
-        "gains and speed",
-        "state noise",
-    ):
+    constant = "gains", "gains and force", "gains and speed", "state noise"
+    if gains is None and _ENTRIES[designed.name].tuned_by not in constant:
         return "Tuned from its data sheet."  # the note is on gains that it does not have
     return designed.notes.replace("²", "^2").replace("±", "+-")

@@ -132,7 +132,7 @@ def with_gains(
     if speed is None and np.ndim(alpha) == np.ndim(beta) == 0:
         numbers["gains"] = alpha, beta
     fitting = (entry for entry in REGISTRY if entry.tuned_by in numbers and entry.fits(model))
-    return {entry.name: entry.construct(model, *map(jnp.asarray, numbers[entry.tuned_by])) for entry in fitting}
+    return {entry.name: entry.construct(model, *numbers[entry.tuned_by]) for entry in fitting}
 
 
 class _Known(NamedTuple):
@@ -289,9 +289,7 @@ def _ticks(entry: Entry, known: _Known) -> tuple:
 TUNINGS: dict[str, Callable[[Any, _Known], tuple]] = {
     "gains": lambda entry, known: observer_gains(known.sheet, known.rate)[:2],
     "gains and force": _gains_and_force,
-    "gains and speed": lambda entry, known: tuple(
-        map(jnp.asarray, known.sheet.gains_and_speed or observer_gains(known.sheet, known.rate)[:2])
-    ),
+    "gains and speed": lambda entry, known: known.sheet.gains_and_speed or observer_gains(known.sheet, known.rate)[:2],
     "noise": _noise,
     "noise or ticks": _ticks,
     "bandwidth": lambda entry, known: (

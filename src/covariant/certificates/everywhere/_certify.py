@@ -9,7 +9,6 @@ Source: an addition; Boyd, Kim, Vandenberghe & Hassibi 2007, A tutorial on geome
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import jax.numpy as jnp
@@ -30,7 +29,7 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.everywhere._channel import DAMPING, gain_matrix, least_gain_of
 from covariant.certificates.everywhere._coupling import Coupling, CouplingBound, bound_coupling, compare_connections
-from covariant.certificates.everywhere._document import GlobalDocument, need_covered, read_document, statement_of
+from covariant.certificates.everywhere._document import GlobalDocument, need_covered, statement_of
 from covariant.certificates.everywhere._handover import Handover
 from covariant.certificates.proving import friction_bounds, friction_on
 from covariant.models import MechanicalSystem
@@ -69,11 +68,6 @@ class GlobalCertificate(NamedTuple):
     observer: MeasuredCoefficients
     document: GlobalDocument
     proof: Proof
-
-    @staticmethod
-    def saved(path: str | Path) -> GlobalDocument | None:
-        """Read the numbers of a saved certificate, which are not checked; None for one of another kind."""
-        return read_document(path)
 
     def hand_over(self, sharp: AbstractObserver, *, velocity: ArrayLike, position: ArrayLike = np.inf) -> Handover:
         """Build the observer that hands over to a sharper one, once the errors are proved to be small.

@@ -40,7 +40,6 @@ from covariant.certificates.base import (
 )
 from covariant.certificates.everywhere._channel import Channel
 from covariant.models import MechanicalSystem, recipe_text
-from covariant.observers import MeasuredCoefficients
 from scalargraph import enclose, lower
 from scalargraph.errors import InputError
 from scalargraph.proofs import LETTERS, digest, parse_file, read_file, saved_levels
@@ -123,10 +122,6 @@ class GlobalDocument(NamedTuple):
     def settings(self) -> dict[str, Float[np.ndarray, "n"]]:
         """The observer's gains α and β and the speeds to which it clips, (n,) each, as options of verbs."""
         return {"alpha": self.alpha, "beta": self.beta, "speed": self.velocity}
-
-    def is_of(self, observer: MeasuredCoefficients) -> bool:
-        """Whether an observer has these gains and clips to these speeds, to the last digit."""
-        return all(np.array_equal(0 * own + getattr(observer, key), own) for key, own in self.settings.items())
 
     @property
     def force(self) -> Float[np.ndarray, "n"]:

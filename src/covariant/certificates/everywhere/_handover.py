@@ -101,8 +101,8 @@ class Handover(AbstractObserver):
 
     def __check_init__(self):
         check_whole("hand_over", self.sharp)
-        own, other = self.model, getattr(self.sharp, "model", None)
-        if other is None or other.coordinates != own.coordinates or self.sharp.sensors:
+        other = getattr(self.sharp, "model", None)
+        if other is None or other.coordinates != self.model.coordinates or self.sharp.sensors:
             raise InputError("hand_over: the sharper observer must have the same coordinates, and no more sensors")
 
     fixed_numbers = True
@@ -114,10 +114,8 @@ class Handover(AbstractObserver):
 
     def init(self, y: Array, t: Number = 0.0) -> HandoverState:
         first = self.observer.init(y, t)
-        inner, zero = without_last_input(first), jnp.zeros_like(self.level)
-        if inner.q.dtype != zero.dtype:
-            raise InputError(f"hand_over: its bounds are about doubles; got measurements of type {inner.q.dtype}")
-        return HandoverState(inner, self._start(inner), self._by_data(inner), self.level, zero, first.last_input)
+        inner, holds = without_last_input(first), jnp.zeros_like(self.level)
+        return HandoverState(inner, self._start(inner), self._by_data(inner), self.level, holds, first.last_input)
 
     def estimate(self, state: HandoverState) -> Any:
         sharp, own = self.sharp.estimate(state.sharp), self.observer.estimate(state.inner)

@@ -449,7 +449,8 @@ def as_gain(value: object) -> Any:
 
     The array adopts the precision of the other operands.
     """
-    return jnp.asarray(float(value)) if isinstance(value, int | float | np.generic) else value
+    given = isinstance(value, int | float | np.generic | np.ndarray)
+    return jnp.asarray(np.asarray(value, float).tolist()) if given else value
 
 
 def check_positive(whose: str, **gains: object) -> None:

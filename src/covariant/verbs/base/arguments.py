@@ -100,7 +100,7 @@ def above_zero(argument: str, value: float | int) -> float:
     return float(value)
 
 
-def given_gains(alpha: Amounts | None, beta: Amounts | None, speed: Amounts | None = None) -> tuple[Any, ...] | None:
+def given_gains(alpha: Amounts | None, beta: Amounts | None, speed: Amounts | None = None) -> dict[str, Any] | None:
     """Check the gains α and β, which belong together, and the speed that belongs to them: numbers, or arrays (n,)."""
     given = {name: each for name, each in zip(GAINS, (alpha, beta, speed), strict=True) if each is not None}
     if not given:
@@ -111,7 +111,7 @@ def given_gains(alpha: Amounts | None, beta: Amounts | None, speed: Amounts | No
     if not all(each.ndim == 1 and each.size and ((each > 0) & (each < math.inf)).all() for each in values):
         names, got = (" and ".join(texts) for texts in (map("`{}`".format, given), map(_format_values, values)))
         raise InputError(f"{names} must be positive numbers; got {got}")
-    return tuple(float(each[0]) if len(each) == 1 else each for each in values)
+    return {name: float(each[0]) if len(each) == 1 else each for name, each in zip(given, values, strict=True)}
 
 
 def _values(argument: str, given: Amounts) -> Float[np.ndarray, "..."]:

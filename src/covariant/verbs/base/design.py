@@ -128,7 +128,7 @@ class Design(NamedTuple):
 def design(
     file: ModelFile,
     name: str | None = None,
-    gains: tuple[Any, ...] | None = None,
+    gains: dict[str, Any] | None = None,
     rate: float | None = None,
     log: Loaded | None = None,
     *,
@@ -159,11 +159,8 @@ def design(
             )
             raise InputError(f"{about}; {known}")
         observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
-        texts = (
-            f"{key} = {', '.join(f'{x:g}' for x in np.ravel(value))} {unit}"
-            for (key, unit), value in zip(GAINS.items(), gains, strict=False)
-        )
-        notes = f"Given gains: {', '.join(texts)}."
+        given = (f"{key} = {', '.join(f'{x:g}' for x in np.ravel(value))} {GAINS[key]}" for key, value in gains.items())
+        notes = f"Given gains: {', '.join(given)}."
         return Design(file, name, observer, notes, sheet, log)
     if rate is None:
         sheet()  # first names the numbers that the model file lacks, if any
@@ -172,15 +169,15 @@ def design(
     return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate, name), sheet, log)
 
 
-def _observers_with(file: ModelFile, gains: tuple[Any, ...]) -> dict[str, AbstractObserver]:
+def _observers_with(file: ModelFile, gains: dict[str, Any]) -> dict[str, AbstractObserver]:
     """The observers of a model file that take these gains, one for all coordinates or one each."""
     model: Any = file.model
-    for key, value in zip(GAINS, gains, strict=False):
+    for key, value in gains.items():
         numbers(key, value, model.velocities or numbered("q", file.dimension), one=True)
-    return with_gains(model, *gains)
+    return with_gains(model, **gains)
 
 
-def default_observer(file: ModelFile, gains: tuple[Any, ...] | None = None) -> str:
+def default_observer(file: ModelFile, gains: dict[str, Any] | None = None) -> str:
     """Name of the observer of a model file where none is asked for: that which it chooses, or one that learns a force.
 
     With given gains it is the first that takes them. A natural frequency without a rate at which a force is learnt is

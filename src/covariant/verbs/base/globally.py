@@ -28,7 +28,7 @@ INTERVAL = 0.001
 def certify_globally(
     name: str,
     file: ModelFile,
-    gains: tuple[Any, ...] | None,
+    gains: dict[str, Any] | None,
     region: Region | None,
     progress: Progress,
     without: dict[str, Any],
@@ -47,7 +47,7 @@ def certify_globally(
     ends = bounds("region", region or {}, names, "coordinate", equal=True)
     position = np.array([ends.get(each, (np.nan, np.nan)) for each in names]).T
     speeds = numbers("velocity", velocity, [f"d{each}/dt" for each in names], positive=True, one=True)
-    observer = model if gains is None else MeasuredCoefficients(model, *gains, speeds)
+    observer = model if gains is None else MeasuredCoefficients(model, **gains, speed=speeds)
     certificate = certificates.certify_globally(
         observer,
         velocity=speeds,
