@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +22,6 @@ from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
 from covariant.verbs.base.globally import GLOBALLY, GlobalResult, certify_globally
 from covariant.verbs.base.inputs import numbered
-from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
 from scalargraph.errors import InputError
@@ -203,6 +202,8 @@ class CertifyResult(AbstractResult):
     varied: str = ""
     attempts: tuple[Attempt, ...] = ()
 
+    written: ClassVar[tuple[str, ...]] = (".json",)
+
     @property
     def holds(self) -> bool:
         """Whether the statement is proved."""
@@ -310,17 +311,10 @@ class CertifyResult(AbstractResult):
             lines += [f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}" for name, w, unit in rows]
         return lines
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the certificate (.json), over a file that exists only where `overwrite` says so.
-
-        Raises:
-            ValueError: For a statement that is wrong, and for a model that was given as an object.
-        """
-        path = Path(path)
-        check_output(path, ".json", overwrite=overwrite)
+    def _write(self, path: Path) -> None:
         if self.wrong:
             raise InputError(f"{path}: no certificate is written of a statement that is wrong")
-        return self.certificate.save(path)
+        self.certificate.save(path)
 
     def _write_page(self, path: Path) -> list[Path]:
         from covariant.verbs.base.pages import write_result_page

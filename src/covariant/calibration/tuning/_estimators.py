@@ -128,11 +128,10 @@ def with_gains(
         >>> list(with_gains(oscillator(), alpha=10.0, beta=50.0))
         ['intrinsic', 'intrinsic2', 'geodesic', 'lagrangian-metric', 'measured-coefficients', 'copy']
     """
-    numbers = {"gains and speed": (alpha, beta, *(() if speed is None else (speed,)))}
-    if speed is None and np.ndim(alpha) == np.ndim(beta) == 0:
-        numbers["gains"] = alpha, beta
-    fitting = (entry for entry in REGISTRY if entry.tuned_by in numbers and entry.fits(model))
-    return {entry.name: entry.construct(model, *numbers[entry.tuned_by]) for entry in fitting}
+    numbers = (alpha, beta) if speed is None else (alpha, beta, speed)
+    kinds = ("gains", "gains and speed")[speed is not None or np.ndim(alpha) + np.ndim(beta) > 0 :]
+    fitting = (entry for entry in REGISTRY if entry.tuned_by in kinds and entry.fits(model))
+    return {entry.name: entry.construct(model, *numbers) for entry in fitting}
 
 
 class _Known(NamedTuple):

@@ -107,9 +107,7 @@ class GlobalCertificate(NamedTuple):
         level = min(np.min(np.asarray(each) / unit) for each, unit in zip((position, velocity), reach, strict=True))
         if not radius < level:
             left = ", ".join(f"{each:.3g}" for each in reach[1] * radius)
-            raise InputError(
-                f"hand_over: velocities are only proved to be within {left} in the end; give larger errors"
-            )
+            raise InputError(f"hand_over: velocities are proved to be within {left} in the end; give larger errors")
         scale = np.stack([document.omega, np.ones_like(document.omega)]) / document.weights
         form = np.einsum("ai,iab,bi,ij->aibj", scale, document.metrics, scale, np.eye(len(scale.T)))
         limits = np.concatenate([document.noise, document.velocity])

@@ -119,11 +119,6 @@ class GlobalDocument(NamedTuple):
         return np.sqrt(self.beta)
 
     @property
-    def settings(self) -> dict[str, Float[np.ndarray, "n"]]:
-        """The observer's gains α and β and the speeds to which it clips, (n,) each, as options of verbs."""
-        return {"alpha": self.alpha, "beta": self.beta, "speed": self.velocity}
-
-    @property
     def force(self) -> Float[np.ndarray, "n"]:
         """Bounds (n,) of all forces that are unknown."""
         return self.dry + self.disturbance

@@ -118,8 +118,7 @@ class Handover(AbstractObserver):
         return HandoverState(inner, self._start(inner), self._by_data(inner), self.level, holds, first.last_input)
 
     def estimate(self, state: HandoverState) -> Any:
-        sharp, own = self.sharp.estimate(state.sharp), self.observer.estimate(state.inner)
-        return jnp.where(state.holds > 0, sharp, own)
+        return jnp.where(state.holds > 0, self.sharp.estimate(state.sharp), self.observer.estimate(state.inner))
 
     def predict(self, state: HandoverState, u: Float[Array, "m"], dt: Scalar) -> HandoverState:
         inner, sharp = self.observer.predict(state.inner, u, dt), self.sharp.predict(state.sharp, u, dt)
@@ -163,8 +162,7 @@ class Handover(AbstractObserver):
         followed = jnp.maximum(kept * state.bound + (1 - kept) * self.radius, ROUND * self.level) * (1 + ROUND)
         known = jnp.any((self.ages[:, 0] <= age) & (age <= self.ages[:, 1]))
         confirmed = known & jnp.all(self._seen(inner) <= followed * self.reach + self.limits)
-        by_data = self._by_data(inner)
-        return jnp.where(confirmed, jnp.minimum(followed, by_data), by_data), confirmed
+        return jnp.minimum(jnp.where(confirmed, followed, jnp.inf), self._by_data(inner)), confirmed
 
     def _seen(self, inner: Any) -> Vector:
         """Sizes (2n,) of the error towards the measurement, and of the velocity."""

@@ -147,8 +147,7 @@ def design(
             raise InputError(f"`metric` is for the observer riccati; {name} has no metric")
         notes = f"Its metric is that of {Path(metric).name}; none is outside its grid."
         return Design(file, name, stored_observer(model, metric, first_estimate(file)[0]), notes, sheet, log)
-    if gains is None and name in OF_FILE:
-        gains = given_gains(file.alpha, file.beta, file.speed_bound)
+    gains = gains or (given_gains(file.alpha, file.beta, file.speed_bound) if name in OF_FILE else None)
     if gains is not None:
         available = _observers_with(file, gains)
         if name not in available:
