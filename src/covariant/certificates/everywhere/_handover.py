@@ -12,8 +12,8 @@ as long as the two are at most b + d apart; if it is farther away at that time, 
 proved one. By the triangle inequality the reported error is at most b plus the distance of the two, whatever the
 sharper observer does.
 
-Each return because of the distance halves d, so that between two of them b falls to half: they are at least ln 2/μ
-apart on average, beside those after failed premises, and in finite number if r > 0.
+Each return because of the distance halves d, so that there are at most 1 + log₂(d/b) of them, with the first d:
+finitely many if r > 0, and otherwise in the long run one in the time ln 2/μ.
 
 Source: Astolfi, Postoyan & Nešić 2017, Uniting local and global observers for the state estimation of nonlinear
 continuous-time systems, IEEE CDC; Hespanha & Morse 1999, Stability of switched systems with average dwell-time.
