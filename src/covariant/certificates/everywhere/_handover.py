@@ -145,10 +145,11 @@ class Handover(AbstractObserver):
         bound = jnp.where(complete, now, jnp.where(lost, state.bound, jnp.inf))
         as_it_is = holds & ~anew
         reported = jnp.where(complete, now + jnp.where(as_it_is, apart, 0.0), jnp.inf) * self.reach
-        result = jnp.where(as_it_is, sharp_info.result, info.result).astype(info.result.dtype)
+        position, velocity = jnp.split(reported, 2)
+        result: Any = jnp.where(as_it_is, sharp_info.result, info.result)
         after = HandoverState(inner, sharp, bound, level, holds.astype(level.dtype), state.last_input)
         innovation = jnp.where(held, sharp_info.innovation, info.innovation)
-        return after, HandoverInfo(innovation, *jnp.split(reported, 2), after.holds, result)
+        return after, HandoverInfo(innovation, position, velocity, after.holds, result.astype(info.result.dtype))
 
     def _start(self, inner: Any) -> Any:
         """The state of the sharper observer at the estimate of the proved one."""
