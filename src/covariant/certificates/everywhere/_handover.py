@@ -148,7 +148,7 @@ class Handover(AbstractObserver):
         position, velocity = jnp.split(reported, 2)
         result: Any = jnp.where(as_it_is, sharp_info.result, info.result)
         after = HandoverState(inner, sharp, bound, level, holds.astype(level.dtype), state.last_input)
-        innovation = jnp.where(held, sharp_info.innovation, info.innovation)
+        innovation: Any = jnp.where(held, sharp_info.innovation, info.innovation)
         return after, HandoverInfo(innovation, position, velocity, after.holds, result.astype(info.result.dtype))
 
     def _start(self, inner: Any) -> Any:
