@@ -31,6 +31,7 @@ DOCS = ROOT / "docs"
 NUMBERS = {
     "gains": "α, β",
     "gains and force": "α, β, ρ",
+    "gains and speed": "α, β, V",
     "noise": "covariances",
     "noise or ticks": "covariances, quantum",
     "bandwidth": "bandwidth",

@@ -132,7 +132,9 @@ def relative_error(entry, name, v, rows=slice(-60, None)) -> float:
 
 def allowed(entry) -> float:
     """A filter without a model lags; with a model and no noise nothing remains but the inputs' steps."""
-    return 0.01 if entry.tuned_by in ("gains", "gains and force", "noise", "noise or ticks") else 0.15
+    return (
+        0.01 if entry.tuned_by in ("gains", "gains and force", "gains and speed", "noise", "noise or ticks") else 0.15
+    )
 
 
 STARTED = {

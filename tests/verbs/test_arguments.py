@@ -51,11 +51,15 @@ def test_bounds_are_those_of_names_that_there_are():
 def test_negative_bounds_and_single_gains_are_refused():
     with pytest.raises(ValueError, match="noise: bounds must not be negative; got 0, -1"):
         arguments.amounts("noise", [0.0, -1.0], NAMES)
-    assert arguments.gain_pair(None, None) is None
-    assert arguments.gain_pair(2.0, 3.0) == (2.0, 3.0)
+    assert arguments.given_gains(None, None) is None
+    assert arguments.given_gains(2.0, 3.0) == {"alpha": 2.0, "beta": 3.0}
+    given = arguments.given_gains([2.0, 3.0], [4.0], 5.0)
+    assert (given["alpha"].tolist(), given["beta"], given["speed"]) == ([2.0, 3.0], 4.0, 5.0)
+    with pytest.raises(ValueError, match="`speed` with them"):
+        arguments.given_gains(None, None, 1.0)
     for pair, message in (((1.0, None), "belong together"), ((-1.0, 1.0), "positive"), ((1.0, math.inf), "positive")):
         with pytest.raises(ValueError, match=message):
-            arguments.gain_pair(*pair)
+            arguments.given_gains(*pair)
     for value in (0.0, -1.0, math.inf, math.nan):
         with pytest.raises(ValueError, match="rate must be a positive number"):
             arguments.above_zero("rate", value)

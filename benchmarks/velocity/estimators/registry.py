@@ -84,6 +84,7 @@ def jerk(case: Case) -> Ranges:
 RANGES: dict[str, Callable[[Case], Ranges]] = {
     "gains": gains,
     "gains and force": gains_and_force,
+    "gains and speed": gains,
     "noise": acceleration,
     "noise or ticks": acceleration_and_force,
     "bandwidth": bandwidth,

@@ -139,9 +139,10 @@ class Entry(NamedTuple):
         observer: Class of the observer.
         make: Function that constructs the observer, `make(model, *numbers)`, with the numbers of `tuned_by`.
         tuned_by: Numbers that the observer needs. For a mechanical system `calibration.tuned_estimators` computes them.
-            "gains" are α [1/s] and β [1/s²]; "gains and force" add the rate [1/s] at which a force is learnt. "noise"
-            are the process covariance (n, n), the measurement covariance (n, n) and the standard deviation of the
-            initial velocity; "noise or ticks" add one tick of the encoders or None, the slow states that are estimated,
+            "gains" are α [1/s] and β [1/s²]; "gains and force" add the rate [1/s] at which a force is learnt; of
+            "gains and speed" each may be (n,), and a bound of the speeds may follow. "noise" are the process
+            covariance (n, n), the measurement covariance (n, n) and the standard deviation of the initial velocity;
+            "noise or ticks" add one tick of the encoders or None, the slow states that are estimated,
             a tuple of `SlowVariables`, the further sensors, a tuple of `Sensor`, and the behaviour of missing inputs, a
             `MissingInputs` or None.
             For filters without a model: "bandwidth" is the bandwidth [rad/s] of a linear filter; "window" are a window
@@ -174,6 +175,7 @@ class Entry(NamedTuple):
     tuned_by: Literal[
         "gains",
         "gains and force",
+        "gains and speed",
         "noise",
         "noise or ticks",
         "bandwidth",
@@ -267,7 +269,7 @@ REGISTRY = (
         name="measured-coefficients",
         observer=MeasuredCoefficients,
         make=MeasuredCoefficients,
-        tuned_by="gains",
+        tuned_by="gains and speed",
         about="high gain, the model at the measured configuration, clipped speeds",
         when="convergence from all first errors, proved for all coordinates together; dense samples",
         source="an addition; Esfandiari & Khalil 1992 for high gain and saturation",

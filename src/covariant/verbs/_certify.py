@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,13 +16,12 @@ from covariant._names import unknown
 from covariant.certificates import Attempt, CheckerName, ContractionCertificate, LostRows
 from covariant.models import ModelFile, Overrides, input_count
 from covariant.observers import OBSERVER_NAMES
-from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, gain_pair, numbers
+from covariant.verbs.base.arguments import Amounts, Region, above_zero, amounts, bounds, given_gains, numbers
 from covariant.verbs.base.certify_sentences import in_degrees, start_errors, undecided_claims, verdict
 from covariant.verbs.base.design import Design, design, runs_otherwise
 from covariant.verbs.base.find import FIND, largest_proved
 from covariant.verbs.base.globally import GLOBALLY, GlobalResult, certify_globally
 from covariant.verbs.base.inputs import numbered
-from covariant.verbs.base.outputs import check_output
 from covariant.verbs.base.progress import Progress, notebook_line
 from covariant.verbs.base.result import AbstractResult
 from scalargraph.errors import InputError
@@ -51,8 +50,8 @@ def certify(
     error: Amounts | None = None,
     region: Region | None = None,
     observer: str | None = None,
-    alpha: float | None = None,
-    beta: float | None = None,
+    alpha: Amounts | None = None,
+    beta: Amounts | None = None,
     sampling: float | None = None,
     input: Amounts | None = None,
     times: Sequence[float] | None = None,
@@ -92,7 +91,7 @@ def certify(
         observer: "intrinsic" (default with an `error`) or "geodesic"; or "measured-coefficients" (default without an
             `error`), without `times`, `q`, `input`, `find`, in one process, and with a checker of files alone.
         alpha: Gain α [1/s], together with `beta`; by default designed from the numbers of the model file, for all
-            first errors the least that are proved.
+            first errors the least that are proved. There it may be one for each coordinate.
         beta: Gain β [1/s²], together with `alpha`.
         sampling: Sampling rate [Hz] that gains are designed for.
         input: Bound of the inputs, one for all or one each, 0 by default; ends in `region` come first. An input that
@@ -139,7 +138,7 @@ def certify(
         )
     if observer is not None and observer not in OBSERVERS:
         raise InputError(unknown("observer", observer, OBSERVERS, OBSERVER_NAMES))
-    pair = gain_pair(alpha, beta)
+    pair = given_gains(alpha, beta)
     name = models.spec_name(model)
     progress("reading the model")
     file = _read(model, name, overrides)
@@ -148,15 +147,13 @@ def certify(
     recipe = models.recipe(name, overrides) if isinstance(model, str | os.PathLike) else None
     limits = _effort(boxes, seconds, processes)
     if observer == GLOBALLY:
-        within = {"error": error, "times": times, "q": q, "input": input, "find": find}
-        within |= {"checker": checker == "all"}
+        within = {"error": error, "times": times, "q": q, "input": input, "find": find, "checker": checker == "all"}
         del limits["processes"]  # it takes one, whatever the command line's default is
-        given = {"lost": lost, "recipe": recipe, **limits}
-        given["disturbed"] = {"noise": noise, "disturbance": disturbance, "jerk": jerk}
+        disturbed = {"noise": noise, "disturbance": disturbance, "jerk": jerk}
         every = None if sampling is None else (1 / above_zero("sampling", sampling),) * 2
-        period = every if interval is None else tuple(interval)
-        given |= {"rate": rate, "interval": period, "velocity": velocity}
-        return certify_globally(name, file, pair, region, progress, within, **given)
+        limits |= {"lost": lost, "rate": rate, "interval": every if interval is None else tuple(interval)}
+        about = {"recipe": recipe, "velocity": velocity, "disturbed": disturbed}
+        return certify_globally(name, file, pair, region, progress, within, **about, **limits)
     if error is None:
         raise InputError("error is missing: give how far an estimated position may be off, one bound or one each")
     if np.any(jerk):
@@ -204,6 +201,8 @@ class CertifyResult(AbstractResult):
     design: str
     varied: str = ""
     attempts: tuple[Attempt, ...] = ()
+
+    written: ClassVar[tuple[str, ...]] = (".json",)
 
     @property
     def holds(self) -> bool:
@@ -312,17 +311,10 @@ class CertifyResult(AbstractResult):
             lines += [f"  {w:.4g} {unit} of {what} {name}{in_degrees(w, unit)}" for name, w, unit in rows]
         return lines
 
-    def save(self, path: str | Path, overwrite: bool = True) -> Path:
-        """Write the certificate (.json), over a file that exists only where `overwrite` says so.
-
-        Raises:
-            ValueError: For a statement that is wrong, and for a model that was given as an object.
-        """
-        path = Path(path)
-        check_output(path, ".json", overwrite=overwrite)
+    def _write(self, path: Path) -> None:
         if self.wrong:
             raise InputError(f"{path}: no certificate is written of a statement that is wrong")
-        return self.certificate.save(path)
+        self.certificate.save(path)
 
     def _write_page(self, path: Path) -> list[Path]:
         from covariant.verbs.base.pages import write_result_page

@@ -3,10 +3,10 @@
 from typing import Any
 
 from covariant._names import refuse_unknown
-from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS, estimators
+from covariant.calibration import ESTIMATORS, STATE_ESTIMATORS
 from covariant.engine import EngineName
 from covariant.models import Overrides
-from covariant.verbs.base.arguments import gain_pair
+from covariant.verbs.base.arguments import Amounts, given_gains
 from covariant.verbs.base.design import default_observer
 from covariant.verbs.base.determined import determined
 from covariant.verbs.base.estimates import EstimateResult, choose_observer
@@ -21,8 +21,9 @@ def estimate(
     log: Any,
     *,
     observer: str | None = None,
-    alpha: float | None = None,
-    beta: float | None = None,
+    alpha: Amounts | None = None,
+    beta: Amounts | None = None,
+    speed: Amounts | None = None,
     score: bool = False,
     overrides: Overrides = (),
     every: int = 1,
@@ -46,8 +47,11 @@ def estimate(
         log: A path (.csv, .txt, .tsv, .parquet, .mcap, a rosbag2), a `Record`, a DataFrame, or an xarray Dataset. With
             a list of them the verb goes over each by itself, as `over_logs` does, and returns a `LogsResult`.
         observer: Name of the observer; by default the first that fits the model, `intrinsic` for a mechanical one.
-        alpha: Gain α [1/s] in place of the designed one; together with `beta`.
-        beta: Gain β [1/s²] in place of the designed one; together with `alpha`.
+        alpha: Gain α [1/s] in place of the designed one, together with `beta`; for the observer
+            "measured-coefficients" one for all coordinates or one each.
+        beta: Gain β [1/s²] in place of the designed one, likewise, together with `alpha`.
+        speed: With gains, bound of the true velocities [unit/s] for the observer "measured-coefficients", one for all
+            or one each; by default none.
         score: Score velocities against slopes of the positions where the log has no true velocities.
         overrides: Values that replace those of the model file: `{"measurement.std": 1e-4}`, or
             `["measurement.std=1e-4"]`.
@@ -75,11 +79,11 @@ def estimate(
     """
     if observer is not None:
         refuse_unknown("observer", observer, (*ESTIMATORS, *STATE_ESTIMATORS))
-    gains = gain_pair(alpha, beta)
+    gains = given_gains(alpha, beta, speed)
     job = Job(model, log, overrides, every, until, columns or {}, anyway, start)
     progress("reading the log")
     loaded = load(job, score, missing_inputs=True)
-    observer = observer or (estimators(loaded.model)[0] if gains else default_observer(loaded.file))
+    observer = observer or default_observer(loaded.file, gains)
     chosen, notes = choose_observer(job, loaded, observer, gains)
     chosen = with_sensor_delays({observer: chosen}, loaded)[observer]
     progress(f"estimating with {observer}")

@@ -12,7 +12,7 @@ import numpy as np
 from covariant import certificates, codegen, models
 from covariant.models import Overrides
 from covariant.observers import REGISTRY, SMOOTHED, AbstractObserver, Delayed, FixedLag, Gated, Unwrapped
-from covariant.verbs.base.arguments import above_zero, gain_pair
+from covariant.verbs.base.arguments import Amounts, above_zero, given_gains
 from covariant.verbs.base.design import Design, design
 from covariant.verbs.base.exported_program import exported_program, open_family
 from covariant.verbs.base.inputs import Job, Loaded, densest_rate, describe_inputs, load, with_acting_inputs
@@ -37,8 +37,9 @@ def export(
     *,
     rate: float,
     observer: str | None = None,
-    alpha: float | None = None,
-    beta: float | None = None,
+    alpha: Amounts | None = None,
+    beta: Amounts | None = None,
+    speed: Amounts | None = None,
     real: str = "double",
     name: str | None = None,
     parameters: Sequence[str] | None = None,
@@ -71,7 +72,7 @@ def export(
         out: The folder to write, or a unit for simulators where it ends in .fmu, or the file of a robot.
         rate: Sampling rate [Hz] that the observer is made for, or steps in a second of a robot's simulation.
         observer: Name of the observer; by default the first that fits the model.
-        alpha, beta: As for `estimate`.
+        alpha, beta, speed: As for `estimate`.
         real: Type of all numbers in C, "double" or "float".
         name: What all names in C begin with; that of the model by default.
         parameters: Numbers of the model that may be changed at run time; all by default, none for an empty list.
@@ -112,12 +113,13 @@ def export(
     out = Path(out)
     above_zero("rate", rate)
     if out.suffix in FORMATS:
-        options = {"observer": observer, "alpha": alpha, "beta": beta, "real": real != REALS[0], "name": name}
+        options = {"observer": observer, "alpha": alpha, "beta": beta, "speed": speed, "name": name}
         options |= {"parameters": parameters, "certificate": certificate, "metric": metric, "fmi": fmi, "lag": lag}
-        options |= {"step_per_sensor": step_per_sensor, "python": python, "wasm": wasm, "ros2": ros2}
-        return write_robot(model, out, rate, overwrite, overrides, options | {"gate": not gate, "log": log})
+        options |= {"step_per_sensor": step_per_sensor, "python": python, "wasm": wasm, "ros2": ros2, "log": log}
+        options |= {"real": real != REALS[0], "gate": not gate}
+        return write_robot(model, out, rate, overwrite, overrides, options)
     codegen.check_export(out, overwrite)
-    gains, unit = gain_pair(alpha, beta), out.suffix == ".fmu"
+    gains, unit = given_gains(alpha, beta, speed), out.suffix == ".fmu"
     packages = [name for name, wanted in (("python", python), ("wasm", wasm), ("ros2", ros2)) if wanted]
     _check(real, fmi, unit, step_per_sensor, packages)
     if name is not None:  # before the work
@@ -426,8 +428,9 @@ def beyond_proof(lost: int) -> str:
     )
 
 
-def _plain(designed: Design, gains: tuple[float, float] | None) -> str:
+def _plain(designed: Design, gains: dict[str, Any] | None) -> str:
     """How an observer was designed, in characters that stand in a comment of C."""
-    if gains is None and _ENTRIES[designed.name].tuned_by not in ("gains", "gains and force", "state noise"):
+    constant = "gains", "gains and force", "gains and speed", "state noise"
+    if gains is None and _ENTRIES[designed.name].tuned_by not in constant:
         return "Tuned from its data sheet."  # the note is on gains that it does not have
     return designed.notes.replace("²", "^2").replace("±", "+-")

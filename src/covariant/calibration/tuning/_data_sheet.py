@@ -1,6 +1,6 @@
 """What estimators are tuned from: a data sheet, and part of a log for filters that use no model."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -39,6 +39,8 @@ class DataSheet(NamedTuple):
             velocities or one for each, beside that of the acceleration and with its correlation time; for filters
             whose noise may depend on the configuration, `intrinsic-kalman` and `ukf`. None for none.
         inputs: What inputs may be while they are missing, from `missing_inputs`; None where they never are.
+        gains_and_speed: α [1/s] and β [1/s²] of `measured-coefficients`, and the speeds to which it clips if these are
+            known, each a number or (n,), such as `certify` finds; None where its gains are those of the others.
 
     Example:
         >>> from covariant.calibration import DataSheet, observer_gains
@@ -65,6 +67,7 @@ class DataSheet(NamedTuple):
     sensors: tuple[Sensor, ...] = ()
     torque_std: float | tuple[float, ...] | None = None
     inputs: MissingInputs | None = None
+    gains_and_speed: tuple[Any, ...] | None = None
 
     def white_time(self, rate: float) -> float:
         """Time τ [s] for which acceleration noise σ acts as white noise of the density 2σ²τ, at a rate [Hz]."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from covariant._functional import Functional
 from covariant._typing import Matrix, Vector
@@ -103,28 +103,35 @@ def estimators(model: MechanicalSystem | StateSpace) -> tuple[str, ...]:
     return tuple(entry.name for entry in REGISTRY if entry.fits(model))
 
 
-def with_gains(model: MechanicalSystem, alpha: float, beta: float) -> dict[str, AbstractObserver]:
+def with_gains(
+    model: MechanicalSystem, alpha: ArrayLike, beta: ArrayLike, speed: ArrayLike | None = None
+) -> dict[str, AbstractObserver]:
     """Observers with the constant gains α and β, by name.
+
+    Gains (n,), one for each coordinate, and a bound of the speeds are for `measured-coefficients` alone.
 
     Salcudean's observer has α and β exactly only for an inertia that is the same in all directions; otherwise they hold
     for the mean of the principal inertias.
 
     Args:
         model: A mechanical system. For a state-space model the result is empty.
-        alpha: Position gain α [1/s].
-        beta: Velocity gain β [1/s²].
+        alpha: Position gain α [1/s], one number or (n,).
+        beta: Velocity gain β [1/s²], one number or (n,).
+        speed: Bound of the true velocities [unit/s], one number or (n,).
 
     Returns:
-        The observers of the registry that are tuned by gains and fit the model.
+        The observers of the registry that take these numbers and fit the model.
 
     Example:
         >>> from covariant.calibration import with_gains
         >>> from covariant.models import oscillator
         >>> list(with_gains(oscillator(), alpha=10.0, beta=50.0))
-        ['intrinsic', 'intrinsic2', 'geodesic', 'lagrangian-metric', 'copy']
+        ['intrinsic', 'intrinsic2', 'geodesic', 'lagrangian-metric', 'measured-coefficients', 'copy']
     """
-    fitting = (entry for entry in REGISTRY if entry.tuned_by == "gains" and entry.fits(model))
-    return {entry.name: entry.construct(model, alpha, beta) for entry in fitting}
+    numbers = (alpha, beta) if speed is None else (alpha, beta, speed)
+    kinds = ("gains", "gains and speed")[speed is not None or np.ndim(alpha) + np.ndim(beta) > 0 :]
+    fitting = (entry for entry in REGISTRY if entry.tuned_by in kinds and entry.fits(model))
+    return {entry.name: entry.construct(model, *numbers) for entry in fitting}
 
 
 class _Known(NamedTuple):
@@ -281,6 +288,7 @@ def _ticks(entry: Entry, known: _Known) -> tuple:
 TUNINGS: dict[str, Callable[[Any, _Known], tuple]] = {
     "gains": lambda entry, known: observer_gains(known.sheet, known.rate)[:2],
     "gains and force": _gains_and_force,
+    "gains and speed": lambda entry, known: known.sheet.gains_and_speed or observer_gains(known.sheet, known.rate)[:2],
     "noise": _noise,
     "noise or ticks": _ticks,
     "bandwidth": lambda entry, known: (

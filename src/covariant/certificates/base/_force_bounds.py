@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from covariant.certificates.base._intrinsic import any_configuration, configuration_shape, entries_read
 from covariant.models import MechanicalSystem, applied_force, input_count
-from scalargraph import Conditions, enclose, expand, lower
+from scalargraph import Lowered, enclose, expand, lower
 from scalargraph.errors import InputError
 from scalargraph.proofs import Box, check_box, show_conditions
 
@@ -44,11 +44,8 @@ def force_bounds(
     region, shape = _force_box(places, inputs, times), configuration_shape(model, len(places.low))
     force = functools.partial(applied_force, model)
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), real=True)
-    assert lowered.conditions is not None
-    # Conditions on smoothness are dropped, since the bound is also valid for a force that jumps.
-    defined = tuple(c for c in lowered.conditions.conditions if c.kind in ("true", "finite"))
-    conditions = lowered.conditions._replace(conditions=defined)
-    need_conditions("the force of the model is not defined", conditions, region)
+    # The bound is also valid for a force that jumps.
+    need_conditions("the force of the model is not defined", lowered, region, smooth=False)
     enclosure = enclose(lowered, region.low[None], region.high[None])
     bounds = np.concatenate([enclosure.low, enclosure.high])
     if not np.isfinite(bounds).all():
@@ -69,10 +66,9 @@ def force_slopes(
         return applied_force(model, t, model.manifold.nudged(q, step), u)
 
     lowered = lower(force, jnp.zeros(()), jnp.zeros(shape), jnp.zeros(inputs.shape[1]), jnp.zeros(n), real=True)
-    assert lowered.conditions is not None
     # The step from the position is fixed at 0; it only serves to bound derivatives by it.
     whole = region.with_fixed(np.zeros(n))
-    need_conditions("the force of the model jumps, or is not defined", lowered.conditions, whole)
+    need_conditions("the force of the model jumps, or is not defined", lowered, whole)
     steps = range(len(region.low), len(whole.low))
     enclosure = enclose(expand(lowered._replace(conditions=None), steps, 1), whole.low[None], whole.high[None])
     # The derivatives are listed step by step; after transposition, each row belongs to one force.
@@ -98,8 +94,9 @@ def _force_box(places: Box, inputs: Float[np.ndarray, "2 m"], times: tuple[float
     return check_box(Box(names, ("s", *places.units, *("",) * inputs.shape[1]), low, high))
 
 
-def need_conditions(what: str, conditions: Conditions, domain: Box) -> None:
-    """Refuse functions whose conditions are not shown on a box."""
-    reason = show_conditions(conditions, domain)
-    if reason:
+def need_conditions(what: str, function: Lowered, domain: Box, *, smooth: bool = True) -> None:
+    """Refuse functions whose conditions, or those of being defined alone, are not shown on a box."""
+    assert function.conditions is not None
+    conditions = tuple(c for c in function.conditions.conditions if smooth or c.kind in ("true", "finite"))
+    if reason := show_conditions(function.conditions._replace(conditions=conditions), domain):
         raise InputError(f"{what} everywhere in the region: {reason}")

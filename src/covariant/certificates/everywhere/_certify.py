@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
@@ -36,9 +37,10 @@ from covariant.certificates.everywhere._coupling import (
     compare_connections,
 )
 from covariant.certificates.everywhere._document import GlobalDocument, need_covered, statement_of
+from covariant.certificates.everywhere._handover import Handover
 from covariant.certificates.proving import friction_bounds, friction_on
 from covariant.models import MechanicalSystem
-from covariant.observers import MeasuredCoefficients
+from covariant.observers import AbstractObserver, MeasuredCoefficients
 from scalargraph.errors import InputError
 from scalargraph.proofs import MOST_BOXES, Box, Proof, check_box, prove, to_letters
 
@@ -75,6 +77,51 @@ class GlobalCertificate(NamedTuple):
     observer: MeasuredCoefficients
     document: GlobalDocument
     proof: Proof
+
+    def hand_over(self, sharp: AbstractObserver, *, velocity: ArrayLike, position: ArrayLike = np.inf) -> Handover:
+        """Build the observer that hands over to a sharper one, once the errors are proved to be small.
+
+        Use it where the proof needs larger gains than the noise allows, or where a filter is more accurate near the
+        truth. Each step also returns bounds of the error of what is reported, `position_bound` and `velocity_bound`:
+        that of the proved observer, and as long as the sharper one is reported its distance from it besides. They rest
+        on the assumptions of the certificate and on nothing that the sharper observer does. The proved observer takes
+        over again if the two are farther apart than its bound and the errors given here allow, or if a measurement
+        contradicts the certificate: of an arm that is faster than stated, after a jump, or after too long a gap.
+
+        Args:
+            sharp: an observer of the same model, such as `Intrinsic`, or a filter behind its gate.
+            velocity: errors of the velocities [unit/s], one or (n,), below which it takes over.
+            position: errors of the positions [unit], one or (n,); any by default.
+
+        Returns:
+            The observer of both.
+
+        Raises:
+            ValueError: nothing is proved, the errors that remain are not proved to be as small as that, or the sharper
+                observer is one of other coordinates or with further sensors.
+
+        Example:
+            >>> from covariant import models, observers
+            >>> from covariant.certificates import certify_globally
+            >>> arm = models.pendulum_chain((1.0, 1.0), (0.5, 0.5))
+            >>> certificate = certify_globally(arm, velocity=1.0, interval=(0.001, 0.001), jerk=1.0)
+            >>> both = certificate.hand_over(observers.Intrinsic(arm, 40.0, 800.0), velocity=0.1)
+            >>> both.init(arm.manifold.origin()).holds.item()
+            0.0
+        """
+        document = self.document
+        if not self.statement.proved:
+            raise InputError("hand_over: nothing is proved")
+        reach, radius = document.reach, document.radius()
+        level = min(np.min(np.asarray(each) / unit) for each, unit in zip((position, velocity), reach, strict=True))
+        if not radius < level:
+            left = ", ".join(f"{each:.3g}" for each in reach[1] * radius)
+            raise InputError(f"hand_over: velocities are proved to be within {left} in the end; give larger errors")
+        scale = np.stack([document.omega, np.ones_like(document.omega)]) / document.weights
+        form = np.einsum("ai,iab,bi,ij->aibj", scale, document.metrics, scale, np.eye(len(scale.T)))
+        limits = np.concatenate([document.noise, document.velocity])
+        numbers = form.reshape(limits.size, -1), np.concatenate(reach), limits, document.ages, document.rate
+        return Handover(self.observer, sharp, *map(jnp.asarray, (*numbers, radius, level)))
 
     def velocity_noise(self, std: ArrayLike) -> Float[np.ndarray, "n"]:
         """Standard deviations (n,) of the velocities by independent encoder noise, of linear channels.

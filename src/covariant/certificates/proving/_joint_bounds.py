@@ -38,10 +38,8 @@ def joint_bounds(
     m, q = inputs.shape[1], any_configuration(model)
     force = lower(lambda u: model.force(jnp.zeros(()), q, u), jnp.zeros(m), real=True)
     input_box = check_box(Box(tuple(f"u{i + 1}" for i in range(m)), ("",) * m, inputs[0], inputs[1]))
-    assert force.conditions is not None
     # The force may jump, since only its values are bounded.
-    defined = tuple(c for c in force.conditions.conditions if c.kind in ("true", "finite"))
-    need_conditions("the force of the model is not defined", force.conditions._replace(conditions=defined), input_box)
+    need_conditions("the force of the model is not defined", force, input_box, smooth=False)
     enclosure = enclose(force._replace(conditions=None), input_box.low[None], input_box.high[None])
     force_bounds = np.concatenate([enclosure.low, enclosure.high])
     friction, slopes = friction_bounds(model, speed)
@@ -72,9 +70,8 @@ def friction_on(
     n = len(speed)
     friction = lower(functools.partial(friction_of, model, any_configuration(model)), jnp.zeros(n), real=True)
     velocity_box = Box(model.velocities or tuple(f"v_{name}" for name in model.coordinates), ("",) * n, -speed, speed)
-    assert friction.conditions is not None
     # All conditions are needed, since slopes have bounds only if the friction is continuous.
-    need_conditions("the friction of the model jumps, or is not defined", friction.conditions, velocity_box)
+    need_conditions("the friction of the model jumps, or is not defined", friction, velocity_box)
     derivatives = expand(friction._replace(conditions=None), range(n), 1)
     enclosure = enclose(derivatives, low, high)
     # The derivatives are listed velocity by velocity; on the diagonal are those of friction i by velocity i.

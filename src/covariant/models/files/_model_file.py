@@ -20,7 +20,7 @@ Unknown = Several | None
 """A number, or one for each coordinate or state; None if it is not known."""
 
 
-CHOSEN = ("intrinsic", "intrinsic-force", "intrinsic-kalman")
+CHOSEN = ("intrinsic", "intrinsic-force", "intrinsic-kalman", "measured-coefficients")
 """Observers that a model file may choose."""
 
 
@@ -100,6 +100,9 @@ class ModelFile(NamedTuple):
         force_rate: Rate [1/s] at which an unknown force is learnt under constant gains, 0 for none. By default it is
             designed from the size and time of the force in `[uncertainty]`.
         observer: Observer to run where none is asked for, as `covariant tune` chooses it.
+        alpha: Gain α [1/s] of `measured-coefficients`, as `covariant certify` finds it, with `design.beta`.
+        beta: Gain β [1/s²] of `measured-coefficients`.
+        speed_bound: Bound of the true velocities [unit/s] to which `measured-coefficients` clips; by default none.
         reference_half: Half width [s] of the windows of the local polynomials that give the reference velocity for
             scoring.
         reference_order: Degree of these polynomials.
@@ -154,6 +157,9 @@ class ModelFile(NamedTuple):
     natural_frequency: Annotated[float | None, Number("design.natural_frequency")] = None
     force_rate: Annotated[float | None, Number("design.force_rate", ZERO_OR_MORE)] = None
     observer: Annotated[str, Choice("design.observer", CHOSEN)] = ""
+    alpha: Annotated[Unknown, Number("design.alpha", each="coordinate")] = None
+    beta: Annotated[Unknown, Number("design.beta", each="coordinate")] = None
+    speed_bound: Annotated[Unknown, Number("design.speed", each="coordinate")] = None
     reference_half: Annotated[float, Number("reference.half")] = 0.03
     reference_order: Annotated[float, Number("reference.order", whole=True)] = 3
     wrenches: Mapping[str, Mapping[str, Any]] = MappingProxyType({})

@@ -23,6 +23,7 @@ Wrappers of an observer, such as a gate or a buffer for late sensors, use `predi
 import abc
 import math
 from collections.abc import Collection
+from functools import partial
 from typing import Any, Generic, NamedTuple
 
 import equinox as eqx
@@ -32,7 +33,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Inexact
 
-from covariant._domains import FINITE_ENTRIES, NOT_NEGATIVE, POSITIVE
+from covariant._domains import FINITE_ENTRIES, NOT_NEGATIVE, POSITIVE, Domain
 from covariant._functional import Functional
 from covariant._typing import Code, Flag, Number, Numbers, Scalar, Vector
 from covariant.geometry import AbstractManifold
@@ -449,13 +450,22 @@ def as_gain(value: object) -> Any:
 
     The array adopts the precision of the other operands.
     """
-    return jnp.asarray(float(value)) if isinstance(value, int | float | np.generic) else value
+    given = isinstance(value, int | float | np.generic | np.ndarray)
+    return jnp.asarray(np.asarray(value, float).tolist()) if given else value
 
 
-def check_positive(whose: str, **gains: object) -> None:
-    """Check that gains are positive, finite numbers; a traced gain has no value that can be checked."""
-    for name, gain in gains.items():
-        POSITIVE.check(whose, name, gain)
+def _check_each(domain: Domain, whose: str, **given: object) -> None:
+    """Check numbers by their names; a traced one has no value that can be checked."""
+    for name, value in given.items():
+        domain.check(whose, name, value)
+
+
+check_positive = partial(_check_each, POSITIVE)
+"""Check that gains are positive, finite numbers."""
+check_not_negative = partial(_check_each, NOT_NEGATIVE)
+"""Check that gains are finite numbers ≥ 0."""
+check_finite = partial(_check_each, FINITE_ENTRIES)
+"""Check that arrays have finite entries."""
 
 
 def check_free(whose: str, model: MechanicalSystem) -> None:
@@ -467,12 +477,6 @@ def check_free(whose: str, model: MechanicalSystem) -> None:
         )
 
 
-def check_not_negative(whose: str, **gains: object) -> None:
-    """Check that gains are finite numbers ≥ 0; a traced gain has no value to check."""
-    for name, gain in gains.items():
-        NOT_NEGATIVE.check(whose, name, gain)
-
-
 def check_whole(whose: str, observer: AbstractObserver) -> None:
     """Check that an observer may be wrapped: its reports concern its own steps, which a wrapper would change."""
     if type(observer).reported is not AbstractObserver.reported:
@@ -480,12 +484,6 @@ def check_whole(whose: str, observer: AbstractObserver) -> None:
             f"{whose}: what {type(observer).__name__} reports is about its own steps, and not about those that {whose} "
             "makes of them; put it around the others"
         )
-
-
-def check_finite(whose: str, **given: object) -> None:
-    """Check that arrays have finite entries; a traced array has no values to check."""
-    for name, array in given.items():
-        FINITE_ENTRIES.check(whose, name, array)
 
 
 def as_numbers(whose: str, what: str, value: Numbers, count: int | None, least: float = -np.inf) -> np.ndarray:

@@ -20,6 +20,8 @@ OverridesOfLogs = Overrides | Sequence[Mapping[str, Any]]
 """`Overrides` for all logs, or a mapping for each of several logs."""
 Scheduler = Any
 """Address of the scheduler of a Dask cluster, or a `distributed.Client`."""
+GAINS = {"alpha": "1/s", "beta": "1/s²", "speed": "unit/s"}
+"""Gains that a verb takes, with the bound of the speeds that belongs to them, and their units."""
 ColumnNames = Mapping[str, str | Sequence[str] | None]
 """Columns of a log for the fields t, q, u, v and truth: names, or one text with names separated by commas."""
 
@@ -98,15 +100,18 @@ def above_zero(argument: str, value: float | int) -> float:
     return float(value)
 
 
-def gain_pair(alpha: float | int | None, beta: float | int | None) -> tuple[float, float] | None:
-    """Check the gains α and β, which belong together."""
-    if (alpha is None) != (beta is None):
-        raise InputError("`alpha` and `beta` belong together: give both or neither")
-    if alpha is None or beta is None:
+def given_gains(alpha: Amounts | None, beta: Amounts | None, speed: Amounts | None = None) -> dict[str, Any] | None:
+    """Check the gains α and β, which belong together, and the speed that belongs to them: numbers, or arrays (n,)."""
+    given = {name: each for name, each in zip(GAINS, (alpha, beta, speed), strict=True) if each is not None}
+    if not given:
         return None
-    if not (0 < alpha < math.inf and 0 < beta < math.inf):
-        raise InputError(f"`alpha` and `beta` must be positive numbers; got {alpha:g} and {beta:g}")
-    return float(alpha), float(beta)
+    if alpha is None or beta is None:
+        raise InputError("`alpha` and `beta` belong together: give both or neither, and `speed` with them alone")
+    values = [_values(name, value) for name, value in given.items()]
+    if not all(each.ndim == 1 and each.size and ((each > 0) & (each < math.inf)).all() for each in values):
+        names, got = (" and ".join(texts) for texts in (map("`{}`".format, given), map(_format_values, values)))
+        raise InputError(f"{names} must be positive numbers; got {got}")
+    return {name: float(each[0]) if len(each) == 1 else each for name, each in zip(given, values, strict=True)}
 
 
 def _values(argument: str, given: Amounts) -> Float[np.ndarray, "..."]:

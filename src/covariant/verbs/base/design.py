@@ -21,9 +21,9 @@ from covariant.calibration import (
 )
 from covariant.certificates import any_configuration
 from covariant.models import ModelFile, input_count
-from covariant.observers import AbstractObserver, Gate, Gated, chooses_substeps, with_fixed_substeps
-from covariant.verbs.base.arguments import Amounts
-from covariant.verbs.base.inputs import Loaded, tells_noise
+from covariant.observers import REGISTRY, AbstractObserver, Gate, Gated, chooses_substeps, with_fixed_substeps
+from covariant.verbs.base.arguments import GAINS, Amounts, given_gains, numbers
+from covariant.verbs.base.inputs import Loaded, numbered, tells_noise
 from covariant.verbs.base.kinds import WITH_FORCE, kind_of
 from covariant.verbs.base.sensors import FileSensor, file_sensors, with_readings
 from covariant.verbs.base.sheet import data_sheet
@@ -35,6 +35,8 @@ SPEED_IS_MISSING = (
 )
 
 
+OF_FILE = {entry.name for entry in REGISTRY if entry.tuned_by == "gains and speed"}
+"""Observers whose gains a model file may have."""
 MOST_STATES = 16
 """Largest number of states, with two for each input, up to which a filter has states for missing inputs: the work grows
 as its cube, and C of 28 states is compiled for many minutes."""
@@ -126,7 +128,7 @@ class Design(NamedTuple):
 def design(
     file: ModelFile,
     name: str | None = None,
-    gains: tuple[float, float] | None = None,
+    gains: dict[str, Any] | None = None,
     rate: float | None = None,
     log: Loaded | None = None,
     *,
@@ -136,7 +138,7 @@ def design(
     """Design the observer of a model file: the same one for every verb."""
     model: Any = file.model
     fitting = estimators(model)
-    name, spec = name or (default_observer(file) if gains is None else fitting[0]), spec or file.name
+    name, spec = name or default_observer(file, gains), spec or file.name
     if name not in fitting:
         raise InputError(f"observer {name} does not fit {spec}; these do: {', '.join(fitting)}")
     sheet = functools.cache(lambda: log_sheet(file, log))
@@ -145,17 +147,19 @@ def design(
             raise InputError(f"`metric` is for the observer riccati; {name} has no metric")
         notes = f"Its metric is that of {Path(metric).name}; none is outside its grid."
         return Design(file, name, stored_observer(model, metric, first_estimate(file)[0]), notes, sheet, log)
+    gains = gains or (given_gains(file.alpha, file.beta, file.speed_bound) if name in OF_FILE else None)
     if gains is not None:
-        available = with_gains(model, *gains)
+        available = _observers_with(file, gains)
         if name not in available:
-            known = f"they do to {', '.join(available)}"
-            known = known if available else "`alpha` and `beta` are for mechanical models"
-            raise InputError(
-                f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}; "
-                f"{known}"
+            known = ", ".join(available)
+            known = f"they do to {known}" if known else "`alpha` and `beta` are for mechanical models"
+            about = (
+                f"observer {name} does not fit {spec} with constant gains: `alpha` and `beta` do not apply to {name}"
             )
+            raise InputError(f"{about}; {known}")
         observer = gated(available[name], model, sheet()) if tells_noise(file) else available[name]
-        notes = f"Given gains: alpha = {gains[0]:g} 1/s, beta = {gains[1]:g} 1/s²."
+        given = (f"{key} = {', '.join(f'{x:g}' for x in np.ravel(value))} {GAINS[key]}" for key, value in gains.items())
+        notes = f"Given gains: {', '.join(given)}."
         return Design(file, name, observer, notes, sheet, log)
     if rate is None:
         sheet()  # first names the numbers that the model file lacks, if any
@@ -164,15 +168,26 @@ def design(
     return Design(file, name, kind.tuned(sheet, rate, (name,))[name], kind.note(sheet, rate, name), sheet, log)
 
 
-def default_observer(file: ModelFile) -> str:
+def _observers_with(file: ModelFile, gains: dict[str, Any]) -> dict[str, AbstractObserver]:
+    """The observers of a model file that take these gains, one for all coordinates or one each."""
+    model: Any = file.model
+    for key, value in gains.items():
+        numbers(key, value, model.velocities or numbered("q", file.dimension), one=True)
+    return with_gains(model, **gains)
+
+
+def default_observer(file: ModelFile, gains: dict[str, Any] | None = None) -> str:
     """Name of the observer of a model file where none is asked for: that which it chooses, or one that learns a force.
 
-    A natural frequency without a rate at which a force is learnt is that of an observer without a force.
+    With given gains it is the first that takes them. A natural frequency without a rate at which a force is learnt is
+    that of an observer without a force.
     """
     told = file.force_rate
     if told is None and file.natural_frequency is None:
         told = file.external_force_time
     fitting = estimators(file.model)
+    if gains is not None:
+        return next(iter(_observers_with(file, gains)), fitting[0])
     wanted = file.observer or (WITH_FORCE if told else "")
     return wanted if wanted in fitting else fitting[0]
 

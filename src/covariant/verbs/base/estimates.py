@@ -317,7 +317,7 @@ def _stds(each: Determinacy) -> dict[str, float | None]:
 
 
 def choose_observer(
-    job: Job, loaded: Loaded, observer: str, gains: tuple[float, float] | None = None
+    job: Job, loaded: Loaded, observer: str, gains: dict[str, Any] | None = None
 ) -> tuple[AbstractObserver, tuple[str, ...]]:
     """Design the observer of a name for a log, as if its readings were never late, and describe it in sentences."""
     designed = design(loaded.file, observer, gains, loaded.rate, loaded, spec=job.model_name)

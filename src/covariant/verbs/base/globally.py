@@ -21,6 +21,7 @@ from scalargraph.errors import InputError
 
 GLOBALLY = "measured-coefficients"
 """The observer whose certificate is about all first errors."""
+SETTINGS = "`estimate`, `compare` and `export` run it with these alpha, beta and speed in [design] of the model file."
 INTERVAL = 0.001
 """Time between samples [s] where none is given."""
 
@@ -28,7 +29,7 @@ INTERVAL = 0.001
 def certify_globally(
     name: str,
     file: ModelFile,
-    gains: tuple[float, float] | None,
+    gains: dict[str, Any] | None,
     region: Region | None,
     progress: Progress,
     without: dict[str, Any],
@@ -47,7 +48,7 @@ def certify_globally(
     ends = bounds("region", region or {}, names, "coordinate", equal=True)
     position = np.array([ends.get(each, (np.nan, np.nan)) for each in names]).T
     speeds = numbers("velocity", velocity, [f"d{each}/dt" for each in names], positive=True, one=True)
-    observer = model if gains is None else MeasuredCoefficients(model, *gains, speeds)
+    observer = model if gains is None else MeasuredCoefficients(model, **gains, speed=speeds)
     interval = (INTERVAL, INTERVAL) if (assumed := interval is None) else interval
     errors = {key: amounts(key, value, names) for key, value in disturbed.items()}
     sizes = _known_sizes(file, errors["noise"], interval[-1]) if min(interval, default=0.0) > 0 else None
@@ -160,6 +161,7 @@ class GlobalResult(AbstractResult):
             for name, omega, noise in (rows if self.holds else ())
         ]
         lines += [self.note] if self.note else []
+        lines += [SETTINGS] if self.holds else []
         return "\n".join([*lines, f"{cert.proof.boxes} boxes, {cert.proof.seconds:.1f} s"])
 
     def _write(self, path: Path) -> None:

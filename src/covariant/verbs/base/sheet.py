@@ -9,6 +9,7 @@ from covariant.calibration import DataSheet, suggest_noise
 from covariant.models import ModelFile
 from covariant.observers import SlowVariables, presliding_friction, sensor_bias, uncertain_parameters, wrench
 from covariant.signals import Record
+from covariant.verbs.base.arguments import given_gains
 from scalargraph.errors import InputError
 
 SAME = (
@@ -32,6 +33,7 @@ def data_sheet(file: ModelFile, record: Record | None = None) -> DataSheet:
     known: dict[str, Any] = {name: getattr(file, name) for name in SAME}
     stds = file.measurement_std if isinstance(file.measurement_std, tuple) else None
     known |= {"measurement_std": file.typical_std, "coordinate_stds": stds, "slow": _slow(file)}
+    known["gains_and_speed"] = tuple((given_gains(file.alpha, file.beta, file.speed_bound) or {}).values()) or None
     return DataSheet(**{name: value for name, value in known.items() if value is not None})
 
 
