@@ -88,7 +88,7 @@ def test_a_zero_that_changes_parts_the_logs_and_one_that_is_another_in_single_lo
     assert odd.sentences == ("the zero of elbow is another in log#4: +0.1 ± 0.001",)
     assert odd.alike == (0, 1, 2, 3, *range(5, 12))
     small = find_moved(zeros([0.0] * 5 + [0.006] * 11), 0.01)
-    assert small == ((), tuple(range(16))), "less than the resolution is no change"
+    assert small[:2] == ((), tuple(range(16))), "less than the resolution is no change"
     drift = find_moved(zeros(np.linspace(0.0, 0.1, 12).tolist()), 0.01)
     assert drift.sentences == ("the zero of elbow drifts: +0.1 from log#0 to log#11",)
     assert drift.alike == tuple(range(12))
@@ -99,5 +99,5 @@ def test_logs_without_a_number_keep_their_places():
     moved = find_moved(zeros(values), 0.01)
     assert moved.sentences[0].endswith("from log#8 on")
     assert moved.alike == tuple(range(8))
-    assert find_moved(zeros([None] * 9), 0.01) == ((), tuple(range(9)))
+    assert find_moved(zeros([None] * 9), 0.01)[:2] == ((), tuple(range(9)))
     assert find_moved(zeros([0.0] * 5 + [0.1] * 5, std=np.nan), 0.01).sentences == ()
