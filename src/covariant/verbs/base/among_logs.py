@@ -221,22 +221,28 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
                 yield f"  {name} drifts{on}: {drift:+.3g} from {first} to {last}"
 
 
-def find_outliers(value: np.ndarray, std: np.ndarray) -> np.ndarray:
+def find_outliers(value: np.ndarray, std: np.ndarray, group: np.ndarray | None = None) -> np.ndarray:
     """Which of some values are outliers among the others, which may differ by more than their standard errors.
+
+    Values of each `group`, numbered from 0, have a mean of their own, and those of all groups have one scatter.
 
     Source: Rosner 1983, Percentage points for a generalized ESD many-outlier procedure.
     """
+    group = np.zeros(len(value), int) if group is None else group
     left, removed, count = np.arange(len(value)), [], 0
-    most = max((len(value) - 2) // 3, 1) if len(value) > 2 else 0  # of two none is the odd one
+    free = len(value) - len(np.unique(group))
+    most = max((free - 1) // 3, 1) if free > 1 else 0  # of two none is the odd one
     for _ in range(min(most, MOST_OUTLIERS)):
-        n = len(left)
-        off = np.abs(value[left] - value[left].mean())
-        spread = max(np.std(value[left], ddof=1), math.sqrt(np.mean(std[left] ** 2)))
-        t = stdtrit(n - 2, 1 - CHANCE / (2 * n))
+        _, own, counts = np.unique(group[left], return_inverse=True, return_counts=True)
+        off = np.abs(value[left] - (np.bincount(own, value[left]) / counts)[own])
+        free = len(left) - len(counts)
+        spread = max(math.sqrt(np.sum(off**2) / free), math.sqrt(np.mean(std[left] ** 2)))
+        off /= np.sqrt(np.maximum(1 - 1 / counts[own], 0.5))  # a value pulls the mean of its group towards it
+        t = stdtrit(free - 1, 1 - CHANCE / (2 * len(left)))
         farthest = int(np.argmax(off))
         removed.append(left[farthest])
         left = np.delete(left, farthest)
-        if off[farthest] / spread > (n - 1) * t / math.sqrt((n - 2 + t**2) * n):
+        if off[farthest] / spread > t * math.sqrt(free / (free - 1 + t**2)):
             count = len(removed)
     odd = np.zeros(len(value), bool)
     odd[np.array(removed[:count], int)] = True

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import os
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -111,49 +112,56 @@ class _Number(NamedTuple):
 
     @property
     def title(self) -> str:
-        joint, _, kind = self.name.rpartition(".")
-        return {"offset": "the zero", "coulomb": "dry friction"}.get(kind, kind) + f" of {joint}"
+        joint = self.name.removesuffix(f".{self.kind}")
+        return {"offset": "the zero", "coulomb": "dry friction"}.get(self.kind, self.kind) + f" of {joint}"
 
     @property
-    def is_zero(self) -> bool:
-        return self.name.endswith(".offset")
+    def kind(self) -> str:
+        return self.name.rpartition(".")[2]
+
+    @property
+    def relative(self) -> bool:
+        """Whether a change counts by its factor."""
+        return self.kind not in ("offset", "delay")
 
     def known(self, places: Sequence[int]) -> np.ndarray:
         """Those of the logs that show the number; one that hardly does would be judged by its linearisation."""
         return np.array([k for k in places if self.std[k] < self.least], int)
 
     def size(self, change: float, error: float, middle: float) -> str:
-        relative = "" if self.is_zero else f", {change / abs(middle):+.0%} of {abs(middle):.3g}"
+        relative = f", {change / abs(middle):+.0%} of {abs(middle):.3g}" if self.relative else ""
         return f"{change:+.3g} ± {error:.2g}{relative}"
 
 
 def find_moved(rows: Sequence[LogRow], ticks: float, late: float = np.inf) -> Moved:
     """Compare the numbers of logs in the order of those of each arm, and of arms; `ticks` is the least change of a zero
     that counts [rad or m], `late` of a delay [s]."""
-    arms, sentences, odd, left_out = by_machine(rows, range(len(rows))), [], {}, set()
-    edges = {arm: {0, len(places)} for arm, places in arms.items()}
+    arms, sentences, odd, left_out = by_machine(rows, range(len(rows))), [], defaultdict(list), set()
+    edges, of_kinds = {arm: {0, len(places)} for arm, places in arms.items()}, defaultdict(list)
     for name in dict.fromkeys(name for _, row in rows for name in row if f"{name}_std" in row):
-        number, alike = _Number.of(name, rows, {"offset": ticks, "delay": late}), {}
+        number = _Number.of(name, rows, {"offset": ticks, "delay": late})
         for arm, places in arms.items():
             known = number.known(places)
             said, at, others = _over_time(number, rows, known)
             sentences += said
-            edges[arm] |= {places.index(known[at])} if at and number.is_zero else set()
-            left_out |= {*others} if number.is_zero else set()
-            # Before and after a change the numbers are those of two arms.
-            longest = slice(at, None) if 2 * at < len(known) else slice(at)
-            alike[arm] = [k for k in known[longest] if k not in others]
+            edges[arm] |= {places.index(known[at])} if at and number.kind == "offset" else set()
+            left_out |= {*others} if number.kind == "offset" else set()
             for k in others:
-                odd.setdefault(k, []).append(name)
-        for arm, sentence in _among_arms(number, alike):
-            sentences.append(sentence)
-            left_out |= {*arms[arm]} if number.is_zero else set()
-            for k in arms[arm]:
-                odd.setdefault(k, []).append(name)
-    stretches = {
-        arm: max(itertools.pairwise(sorted(each)), key=lambda pair: pair[1] - pair[0]) for arm, each in edges.items()
+                odd[k].append(name)
+            # Before and after a change the numbers are those of two arms.
+            alike = [k for k in known[at:] if k not in others] if 2 * at < len(known) else known[:at]
+            if len(alike):
+                mean = weighted_mean(number.value[alike], number.std[alike])[:2]
+                of_kinds[number.kind].append(_OfArm(number, arm, *mean))
+    for each, sentence in itertools.chain.from_iterable(map(_among_arms, of_kinds.values())):
+        sentences.append(sentence)
+        left_out |= {*arms[each.arm]} if each.number.kind == "offset" else set()
+        for k in arms[each.arm]:
+            odd[k].append(each.number.name)
+    longest = {
+        arm: max(itertools.pairwise(sorted(ends)), key=lambda pair: pair[1] - pair[0]) for arm, ends in edges.items()
     }
-    within = (k for arm, (begin, end) in stretches.items() for k in arms[arm][begin:end] if k not in left_out)
+    within = (k for arm, (begin, end) in longest.items() for k in arms[arm][begin:end] if k not in left_out)
     return Moved(tuple(sentences), tuple(sorted(within)), odd)
 
 
@@ -180,15 +188,29 @@ def _over_time(number: _Number, rows: Sequence[LogRow], known: np.ndarray) -> tu
     return sentences, 0, others
 
 
-def _among_arms(number: _Number, alike: Mapping[str, Sequence[int]]) -> Iterator[tuple[str, str]]:
-    """Arms on which a number is another than on the rest, each with a sentence; `alike` are the logs of each arm."""
-    arms = [arm for arm, places in alike.items() if places]
-    if len(arms) < 3:
-        return
-    each = (weighted_mean(number.value[alike[arm]], number.std[alike[arm]])[:2] for arm in arms)
-    value, std = np.array(list(each)).T
-    odd = find_outliers(value, std)
-    shared, error, _ = weighted_mean(value[~odd], std[~odd])
-    for arm, off, own in zip(np.array(arms)[odd].tolist(), value[odd] - shared, np.hypot(std, error)[odd], strict=True):
+class _OfArm(NamedTuple):
+    """Mean of a number over the logs of an arm, and its standard error."""
+
+    number: _Number
+    arm: str
+    mean: float
+    error: float
+
+
+def _among_arms(each: Sequence[_OfArm]) -> Iterator[tuple[_OfArm, str]]:
+    """Numbers of one kind that are others on an arm than on the rest, each with a sentence."""
+    numbers = list({one.number.name: one.number for one in each})
+    group = np.array([numbers.index(one.number.name) for one in each])
+    value, std = np.array([(one.mean, one.error) for one in each]).T
+    middle = np.array([np.median(value[group == k]) for k in group])
+    scale = np.abs(middle) if each[0].number.relative else np.ones(len(each))
+    odd = find_outliers(value / scale, std / scale, group)
+    for k in np.flatnonzero(odd):
+        others = (group == group[k]) & ~odd
+        if np.count_nonzero(others) < 2:  # of two arms none is the odd one
+            continue
+        shared, error, _ = weighted_mean(value[others], std[others])
+        off, own, number = float(value[k] - shared), float(np.hypot(std[k], error)), each[k].number
         if abs(off) > max(FAR * own, number.least):
-            yield arm, f"{number.title} is another on {arm}: {number.size(off, own, shared)} beside the others"
+            size = number.size(off, own, shared)
+            yield each[k], f"{number.title} is another on {each[k].arm}: {size} beside the other arms"
