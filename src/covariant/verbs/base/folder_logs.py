@@ -1,6 +1,5 @@
 """A fit to the logs of a folder: those that tell most, judged by others, and what changes from log to log."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from covariant.signals import Record
 from covariant.verbs.base.among_logs import CLEAR, LogRow, by_machine, find_change
 from covariant.verbs.base.fit_to_logs import fit_to_logs
 from covariant.verbs.base.inputs import Job, columns_of
-from covariant.verbs.base.own_numbers import find_moved, read_record, servo_rows
+from covariant.verbs.base.own_numbers import find_moved, longest_stretch, read_record, servo_rows
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
 
@@ -43,9 +42,8 @@ def fit_folder(
     rows = servo_rows(jobs, folder.columns, numbers, progress)
     stated = (folder.file.quantum, folder.file.measurement_std)
     tick = float(np.max(next((each for each in stated if each is not None), 0.0)))
-    moved = find_moved(
-        rows, TICKS * tick, float(np.median([np.diff(each.t).mean() for each in folder.records.values()]))
-    )
+    row = float(np.median([np.diff(each.t).mean() for each in folder.records.values()]))
+    moved = find_moved(rows, TICKS * tick, row)
     # Once more if some logs belong to another zero, or if some were left out for a change that the fit explains.
     if not set(used.logs) <= set(moved.alike) or len(folder.stretch) < len(moved.alike):
         used = folder.choose(moved.alike)
@@ -102,13 +100,12 @@ class _Folder(NamedTuple):
                 change = find_change(column, np.full(len(column), BEYOND_SAG / CLEAR))
                 clear = change is not None and abs(change[1]) > BEYOND_SAG
                 ends |= {its_logs.index(places[change[0]])} if clear else set()
-            begin, end = max(itertools.pairwise(sorted(ends)), key=lambda pair: pair[1] - pair[0])
-            logs += its_logs[begin:end]
+            logs += longest_stretch(its_logs, ends)
         return sorted(logs)
 
     def choose(self, among: Sequence[int]) -> _Used:
         """Logs to fit, and others to judge by."""
-        places = [k for k in self.records if k in set(among)]
+        places = sorted(self.records.keys() & among)
         counts = np.array([len(self.records[k].t) for k in places])
         only = "" if len(among) == len(self.jobs) else f" Only the {len(among)} logs between changes of a zero count."
         most = min(MOST_ROWS, counts.sum() / (1 + JUDGE))

@@ -158,11 +158,14 @@ def find_moved(rows: Sequence[LogRow], ticks: float, late: float = np.inf) -> Mo
         left_out |= {*arms[each.arm]} if each.number.kind == "offset" else set()
         for k in arms[each.arm]:
             odd[k].append(each.number.name)
-    longest = {
-        arm: max(itertools.pairwise(sorted(ends)), key=lambda pair: pair[1] - pair[0]) for arm, ends in edges.items()
-    }
-    within = (k for arm, (begin, end) in longest.items() for k in arms[arm][begin:end] if k not in left_out)
+    within = (k for arm, ends in edges.items() for k in longest_stretch(arms[arm], ends) if k not in left_out)
     return Moved(tuple(sentences), tuple(sorted(within)), odd)
+
+
+def longest_stretch(logs: Sequence[int], ends: set[int]) -> Sequence[int]:
+    """Logs of the longest stretch between ends, which are places among these logs."""
+    begin, end = max(itertools.pairwise(sorted(ends)), key=lambda pair: pair[1] - pair[0])
+    return logs[begin:end]
 
 
 def _over_time(number: _Number, rows: Sequence[LogRow], known: np.ndarray) -> tuple[list[str], int, list[int]]:
@@ -199,18 +202,21 @@ class _OfArm(NamedTuple):
 
 def _among_arms(each: Sequence[_OfArm]) -> Iterator[tuple[_OfArm, str]]:
     """Numbers of one kind that are others on an arm than on the rest, each with a sentence."""
-    numbers = list({one.number.name: one.number for one in each})
-    group = np.array([numbers.index(one.number.name) for one in each])
+    names = list(dict.fromkeys(one.number.name for one in each))
+    group = np.array([names.index(one.number.name) for one in each])
     value, std = np.array([(one.mean, one.error) for one in each]).T
     middle = np.array([np.median(value[group == k]) for k in group])
     scale = np.abs(middle) if each[0].number.relative else np.ones(len(each))
-    odd = find_outliers(value / scale, std / scale, group)
+    # Of two arms neither is the odd one: the second is compared with the first.
+    pairs = np.bincount(group)[group] == 2
+    later = np.isin(np.arange(len(group)), np.unique(group, return_index=True)[1], invert=True)
+    odd = np.where(pairs, later, find_outliers(value / scale, std / scale, group))
     for k in np.flatnonzero(odd):
         others = (group == group[k]) & ~odd
-        if np.count_nonzero(others) < 2:  # of two arms none is the odd one
-            continue
-        shared, error, _ = weighted_mean(value[others], std[others])
+        shared, error, _ = weighted_mean(value[others], std[others]) if others.any() else (np.nan,) * 3
         off, own, number = float(value[k] - shared), float(np.hypot(std[k], error)), each[k].number
         if abs(off) > max(FAR * own, number.least):
-            size = number.size(off, own, shared)
-            yield each[k], f"{number.title} is another on {each[k].arm}: {size} beside the other arms"
+            yield (
+                each[k],
+                f"{number.title} is another on {each[k].arm}: {number.size(off, own, shared)} beside the rest",
+            )
