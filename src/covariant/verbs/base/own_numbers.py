@@ -5,6 +5,7 @@ import itertools
 import os
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,29 @@ FEWEST_ROWS = 10
 """Fewest positions of each joint in a log that show how it moves."""
 AT_ONCE = 100
 """Logs that are held in memory at once."""
+
+
+def rows_of_arms(
+    jobs: Sequence[Job], columns: logs.Columns, fitted: Mapping[str, float], progress: Progress
+) -> list[LogRow]:
+    """The rows of `servo_rows`; of several arms near the numbers of each, since one step from those of all falls short
+    of an arm that differs."""
+    rows = servo_rows(jobs, columns, fitted, progress)
+    arms = by_machine(rows, range(len(rows)))
+    for places in arms.values() if len(arms) > 1 else ():
+        own = [rows[k] for k in places]
+        numbers = [_Number.of(name, own) for name in names_in(own)]
+        near = {f"servo.{each.name}": each.mean(np.flatnonzero(np.isfinite(each.std)))[0] for each in numbers}
+        for k, row in zip(
+            places, servo_rows([jobs[k] for k in places], columns, {**fitted, **near}, progress), strict=True
+        ):
+            rows[k] = row
+    return rows
+
+
+def names_in(rows: Sequence[LogRow]) -> list[str]:
+    """Names of the numbers that any of the logs shows."""
+    return list(dict.fromkeys(name for _, row in rows for name in row if f"{name}_std" in row))
 
 
 def servo_rows(
@@ -105,7 +129,7 @@ class _Number(NamedTuple):
     least: float
 
     @classmethod
-    def of(cls, name: str, rows: Sequence[LogRow], least: Mapping[str, float]) -> "_Number":
+    def of(cls, name: str, rows: Sequence[LogRow], least: Mapping[str, float] = MappingProxyType({})) -> "_Number":
         value, std = (np.array([row.get(key, np.nan) for _, row in rows], float) for key in (name, f"{name}_std"))
         usual = LEAST_CHANGE * abs(float(np.nanmedian(value)))
         return cls(name, value, std, least.get(name.rpartition(".")[2], usual))
@@ -128,6 +152,10 @@ class _Number(NamedTuple):
         """Those of the logs that show the number; one that hardly does would be judged by its linearisation."""
         return np.array([k for k in places if self.std[k] < self.least], int)
 
+    def mean(self, places: np.ndarray) -> tuple[float, float]:
+        """Mean over some logs, and its standard error."""
+        return weighted_mean(self.value[places], self.std[places])[:2]
+
     def size(self, change: float, error: float, middle: float) -> str:
         relative = f", {change / abs(middle):+.0%} of {abs(middle):.3g}" if self.relative else ""
         return f"{change:+.3g} ± {error:.2g}{relative}"
@@ -138,7 +166,7 @@ def find_moved(rows: Sequence[LogRow], ticks: float, late: float = np.inf) -> Mo
     that counts [rad or m], `late` of a delay [s]."""
     arms, sentences, odd, left_out = by_machine(rows, range(len(rows))), [], defaultdict(list), set()
     edges, of_kinds = {arm: {0, len(places)} for arm, places in arms.items()}, defaultdict(list)
-    for name in dict.fromkeys(name for _, row in rows for name in row if f"{name}_std" in row):
+    for name in names_in(rows):
         number = _Number.of(name, rows, {"offset": ticks, "delay": late})
         for arm, places in arms.items():
             known = number.known(places)
@@ -149,10 +177,10 @@ def find_moved(rows: Sequence[LogRow], ticks: float, late: float = np.inf) -> Mo
             for k in others:
                 odd[k].append(name)
             # Before and after a change the numbers are those of two arms.
-            alike = [k for k in known[at:] if k not in others] if 2 * at < len(known) else known[:at]
+            longer = known[at:] if 2 * at < len(known) else known[:at]
+            alike = np.setdiff1d(longer, others).astype(int)
             if len(alike):
-                mean = weighted_mean(number.value[alike], number.std[alike])[:2]
-                of_kinds[number.kind].append(_OfArm(number, arm, *mean))
+                of_kinds[number.kind].append(_OfArm(number, arm, *number.mean(alike)))
     for each, sentence in itertools.chain.from_iterable(map(_among_arms, of_kinds.values())):
         sentences.append(sentence)
         left_out |= {*arms[each.arm]} if each.number.kind == "offset" else set()
