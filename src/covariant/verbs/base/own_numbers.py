@@ -5,7 +5,6 @@ import itertools
 import os
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +29,8 @@ from scalargraph.errors import InputError
 
 OWN = ("offset", "stiffness", "coulomb", "delay")
 """Numbers of a servo that may change from day to day."""
+ABSOLUTE = ("offset", "delay")
+"""Those of them of which a change counts by itself, and not by its factor."""
 LEAST_CHANGE = 0.3
 """Least relative change of stiffness or friction that counts."""
 FEWEST_ROWS = 10
@@ -46,19 +47,12 @@ def rows_of_arms(
     rows = servo_rows(jobs, columns, fitted, progress)
     arms = by_machine(rows, range(len(rows)))
     for places in arms.values() if len(arms) > 1 else ():
-        own = [rows[k] for k in places]
-        numbers = [_Number.of(name, own) for name in names_in(own)]
-        near = {f"servo.{each.name}": each.mean(np.flatnonzero(np.isfinite(each.std)))[0] for each in numbers}
-        for k, row in zip(
-            places, servo_rows([jobs[k] for k in places], columns, {**fitted, **near}, progress), strict=True
-        ):
-            rows[k] = row
+        numbers = _Number.each([rows[k] for k in places])
+        near = {f"servo.{each.name}": each.mean(np.isfinite(each.std))[0] for each in numbers}
+        own = iter(servo_rows([jobs[k] for k in places], columns, {**fitted, **near}, progress))
+        for k in places:
+            rows[k] = next(own)
     return rows
-
-
-def names_in(rows: Sequence[LogRow]) -> list[str]:
-    """Names of the numbers that any of the logs shows."""
-    return list(dict.fromkeys(name for _, row in rows for name in row if f"{name}_std" in row))
 
 
 def servo_rows(
@@ -126,39 +120,39 @@ class _Number(NamedTuple):
     name: str
     value: np.ndarray
     std: np.ndarray
-    least: float
+    least: float = np.inf
 
     @classmethod
-    def of(cls, name: str, rows: Sequence[LogRow], least: Mapping[str, float] = MappingProxyType({})) -> "_Number":
-        value, std = (np.array([row.get(key, np.nan) for _, row in rows], float) for key in (name, f"{name}_std"))
-        usual = LEAST_CHANGE * abs(float(np.nanmedian(value)))
-        return cls(name, value, std, least.get(name.rpartition(".")[2], usual))
-
-    @property
-    def title(self) -> str:
-        joint = self.name.removesuffix(f".{self.kind}")
-        return {"offset": "the zero", "coulomb": "dry friction"}.get(self.kind, self.kind) + f" of {joint}"
+    def each(cls, rows: Sequence[LogRow]) -> list["_Number"]:
+        """Every number that any of the logs shows."""
+        names = dict.fromkeys(name for _, row in rows for name in row if f"{name}_std" in row)
+        both = ([[row.get(key, np.nan) for _, row in rows] for key in (name, f"{name}_std")] for name in names)
+        return [cls(name, *np.array(columns, float)) for name, columns in zip(names, both, strict=True)]
 
     @property
     def kind(self) -> str:
         return self.name.rpartition(".")[2]
 
     @property
-    def relative(self) -> bool:
-        """Whether a change counts by its factor."""
-        return self.kind not in ("offset", "delay")
-
-    def known(self, places: Sequence[int]) -> np.ndarray:
-        """Those of the logs that show the number; one that hardly does would be judged by its linearisation."""
-        return np.array([k for k in places if self.std[k] < self.least], int)
+    def title(self) -> str:
+        what = {"offset": "the zero", "coulomb": "dry friction"}.get(self.kind, self.kind)
+        return f"{what} of {self.name.rpartition('.')[0]}"
 
     def mean(self, places: np.ndarray) -> tuple[float, float]:
         """Mean over some logs, and its standard error."""
         return weighted_mean(self.value[places], self.std[places])[:2]
 
     def size(self, change: float, error: float, middle: float) -> str:
-        relative = f", {change / abs(middle):+.0%} of {abs(middle):.3g}" if self.relative else ""
+        relative = "" if self.kind in ABSOLUTE else f", {change / abs(middle):+.0%} of {abs(middle):.3g}"
         return f"{change:+.3g} ± {error:.2g}{relative}"
+
+    def others(self, value: np.ndarray, std: np.ndarray, odd: np.ndarray) -> Iterator[tuple[int, str]]:
+        """Places of those odd values that are clearly other ones than the rest, and by how much."""
+        shared, error, _ = weighted_mean(value[~odd], std[~odd])
+        for k in np.flatnonzero(odd).tolist():
+            off, own = float(value[k] - shared), float(np.hypot(std[k], error))
+            if abs(off) > max(FAR * own, self.least):
+                yield k, self.size(off, own, shared)
 
 
 def find_moved(rows: Sequence[LogRow], ticks: float, late: float = np.inf) -> Moved:
@@ -166,26 +160,39 @@ def find_moved(rows: Sequence[LogRow], ticks: float, late: float = np.inf) -> Mo
     that counts [rad or m], `late` of a delay [s]."""
     arms, sentences, odd, left_out = by_machine(rows, range(len(rows))), [], defaultdict(list), set()
     edges, of_kinds = {arm: {0, len(places)} for arm, places in arms.items()}, defaultdict(list)
-    for name in names_in(rows):
-        number = _Number.of(name, rows, {"offset": ticks, "delay": late})
+
+    def tell(number: _Number, sentence: str, logs: Sequence[int]) -> None:
+        sentences.append(f"{number.title} {sentence}")
+        left_out.update(logs if number.kind == "offset" else ())
+        for k in logs:
+            odd[k].append(number.name)
+
+    for unjudged in _Number.each(rows):
+        usual = LEAST_CHANGE * abs(float(np.nanmedian(unjudged.value)))
+        number = unjudged._replace(least={"offset": ticks, "delay": late}.get(unjudged.kind, usual))
         for arm, places in arms.items():
-            known = number.known(places)
-            said, at, others = _over_time(number, rows, known)
-            sentences += said
-            edges[arm] |= {places.index(known[at])} if at and number.kind == "offset" else set()
-            left_out |= {*others} if number.kind == "offset" else set()
-            for k in others:
-                odd[k].append(name)
-            # Before and after a change the numbers are those of two arms.
-            longer = known[at:] if 2 * at < len(known) else known[:at]
-            alike = np.setdiff1d(longer, others).astype(int)
-            if len(alike):
-                of_kinds[number.kind].append(_OfArm(number, arm, *number.mean(alike)))
-    for each, sentence in itertools.chain.from_iterable(map(_among_arms, of_kinds.values())):
-        sentences.append(sentence)
-        left_out |= {*arms[each.arm]} if each.number.kind == "offset" else set()
-        for k in arms[each.arm]:
-            odd[k].append(each.number.name)
+            # What a log hardly tells would be judged by its linearisation.
+            known = np.array([k for k in places if number.std[k] < number.least], int)
+            value, std = number.value[known], number.std[known]
+            change = find_change(value, std)
+            if change is not None and abs(change[1]) > number.least:
+                at, size = change[0], number.size(*change[1:], float(np.median(value)))
+                tell(number, f"changes by {size} from {rows[known[at]].name} on", ())
+                edges[arm] |= {places.index(known[at])} if number.kind == "offset" else set()
+                # Before and after a change the numbers are those of two arms.
+                known = known[at:] if 2 * at < len(known) else known[:at]
+            elif len(known) > 2:
+                outliers = find_outliers(value, std)
+                for k, size in number.others(value, std, outliers):
+                    tell(number, f"is another in {rows[known[k]].name}: {size}", [int(known[k])])
+                drift = find_drift(value, std)
+                if drift is not None and abs(drift) > number.least:
+                    tell(number, f"drifts: {drift:+.3g} from {rows[known[0]].name} to {rows[known[-1]].name}", ())
+                known = known[~outliers]
+            if len(known):
+                of_kinds[number.kind].append((number, arm, *number.mean(known)))
+    for number, arm, size in itertools.chain.from_iterable(map(_among_arms, of_kinds.values())):
+        tell(number, f"is another on {arm}: {size} beside the rest", arms[arm])
     within = (k for arm, ends in edges.items() for k in longest_stretch(arms[arm], ends) if k not in left_out)
     return Moved(tuple(sentences), tuple(sorted(within)), odd)
 
@@ -196,55 +203,22 @@ def longest_stretch(logs: Sequence[int], ends: set[int]) -> Sequence[int]:
     return logs[begin:end]
 
 
-def _over_time(number: _Number, rows: Sequence[LogRow], known: np.ndarray) -> tuple[list[str], int, list[int]]:
-    """Sentences on a number in logs of one arm, the place among them from which on it is another, and odd logs."""
-    if len(known) < 3:
-        return [], 0, []
-    value, std, sentences, others = number.value[known], number.std[known], [], []
-    middle = float(np.median(value))
-    change = find_change(value, std)
-    if change is not None and abs(change[1]) > number.least:
-        size = number.size(*change[1:], middle)
-        return [f"{number.title} changes by {size} from {rows[known[change[0]]].name} on"], change[0], []
-    odd = find_outliers(value, std)
-    shared, error, _ = weighted_mean(value[~odd], std[~odd])
-    for k in known[odd].tolist():
-        off, own = float(number.value[k] - shared), float(np.hypot(number.std[k], error))
-        if abs(off) > max(FAR * own, number.least):
-            sentences.append(f"{number.title} is another in {rows[k].name}: {number.size(off, own, middle)}")
-            others.append(k)
-    drift = find_drift(value, std)
-    if drift is not None and abs(drift) > number.least:
-        sentences.append(f"{number.title} drifts: {drift:+.3g} from {rows[known[0]].name} to {rows[known[-1]].name}")
-    return sentences, 0, others
-
-
-class _OfArm(NamedTuple):
-    """Mean of a number over the logs of an arm, and its standard error."""
-
-    number: _Number
-    arm: str
-    mean: float
-    error: float
-
-
-def _among_arms(each: Sequence[_OfArm]) -> Iterator[tuple[_OfArm, str]]:
-    """Numbers of one kind that are others on an arm than on the rest, each with a sentence."""
-    names = list(dict.fromkeys(one.number.name for one in each))
-    group = np.array([names.index(one.number.name) for one in each])
-    value, std = np.array([(one.mean, one.error) for one in each]).T
-    middle = np.array([np.median(value[group == k]) for k in group])
-    scale = np.abs(middle) if each[0].number.relative else np.ones(len(each))
-    # Of two arms neither is the odd one: the second is compared with the first.
-    pairs = np.bincount(group)[group] == 2
-    later = np.isin(np.arange(len(group)), np.unique(group, return_index=True)[1], invert=True)
-    odd = np.where(pairs, later, find_outliers(value / scale, std / scale, group))
-    for k in np.flatnonzero(odd):
-        others = (group == group[k]) & ~odd
-        shared, error, _ = weighted_mean(value[others], std[others]) if others.any() else (np.nan,) * 3
-        off, own, number = float(value[k] - shared), float(np.hypot(std[k], error)), each[k].number
-        if abs(off) > max(FAR * own, number.least):
-            yield (
-                each[k],
-                f"{number.title} is another on {each[k].arm}: {number.size(off, own, shared)} beside the rest",
+def _among_arms(each: Sequence[tuple[_Number, str, float, float]]) -> Iterator[tuple[_Number, str, str]]:
+    """Of numbers of one kind, each with an arm, its mean there and the error of that, those that are others on an arm
+    than on the rest, with the arm and by how much."""
+    numbers, arms, *means = zip(*each, strict=True)
+    value, std = np.array(means)
+    names = np.array([number.name for number in numbers])
+    _, first, group = np.unique(names, return_index=True, return_inverse=True)
+    middle = np.array(
+        [1.0 if number.kind in ABSOLUTE else np.median(value[names == number.name]) for number in numbers]
+    )
+    odd = find_outliers(value / abs(middle), std / abs(middle), group)
+    for k, at in enumerate(first):
+        own = np.flatnonzero(group == k)
+        # Of two arms neither is the odd one: the second is compared with the first.
+        unlike = own != at if len(own) == 2 else odd[own]
+        if not unlike.all():
+            yield from (
+                (numbers[at], arms[own[i]], size) for i, size in numbers[at].others(value[own], std[own], unlike)
             )
