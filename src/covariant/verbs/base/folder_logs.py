@@ -98,8 +98,8 @@ class _Folder(NamedTuple):
             places, ends = [k for k in its_logs if k in off], {0, len(its_logs)}
             for column in np.array([off[k] for k in places]).T:
                 change = find_change(column, np.full(len(column), BEYOND_SAG / CLEAR))
-                clear = change is not None and abs(change[1]) > BEYOND_SAG
-                ends |= {its_logs.index(places[change[0]])} if clear else set()
+                if change is not None and abs(change[1]) > BEYOND_SAG:
+                    ends.add(its_logs.index(places[change[0]]))
             logs += longest_stretch(its_logs, ends)
         return sorted(logs)
 
