@@ -1,6 +1,7 @@
 """Folders of recorded episodes, and several episodes in one file: which logs there are, and what each of them holds."""
 
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -350,3 +351,35 @@ def test_rows_that_lie_together_are_decoded_once(tmp_path, monkeypatch):
     for number in range(6):
         logs.read(f"{path}#{number}", LISTS)
     assert sorted(decoded) == ["action", "episode_index", "observation.state", "timestamp"]
+
+
+def test_reading_episodes_one_by_one_parses_each_footer_once_and_copies_no_other_episode(tmp_path, monkeypatch):
+    files = {f"file-{k:03d}.parquet": [table(6 * k + each) for each in range(6)] for k in range(2)}
+    whole = {name.replace("file", "whole"): [pa.concat_tables(each)] for name, each in files.items()}
+    each = logs.episodes(data_set(tmp_path / "set", files | whole))
+    counted, footer, groups = [], pq.read_metadata, pq.ParquetFile.read_row_groups
+    monkeypatch.setattr(pq, "read_metadata", lambda path: counted.append(Path(path).name) or footer(path))
+
+    def read(file, of, columns):
+        counted.append(f"{len(of)} of {file.metadata.num_row_groups}")
+        return groups(file, of, columns=columns)
+
+    monkeypatch.setattr(pq.ParquetFile, "read_row_groups", read)
+    for log in each:
+        number = logs.part_of(log)[1]
+        assert logs.read(log, LISTS).record.y.tolist() == pytest.approx(np.float32(motion(number)[2]))
+    assert Counter(counted) == {
+        **dict.fromkeys((*files, *whole), 1),
+        "1 of 6": 12 * 4,  # the columns of one episode: two lists, stamps, and the numbers
+        "1 of 1": 2 * 4,  # of all six at once
+    }
+
+
+def test_a_folder_without_logs_has_those_of_the_folders_in_it(tmp_path):
+    for arm in ("arm10", "arm9"):
+        data_set(tmp_path / "arms" / arm, {"file-000.parquet": [table(k) for k in range(2)]})
+    (tmp_path / "arms" / "notes").mkdir()
+    found = [Path(each).relative_to(tmp_path / "arms").as_posix() for each in logs.episodes(tmp_path / "arms")]
+    assert found == [f"{arm}/data/chunk-000/file-000.parquet#{k}" for arm in ("arm9", "arm10") for k in range(2)]
+    csv(tmp_path / "arms" / "run.csv", [0, 0])
+    assert names_of(tmp_path / "arms") == ["run.csv"], "a folder with logs is that of one arm"

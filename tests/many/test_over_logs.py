@@ -185,3 +185,22 @@ def test_a_page_has_a_thousand_rows_and_says_where_the_others_are(tmp_path):
     assert page.count("<td>log") == 1000
     assert "200 more logs are in the table" in page
     assert "<td>log1100.csv" in page, "what failed comes first"
+
+
+def test_an_arm_at_rest_is_idle_and_one_that_does_not_follow_its_commands_is_wrong():
+    t = np.arange(300) / 50
+    file = Path(__file__).parents[2] / "examples" / "so101.toml"
+    y = np.tile(np.array([0.3, 0.1, 0.6, 0.2, 0.0]), (300, 1))
+    rows = []
+    for size in (0.0, 0.05, 0.5):
+        result = covariant.check(file, covariant.Record(t, y + 0.05 + size * np.sin(t)[:, None] * np.eye(5)[1], y))
+        assert result.wrong, "nothing can be told from it"
+        rows.append(LogRow(f"log{size}", result.row))
+    assert [row["verdict"] for _, row in rows] == ["too little motion", "too little motion", "WRONG"]
+    assert [row["wrong"][:9] for _, row in rows] == ["", "", "servo off"]
+    assert rows[0].row["notes"].startswith("nothing moves of ")
+    assert "while a command moves by 1" in result.warnings[0]
+    many = LogsResult("check", "arm", rows)
+    assert many.wrong
+    assert not LogsResult("check", "arm", rows[:2]).wrong
+    assert many.warnings[1] == "IDLE 2 of 3 logs, which move too little: log0.0; log0.05"

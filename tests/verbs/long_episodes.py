@@ -118,3 +118,27 @@ def test_episodes_that_cannot_be_used_are_named_and_those_of_another_rate_count(
     assert [name for name, why in failed.items() if why] == ["file-008.parquet", "file-009.parquet"]
     assert failed["file-009.parquet"].endswith("3 rows have positions, and 10 are needed")
     assert all(row["lower_joint.offset"] == pytest.approx(-0.03, abs=0.02) for row in result["each"][:8])
+
+
+@pytest.mark.long
+def test_the_arm_whose_joint_has_another_zero_is_named_among_arms_of_one_kind(arm, tmp_path):
+    for k, name in enumerate("abcd"):
+        for number in range(5):
+            record = simulated(100 + 5 * k + number, 50, SIZE * (name == "b"))
+            own = data_set(tmp_path / name / str(number), record, NAMES)
+            folder = tmp_path / "arms" / name / "data" / "chunk-000"
+            folder.mkdir(parents=True, exist_ok=True)
+            own.rename(folder / f"file-{number:03d}.parquet")
+        (folder.parents[1] / "meta").mkdir()
+        (tmp_path / name / "0" / "meta" / "info.json").rename(folder.parents[1] / "meta" / "info.json")
+    known = ("--set", f'parameters.path="{arm / "arm.urdf"}"')
+    assert leave("init", tmp_path / "arms" / "a", "-o", tmp_path / "arm.toml", *known).code == 0
+    found = command("fit", tmp_path / "arm.toml", tmp_path / "arms", "-o", tmp_path / "fitted.toml")
+    (zero,) = found["changes"]
+    assert zero.startswith(f"the zero of lower_joint is another on {tmp_path / 'arms' / 'b'}: ")
+    assert float(zero.split(": ")[1].split()[0]) == pytest.approx(SIZE, abs=0.02)
+    odd = [Path(row["log"]).parents[2].name for row in found["each"] if row["odd"]]
+    assert odd == ["b"] * 5
+    assert models.document(str(tmp_path / "fitted.toml"))["servo"]["lower_joint"]["offset"] == pytest.approx(
+        -0.03, abs=0.01
+    )

@@ -57,7 +57,8 @@ def episodes(log: Any, strict: bool = True) -> tuple[Any, ...]:
     """The logs of a file or a folder, in the order of the numbers in their names.
 
     A file with several episodes has one for each, `FILE#3` for that of number 3, and every other log is one, also in
-    memory. A folder has those of all logs in it; of a LeRobot data set, those of its `data`.
+    memory. A folder has those of all logs in it; of a LeRobot data set, those of its `data`; without logs, those in the
+    folders in it, such as one for each arm.
 
     Args:
         log: A path, or a log in memory.
@@ -85,8 +86,7 @@ def episodes(log: Any, strict: bool = True) -> tuple[Any, ...]:
     if path.is_dir() and not is_log(path):
         if number is not None:
             raise InputError(f"{log}: this is a folder; #{number} belongs after the name of a file, as FILE#{number}")
-        inside = (path / "data").rglob("*.parquet") if (path / INFO).is_file() else path.iterdir()
-        files = sorted(filter(is_log, inside), key=lambda file: natural_key(str(file)))
+        files = _files(path) or [file for each in _in_order(path.iterdir()) if each.is_dir() for file in _files(each)]
         if not files and not strict:
             return (log,)
         if not files:
@@ -97,6 +97,17 @@ def episodes(log: Any, strict: bool = True) -> tuple[Any, ...]:
         with contextlib.suppress(OSError, ValueError):  # whoever reads a broken file says what is wrong with it
             numbers = _numbers(path)
     return tuple(f"{log}#{each}" for each in numbers) if len(numbers) > 1 else (log,)
+
+
+def _files(folder: Path) -> list[Path]:
+    """The logs in a folder, or in the `data` of a data set."""
+    return _in_order(
+        filter(is_log, (folder / "data").rglob("*.parquet") if (folder / INFO).is_file() else folder.iterdir())
+    )
+
+
+def _in_order(paths: Iterable[Path]) -> list[Path]:
+    return sorted(paths, key=lambda each: natural_key(str(each)))
 
 
 def is_log(path: Path) -> bool:

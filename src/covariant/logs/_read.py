@@ -25,7 +25,7 @@ from covariant.logs._columns import (
 from covariant.logs._configuration import bodies, from_cells
 from covariant.logs._entries import by_entries, is_list
 from covariant.logs._episodes import episodes_fault, part_of
-from covariant.logs._parquet import episode_column, of_episode, read_parquet
+from covariant.logs._parquet import episode_column, of_episode, open_parquet, read_parquet
 from covariant.logs._register import Register
 from covariant.logs._stamps import stamps, timed
 from covariant.logs._tables import (
@@ -410,7 +410,7 @@ def open_source(name: str, log: Any) -> LogSource:
         shown = [name for name, shortest in names.items() if shortest]
         return LogSource(list(names), shown, lambda *asked: pyarrow().table(read_bag(path, *asked)))
     if ending == ".parquet":
-        with pyarrow().parquet.ParquetFile(path) as file:
+        with open_parquet(path) as file:
             schema = file.schema_arrow
             check_log(path, file.metadata.num_rows)
         names, lists = list(schema.names), [field.name for field in schema if is_list(field.type)]

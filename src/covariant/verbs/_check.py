@@ -18,7 +18,7 @@ from covariant.calibration import Beside, Diagnosis, Finding, diagnose, mended_c
 from covariant.models import Overrides
 from covariant.observers import on_legs
 from covariant.signals import Record, acting_inputs
-from covariant.verbs.base.among_logs import IDLE
+from covariant.verbs.base.among_logs import AT_REST, IDLE
 from covariant.verbs.base.inputs import ColumnNames, Job, Loaded, load
 from covariant.verbs.base.open_numbers import open_numbers
 from covariant.verbs.base.progress import Progress, notebook_line
@@ -212,8 +212,9 @@ class CheckResult(AbstractResult):
             named[finding.wrong].append(f"{finding.what} of {finding.where}" if finding.where else finding.what)
         lines = [finding.line for finding in self.findings if finding.wrong and finding.line]
         row = {"rows": float(self.rows), "rate": self.rate, "verdict": "WRONG" if self.wrong else "ok"}
-        if named[True] == [IDLE]:  # one machine of many may rest
-            row["verdict"], named = IDLE, {True: [], False: [IDLE, *named[False]]}
+        if named[True] and all(each.what in AT_REST for each in self.findings if each.wrong):
+            row["verdict"] = IDLE  # one machine of many may rest
+            named = {True: [], False: [*named[True], *named[False]]}
         row |= {"wrong": "; ".join(named[True]), "notes": "; ".join(named[False]), "what to do": "; ".join(lines)}
         return row | ({} if self.t_counts_from is None else {"t_counts_from": self.t_counts_from})
 

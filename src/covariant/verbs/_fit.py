@@ -368,6 +368,7 @@ class FitResult(AbstractTable):
         return [
             {"log": Path(row["log"]).name}
             | {name: f"{row[name]:.4g} ± {row[f'{name}_std']:.2g}" if name in row else None for name in names}
+            | {"odd": row.get("odd") or None}
             | ({"not read": row.get("failed")} if any("failed" in each for each in rows) else {})
             for row in rows
         ]

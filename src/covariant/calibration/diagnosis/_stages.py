@@ -52,6 +52,7 @@ from covariant.calibration.diagnosis._thresholds import BARELY, FEW_ROWS, MOST_R
 from covariant.calibration.diagnosis._timing import Timing, fit_timing, inputs_between_rows, moved_rows, row_shifts
 from covariant.calibration.diagnosis._unexplained import constant_inputs, unexplained
 from covariant.models import ModelFile
+from covariant.models.robots import servos_in
 from covariant.observers import on_legs
 from covariant.scoring import unwrap
 from covariant.signals import Record
@@ -60,6 +61,8 @@ SHIFTED = (1.0, 2.0, 4.0)
 """Half-widths of windows in which to look for shifts by whole rows, as multiples of the one that explains most."""
 NOISY = 0.01
 """Noise, as a fraction of the deviation of a position, from which a second sender is looked for."""
+HELD = 0.2
+"""Motion of a command [rad or m] during which friction may hold a joint, which is up to half of it on either side."""
 BETTER = 0.5
 """What other numbers of the model leave at most, relative to what a fault leaves, to be the cause instead of it."""
 
@@ -147,6 +150,12 @@ def look_for_rest(log: Examination) -> bool:
     log.checks += ("periods", "several senders", "outliers", "repeated rows", "ticks", "noise")
     names = names_of(log.file)
     log.still, whole = still_findings(log.y, names.q, names.units)
+    servos: Any = servos_in(log.file.model) if whole and log.file.input_kind == "command" else None
+    moved = 0.0 if servos is None else float(np.ptp(np.asarray(log.record.u) @ np.asarray(servos.commands).T, 0).max())
+    if moved > HELD:
+        evidence = f"{log.still[0].evidence}, while a command moves by {moved:.3g}"
+        line = "look at the power of the servos, and at what reads their positions"
+        log.still = [log.still[0]._replace(what="servo off", evidence=evidence, line=line)]
     log.findings += log.still if whole else []
     return whole
 

@@ -27,8 +27,8 @@ CHANCE = 1e-3
 """Probability that of numbers without an outlier one is called so."""
 MOST_OUTLIERS = 100
 """Most outliers that are looked for."""
-IDLE = "too little motion"
-"""What `check` finds in a log that says nothing of its model, which among many logs is no fault."""
+IDLE, AT_REST = "too little motion", ("nothing moves", "too little motion")
+"""Verdict on a log that says nothing of its model, which among many logs is no fault, and the findings with it."""
 SHORTEST_STRETCH = 3
 """Least number of logs before and after a change, of which fewer are odd ones."""
 CLEAR = 4.0
@@ -84,7 +84,7 @@ def _in_time(rows: Sequence[LogRow]) -> list[int]:
     """Indices of the rows by machine and date, or name where a log of the machine has no date: log2 before log10."""
     dated = {
         machine: all("t_counts_from" in rows[k].row for k in places if "failed" not in rows[k].row)
-        for machine, places in _by_machine(rows, range(len(rows))).items()
+        for machine, places in by_machine(rows, range(len(rows))).items()
     }
 
     def key(k: int) -> tuple[Any, ...]:
@@ -127,7 +127,7 @@ def machine_of(name: str) -> str:
     return str(folder.parent.parent if in_chunks else folder)
 
 
-def _by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
+def by_machine(rows: Sequence[LogRow], places: Iterable[int]) -> dict[str, list[int]]:
     """Logs by their folder, which is one for each machine."""
     return _grouped((machine_of(rows[k].name), k) for k in places)
 
@@ -142,7 +142,7 @@ def _grouped(pairs: Iterable[tuple[Any, Any]]) -> dict[Any, list[Any]]:
 
 def _where(rows: Sequence[LogRow], places: Sequence[int], compared: Sequence[int]) -> str:
     """Logs by machine: all, all from one on among those that are compared, how many, or which."""
-    here_, others_, all_ = (_by_machine(rows, which) for which in (places, compared, range(len(rows))))
+    here_, others_, all_ = (by_machine(rows, which) for which in (places, compared, range(len(rows))))
     phrases: list[tuple[int, str]] = []
     for machine, here in here_.items():
         others, all_of_it, names = others_[machine], len(all_[machine]), [rows[k].name for k in here]
@@ -189,13 +189,13 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
     names = dict.fromkeys(
         name for _, row in rows for name in row if f"{name}_std" in row and isinstance(row[name], float)
     )
-    several = len(_by_machine(rows, range(len(rows)))) > 1
+    several = len(by_machine(rows, range(len(rows)))) > 1
     for name in names:
         value, std = (np.array([row.get(key, math.nan) for _, row in rows], float) for key in (name, f"{name}_std"))
         known = np.flatnonzero(np.isfinite(value) & np.isfinite(std) & (std > 0)).tolist()
         if len(known) < 3:
             continue
-        groups = _by_machine(rows, known)
+        groups = by_machine(rows, known)
         compared = groups if several else {rows[k].name: [k] for k in known}
         means, errors = np.array([weighted_mean(value[places], std[places])[:2] for places in compared.values()]).T
         odd = find_outliers(means, errors)
@@ -221,22 +221,28 @@ def _numbers(rows: Sequence[LogRow]) -> Iterator[str]:
                 yield f"  {name} drifts{on}: {drift:+.3g} from {first} to {last}"
 
 
-def find_outliers(value: np.ndarray, std: np.ndarray) -> np.ndarray:
+def find_outliers(value: np.ndarray, std: np.ndarray, group: np.ndarray | None = None) -> np.ndarray:
     """Which of some values are outliers among the others, which may differ by more than their standard errors.
+
+    Values of each `group`, numbered from 0, have a mean of their own, and those of all groups have one scatter.
 
     Source: Rosner 1983, Percentage points for a generalized ESD many-outlier procedure.
     """
+    group = np.zeros(len(value), int) if group is None else group
     left, removed, count = np.arange(len(value)), [], 0
-    most = max((len(value) - 2) // 3, 1) if len(value) > 2 else 0  # of two none is the odd one
+    free = len(value) - len(np.unique(group))
+    most = max((free - 1) // 3, 1) if free > 1 else 0  # of two none is the odd one
     for _ in range(min(most, MOST_OUTLIERS)):
-        n = len(left)
-        off = np.abs(value[left] - value[left].mean())
-        spread = max(np.std(value[left], ddof=1), math.sqrt(np.mean(std[left] ** 2)))
-        t = stdtrit(n - 2, 1 - CHANCE / (2 * n))
+        _, own, counts = np.unique(group[left], return_inverse=True, return_counts=True)
+        off = np.abs(value[left] - (np.bincount(own, value[left]) / counts)[own])
+        free = len(left) - len(counts)
+        spread = max(math.sqrt(np.sum(off**2) / free), math.sqrt(np.mean(std[left] ** 2)))
+        off /= np.sqrt(np.maximum(1 - 1 / counts[own], 0.5))  # a value pulls the mean of its group towards it
+        t = stdtrit(free - 1, 1 - CHANCE / (2 * len(left)))
         farthest = int(np.argmax(off))
         removed.append(left[farthest])
         left = np.delete(left, farthest)
-        if off[farthest] / spread > (n - 1) * t / math.sqrt((n - 2 + t**2) * n):
+        if off[farthest] / spread > t * math.sqrt(free / (free - 1 + t**2)):
             count = len(removed)
     odd = np.zeros(len(value), bool)
     odd[np.array(removed[:count], int)] = True

@@ -1,6 +1,5 @@
 """A fit to the logs of a folder: those that tell most, judged by others, and what changes from log to log."""
 
-import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,10 +10,10 @@ from covariant import logs, models
 from covariant.calibration.identification import most_informative
 from covariant.models.robots import servos_in
 from covariant.signals import Record
-from covariant.verbs.base.among_logs import CLEAR, find_change
+from covariant.verbs.base.among_logs import CLEAR, LogRow, by_machine, find_change
 from covariant.verbs.base.fit_to_logs import fit_to_logs
 from covariant.verbs.base.inputs import Job, columns_of
-from covariant.verbs.base.own_numbers import find_moved, read_record, servo_rows
+from covariant.verbs.base.own_numbers import find_moved, longest_stretch, read_record, rows_of_arms
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
 
@@ -40,14 +39,17 @@ def fit_folder(
     if folder.file.input_kind != "command" or fitted[2]["suspicion"]:
         return *fitted[:2], fitted[2] | {"chosen": used.sentence}
     numbers = {row["name"]: row["after"] for row in fitted[2]["parameters"]}
-    rows = servo_rows(jobs, folder.columns, numbers, progress)
+    rows = rows_of_arms(jobs, folder.columns, numbers, progress)
     stated = (folder.file.quantum, folder.file.measurement_std)
-    moved = find_moved(rows, TICKS * float(np.max(next((each for each in stated if each is not None), 0.0))))
+    tick = float(np.max(next((each for each in stated if each is not None), 0.0)))
+    row = float(np.median([np.diff(each.t).mean() for each in folder.records.values()]))
+    moved = find_moved(rows, TICKS * tick, row)
     # Once more if some logs belong to another zero, or if some were left out for a change that the fit explains.
     if not set(used.logs) <= set(moved.alike) or len(folder.stretch) < len(moved.alike):
         used = folder.choose(moved.alike)
         fitted = fit_to_logs(folder.jobs_of(used), names, progress, sources, None, used.judges)
-    details = {"changes": list(moved.sentences), "each": [{"log": row.name, **row.row} for row in rows]}
+    each = [{"log": row.name, **row.row, "odd": ", ".join(moved.odd.get(k, ()))} for k, row in enumerate(rows)]
+    details = {"changes": list(moved.sentences), "each": each}
     return *fitted[:2], fitted[2] | details | {"chosen": used.sentence}
 
 
@@ -85,22 +87,25 @@ class _Folder(NamedTuple):
 
     @property
     def stretch(self) -> list[int]:
-        """Logs of the longest stretch in which no position has clearly another distance from its command."""
+        """Logs of each arm's longest stretch in which no position has clearly another distance from its command."""
         servos: Any = servos_in(self.file.model) if self.file.input_kind == "command" else None
         if servos is None:
             return list(range(len(self.jobs)))
-        places, ends = list(self.records), {0, len(self.jobs)}
         rows, commands = np.asarray(servos.rows), np.asarray(servos.commands)
-        off = np.array([np.nanmedian(each.u @ commands.T - each.y @ rows.T, axis=0) for each in self.records.values()])
-        for column in off.T:
-            change = find_change(column, np.full(len(column), BEYOND_SAG / CLEAR))
-            ends |= {places[change[0]]} if change is not None and abs(change[1]) > BEYOND_SAG else set()
-        begin, end = max(itertools.pairwise(sorted(ends)), key=lambda pair: pair[1] - pair[0])
-        return list(range(begin, end))
+        off = {k: np.nanmedian(each.u @ commands.T - each.y @ rows.T, axis=0) for k, each in self.records.items()}
+        logs: list[int] = []
+        for its_logs in by_machine([LogRow(job.log_name, {}) for job in self.jobs], range(len(self.jobs))).values():
+            places, ends = [k for k in its_logs if k in off], {0, len(its_logs)}
+            for column in np.array([off[k] for k in places]).T:
+                change = find_change(column, np.full(len(column), BEYOND_SAG / CLEAR))
+                if change is not None and abs(change[1]) > BEYOND_SAG:
+                    ends.add(its_logs.index(places[change[0]]))
+            logs += longest_stretch(its_logs, ends)
+        return sorted(logs)
 
     def choose(self, among: Sequence[int]) -> _Used:
         """Logs to fit, and others to judge by."""
-        places = [k for k in self.records if k in set(among)]
+        places = sorted(self.records.keys() & among)
         counts = np.array([len(self.records[k].t) for k in places])
         only = "" if len(among) == len(self.jobs) else f" Only the {len(among)} logs between changes of a zero count."
         most = min(MOST_ROWS, counts.sum() / (1 + JUDGE))

@@ -3,7 +3,8 @@
 import contextlib
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,19 +14,45 @@ from covariant.calibration.identification import own_numbers
 from covariant.models.robots import complete_tables
 from covariant.signals import Record
 from covariant.verbs.base.aligned import with_overrides
-from covariant.verbs.base.among_logs import FAR, LogRow, find_change, find_drift, find_outliers, weighted_mean
+from covariant.verbs.base.among_logs import (
+    FAR,
+    LogRow,
+    by_machine,
+    find_change,
+    find_drift,
+    find_outliers,
+    weighted_mean,
+)
 from covariant.verbs.base.inputs import Job
 from covariant.verbs.base.progress import Progress
 from scalargraph.errors import InputError
 
-OWN = ("offset", "stiffness", "coulomb")
+OWN = ("offset", "stiffness", "coulomb", "delay")
 """Numbers of a servo that may change from day to day."""
+ABSOLUTE = ("offset", "delay")
+"""Those of them of which a change counts by itself, and not by its factor."""
 LEAST_CHANGE = 0.3
 """Least relative change of stiffness or friction that counts."""
 FEWEST_ROWS = 10
 """Fewest positions of each joint in a log that show how it moves."""
 AT_ONCE = 100
 """Logs that are held in memory at once."""
+
+
+def rows_of_arms(
+    jobs: Sequence[Job], columns: logs.Columns, fitted: Mapping[str, float], progress: Progress
+) -> list[LogRow]:
+    """The rows of `servo_rows`; of several arms near the numbers of each, since one step from those of all falls short
+    of an arm that differs."""
+    rows = servo_rows(jobs, columns, fitted, progress)
+    arms = by_machine(rows, range(len(rows)))
+    for places in arms.values() if len(arms) > 1 else ():
+        numbers = _Number.each([rows[k] for k in places])
+        near = {f"servo.{each.name}": each.mean(np.isfinite(each.std))[0] for each in numbers}
+        own = iter(servo_rows([jobs[k] for k in places], columns, {**fitted, **near}, progress))
+        for k in places:
+            rows[k] = next(own)
+    return rows
 
 
 def servo_rows(
@@ -74,50 +101,124 @@ def read_record(job: Job, columns: logs.Columns) -> Record:
 
 
 class Moved(NamedTuple):
-    """What differs from log to log.
+    """What differs from log to log, or from arm to arm.
 
     Attributes:
-        sentences: Numbers that changed from some log on, that are others in single logs, or that drift.
-        alike: Indices of the longest stretch of logs without a change, and without logs whose zero is another.
+        sentences: Numbers that changed from some log on, that are others in single logs or on one arm, or that drift.
+        alike: Indices of the longest stretch of logs of each arm without a change, and without other zeros.
+        odd: Names of the numbers that are others in a log or on its arm, by the index of the log.
     """
 
     sentences: tuple[str, ...]
     alike: tuple[int, ...]
+    odd: Mapping[int, list[str]]
 
 
-def find_moved(rows: Sequence[LogRow], ticks: float) -> Moved:
-    """Compare the numbers of logs in their order; `ticks` is the least change of a zero that counts [rad or m]."""
-    sentences, edges, odd_ones = [], {0, len(rows)}, set()
-    for name in dict.fromkeys(name for _, row in rows for name in row if f"{name}_std" in row):
-        value, std = (np.array([row.get(key, np.nan) for _, row in rows], float) for key in (name, f"{name}_std"))
-        joint, _, kind = name.rpartition(".")
-        least = ticks if kind == "offset" else LEAST_CHANGE * abs(float(np.nanmedian(value)))
-        # What a log hardly tells would be judged by its linearisation.
-        known = np.flatnonzero(std < least)
-        if len(known) < 3:
-            continue
-        middle = float(np.median(value[known]))
-        what = {"offset": f"the zero of {joint}", "coulomb": f"dry friction of {joint}"}.get(kind, f"{kind} of {joint}")
+class _Number(NamedTuple):
+    """A number of a servo in each of K logs, NaN where one does not show it, and its least change that counts."""
 
-        def size(change: float, error: float, kind: str = kind, middle: float = middle) -> str:
-            relative = "" if kind == "offset" else f", {change / abs(middle):+.0%} of {abs(middle):.3g}"
-            return f"{change:+.3g} ± {error:.2g}{relative}"
+    name: str
+    value: np.ndarray
+    std: np.ndarray
+    least: float = np.inf
 
-        change = find_change(value[known], std[known])
-        if change is not None and abs(change[1]) > least:
-            at = int(known[change[0]])
-            sentences.append(f"{what} changes by {size(*change[1:])} from {rows[at].name} on")
-            edges |= {at} if kind == "offset" else set()
-            continue
-        odd = find_outliers(value[known], std[known])
-        shared, error, _ = weighted_mean(value[known][~odd], std[known][~odd])
-        for k in known[odd]:
+    @classmethod
+    def each(cls, rows: Sequence[LogRow]) -> list["_Number"]:
+        """Every number that any of the logs shows."""
+        names = dict.fromkeys(name for _, row in rows for name in row if f"{name}_std" in row)
+        both = ([[row.get(key, np.nan) for _, row in rows] for key in (name, f"{name}_std")] for name in names)
+        return [cls(name, *np.array(columns, float)) for name, columns in zip(names, both, strict=True)]
+
+    @property
+    def kind(self) -> str:
+        return self.name.rpartition(".")[2]
+
+    @property
+    def title(self) -> str:
+        what = {"offset": "the zero", "coulomb": "dry friction"}.get(self.kind, self.kind)
+        return f"{what} of {self.name.rpartition('.')[0]}"
+
+    def mean(self, places: np.ndarray) -> tuple[float, float]:
+        """Mean over some logs, and its standard error."""
+        return weighted_mean(self.value[places], self.std[places])[:2]
+
+    def size(self, change: float, error: float, middle: float) -> str:
+        relative = "" if self.kind in ABSOLUTE else f", {change / abs(middle):+.0%} of {abs(middle):.3g}"
+        return f"{change:+.3g} ± {error:.2g}{relative}"
+
+    def others(self, value: np.ndarray, std: np.ndarray, odd: np.ndarray) -> Iterator[tuple[int, str]]:
+        """Places of those odd values that are clearly other ones than the rest, and by how much."""
+        shared, error, _ = weighted_mean(value[~odd], std[~odd])
+        for k in np.flatnonzero(odd).tolist():
             off, own = float(value[k] - shared), float(np.hypot(std[k], error))
-            if abs(off) > max(FAR * own, least):
-                sentences.append(f"{what} is another in {rows[k].name}: {size(off, own)}")
-                odd_ones |= {k} if kind == "offset" else set()
-        drift = find_drift(value[known], std[known])
-        if drift is not None and abs(drift) > least:
-            sentences.append(f"{what} drifts: {drift:+.3g} from {rows[known[0]].name} to {rows[known[-1]].name}")
-    begin, end = max(itertools.pairwise(sorted(edges)), key=lambda pair: pair[1] - pair[0])
-    return Moved(tuple(sentences), tuple(k for k in range(begin, end) if k not in odd_ones))
+            if abs(off) > max(FAR * own, self.least):
+                yield k, self.size(off, own, shared)
+
+
+def find_moved(rows: Sequence[LogRow], ticks: float, late: float = np.inf) -> Moved:
+    """Compare the numbers of logs in the order of those of each arm, and of arms; `ticks` is the least change of a zero
+    that counts [rad or m], `late` of a delay [s]."""
+    arms, sentences, odd, left_out = by_machine(rows, range(len(rows))), [], defaultdict(list), set()
+    edges, of_kinds = {arm: {0, len(places)} for arm, places in arms.items()}, defaultdict(list)
+
+    def tell(number: _Number, sentence: str, logs: Sequence[int]) -> None:
+        sentences.append(f"{number.title} {sentence}")
+        left_out.update(logs if number.kind == "offset" else ())
+        for k in logs:
+            odd[k].append(number.name)
+
+    for unjudged in _Number.each(rows):
+        usual = LEAST_CHANGE * abs(float(np.nanmedian(unjudged.value)))
+        number = unjudged._replace(least={"offset": ticks, "delay": late}.get(unjudged.kind, usual))
+        for arm, places in arms.items():
+            # What a log hardly tells would be judged by its linearisation.
+            known = np.array([k for k in places if number.std[k] < number.least], int)
+            value, std = number.value[known], number.std[known]
+            change = find_change(value, std)
+            if change is not None and abs(change[1]) > number.least:
+                at, size = change[0], number.size(*change[1:], float(np.median(value)))
+                tell(number, f"changes by {size} from {rows[known[at]].name} on", ())
+                edges[arm] |= {places.index(known[at])} if number.kind == "offset" else set()
+                # Before and after a change the numbers are those of two arms.
+                known = known[at:] if 2 * at < len(known) else known[:at]
+            elif len(known) > 2:
+                outliers = find_outliers(value, std)
+                for k, size in number.others(value, std, outliers):
+                    tell(number, f"is another in {rows[known[k]].name}: {size}", [int(known[k])])
+                drift = find_drift(value, std)
+                if drift is not None and abs(drift) > number.least:
+                    tell(number, f"drifts: {drift:+.3g} from {rows[known[0]].name} to {rows[known[-1]].name}", ())
+                known = known[~outliers]
+            if len(known):
+                of_kinds[number.kind].append((number, arm, *number.mean(known)))
+    for number, arm, size in itertools.chain.from_iterable(map(_among_arms, of_kinds.values())):
+        tell(number, f"is another on {arm}: {size} beside the rest", arms[arm])
+    within = (k for arm, ends in edges.items() for k in longest_stretch(arms[arm], ends) if k not in left_out)
+    return Moved(tuple(sentences), tuple(sorted(within)), odd)
+
+
+def longest_stretch(logs: Sequence[int], ends: set[int]) -> Sequence[int]:
+    """Logs of the longest stretch between ends, which are places among these logs."""
+    begin, end = max(itertools.pairwise(sorted(ends)), key=lambda pair: pair[1] - pair[0])
+    return logs[begin:end]
+
+
+def _among_arms(each: Sequence[tuple[_Number, str, float, float]]) -> Iterator[tuple[_Number, str, str]]:
+    """Of numbers of one kind, each with an arm, its mean there and the error of that, those that are others on an arm
+    than on the rest, with the arm and by how much."""
+    numbers, arms, *means = zip(*each, strict=True)
+    value, std = np.array(means)
+    names = np.array([number.name for number in numbers])
+    _, first, group = np.unique(names, return_index=True, return_inverse=True)
+    middle = np.array(
+        [1.0 if number.kind in ABSOLUTE else np.median(value[names == number.name]) for number in numbers]
+    )
+    odd = find_outliers(value / abs(middle), std / abs(middle), group)
+    for k, at in enumerate(first):
+        own = np.flatnonzero(group == k)
+        # Of two arms neither is the odd one: the second is compared with the first.
+        unlike = own != at if len(own) == 2 else odd[own]
+        if not unlike.all():
+            yield from (
+                (numbers[at], arms[own[i]], size) for i, size in numbers[at].others(value[own], std[own], unlike)
+            )
