@@ -186,7 +186,7 @@ class ServoLog(NamedTuple):
         step = np.diff(t, axis=1)
         h = step / self.substeps
         middle = t[:, :-1, None] + h[..., None] * np.arange(self.substeps)
-        inputs = self._commands(middle, h[..., None], delays + self.late)
+        inputs = self.commands(middle, h[..., None], delays + self.late)
         cut = Cut(self.y[rows[:, 0]], self.v[rows[:, 0]], step, inputs, self.q[first])
         body = self.evaluate(x, self.q, self.v)
         changes = [
@@ -195,7 +195,7 @@ class ServoLog(NamedTuple):
         ]
         return cut, [RigidBody(*(part[first] for part in each)) for each in (body, *changes)]
 
-    def _commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
+    def commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
         """Mean inputs and rates around these times, with their derivatives with respect to the delay: (…, 4, m)."""
         t, u = self.t, self.u
         step = np.diff(t)[:, None]
