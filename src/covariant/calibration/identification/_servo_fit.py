@@ -279,7 +279,7 @@ class _Search(NamedTuple):
         for log in self.logs if one_sided.any() else ():
             servos = log.drive(x).servos
             delays = np.asarray(servos.delay) + log.late
-            mean, _, rate, _ = np.moveaxis(log.commands(log.t, np.full(len(log.t), MAX_STEP), delays), -2, 0)
+            mean, _, rate, *_ = np.moveaxis(log.commands(log.t, np.full(len(log.t), MAX_STEP), delays), -2, 0)
             torque = jax.vmap(servos.torque)(log.q, log.v, mean + np.asarray(servos.lead) * rate)
             largest = np.abs(np.asarray(torque)).max(axis=0)
             for i in np.flatnonzero(one_sided):
