@@ -291,17 +291,18 @@ class _Search(NamedTuple):
         """The better of two points, or the better numbers of each part if these predict better together; the other
         point is better by a margin at least."""
         search = self.scaled(point)
-        joints, own = self.joints
+        _, own = self.joints
         loss, less = (search.by_part(each.blocks.rest[0]) for each in (point, other))
-        takes = (less < loss - margin)[own]
+        takes = less < loss - margin
         if takes.any() and not takes.all():
-            mixed = Point.at(search, np.where(takes, other.z, point.z))
+            mixed = Point.at(search, np.where(takes[own], other.z, point.z))
             of_mixed = search.by_part(mixed.blocks.rest[0])
-            point, loss = (mixed, of_mixed) if of_mixed.sum() < loss.sum() - margin else (point, loss)
-        return other if less.sum() < loss.sum() - margin else point
+            is_better = of_mixed.sum() < loss.sum() - margin * takes.sum()
+            point, loss = (mixed, of_mixed) if is_better else (point, loss)
+        return other if less.sum() < loss.sum() - margin * len(loss) else point
 
     def chosen(self, candidates: Sequence[Sequence[np.ndarray]]) -> Float[np.ndarray, "p"]:
-        """Coordinates (p,) of which each part of the robot has those that predict it best; in a group delays are alike."""
+        """Coordinates (p,) of which each part of the robot has those that predict it best; a group has one delay."""
         tried, losses, search = [], [], self
         for group in candidates:
             # Batches have the size of a point's batch, so that one compiled program serves both.
@@ -311,7 +312,6 @@ class _Search(NamedTuple):
             search = search._replace(scale=_scales(residuals[0])) if (search.scale == 1).all() else search
             tried += batch
             losses += [search.by_part(each) for each in residuals]
-        losses = np.where(np.isfinite(losses), losses, np.inf)
         if not np.isfinite(losses).any(axis=0).all():
             raise InputError("the model predicts no finite motion from these commands; check units and first values")
         return np.array(tried)[np.argmin(losses, axis=0)[self.joints[1]], np.arange(len(self.sizes))]
@@ -320,11 +320,12 @@ class _Search(NamedTuple):
         """The loss of each part of the robot, by the errors of all windows."""
         seen = np.isfinite(self._measured)
         loss = self._shares[:, None, None] * robust(np.where(seen, errors, 0.0) / self.scale)[0]
-        return np.bincount(self.joints[0], np.sum(loss, axis=(0, 1)))
+        each = np.bincount(self.joints[0], np.sum(loss, axis=(0, 1)))
+        return np.where(np.isfinite(each), each, np.inf)
 
     def started(self, cuts: Sequence[float] = ()) -> Float[np.ndarray, "p"]:
-        """The first values, with those of the delays and stiffnesses that predict best, in usual sizes; and those of the
-        limits, relative to what the logs demand of each stiffness."""
+        """The first values, with the delays and stiffnesses that predict best, in usual sizes; and the limits, of these
+        fractions of what the logs demand with each stiffness."""
         family = self.logs[0].family
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
@@ -408,7 +409,11 @@ class _Search(NamedTuple):
         loss, weight = robust(e)
         slopes = np.where(np.isfinite(slopes), slopes, 0.0)
         # Where the motion is unstable a search cannot go on; a step to there is refused as one that is not finite.
-        losses = np.sum(share * loss * seen, axis=(1, 2)) if np.abs(slopes * self.scale).max() < STEEP else np.nan * loss[:, 0, 0]
+        losses = (
+            np.sum(share * loss * seen, axis=(1, 2))
+            if np.abs(slopes * self.scale).max() < STEEP
+            else np.nan * loss[:, 0, 0]
+        )
         scores = self._by_blocks(np.einsum("pbkj,bkj->bkp", slopes, share * weight * e, optimize=True))
         flat = slopes.reshape(len(slopes), -1)
         majorised, information = ((flat * (share * w).ravel()) @ flat.T for w in (weight, weight**3))

@@ -196,7 +196,7 @@ class ServoLog(NamedTuple):
         return cut, [RigidBody(*(part[first] for part in each)) for each in (body, *changes)]
 
     def commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
-        """Mean inputs and rates around these times, with their derivatives by the delay, and first inputs: (…, 5, m)."""
+        """Mean inputs and rates around these times, their derivatives by the delay, and first inputs: (…, 5, m)."""
         t, u = self.t, self.u
         step = np.diff(t)[:, None]
         slope = np.diff(u, axis=0) / step
