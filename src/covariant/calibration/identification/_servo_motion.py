@@ -391,5 +391,4 @@ def _mean_torque(servos: Servos, q: Array, w: Array, u: Array, ends: tuple[Array
     share = jnp.where(moved == 0, 1.0, (u - ends[0]) / jnp.where(moved == 0, 1.0, moved))
     of_commands = servos.commands != 0
     first, last = (servos.torque(q, w, jnp.where(of_commands.any(axis=0), each, u)) for each in ends)
-    own = jnp.sum(of_commands * share, axis=1) / jnp.sum(of_commands, axis=1)
-    return first + own * (last - first)
+    return first + share[jnp.argmax(of_commands, axis=1)] * (last - first)
