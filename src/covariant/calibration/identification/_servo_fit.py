@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -280,7 +281,7 @@ class _Search(NamedTuple):
             servos = log.drive(x).servos
             delays = np.asarray(servos.delay) + log.late
             mean, _, rate, *_ = np.moveaxis(log.commands(log.t, np.full(len(log.t), MAX_STEP), delays), -2, 0)
-            torque = jax.vmap(servos.torque)(log.q, log.v, mean + np.asarray(servos.lead) * rate)
+            torque = jax.vmap(servos.torque)(*map(jnp.asarray, (log.q, log.v, mean + servos.lead * rate)))
             largest = np.abs(np.asarray(torque)).max(axis=0)
             for i in np.flatnonzero(one_sided):
                 own = log.drive(np.where(np.arange(len(x)) == i, 0.0, x)).servos.limit != servos.limit
@@ -294,12 +295,12 @@ class _Search(NamedTuple):
         _, own = self.joints
         loss, less = (search.by_part(each.blocks.rest[0]) for each in (point, other))
         takes = less < loss - margin
-        if takes.any() and not takes.all():
-            mixed = Point.at(search, np.where(takes[own], other.z, point.z))
-            of_mixed = search.by_part(mixed.blocks.rest[0])
-            is_better = of_mixed.sum() < loss.sum() - margin * takes.sum()
-            point, loss = (mixed, of_mixed) if is_better else (point, loss)
-        return other if less.sum() < loss.sum() - margin * len(loss) else point
+        if not takes.any():
+            return point
+        mixed = other if takes.all() else Point.at(search, np.where(takes[own], other.z, point.z))
+        if search.by_part(mixed.blocks.rest[0]).sum() < loss.sum() - margin * takes.sum():
+            return mixed
+        return other if less.sum() < loss.sum() - abs(margin) else point
 
     def chosen(self, candidates: Sequence[Sequence[np.ndarray]]) -> Float[np.ndarray, "p"]:
         """Coordinates (p,) of which each part of the robot has those that predict it best; a group has one delay."""
@@ -318,9 +319,8 @@ class _Search(NamedTuple):
 
     def by_part(self, errors: np.ndarray) -> Float[np.ndarray, "m"]:
         """The loss of each part of the robot, by the errors of all windows."""
-        seen = np.isfinite(self._measured)
-        loss = self._shares[:, None, None] * robust(np.where(seen, errors, 0.0) / self.scale)[0]
-        each = np.bincount(self.joints[0], np.sum(loss, axis=(0, 1)))
+        e = np.where(np.isfinite(self._measured), errors, 0.0) / self.scale
+        each = np.bincount(self.joints[0], np.einsum("b,bkj->j", self._shares, robust(e)[0]))
         return np.where(np.isfinite(each), each, np.inf)
 
     def started(self, cuts: Sequence[float] = ()) -> Float[np.ndarray, "p"]:
@@ -409,11 +409,8 @@ class _Search(NamedTuple):
         loss, weight = robust(e)
         slopes = np.where(np.isfinite(slopes), slopes, 0.0)
         # Where the motion is unstable a search cannot go on; a step to there is refused as one that is not finite.
-        losses = (
-            np.sum(share * loss * seen, axis=(1, 2))
-            if np.abs(slopes * self.scale).max() < STEEP
-            else np.nan * loss[:, 0, 0]
-        )
+        stable = np.abs(slopes * self.scale).max() < STEEP
+        losses = np.sum(share * loss * seen, axis=(1, 2)) + (0.0 if stable else np.nan)
         scores = self._by_blocks(np.einsum("pbkj,bkj->bkp", slopes, share * weight * e, optimize=True))
         flat = slopes.reshape(len(slopes), -1)
         majorised, information = ((flat * (share * w).ravel()) @ flat.T for w in (weight, weight**3))

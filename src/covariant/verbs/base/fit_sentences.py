@@ -81,8 +81,7 @@ def unlike_servos(
 
 def robot_details(best: RobotFit) -> dict[str, Any]:
     """What the log does not determine, in sentences, and which combinations it does."""
-    beyond = dict(best.beyond)
-    errors = zip(best.names, best.standard_errors, strict=True)
+    errors, beyond = zip(best.names, best.standard_errors, strict=True), dict(best.beyond)
     unknown = [name for name, error in errors if np.isnan(error) and name not in beyond]
     combinations = best.combinations
     sentences = []
@@ -131,8 +130,7 @@ def servo_details(best: RobotFit, family: RobotFamily) -> dict[str, Any]:
         )
         details["undetermined"] = [*details["undetermined"], sentence]
     details["undetermined"] += [
-        f"{name} is at least {size:.3g} {family.numbers[at[name]].unit}, the largest that these logs demand: none of "
-        "them reaches it"
+        f"{name} is at least {size:.3g} {family.numbers[at[name]].unit}, the largest of what the logs demand"
         for name, size in best.beyond
     ]
     details["undetermined"] += [
