@@ -281,7 +281,8 @@ class _Search(NamedTuple):
             servos = log.drive(x).servos
             delays = np.asarray(servos.delay) + log.late
             mean, _, rate, *_ = np.moveaxis(log.commands(log.t, np.full(len(log.t), MAX_STEP), delays), -2, 0)
-            torque = jax.vmap(servos.torque)(*map(jnp.asarray, (log.q, log.v, mean + servos.lead * rate)))
+            u = mean + np.asarray(servos.lead) * rate
+            torque = jax.vmap(servos.torque)(*map(jnp.asarray, (log.q, log.v, u)))
             largest = np.abs(np.asarray(torque)).max(axis=0)
             for i in np.flatnonzero(one_sided):
                 own = log.drive(np.where(np.arange(len(x)) == i, 0.0, x)).servos.limit != servos.limit
