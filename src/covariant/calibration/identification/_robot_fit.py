@@ -88,6 +88,7 @@ class RobotFit(NamedTuple):
         likeliest: Whether the numbers are those of the greatest likelihood, and not those by residual torques.
         kept: Joints whose numbers are the first ones, since those predict better.
         alike: Pairs of names of numbers that the logs hardly separate, with the correlation of their errors.
+        beyond: Names of limits that no log reaches, with the largest torque [N m or N] that the logs demand.
 
     Example:
         >>> import numpy as np
@@ -114,6 +115,7 @@ class RobotFit(NamedTuple):
     likeliest: bool = False
     kept: tuple[str, ...] = ()
     alike: tuple[tuple[str, str, float], ...] = ()
+    beyond: tuple[tuple[str, float], ...] = ()
 
     def without(self, family: RobotFamily, joints: Bool[np.ndarray, "n"]) -> "RobotFit | None":
         """The fit with the first values of the numbers of some joints (n,); None where none or all are theirs."""

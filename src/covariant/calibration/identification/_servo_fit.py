@@ -13,14 +13,16 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from covariant.calibration._least_squares import PRIOR, Blocks, Fixed, Point, block_covariance, minimise, robust
 from covariant.calibration.identification._robot_fit import RobotFit, scale_of
 from covariant.calibration.identification._robot_torques import Determined, usual_sizes
-from covariant.calibration.identification._servo_motion import RIGID_BODY_GROUPS, ServoLog, simulate
+from covariant.calibration.identification._servo_motion import MAX_STEP, RIGID_BODY_GROUPS, ServoLog, simulate
 from covariant.models import RobotFamily
+from covariant.models.robots import Servo
 from covariant.signals import Record
 from scalargraph.errors import InputError
 
@@ -53,6 +55,13 @@ LATE, ALIKE = ("damping", "back_emf"), 0.9
 """Numbers that make a servo late as a delay does, and correlation of the errors from which logs hardly separate two."""
 DELAY_SHIFTS = 0.015, -0.01
 """Changes of the fitted delay [s] from which the search starts again."""
+STEEP = 1e4
+"""Change of a position [rad or m] per usual size of a number from which a prediction is unstable."""
+FREE, ABOVE = 1e3, 1.5
+"""Usual sizes by which a limit without effect is above its first value in a search; such a limit at its end, relative
+to the largest torque that the logs demand."""
+CUTS, MARGIN = (0.8, 0.6, 0.4, 0.25), 2.0
+"""Limits that are tried, relative to the largest torque demanded; decrease of the loss by which one is believed."""
 
 
 def fit_servos(
@@ -97,16 +106,21 @@ def fit_servos(
     search = _Search.of(families, records, between, late, whole=whole)
     rounds = itertools.count()
     start = search.started() if first is None else first / search.sizes
-    point = search.descend(start, progress, rounds)
+    # A limit has a slope only where a log is at it, so that the search starts once without limits and once with them.
+    point = search.descend(np.where(search.one_sided, FREE, start), progress, rounds)
     # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
     for x in search.shifted(point.z * search.sizes):
-        other = search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds)
-        same = search.scaled(point)
-        point = min(point, other, key=lambda each, same=same: same.weighed(each).loss(Fixed.nothing(len(x))))
+        point = search.better(point, search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds))
+    if search.one_sided.any():
+        limited = search.better(point, search.descend(search.started(CUTS), progress, rounds))
+        without = Point.at(search, np.where(search.one_sided, FREE, limited.z))
+        point = search.descend(search.better(limited, without, -MARGIN).z, progress, rounds)
     search = search.scaled(point)
     point = search.weighed(point)
+    idle, demanded = search.idle(point), search.demanded(point.z)
+    x = np.where(idle, np.maximum(ABOVE * demanded - families[0].first, 0.0), point.z * search.sizes)
     # Rounded, a number at its bound would be beyond it.
-    x = np.maximum(point.z * search.sizes, search.least)
+    x = np.maximum(x, search.least)
     blocks, outer = point.blocks, np.outer(search.sizes, search.sizes)
     prior, information = np.eye(len(x)) / PRIOR**2, blocks.information
     inverse = np.linalg.inv(information + prior)
@@ -122,7 +136,9 @@ def fit_servos(
     covariance += np.diag(integration_error**2)
     known = Determined.of(family, x, search.sizes, information / outer, covariance)
     reached = search.scale, search.length / 2, x, blocks.loss
-    return RobotFit(family.names, family.first, values, *known[:3], *reached, alike=_alike(family, x, outer * inverse))
+    beyond = tuple((family.names[i], float(demanded[i])) for i in np.flatnonzero(idle))
+    alike = _alike(family, x, outer * inverse)
+    return RobotFit(family.names, family.first, values, *known[:3], *reached, alike=alike, beyond=beyond)
 
 
 def _alike(family: RobotFamily, x: np.ndarray, covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
@@ -238,38 +254,105 @@ class _Search(NamedTuple):
         used, unscaled = tuple(np.flatnonzero(counts).tolist()), np.ones(logs[0].q.shape[1])
         return cls(logs, rows, tuple(counts[k] for k in used), sizes, least, rigid, length, unscaled, used)
 
-    def started(self) -> Float[np.ndarray, "p"]:
-        """The first values, with the delay and the stiffness among those tried that predict best, in usual sizes."""
+    @property
+    def one_sided(self) -> Bool[np.ndarray, "p"]:
+        """Which numbers act only beyond a motion of some size: those without a table are infinite."""
+        numbers = self.logs[0].family.numbers
+        return np.array([n.group == "servo" and Servo._field_defaults.get(n.number) == np.inf for n in numbers], bool)
+
+    @property
+    def joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parts of the robot with their own numbers: that of each joint (n,), and that of each number (p,)."""
+        family = self.logs[0].family
+        names = list(family.file.model.coordinates)
+        own = np.array([names.index(n.target) if n.target in names else -1 for n in family.numbers], int)
+        shared = any("like" in table for table in family.document.get("servo", {}).values())
+        return (0 * np.arange(len(names)), 0 * own) if shared or (own < 0).any() else (np.arange(len(names)), own)
+
+    def idle(self, point: Point) -> Bool[np.ndarray, "p"]:
+        """Which one-sided numbers act on no prediction."""
+        return self.one_sided & ~np.nan_to_num(point.blocks.rest[1]).any(axis=(1, 2, 3))
+
+    def demanded(self, z: np.ndarray) -> Float[np.ndarray, "p"]:
+        """The largest torque that the logs demand of the servos of each one-sided number; zero for other numbers."""
+        most, one_sided = np.zeros(len(z)), self.one_sided
+        x = np.where(one_sided, FREE, z) * self.sizes
+        for log in self.logs if one_sided.any() else ():
+            servos = log.drive(x).servos
+            delays = np.asarray(servos.delay) + log.late
+            mean, _, rate, *_ = np.moveaxis(log.commands(log.t, np.full(len(log.t), MAX_STEP), delays), -2, 0)
+            u = mean + np.asarray(servos.lead) * rate
+            torque = jax.vmap(servos.torque)(*map(jnp.asarray, (log.q, log.v, u)))
+            largest = np.abs(np.asarray(torque)).max(axis=0)
+            for i in np.flatnonzero(one_sided):
+                own = log.drive(np.where(np.arange(len(x)) == i, 0.0, x)).servos.limit != servos.limit
+                most[i] = max(most[i], *largest[np.asarray(own)], 0.0)
+        return most
+
+    def better(self, point: Point, other: Point, margin: float = 0.0) -> Point:
+        """The better of two points, or the better numbers of each part if these predict better together; the other
+        point is better by a margin at least."""
+        search = self.scaled(point)
+        _, own = self.joints
+        loss, less = (search.by_part(each.blocks.rest[0]) for each in (point, other))
+        takes = less < loss - margin
+        if not takes.any():
+            return point
+        mixed = other if takes.all() else Point.at(search, np.where(takes[own], other.z, point.z))
+        if search.by_part(mixed.blocks.rest[0]).sum() < loss.sum() - margin * takes.sum():
+            return mixed
+        return other if less.sum() < loss.sum() - abs(margin) else point
+
+    def chosen(self, candidates: Sequence[Sequence[np.ndarray]]) -> Float[np.ndarray, "p"]:
+        """Coordinates (p,) of which each part of the robot has those that predict it best; a group has one delay."""
+        tried, losses, search = [], [], self
+        for group in candidates:
+            # Batches have the size of a point's batch, so that one compiled program serves both.
+            count = len(self.sizes) + 1
+            batch = (list(group) * count)[:count]
+            residuals = self._residuals(batch, batch[0], [], np.zeros((count, len(self.rigid))))
+            search = search._replace(scale=_scales(residuals[0])) if (search.scale == 1).all() else search
+            tried += batch
+            losses += [search.by_part(each) for each in residuals]
+        if not np.isfinite(losses).any(axis=0).all():
+            raise InputError("the model predicts no finite motion from these commands; check units and first values")
+        return np.array(tried)[np.argmin(losses, axis=0)[self.joints[1]], np.arange(len(self.sizes))]
+
+    def by_part(self, errors: np.ndarray) -> Float[np.ndarray, "m"]:
+        """The loss of each part of the robot, by the errors of all windows."""
+        e = np.where(np.isfinite(self._measured), errors, 0.0) / self.scale
+        each = np.bincount(self.joints[0], np.einsum("b,bkj->j", self._shares, robust(e)[0]))
+        return np.where(np.isfinite(each), each, np.inf)
+
+    def started(self, cuts: Sequence[float] = ()) -> Float[np.ndarray, "p"]:
+        """The first values, with the delays and stiffnesses that predict best, in usual sizes; and the limits, of these
+        fractions of what the logs demand with each stiffness."""
         family = self.logs[0].family
         kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
         late = np.array([kind == "delay" for kind in kinds])
         is_stiffness = np.array([kind == "stiffness" for kind in kinds])
-        tried, losses, search = [], [], self
+        candidates, demanded = [], self.demanded(np.zeros(len(kinds)))
         for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
             x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
-            stiffer = [(factor - 1) * family.first for factor in STIFFNESS_FACTORS[: 3 if is_stiffness.any() else 1]]
-            candidates = [np.maximum(np.where(is_stiffness, each, x), self.least) for each in stiffer]
-            # Batches have the size of a point's batch, so that one compiled program serves both.
-            batch = (candidates * (len(kinds) + 1))[: max(len(kinds) + 1, 1)]
-            residuals = self._residuals(batch, batch[0], [], np.zeros((len(batch), len(self.rigid))))
-            search = self._replace(scale=_scales(residuals[0])) if search is self else search
-            for candidate, residual in zip(batch, residuals, strict=True):
-                point = Point(candidate / self.sizes, search._weigh((residual, np.zeros((1, *residual.shape)))))
-                losses.append(point.loss(Fixed.nothing(len(kinds))))
-            tried += batch
-        if not np.isfinite(losses).any():
-            raise InputError("the model predicts no finite motion from these commands; check units and first values")
-        return tried[int(np.nanargmin(np.where(np.isfinite(losses), losses, np.nan)))] / self.sizes
+            group = []
+            for factor, cut in itertools.product(STIFFNESS_FACTORS[: 3 if is_stiffness.any() else 1], cuts or (0.0,)):
+                stiffer = np.where(is_stiffness, (factor - 1) * family.first, x)
+                limit = cut * factor * demanded - family.first if cuts else FREE * self.sizes
+                group.append(np.maximum(np.where(self.one_sided, limit, stiffer), self.least))
+            candidates.append(group)
+        return self.chosen(candidates) / self.sizes
 
     def descend(self, z: np.ndarray, progress: Callable[[int], object], rounds: Iterator[int]) -> Point:
         """The point that a search reaches; the scale of the errors follows them."""
-        point, free = Point.at(self, z), Fixed.nothing(len(z))
+        point = Point.at(self, z)
+        # Its prior would pull a number that does not act to where it does.
+        free = Fixed(np.diag(1.0 * self.idle(point)), z)
         for _ in range(MAX_ROUNDS // STEPS):
             search = self.scaled(point)
             point = search.weighed(point)
-            before = point.loss(free)
+            before = point.blocks.loss.sum()  # without the prior, which is large for a limit that does not act
             point = minimise(search, point, free, lambda _: progress(next(rounds)), STEPS)
-            if before - point.loss(free) <= TOLERANCE * before:
+            if before - point.blocks.loss.sum() <= TOLERANCE * before:
                 break
         return point
 
@@ -326,7 +409,9 @@ class _Search(NamedTuple):
         e, slopes = (np.where(seen, each, 0.0) / self.scale for each in errors)
         loss, weight = robust(e)
         slopes = np.where(np.isfinite(slopes), slopes, 0.0)
-        losses = np.sum(share * loss * seen, axis=(1, 2))
+        # Where the motion is unstable a search cannot go on; a step to there is refused as one that is not finite.
+        stable = np.abs(slopes * self.scale).max() < STEEP
+        losses = np.sum(share * loss * seen, axis=(1, 2)) + (0.0 if stable else np.nan)
         scores = self._by_blocks(np.einsum("pbkj,bkj->bkp", slopes, share * weight * e, optimize=True))
         flat = slopes.reshape(len(slopes), -1)
         majorised, information = ((flat * (share * w).ravel()) @ flat.T for w in (weight, weight**3))

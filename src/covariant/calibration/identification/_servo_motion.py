@@ -86,14 +86,14 @@ class RigidBody(NamedTuple):
 class Cut(NamedTuple):
     """W windows of R rows each: initial positions and velocities, steps, inputs and the measured path.
 
-    `inputs` (W, R, N, 4, m) has, for each of N substeps: the mean input, its derivative with respect to the delay, the
-    rate of the input, and the derivative of that rate with respect to the delay.
+    `inputs` (W, R, N, 5, m) has, for each of N substeps: the mean input, its derivative with respect to the delay, the
+    rate of the input, the derivative of that rate with respect to the delay, and the input at the beginning.
     """
 
     q: Float[np.ndarray, "W n"]
     v: Float[np.ndarray, "W n"]
     step: Float[np.ndarray, "W R"]
-    inputs: Float[np.ndarray, "W R N 4 m"]
+    inputs: Float[np.ndarray, "W R N 5 m"]
     path: Float[np.ndarray, "W R n"]
 
 
@@ -186,7 +186,7 @@ class ServoLog(NamedTuple):
         step = np.diff(t, axis=1)
         h = step / self.substeps
         middle = t[:, :-1, None] + h[..., None] * np.arange(self.substeps)
-        inputs = self._commands(middle, h[..., None], delays + self.late)
+        inputs = self.commands(middle, h[..., None], delays + self.late)
         cut = Cut(self.y[rows[:, 0]], self.v[rows[:, 0]], step, inputs, self.q[first])
         body = self.evaluate(x, self.q, self.v)
         changes = [
@@ -195,8 +195,8 @@ class ServoLog(NamedTuple):
         ]
         return cut, [RigidBody(*(part[first] for part in each)) for each in (body, *changes)]
 
-    def _commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
-        """Mean inputs and rates around these times, with their derivatives with respect to the delay: (…, 4, m)."""
+    def commands(self, at: np.ndarray, width: np.ndarray, delays: np.ndarray) -> np.ndarray:
+        """Mean inputs and rates around these times, their derivatives by the delay, and first inputs: (…, 5, m)."""
         t, u = self.t, self.u
         step = np.diff(t)[:, None]
         slope = np.diff(u, axis=0) / step
@@ -225,7 +225,7 @@ class ServoLog(NamedTuple):
         lower, higher = (integral(end - delays - eps)[2] for end in ends)
         width = width[..., None]
         mean, slope, rate = (last - first) / width, -(after - before) / width, (high - low) / width
-        return np.stack([mean, slope, rate, ((higher - lower) / width - rate) / eps], axis=-2)
+        return np.stack([mean, slope, rate, ((higher - lower) / width - rate) / eps, before], axis=-2)
 
 
 def simulate(
@@ -322,9 +322,10 @@ def _simulate(
                 body = RigidBody(*(a + weight[k] * b for a, b in zip(body, change, strict=True)))
 
             def substep(state: Any, inputs: Array) -> Any:
-                mean, slope, rate, bend = inputs
-                u = mean + late * slope + drive.servos.lead * (rate + late * bend)
-                return _advance(drive, body, path, u, h, state), None
+                mean, slope, rate, bend, begin = inputs
+                ahead = drive.servos.lead * (rate + late * bend)
+                ends = begin + ahead, begin - h * slope + ahead
+                return _advance(drive, body, path, mean + late * slope + ahead, ends, h, state), None
 
             state = jax.lax.scan(substep, state, inputs)[0]
             return state, state[0]
@@ -348,14 +349,15 @@ def _simulate(
     return jnp.concatenate([first[None], first[None] + changed])
 
 
-def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: Any) -> Any:
-    """One leapfrog step: positions at its ends, velocities at its middle, damping at the mean velocity."""
+def _advance(drive: Drive, body: Any, path: Array, u: Array, ends: tuple[Array, Array], h: Array, state: Any) -> Any:
+    """One leapfrog step with mean inputs u and those at its ends: positions at its ends, velocities at its middle,
+    damping at the mean velocity."""
     q, v, last = state
     servos = drive.servos
     weight = -body.slope - body.bend @ (q - path)
     # An estimate of the mean of old and new velocity: forces at it are accurate to second order.
     mean = v + last / 2
-    torque, torque_slope = jax.jvp(lambda w: servos.torque(q, w, u), (mean,), (jnp.ones_like(v),))
+    torque, torque_slope = jax.jvp(lambda w: _mean_torque(servos, q, w, u, ends), (mean,), (jnp.ones_like(v),))
     # A servo drives one coordinate, at the ratio in its row: damping at the coordinate is damping times ratio².
     squared_rows = servos.rows**2
     braking = squared_rows.T @ (torque_slope / jnp.sum(servos.rows, axis=1))
@@ -379,3 +381,14 @@ def _advance(drive: Drive, body: Any, path: Array, u: Array, h: Array, state: An
             least, most = h * (asymmetry[j] - friction_size[j]), h * (asymmetry[j] + friction_size[j])
             w = w.at[j].set((net_impulse - jnp.clip(net_impulse, least, most)) / effective_inertia[j])
     return q + h * w, w, w - v
+
+
+def _mean_torque(servos: Servos, q: Array, w: Array, u: Array, ends: tuple[Array, Array]) -> Array:
+    """Torques (k,) averaged over a step in which a command may change; their limit may cut that at either end."""
+    if not (servos.limited or servos.banded):
+        return servos.torque(q, w, u)
+    moved = ends[1] - ends[0]
+    share = jnp.where(moved == 0, 1.0, (u - ends[0]) / jnp.where(moved == 0, 1.0, moved))
+    of_commands = servos.commands != 0
+    first, last = (servos.torque(q, w, jnp.where(of_commands.any(axis=0), each, u)) for each in ends)
+    return first + share[jnp.argmax(of_commands, axis=1)] * (last - first)

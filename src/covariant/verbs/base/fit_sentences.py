@@ -81,7 +81,8 @@ def unlike_servos(
 
 def robot_details(best: RobotFit) -> dict[str, Any]:
     """What the log does not determine, in sentences, and which combinations it does."""
-    unknown = [name for name, error in zip(best.names, best.standard_errors, strict=True) if np.isnan(error)]
+    errors, beyond = zip(best.names, best.standard_errors, strict=True), dict(best.beyond)
+    unknown = [name for name, error in errors if np.isnan(error) and name not in beyond]
     combinations = best.combinations
     sentences = []
     if best.kept:
@@ -128,6 +129,10 @@ def servo_details(best: RobotFit, family: RobotFamily) -> dict[str, Any]:
             "[{}, {'parameters.payload': {'LINK': [mass, x, y, z]}}]"
         )
         details["undetermined"] = [*details["undetermined"], sentence]
+    details["undetermined"] += [
+        f"{name} is at least {size:.3g} {family.numbers[at[name]].unit}, the largest of what the logs demand"
+        for name, size in best.beyond
+    ]
     details["undetermined"] += [
         f"{delay} is hardly told from {damping} (correlation {correlation:.3f}): in slow motion both only make a joint "
         "late. Steps and fast reversals separate them: `covariant design excitation MODEL --parameters "
