@@ -232,12 +232,14 @@ def certify_globally(
     told = None if progress is None else lambda share, count: progress("the coupling", share, count)
     effort = given is None, enough, boxes, seconds, told
     bounded = _bounds(coupling._replace(document=document), Chain.of(model.space), *effort)
-    for document, bound in bounded:
-        tries = _tries(document, omega if given is None else None, rate) if bound.norm < math.inf else ()
+    least, following = omega if given is None else None, next(bounded)
+    while True:
+        document, bound = following
+        tries = _tries(document, least, rate) if bound.norm < math.inf else ()
         found = next((found for each in tries if (found := _metrics(each)) is not None), None)
-        if found is not None:
-            document = found
+        if found is not None or (following := next(bounded, None)) is None:
             break
+    document = document if found is None else found
     hypotheses = (*_hypotheses(document, bound, model), compare_connections(model.space, domain, PLACES))
     statement = statement_of(document, model, hypotheses, all(each.verdict == "holds" for each in hypotheses))
     made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given

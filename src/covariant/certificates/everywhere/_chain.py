@@ -111,7 +111,7 @@ class Chain(NamedTuple):
     @property
     def turns(self) -> np.ndarray:
         """Whether each joint turns (n,)."""
-        return self.axes[:, 3:].any(1)
+        return np.any(self.axes[:, 3:], axis=1)
 
     def map(self, i: int, position: Any) -> Array:
         """X_i (6, 6) at a position of joint i; 0 for joints on the base, which does not move."""
@@ -174,12 +174,12 @@ class Chain(NamedTuple):
         """Prove the inequalities between the ends of all joints; the proof has no tree, since it is one for each."""
         start, boxes, holds = time.monotonic(), 0, all(map(is_definite, self.bodies(rational(inertia.shared))))
         for i in range(len(self.axes)):
-            one = Box(*(each[i : i + 1] for each in domain))
+            names, units, low, high = (each[i : i + 1] for each in domain)
             for matrix in (
                 lambda z, i=i: self.above(i, self.map(i, z[0]), inertia.floors, inertia.least),
                 lambda z, i=i: self.below(i, self.map(i, z[0]), inertia.ceilings),
             ):
-                found = prove(matrix, one, boxes=MOST)
+                found = prove(matrix, Box(names, units, low, high), boxes=MOST)
                 boxes, holds = boxes + found.boxes, holds and found.verdict == "holds"
         none = np.zeros((0, 2, len(self.axes)))
         return Proof("holds" if holds else "undecided", domain, [], None, none, boxes, time.monotonic() - start)
@@ -257,7 +257,7 @@ def solve_for(chain: Chain, coupling: Coupling) -> InertiaBounds | None:
     def below(i, moved, x):
         return chain.below(i, moved, scaled(x)) / entries - slack * np.eye(6)
 
-    def inverse(i):
+    def above_inverse(i):
         return lambda x: np.array([[x[21 * n + i], 1.0], [1.0, x[22 * n + i]]])
 
     def moment(x):
@@ -271,7 +271,7 @@ def solve_for(chain: Chain, coupling: Coupling) -> InertiaBounds | None:
     cost = np.array([moment(each) - zero for each in np.eye(21 * n)])
     # The ceilings of joints on the base are arbitrary.
     bounded = [lambda x, i=i: np.eye(6) - scaled(x)[i] / entries for i, p in enumerate(maps) if not p[0].any()]
-    floors = _cut(above, maps, np.repeat([0.0, 1.0], (22 * n, n)), [inverse(i) for i in range(n)], slack)
+    floors = _cut(above, maps, np.repeat([0.0, 1.0], (22 * n, n)), [*map(above_inverse, range(n))], slack)
     ceilings = _cut(below, maps, cost, bounded, slack)
     largest = [*map(sound, range(n)), lambda x: np.array([[1.0 - x[-1]]])]
     shared = minimise(-1.0 * (np.arange(6 * n + 1) == 6 * n), largest)
