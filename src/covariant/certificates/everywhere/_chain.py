@@ -174,12 +174,13 @@ class Chain(NamedTuple):
         """Prove the inequalities between the ends of all joints; the proof has no tree, since it is one for each."""
         start, boxes, holds = time.monotonic(), 0, all(map(is_definite, self.bodies(rational(inertia.shared))))
         for i in range(len(self.axes)):
-            names, units, low, high = (each[i : i + 1] for each in domain)
+            at = slice(i, i + 1)
+            one = Box(domain.names[at], domain.units[at], domain.low[at], domain.high[at])
             for matrix in (
                 lambda z, i=i: self.above(i, self.map(i, z[0]), inertia.floors, inertia.least),
                 lambda z, i=i: self.below(i, self.map(i, z[0]), inertia.ceilings),
             ):
-                found = prove(matrix, Box(names, units, low, high), boxes=MOST)
+                found = prove(matrix, one, boxes=MOST)
                 boxes, holds = boxes + found.boxes, holds and found.verdict == "holds"
         none = np.zeros((0, 2, len(self.axes)))
         return Proof("holds" if holds else "undecided", domain, [], None, none, boxes, time.monotonic() - start)
