@@ -81,7 +81,7 @@ def test_the_observer_in_continuous_time_compiles_once(count):
 def test_state_space_systems_compile_once(count):
     t = np.linspace(0.0, 0.1, 5)
     for damping in (1.0, 1.0, 1.1):
-        simulation.simulate(models.van_der_pol(damping), jnp.array([1.0, 0.0]), t)
+        simulation.simulate(models.duffing(damping), jnp.array([1.0, 0.0]), t)
         if damping == 1.0:
             before = count.programs
     assert count.programs == before
@@ -116,7 +116,7 @@ def test_what_has_numbers_in_it_may_be_given_to_jax_as_a_function():
     assert after.q.shape == (2,)
     for function in (model.potential, model.space.matrix, model.space):
         assert np.isfinite(jax.jit(function)(y)).all()
-    assert np.isfinite(jax.jit(models.van_der_pol().f)(jnp.zeros(()), y, jnp.zeros(0))).all()
+    assert np.isfinite(jax.jit(models.duffing().f)(jnp.zeros(()), y, jnp.zeros(1))).all()
     metric = models.heavy_top().space
     assert jax.jit(metric.connection)(jnp.eye(3), jnp.ones(3), jnp.ones(3)).shape == (3,)
 

@@ -133,7 +133,7 @@ def test_a_module_that_makes_a_premise_is_searched_wherever_it_is():
     path = SOURCE / "models" / "_state_space.py"
     assert not makes_statements(path, tree(path))
     assert makes_statements(path, ast.parse("premise = base.Hypothesis('it holds', 'proved')"))
-    assert makes_statements(SOURCE / "calibration" / "tuning" / "_contracting.py", ast.parse(""))
+    assert makes_statements(SOURCE / "report" / "_certificate.py", ast.parse(""))
 
 
 SHARED = {"Product"}

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from covariant import models
-from covariant.calibration import contracting_gain
 from covariant.certificates import feedthrough, observability
 from covariant.certificates.everywhere._coupling import compare_connections
 from covariant.models import StateSpace, marine
@@ -77,21 +76,6 @@ def test_a_declared_change_is_found_at_any_size(size):
     np.testing.assert_allclose(slope, [1e3, size * np.cos(1.0)], rtol=1e-6, atol=2e-6 * size)
 
 
-@pytest.mark.core(1)
-@EVERY
-def test_a_contracting_gain_makes_the_error_shrink(lie):
-    """A force that pushes away at 9 1/s is seen, whatever the model declares."""
-
-    def f(x, push=lambda x: 9.0 * x):
-        return jnp.stack([x[1], -jnp.sin(x[0]) + push(x)[1]])
-
-    design = contracting_gain(system(lambda x: f(x, lie(lambda y: 9.0 * y))), POINTS, rate=2.0)
-    assert design.statement.verdict == "holds"
-    assert design.statement.evidence == ("sampled" if lie in NO_GRAPH else "proved")
-    slopes = np.asarray(jax.vmap(jax.jacfwd(f))(jnp.asarray(POINTS)))
-    assert np.linalg.eigvals(slopes - design.gain @ np.eye(2)[:1]).real.max() < -0.99
-
-
 STAIRS = {
     "round": lambda x: jnp.round(1e6 * x) / 1e6,
     "floor": lambda x: jnp.floor(1e6 * x) / 1e6,
@@ -109,9 +93,6 @@ def test_nothing_holds_between_states_of_a_function_that_jumps(stairs):
     def f(x):
         return jnp.stack([-x[0], 9.0 * stairs(x[1]) - x[1]])
 
-    statement = contracting_gain(system(f, lambda x: x), POINTS, rate=1.0).statement
-    assert statement.verdict == "undecided"
-    assert "f does not jump between the states" in str(statement)
     found = observability(system(f), lambda x: jnp.eye(2), POINTS)
     assert found.condition_1.verdict != "holds"
     assert "any distance" not in found.verdict

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from covariant import calibration, certificates
+from covariant import certificates
 from covariant._domains import (
     ABOVE_ZERO,
     COUNT,
@@ -62,7 +62,6 @@ INSIDE = (
 """Functions of statements that only the room itself uses."""
 FUNCTIONS = {name: f for name in NAMES if inspect.isfunction(f := getattr(certificates, str(name)))}
 FUNCTIONS |= {f.__name__: f for f in INSIDE}
-FUNCTIONS["contracting_gain"] = calibration.contracting_gain
 CHECKED_BY_THEIR_SHAPE = {"position", "input", "q", "metric", "inputs", "times", "t", "x", "noise", "squares"}
 """Arguments that belong to a model, or are functions or matrices: what takes them compares them with it."""
 SIGNS = {

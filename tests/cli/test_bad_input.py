@@ -141,7 +141,7 @@ WATCHED = ("lorenz", "log.csv", "--q", "q1", "-o", "out/v.csv")
         (("simulate", "lorenz", "-o", "out/l.csv", "--q0", "1"), ["q0 needs 3 finite"]),
         (("simulate", "lorenz", "-o", "out/l.csv", "--v0", "1,2,3"), ["v0", "no velocities", "q0"]),
         (("simulate", "lorenz", "-o", "out/l.csv", "--amplitude", "1"), ["amplitude needs 0 finite"]),
-        (("simulate", "bioreactor", "-o", "out/l.csv", "--set", 'columns.q=["a", "b"]'), ["2 columns", "1 outputs"]),
+        (("simulate", "duffing", "-o", "out/l.csv", "--set", 'columns.q=["a", "b"]'), ["2 columns", "1 outputs"]),
     ],
 )
 def test_a_bad_argument_with_a_state_space_model(folder, arguments, named):

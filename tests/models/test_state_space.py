@@ -12,11 +12,8 @@ from covariant.models import StateSpace, state_space
 
 SYSTEMS = {
     "unknown frequency": models.unknown_frequency(),
-    "van der Pol": models.van_der_pol(),
     "Lorenz": models.lorenz(),
     "Duffing": models.duffing(),
-    "bioreactor": models.bioreactor(growth=0.53),
-    "bioreactor, Monod": models.bioreactor(growth=0.53, inhibition=0.0),
     "a Lagrangian": state_space(models.ball_and_beam()),
 }
 TIME = jnp.zeros(())
@@ -98,13 +95,10 @@ def test_what_does_not_fit_is_named(wrong, words):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: models.van_der_pol(-0.1), "van_der_pol: damping [1] must be ≥ 0; got -0.1"),
         (lambda: models.lorenz(prandtl=0.0), "lorenz: prandtl [1] must be positive; got 0.0"),
         (lambda: models.lorenz(rayleigh=np.inf), "lorenz: rayleigh [1] must be positive; got inf"),
         (lambda: models.duffing(damping=-1.0), "duffing: damping [N s/m] must be ≥ 0; got -1.0"),
         (lambda: models.duffing(stiffness=np.nan), "duffing: stiffness [N/m] must be finite; got nan"),
-        (lambda: models.bioreactor(feed=0.0), "bioreactor: feed [kg/m^3] must be positive; got 0.0"),
-        (lambda: models.bioreactor(inhibition=-1.0), "bioreactor: inhibition [m^3/kg] must be ≥ 0; got -1.0"),
     ],
 )
 def test_parameters_that_make_no_sense_are_named(make, words):
@@ -141,26 +135,3 @@ def test_duffing_is_a_hardening_spring_with_damping():
     x, u = jnp.array([0.7, -1.1]), jnp.array([0.3])
     rate = models.duffing(damping=0.25, stiffness=-1.0, cubic=2.0).f(TIME, x, u)
     np.testing.assert_allclose(rate, [-1.1, 0.3 + 0.25 * 1.1 + 0.7 - 2.0 * 0.7**3], rtol=1e-13)
-
-
-@pytest.mark.parametrize(("biomass", "substrate", "stable"), [(1.530163, 0.174593, True), (0.995103, 1.512243, False)])
-def test_steady_states_of_the_bioreactor(biomass, substrate, stable):
-    """Bequette 1998, module 8: at a dilution rate of 0.3/h a stable state and a saddle, besides washout."""
-    model, u = models.bioreactor(), jnp.array([0.3 / 3600])
-    x = jnp.array([biomass, substrate])
-    np.testing.assert_allclose(model.f(TIME, x, u), 0.0, rtol=0, atol=1e-6 * 0.3 / 3600 * 4.0)
-    spectrum = np.linalg.eigvals(model.jacobians(TIME, x, u)[0])
-    assert (spectrum.real.max() < 0) == stable
-    np.testing.assert_allclose(model.f(TIME, jnp.array([0.0, 4.0]), u), 0.0, rtol=0, atol=0)
-    # What was fed becomes substrate and biomass: their sum relaxes at the dilution rate, an eigenvalue of −u.
-    rate = float(u[0])
-    assert np.abs(spectrum + rate).min() < 1e-3 * rate
-
-
-def test_substrate_tells_the_biomass_and_biomass_not_the_substrate():
-    """Rank of the output and its rate, at the fastest growth; `dμ/ds = 0` where s² = saturation/inhibition."""
-    model, u = models.bioreactor(1.0), jnp.array([0.3])
-    x = jnp.array([1.0, np.sqrt(0.12 / 0.4545)])
-    rate = model.jacobians(TIME, x, u)[0]
-    assert abs(np.linalg.det(np.stack([[0.0, 1.0], rate[1]]))) > 0.1
-    assert abs(np.linalg.det(np.stack([[1.0, 0.0], rate[0]]))) < 1e-12

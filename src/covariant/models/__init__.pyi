@@ -44,7 +44,6 @@ from .files import (
 )
 from .systems import (
     ball_and_beam as ball_and_beam,
-    bioreactor as bioreactor,
     duffing as duffing,
     free_body as free_body,
     heavy_top as heavy_top,
@@ -56,7 +55,6 @@ from .systems import (
     satellite as satellite,
     underwater_vehicle as underwater_vehicle,
     unknown_frequency as unknown_frequency,
-    van_der_pol as van_der_pol,
 )
 
 __all__ = [

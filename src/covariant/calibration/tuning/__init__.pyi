@@ -1,5 +1,4 @@
 from ._constant_gains import Candidate as Candidate
-from ._contracting import contracting_gain as contracting_gain
 from ._data_sheet import DataSheet as DataSheet, Trial as Trial
 from ._estimators import (
     ESTIMATORS as ESTIMATORS,

@@ -19,7 +19,6 @@ ROBOT_FILES = (".urdf", ".xml")
 """Suffixes of robot files."""
 SYSTEMS = {
     "ball_and_beam": "systems._ball_and_beam:ball_and_beam",
-    "bioreactor": "systems._bioreactor:bioreactor",
     "cybership": "marine:cybership",
     "duffing": "systems._duffing:duffing",
     "free_body": "systems._heavy_top:free_body",
@@ -38,7 +37,6 @@ SYSTEMS = {
     "supply_vessel": "marine:supply_vessel",
     "underwater_vehicle": "systems._underwater_vehicle:underwater_vehicle",
     "unknown_frequency": "systems._unknown_frequency:unknown_frequency",
-    "van_der_pol": "systems._van_der_pol:van_der_pol",
 }
 """The systems that a model file may name, and the functions that build them, as `module:function`."""
 

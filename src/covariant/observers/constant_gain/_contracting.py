@@ -59,7 +59,7 @@ class Contracting(AbstractFlowObserver):
     `x⁺ = x̂ + WK (I + h_x WK)⁻¹ (z − h)`, where W contains the weight [s] of each output: no gain makes the correction
     unstable, and for dt → 0 it becomes the differential equation.
 
-    Use it for a model that is not mechanical, with a gain from `calibration.contracting_gain` or your own design.
+    Use it for a model that is not mechanical, with a gain from `certificates.observer_gain` or your own design.
     `certificates.virtual` and `proofs.prove` show where it converges. `StateEKF` needs no design, but has no proof.
 
     Attributes:
