@@ -88,4 +88,4 @@ def test_the_default_learns_a_force_where_the_file_tells_one(numbers, name):
     designed = design(models.load("oscillator", NOISE | numbers), rate=100.0)
     assert designed.name == name
     assert ("force rate" in designed.notes) == (name == "intrinsic-force")
-    assert design(models.load("oscillator", NOISE | numbers), gains=(20.0, 200.0)).name == "intrinsic"
+    assert design(models.load("oscillator", NOISE | numbers), gains={"alpha": 20.0, "beta": 200.0}).name == "intrinsic"

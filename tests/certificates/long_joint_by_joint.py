@@ -108,3 +108,13 @@ def test_gains_that_are_given_are_proved_without_boxes(monkeypatch, recipe):
     assert proved.statement.proved
     assert len(proved.document.inertia)
     assert certify_globally(slow, interval=(1e-3, 1e-3), boxes=50).statement.verdict == "undecided"
+
+
+@pytest.mark.core(15)
+def test_samples_that_are_too_far_apart_are_told_beside_the_gains_that_are_needed(monkeypatch, recipe):
+    monkeypatch.setattr(_certify, "FEW", 1)
+    made = certify_globally(models.from_recipe(recipe), velocity=4.0, interval=(0.1, 0.1), boxes=50)
+    assert made.statement.verdict == "undecided"
+    coupling, gain = made.statement.hypotheses[:2]
+    assert coupling.verdict == "holds"
+    assert "or more is needed, at samples closer than 1/ω" in str(gain)

@@ -365,11 +365,11 @@ class FitResult(AbstractTable):
         """Rows of the numbers that each log of a folder shows by itself, with their standard errors."""
         rows = self.details["each"]
         names = dict.fromkeys(name for row in rows for name in row if f"{name}_std" in row)
+        notes = {"odd": "odd", "failed": "not read"}
         return [
             {"log": Path(row["log"]).name}
             | {name: f"{row[name]:.4g} ± {row[f'{name}_std']:.2g}" if name in row else None for name in names}
-            | {"odd": row.get("odd") or None}
-            | ({"not read": row.get("failed")} if any("failed" in each for each in rows) else {})
+            | {title: row.get(key) or None for key, title in notes.items() if any(each.get(key) for each in rows)}
             for row in rows
         ]
 

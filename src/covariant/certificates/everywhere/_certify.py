@@ -232,14 +232,17 @@ def certify_globally(
     told = None if progress is None else lambda share, count: progress("the coupling", share, count)
     effort = given is None, enough, boxes, seconds, told
     bounded = _bounds(coupling._replace(document=document), Chain.of(model.space), *effort)
-    least, following = omega if given is None else None, next(bounded)
-    while True:
-        document, bound = following
+    least, best = omega if given is None else None, None
+    for document, bound in bounded:
         tries = _tries(document, least, rate) if bound.norm < math.inf else ()
         found = next((found for each in tries if (found := _metrics(each)) is not None), None)
-        if found is not None or (following := next(bounded, None)) is None:
+        # What is bounded says which gains would do, even if no such gains exist at these samples.
+        if found is not None or best is None or best[1].norm == math.inf:
+            best = found or document, bound
+        if found is not None:
             break
-    document = document if found is None else found
+    assert best is not None
+    document, bound = best
     hypotheses = (*_hypotheses(document, bound, model), compare_connections(model.space, domain, PLACES))
     statement = statement_of(document, model, hypotheses, all(each.verdict == "holds" for each in hypotheses))
     made = MeasuredCoefficients(model, document.alpha, document.beta, speed) if given is None else given
@@ -371,8 +374,9 @@ def _hypotheses(document: GlobalDocument, bound: CouplingBound, model: Mechanica
     turn = 2 * (document.velocity * document.ages[-1, 1] + document.noise)[list(model.circles)]
     return (
         judge(
-            f"the coupling of the coordinates is {limit}, and unknown accelerations are below their bounds, "
-            f"{'by bounds of the inertia joint by joint ' if len(document.inertia) else ''}({bound.proof.boxes} boxes)",
+            f"the coupling of the coordinates is {limit}, and unknown accelerations are below their bounds"
+            f"{', by bounds of the inertia joint by joint' if len(document.inertia) else ''} "
+            f"({bound.proof.boxes} boxes)",
             bounded,
             f"{bound.proof.open_share:.1%} of the configurations, where boxes are too large for a bound; more boxes or "
             f"time, or a smaller region, may do; by sampling, ω = {needed} 1/s would suffice",
