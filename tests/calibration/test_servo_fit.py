@@ -182,26 +182,3 @@ def test_friction_of_motor_and_weight_both_hold_a_joint(arm):
     weight = MASS * GRAVITY * LENGTH
     high, low = (1.2 * weight + 0.15) / (1 - 0.3), (0.8 * weight - 0.15) / (1 + 0.3)
     assert band == pytest.approx((high - low) / 2 / 12.0, rel=1e-3)
-
-
-@pytest.mark.parametrize("limit", [np.inf, 2.5])
-def test_a_limit_is_found_where_the_log_reaches_it_and_else_its_least_value(arm, limit):
-    known = {key: TRUTH[key] for key in ("viscous", "armature")}
-    names = ",".join(f"servo.{key}" for key in ("stiffness", "damping", "delay", "coulomb", "limit"))
-    log = simulated(16.0, limit=limit, feedforward=0.0)
-    # The first limit is below what the steps demand, and cuts torques that the servo of the log gives.
-    result = covariant.fit(arm(**known, limit=2.0), log, names, overrides=HELD)
-    rows = {row["name"].rpartition(".")[2]: row for row in result.summary["parameters"]}
-    for key in ("stiffness", "damping", "delay", *["limit"] * (limit < np.inf)):
-        assert rows[key]["determined"], key
-        assert abs(rows[key]["after"] - (TRUTH | {"limit": limit})[key]) < 4 * rows[key]["standard_error"], rows[key]
-    beyond = [each for each in result.summary["undetermined"] if "servo.elbow.limit is at least" in each]
-    assert len(beyond) == (limit == np.inf)
-    if beyond:
-        assert not rows["limit"]["determined"]
-        # A command acts 3.3 rows after its stamp; the fit sees two thirds of the log.
-        seen = 2 * len(log.t) // 3
-        demanded = TRUTH["stiffness"] * np.abs(log.u[: seen - 4] - log.y[4:seen]).max()
-        least = float(beyond[0].split()[4])
-        assert least == pytest.approx(demanded, rel=0.1)
-        assert rows["limit"]["after"] > least

@@ -118,3 +118,13 @@ def test_samples_that_are_too_far_apart_are_told_beside_the_gains_that_are_neede
     coupling, gain = made.statement.hypotheses[:2]
     assert coupling.verdict == "holds"
     assert "or more is needed, at samples closer than 1/ω" in str(gain)
+
+
+@pytest.mark.core(15)
+def test_joints_on_other_branches_do_not_couple(made):
+    chain = _chain.Chain.of(made.observer.model.space)
+    inertia = _chain.InertiaBounds.of(made.document.inertia)
+    only_last = chain.reach(inertia.ceilings, np.array([0.0, 0.0, 0.0, 1.0]))
+    assert only_last[1] == only_last[2] == 0.0
+    sliding = chain.reach(inertia.ceilings, np.array([0.0, 0.0, 1.0, 0.0]))
+    assert sliding[2] == 0.0 < sliding[1]

@@ -81,13 +81,3 @@ def test_the_bounds_hold_at_random_configurations(made):
     assert (scaled <= document.coupling * np.sqrt(((np.asarray(z) / document.weights) ** 2).sum(1))).all()
     pushed = np.linalg.inv(metric) @ (0.1 * rng.choice([-1.0, 1.0], n))
     assert (np.abs(pushed) <= document.acceleration).all()
-
-
-@pytest.mark.core(15)
-def test_joints_on_other_branches_do_not_couple(made):
-    chain = _chain.Chain.of(made.observer.model.space)
-    inertia = _chain.InertiaBounds.of(made.document.inertia)
-    only_last = chain.reach(inertia.ceilings, np.array([0.0, 0.0, 0.0, 1.0]))
-    assert only_last[1] == only_last[2] == 0.0
-    sliding = chain.reach(inertia.ceilings, np.array([0.0, 0.0, 1.0, 0.0]))
-    assert sliding[2] == 0.0 < sliding[1]
