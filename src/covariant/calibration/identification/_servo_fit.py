@@ -7,6 +7,7 @@ alone.
 Source: Huber 1981 for the weights; White 1982 for the sandwich covariance, here over blocks.
 """
 
+import inspect
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -257,8 +258,9 @@ class _Search(NamedTuple):
     @property
     def one_sided(self) -> Bool[np.ndarray, "p"]:
         """Which numbers act only beyond a motion of some size: those without a table are infinite."""
-        numbers = self.logs[0].family.numbers
-        return np.array([n.group == "servo" and Servo._field_defaults.get(n.number) == np.inf for n in numbers], bool)
+        numbers, of_servo = self.logs[0].family.numbers, inspect.signature(Servo).parameters
+        infinite = {name for name, each in of_servo.items() if each.default == np.inf}
+        return np.array([number.group == "servo" and number.number in infinite for number in numbers], bool)
 
     @property
     def joints(self) -> tuple[np.ndarray, np.ndarray]:
