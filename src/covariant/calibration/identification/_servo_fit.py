@@ -50,12 +50,13 @@ DIFFERENCE_STEP = 1e-4
 MIN_RATIO = 0.02
 """Least value of a number that must be positive, relative to its first value."""
 POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velocity", "limit")
-FIRST_DELAYS, STIFFNESS_FACTORS = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
-"""Delays [s], and factors on the first stiffness, that are tried as starting points of the search."""
+FIRST_TIMES, STIFFNESS_FACTORS = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
+"""Delays and dampings relative to a stiffness [s], and factors on the first stiffness, that are tried as starting
+points of the search."""
 LATE, ALIKE = ("damping", "back_emf"), 0.9
 """Numbers that make a servo late as a delay does, and correlation of the errors from which logs hardly separate two."""
-DELAY_SHIFTS = 0.015, -0.01
-"""Changes of the fitted delay [s] from which the search starts again."""
+ASIDE = 3.0
+"""Distance from a fit, in standard errors, from which the search starts again."""
 STEEP = 1e4
 """Change of a position [rad or m] per usual size of a number from which a prediction is unstable."""
 FREE, ABOVE = 1e3, 1.5
@@ -109,9 +110,11 @@ def fit_servos(
     start = search.started() if first is None else first / search.sizes
     # A limit has a slope only where a log is at it, so that the search starts once without limits and once with them.
     point = search.descend(np.where(search.one_sided, FREE, start), progress, rounds)
-    # A delay and a lead differ only where the command jumps, so there is a local minimum on either side of a fit.
-    for x in search.shifted(point.z * search.sizes):
-        point = search.better(point, search.descend(np.maximum(x, search.least) / search.sizes, progress, rounds))
+    minima = [point]
+    # Joints stick, and a delay is nearly a damping or a lead, so that there are local minima on either side of a fit.
+    for z in search.aside(point) if first is None else ():
+        minima.append(search.descend(z, progress, rounds))
+        point = search.better(point, minima[-1])
     if search.one_sided.any():
         limited = search.better(point, search.descend(search.started(CUTS), progress, rounds))
         without = Point.at(search, np.where(search.one_sided, FREE, limited.z))
@@ -125,7 +128,7 @@ def fit_servos(
     blocks, outer = point.blocks, np.outer(search.sizes, search.sizes)
     prior, information = np.eye(len(x)) / PRIOR**2, blocks.information
     inverse = np.linalg.inv(information + prior)
-    covariance = outer * block_covariance(blocks.z, information, inverse, prior)
+    covariance = outer * (block_covariance(blocks.z, information, inverse, prior) + search.between(point, minima))
     family = families[0]
     # Integration steps of a few milliseconds bias the numbers in every window alike, which blocks do not show.
     values = np.asarray(family.values(x))
@@ -305,12 +308,25 @@ class _Search(NamedTuple):
             return mixed
         return other if less.sum() < loss.sum() - abs(margin) else point
 
+    def between(self, point: Point, minima: Sequence[Point]) -> Float[np.ndarray, "p p"]:
+        """What other local minima add to a covariance, by how probable each is beside the point that was found.
+
+        Source: Gelman et al. 2013, Bayesian data analysis, section 13.2: a mixture of normal approximations at the
+        modes, of variances enlarged as errors are alike within a window.
+        """
+        own, (best, *others) = self.joints[1], (self.by_part(each.blocks.rest[0]) for each in (point, *minima))
+        moved = np.where(self.one_sided, 0.0, [each.z - point.z for each in minima])
+        apart = np.array([np.bincount(np.maximum(own, 0), np.abs(each), len(best)) > 0 for each in moved])
+        odds = apart * np.exp(-np.maximum(np.array(others) - best, 0.0) / point.blocks.overdispersion)
+        moved = np.sqrt(odds / (1 + odds.sum(axis=0)))[:, own] * moved
+        return moved.T @ moved
+
     def chosen(self, candidates: Sequence[Sequence[np.ndarray]]) -> Float[np.ndarray, "p"]:
         """Coordinates (p,) of which each part of the robot has those that predict it best; a group has one delay."""
         tried, losses, search = [], [], self
-        for group in candidates:
-            # Batches have the size of a point's batch, so that one compiled program serves both.
-            count = len(self.sizes) + 1
+        # Batches have the size of a point's batch, so that one compiled program serves both.
+        count = len(self.sizes) + 1
+        for group in (each[k : k + count] for each in candidates for k in range(0, len(each), count)):
             batch = (list(group) * count)[:count]
             residuals = self._residuals(batch, batch[0], [], np.zeros((count, len(self.rigid))))
             search = search._replace(scale=_scales(residuals[0])) if (search.scale == 1).all() else search
@@ -327,22 +343,31 @@ class _Search(NamedTuple):
         return np.where(np.isfinite(each), each, np.inf)
 
     def started(self, cuts: Sequence[float] = ()) -> Float[np.ndarray, "p"]:
-        """The first values, with the delays and stiffnesses that predict best, in usual sizes; and the limits, of these
-        fractions of what the logs demand with each stiffness."""
-        family = self.logs[0].family
-        kinds = [number.number if number.group == "servo" else "" for number in family.numbers]
-        late = np.array([kind == "delay" for kind in kinds])
-        is_stiffness = np.array([kind == "stiffness" for kind in kinds])
-        candidates, demanded = [], self.demanded(np.zeros(len(kinds)))
-        for delay in (None, *FIRST_DELAYS) if late.any() else (None,):
-            x = np.zeros(len(kinds)) if delay is None else np.where(late, delay - family.first, 0.0)
+        """The first values, with the delays, stiffnesses and dampings that predict best, in usual sizes; and the
+        limits, of these fractions of what the logs demand with each stiffness."""
+        first, late, stiff, damping = self.logs[0].family.first, *map(self._are, ("delay", "stiffness", "damping"))
+        none, candidates = np.zeros(len(first)), []
+        demanded, servos = self.demanded(none), self.logs[0].drive(none).servos
+        stiffness = dict(zip(servos.input_names, np.asarray(servos.stiffness), strict=False))
+        usual = float(np.mean(np.asarray(servos.stiffness)))
+        stiffness = np.array([stiffness.get(f"cmd_{n.target}", usual) for n in self.logs[0].family.numbers])
+        times, factors = (None, *FIRST_TIMES), STIFFNESS_FACTORS[: 3 if stiff.any() else 1]
+        for delay in times if late.any() else (None,):
+            x = none if delay is None else np.where(late, delay - first, 0.0)
+            # A stiffness and a damping are tried with each other, and a limit with a stiffness.
+            lags = times if damping.any() and not cuts else (None,)
             group = []
-            for factor, cut in itertools.product(STIFFNESS_FACTORS[: 3 if is_stiffness.any() else 1], cuts or (0.0,)):
-                stiffer = np.where(is_stiffness, (factor - 1) * family.first, x)
-                limit = cut * factor * demanded - family.first if cuts else FREE * self.sizes
-                group.append(np.maximum(np.where(self.one_sided, limit, stiffer), self.least))
+            for factor, cut, lag in itertools.product(factors, cuts or (0.0,), lags):
+                other = np.where(stiff, (factor - 1) * first, x)
+                other = other if lag is None else np.where(damping, lag * factor * stiffness - first, other)
+                limit = cut * factor * demanded - first if cuts else FREE * self.sizes
+                group.append(np.maximum(np.where(self.one_sided, limit, other), self.least))
             candidates.append(group)
         return self.chosen(candidates) / self.sizes
+
+    def _are(self, kind: str) -> Bool[np.ndarray, "p"]:
+        """Which numbers are of this kind, of servos."""
+        return np.array([n.group == "servo" and n.number == kind for n in self.logs[0].family.numbers], bool)
 
     def descend(self, z: np.ndarray, progress: Callable[[int], object], rounds: Iterator[int]) -> Point:
         """The point that a search reaches; the scale of the errors follows them."""
@@ -358,25 +383,17 @@ class _Search(NamedTuple):
                 break
         return point
 
-    def shifted(self, x: np.ndarray) -> list[np.ndarray]:
-        """Coordinates with changed delays, and with leads that compensate for the change."""
-        family = self.logs[0].family
-        at = {(n.target, n.number): i for i, n in enumerate(family.numbers) if n.group == "servo"}
-        fed = {target: i for (target, kind), i in at.items() if kind == "feedforward"}
-        leads = [(i, at[target, "delay"], target) for target, i in fed.items() if (target, "delay") in at]
-        if not leads:
-            return []
-        values, servos = np.asarray(family.values(x)), self.logs[0].drive(x).servos
-        stiffness = dict(zip(servos.input_names, np.asarray(servos.stiffness), strict=False))
-        others = []
-        for shift in DELAY_SHIFTS:
-            other = x.copy()
-            for i, j, target in leads:
-                later = max(shift, -values[j])
-                other[j] += later
-                other[i] += later * stiffness.get(f"cmd_{target}", np.mean(np.asarray(servos.stiffness)))
-            others.append(other)
-        return others
+    def aside(self, point: Point) -> list[np.ndarray]:
+        """Unknowns on either side of a point, along the combination of those of each part that the logs tell least."""
+        blocks, own = self.scaled(point).weighed(point).blocks, self.joints[1]
+        prior, step = np.eye(len(own)) / PRIOR**2, np.zeros(len(own))
+        inverse = np.linalg.inv(blocks.information + prior)
+        covariance = block_covariance(blocks.z, blocks.information, inverse, prior)
+        for part in np.unique(own):
+            its = np.flatnonzero((own == part) & ~self.one_sided)
+            variances, axes = np.linalg.eigh(covariance[np.ix_(its, its)])
+            step[its] = min(ASIDE * np.sqrt(variances[-1]), LONGEST_STEP) * axes[:, -1] if len(its) else 0.0
+        return [np.maximum(each, self.least / self.sizes) for each in (point.z + step, point.z - step)]
 
     def blocks(self, z: np.ndarray, kept: Any = None) -> Blocks:
         """The loss of each block of rows, and its derivatives; `rest` has the errors of all windows and their own."""
