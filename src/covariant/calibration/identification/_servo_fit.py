@@ -110,15 +110,15 @@ def fit_servos(
     start = search.started() if first is None else first / search.sizes
     # A limit has a slope only where a log is at it, so that the search starts once without limits and once with them.
     point = search.descend(np.where(search.one_sided, FREE, start), progress, rounds)
+    if search.one_sided.any():
+        limited = search.better(point, search.descend(search.started(CUTS), progress, rounds))
+        without = Point.at(search, np.where(search.one_sided, FREE, limited.z))
+        point = search.descend(search.better(limited, without, -MARGIN).z, progress, rounds)
     minima = [point]
     # Joints stick, and a delay is nearly a damping or a lead, so that there are local minima on either side of a fit.
     for z in search.aside(point) if first is None else ():
         minima.append(search.descend(z, progress, rounds))
         point = search.better(point, minima[-1])
-    if search.one_sided.any():
-        limited = search.better(point, search.descend(search.started(CUTS), progress, rounds))
-        without = Point.at(search, np.where(search.one_sided, FREE, limited.z))
-        point = search.descend(search.better(limited, without, -MARGIN).z, progress, rounds)
     search = search.scaled(point)
     point = search.weighed(point)
     idle, demanded = search.idle(point), search.demanded(point.z)
@@ -316,7 +316,7 @@ class _Search(NamedTuple):
         """
         own, (best, *others) = self.joints[1], (self.by_part(each.blocks.rest[0]) for each in (point, *minima))
         moved = np.where(self.one_sided, 0.0, [each.z - point.z for each in minima])
-        apart = np.array([np.bincount(np.maximum(own, 0), np.abs(each), len(best)) > 0 for each in moved])
+        apart = np.array([np.bincount(own, np.abs(each), len(best)) > 0 for each in moved])
         odds = apart * np.exp(-np.maximum(np.array(others) - best, 0.0) / point.blocks.overdispersion)
         moved = np.sqrt(odds / (1 + odds.sum(axis=0)))[:, own] * moved
         return moved.T @ moved

@@ -7,18 +7,14 @@ import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
-
-import numpy as np
 
 from covariant import models
 from covariant.calibration import Draft
 from covariant.calibration.identification import DraftedServo
-from covariant.geometry import differential
 from covariant.logs import unit_factor
 from covariant.verbs.base.placeholders import marked
-from scalargraph import on_batches
 from scalargraph.errors import InputError
 
 FIRST_STIFFNESS = 10.0
@@ -29,8 +25,6 @@ FIRST_LIMIT = 0.3
 """First largest torque, relative to that at an error of one radian."""
 LAG_LIMITS = (0.02, 0.2)
 """Limits of the lag [s] from which the first delay and damping follow."""
-LEAST_WEIGHT = 0.05
-"""Least torque of weight about a joint, relative to the largest, from which friction under load matters there."""
 FIRST_LOAD = 0.2
 """First friction per torque that a gear carries."""
 USUAL_LAG = 0.06
@@ -57,7 +51,6 @@ class Joints(NamedTuple):
         positions: Index of the position of each joint in the draft.
         locked: Names of the joints without a position.
         guess: Text on joints that were matched by order, and on positions without a joint; "" if there are none.
-        weighed: Names of the joints on which weight acts, if there are many logs.
         many: Whether there are many logs.
         one_type: Whether all servos are of one type.
     """
@@ -67,7 +60,6 @@ class Joints(NamedTuple):
     positions: tuple[int, ...]
     locked: tuple[str, ...] = ()
     guess: str = ""
-    weighed: tuple[str, ...] = ()
     many: bool = False
     one_type: bool = False
 
@@ -100,15 +92,7 @@ def match_joints(draft: Draft, path: str, many: bool = False, one_type: bool = F
         guess += "; " if guess else ""
         guess += f"{', '.join(without_joint)} have no joint in {Path(path).name}, and are left out"
     locked = tuple(joint for joint in joints if joint not in matched)
-    weighed = _weighed(model) if many else ()
-    return Joints(path, names, tuple(matched[j] for j in names), locked, guess, weighed, many, one_type)
-
-
-def _weighed(model: Any) -> tuple[str, ...]:
-    """Joints on which weight acts in some configuration."""
-    q = np.random.default_rng(0).uniform(-1.0, 1.0, (8, len(model.coordinates)))
-    weight = np.abs(on_batches(lambda q: differential(model.manifold, model.potential, q), q[0])(q)).max(axis=0)
-    return tuple(np.array(model.coordinates)[weight > LEAST_WEIGHT * weight.max()].tolist())
+    return Joints(path, names, tuple(matched[j] for j in names), locked, guess, many, one_type)
 
 
 def _words(name: str) -> frozenset[str]:
@@ -200,15 +184,15 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
         values["stribeck"] = FIRST_COULOMB * FIRST_STIFFNESS / 2, "N m, more of it near rest"
     elif joints.many:
         values["limit"] = FIRST_LIMIT * FIRST_STIFFNESS, "N m, the largest torque"
-    carried = {"load": (FIRST_LOAD, "friction per torque that the gear carries")}
+    if joints.many and joints.path:  # without masses only the ratios of torques show
+        values["load"] = FIRST_LOAD, "friction per torque that the gear carries"
     first = ""
     for name, servo in zip(joints.names, draft.servos, strict=True):
         if servo is None:
             continue
         lines += ["", f"[servo.{_key(name)}]"]
         lines += [f"like = {quoted(first)}  # servos of one type; without this line each has its own"] * bool(first)
-        own = {"coulomb": values["coulomb"]} if first else values
-        for key, (value, what) in (own | carried if name in joints.weighed else own).items():
+        for key, (value, what) in ({"coulomb": values["coulomb"]} if first else values).items():
             rounded = float(f"{value:.3g}")
             lines.append(f"{key} = {rounded!r}  {marked([rounded])}; {what}")
         if not first:
