@@ -91,14 +91,18 @@ class Torques(NamedTuple):
 
 def flattened(family: RobotFamily) -> tuple[Callable[..., Array], Callable[[Array], Any]]:
     """The arrays of the robot as one vector, by the coordinates x; and the robot by that vector."""
-    numbers, static = eqx.partition(family.make(np.zeros(len(family.names))), eqx.is_inexact_array)
-    unravel = ravel_pytree(numbers)[1]
+    whole: list[Callable[[Any], Any]] = []
 
     @jax.jit  # traced once for all functions of the robot
     def arrays(x: Array) -> Array:
-        return ravel_pytree(eqx.filter(family.make(x), eqx.is_inexact_array))[0]
+        numbers, static = eqx.partition(family.make(x), eqx.is_inexact_array)
+        flat, unravel = ravel_pytree(numbers)
+        whole[:] = [lambda flat: eqx.combine(unravel(flat), static)]
+        return flat
 
-    return arrays, lambda flat: eqx.combine(unravel(flat), static)
+    # Traced, since a term whose numbers are zero at first is a part of the robot too.
+    jax.eval_shape(arrays, jnp.zeros(len(family.names)))
+    return arrays, whole[0]
 
 
 def at_rows(function: Callable[..., Array]) -> Callable[..., np.ndarray]:

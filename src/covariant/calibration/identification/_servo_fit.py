@@ -329,7 +329,7 @@ class _Search(NamedTuple):
         for group in (each[k : k + count] for each in candidates for k in range(0, len(each), count)):
             batch = (list(group) * count)[:count]
             residuals = self._residuals(batch, batch[0], [], np.zeros((count, len(self.rigid))))
-            search = search._replace(scale=_scales(residuals[0])) if (search.scale == 1).all() else search
+            search = search._replace(scale=search._scales(residuals[0])) if (search.scale == 1).all() else search
             tried += batch
             losses += [search.by_part(each) for each in residuals]
         if not np.isfinite(losses).any(axis=0).all():
@@ -379,7 +379,7 @@ class _Search(NamedTuple):
             point = search.weighed(point)
             before = point.blocks.loss.sum()  # without the prior, which is large for a limit that does not act
             point = minimise(search, point, free, lambda _: progress(next(rounds)), STEPS)
-            if before - point.blocks.loss.sum() <= TOLERANCE * before:
+            if not before - point.blocks.loss.sum() > TOLERANCE * before:  # nor where it is not finite
                 break
         return point
 
@@ -416,8 +416,16 @@ class _Search(NamedTuple):
 
     def scaled(self, point: Point) -> "_Search":
         """The search with the scale of the errors at a point."""
-        measured = np.where(np.isfinite(self._measured), point.blocks.rest[0], np.nan)
-        return self._replace(scale=_scales(measured))
+        return self._replace(scale=self._scales(point.blocks.rest[0]))
+
+    def _scales(self, errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:
+        """Robust standard deviations of the errors of each joint in the windows in which it moves, and no less than
+        rounding to ticks makes: a joint that is left standing has no errors, however wrong its numbers are."""
+        measured, tick = self._measured, np.asarray(self.logs[0].family.file.quantum or 0.0)
+        known = np.isfinite(measured)
+        moves = np.max(np.where(known, measured, -np.inf), 1) - np.min(np.where(known, measured, np.inf), 1) > tick
+        told = np.where(known & (moves | ~moves.any(axis=0))[:, None], errors, np.nan)
+        return np.maximum([scale_of(column) for column in np.moveaxis(told, -1, 0)], tick / np.sqrt(12))
 
     def weighed(self, point: Point) -> Point:
         """The point with its errors weighed by the scale."""
@@ -499,8 +507,3 @@ def _together(windows: Sequence[np.ndarray]) -> np.ndarray:
     most = max(each.shape[-2] for each in windows)
     ends = [((0, 0),) * (each.ndim - 2) + ((0, most - each.shape[-2]), (0, 0)) for each in windows]
     return np.concatenate([np.pad(*pair, constant_values=np.nan) for pair in zip(windows, ends, strict=True)], axis=-3)
-
-
-def _scales(errors: Float[np.ndarray, "B R n"]) -> Float[np.ndarray, "n"]:
-    """Robust standard deviations of the finite errors of each joint; 1 if there are none."""
-    return np.array([scale_of(column) for column in errors.reshape(-1, errors.shape[2]).T])

@@ -108,18 +108,19 @@ class _Folder(NamedTuple):
         places = sorted(self.records.keys() & among)
         counts = np.array([len(self.records[k].t) for k in places])
         only = "" if len(among) == len(self.jobs) else f" Only the {len(among)} logs between changes of a zero count."
-        most = min(MOST_ROWS, counts.sum() / (1 + JUDGE))
-        if most < MOST_ROWS and len(places) < FEWEST_LOGS:
+        most = min(MOST_ROWS * (1 + JUDGE), counts.sum())
+        if most == counts.sum() and len(places) < FEWEST_LOGS:
             return _Used(places, 0, only.strip())
-        chosen = [places[k] for k in most_informative([self.records[k] for k in places], int(most))]
-        others = [k for k in places if k not in chosen]
-        judges = min(len(others), int(np.ceil(JUDGE * MOST_ROWS / counts.mean())))
-        judging = [others[k] for k in np.linspace(0, len(others) - 1, judges).round().astype(int)]
+        telling = [places[k] for k in most_informative([self.records[k] for k in places], int(most))]
+        # Logs in which hardly anything moves would judge any fit to be good.
+        step = round(1 + 1 / JUDGE)
+        judging = telling[step - 1 :: step] or telling[1:]
+        chosen = [k for k in telling if k not in judging]
         lost = f"; {len(self.failed)} could not be used, the first: {self.failed[0]}" if self.failed else ""
         read = f"{len(places)} read of " * (len(places) < len(among))
         sentence = (
-            f"Of {read}{len(among)} logs the {len(chosen)} that tell most by the determinant of their information are "
-            f"fitted, and {len(judging)} others judge{lost}."
+            f"Of {read}{len(among)} logs the {len(telling)} that tell most by the determinant of their information are "
+            f"used: {len(chosen)} are fitted, and {len(judging)}, each fourth in that order, judge{lost}."
         )
         return _Used([*chosen, *judging], len(judging), f"{sentence}{only}")
 
