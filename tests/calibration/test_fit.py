@@ -49,6 +49,14 @@ def test_a_fit_that_predicts_one_coordinate_clearly_worse_is_worse():
     assert not predicts_worse(before, before)
 
 
+def test_a_difference_below_a_tick_makes_no_fit_worse():
+    before = PredictionErrors(*[np.array([0.02, 0.0006])] * 2)
+    after = PredictionErrors(*[np.array([0.018, 0.0015])] * 2, resolution=0.001)
+    assert not predicts_worse(before, after)
+    assert predicts_worse(before, after._replace(resolution=0.0005))
+    assert predicts_worse(before, after._replace(position=np.array([0.022, 0.0006])))
+
+
 def test_what_may_be_chance_is_not_worse():
     """The second coordinate is worse by a tenth: in one of four windows by far, or in all of them alike."""
     rng = np.random.default_rng(0)

@@ -9,7 +9,8 @@ import pytest
 
 import covariant
 from covariant import models
-from covariant.calibration.identification import _servo_fit, stick_bands
+from covariant.calibration.identification import _servo_fit, _servo_motion, predict_servos, stick_bands
+from covariant.calibration.identification._robot_torques import flattened
 from covariant.signals import Record
 
 TICK = 2 * np.pi / 4096
@@ -182,3 +183,44 @@ def test_friction_of_motor_and_weight_both_hold_a_joint(arm):
     weight = MASS * GRAVITY * LENGTH
     high, low = (1.2 * weight + 0.15) / (1 - 0.3), (0.8 * weight - 0.15) / (1 + 0.3)
     assert band == pytest.approx((high - low) / 2 / 12.0, rel=1e-3)
+
+
+def test_logs_in_which_the_joint_stands_still_tell_nothing_of_the_errors_of_others(arm):
+    known = {key: TRUTH[key] for key in ("damping", "feedforward", "delay", "viscous", "armature")}
+    still = Record(np.arange(600) / 100, np.full((600, 1), 0.01), np.zeros((600, 1)))
+    logs = [still, still, simulated(6.0), still, simulated(6.0, seed=1)]
+    result = covariant.fit(arm(**known), logs, "servo.stiffness,servo.coulomb", overrides=HELD, anyway=True)
+    truth = np.array([TRUTH["stiffness"], TRUTH["coulomb"]])
+    assert (np.abs(result.values - truth) < np.maximum(4 * result.standard_errors, 0.02 * truth)).all(), result
+
+
+def test_a_step_damps_a_velocity_as_exactly_as_time_does():
+    z = np.array([-0.5, 0.0, 1e-6, 1e-3, 0.1, 1.0, 10.0, 300.0])
+    share = np.asarray(_servo_motion._share_of_new(jnp.asarray(z)))
+    # The velocity after a step of v' = −z v with this share of the new velocity, which never rings.
+    assert (1 - (1 - share) * z) / (1 + share * z) == pytest.approx(np.exp(-z), rel=1e-6, abs=1e-14)
+    assert share[1] == 0.5
+
+
+def test_a_term_that_is_zero_at_first_is_a_part_of_the_robot(arm):
+    family = models.robot_family(arm(load=0.0), ["servo.elbow.load"])
+    at, robot = flattened(family)
+    assert robot(at(np.array([0.3]))).force.servos.load == pytest.approx(0.3)
+    still = np.full((20, 1), 0.1)
+    assert predict_servos(family, np.array([0.3]), Record(np.arange(20) / 50, still, still)).shape == (20, 1)
+
+
+def test_another_minimum_widens_the_intervals_by_how_probable_it_is():
+    losses = {0.0: 10.0, 2.0: 10.0, 4.0: 1000.0}
+    point, *others = (
+        SimpleNamespace(z=np.array([at, 0.0]), blocks=SimpleNamespace(rest=[at], overdispersion=2.0)) for at in losses
+    )
+    search: Any = SimpleNamespace(
+        joints=(np.zeros(1, int), np.zeros(2, int)),
+        one_sided=np.zeros(2, bool),
+        by_part=lambda at: np.array([losses[at]]),
+    )
+    for minima in ([point], [point, others[1]]):  # itself, and one that is far worse
+        assert _servo_fit._Search.between(search, point, minima) == pytest.approx(np.zeros((2, 2)), abs=1e-12)
+    found = _servo_fit._Search.between(search, point, [point, *others])
+    assert found == pytest.approx(np.diag([0.5 * 2.0**2, 0.0]))  # two alike: half of the time 2 away

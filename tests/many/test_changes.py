@@ -1,9 +1,13 @@
 """From which log on a number is another: a step is named at its log, and neither noise nor a drift is one."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from covariant.signals import Record
 from covariant.verbs.base.among_logs import LogRow, find_change, find_drift
+from covariant.verbs.base.folder_logs import _Folder
 from covariant.verbs.base.own_numbers import find_moved
 
 
@@ -166,3 +170,16 @@ def test_a_late_arm_counts_from_a_row_on_and_a_stiff_one_by_its_factor():
     ]
     assert "+96% of 10.3" in said[1]
     assert len(find_moved(rows, 0.015, 0.04).sentences) == 1
+
+
+def test_the_logs_that_judge_tell_as_much_as_those_that_are_fitted():
+    rng, t, records = np.random.default_rng(0), np.arange(300) / 50, {}
+    for k in range(60):
+        command = 0.3 * np.cumsum(rng.normal(size=(300, 2)), axis=0) / 17 * (k % 3 == 0)
+        records[k] = Record(t, command, np.roll(command, 4, axis=0) + 1e-3 * rng.normal(size=(300, 2)))
+    folder: Any = _Folder([None] * 60, None, None, records, [])
+    used = folder.choose(range(60))
+    assert (len(used.logs), used.judges) == (27, 6)
+    moving = [k % 3 == 0 for k in used.logs]
+    assert np.mean(moving[-6:]) > 0.6 < np.mean(moving[:-6])
+    assert "27 that tell most" in used.sentence
