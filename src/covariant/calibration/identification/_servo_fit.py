@@ -27,9 +27,8 @@ from covariant.models.robots import Servo
 from covariant.signals import Record
 from scalargraph.errors import InputError
 
-WINDOW, LONGEST_WINDOW = 2.0, 6.0
-"""Length of a window [s], as the effect of the initial state decays within a few tenths of a second, and of one for
-joints that stick."""
+WINDOW = 2.0
+"""Length of a window [s], as the effect of the initial state decays within a few tenths of a second."""
 SETTLING = 0.2
 """Time at the start of a window [s] that does not count, since the initial speed is only roughly known."""
 MIN_WINDOWS = 8
@@ -72,8 +71,6 @@ def fit_servos(
     between: str = "held",
     progress: Callable[[int], object] = lambda _: None,
     late: float = 0.0,
-    whole: bool = False,
-    first: Float[np.ndarray, "p"] | None = None,
 ) -> RobotFit:
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
@@ -87,9 +84,6 @@ def fit_servos(
         between: "held" if a command is constant until the next stamp, "linear" if it is linear between stamps.
         progress: Called with the number of each round.
         late: Time [s] by which the stamps of positions are ahead of those of the commands.
-        whole: Whether windows are as long as the logs, up to `LONGEST_WINDOW`, which suits joints that stick for
-            seconds; else they have 2 s, and less in short logs.
-        first: Coordinates (p,) from which the search starts; by default those of several that predict best.
 
     Returns:
         Values, standard errors, and the combinations that the logs determine; `torque` has residuals of positions.
@@ -105,19 +99,18 @@ def fit_servos(
     """
     if not records or len(families) != len(records):
         raise InputError("give a family and a log for each of the logs")
-    search = _Search.of(families, records, between, late, whole=whole)
+    search = _Search.of(families, records, between, late)
     rounds = itertools.count()
-    start = search.started() if first is None else first / search.sizes
     # A limit has a slope only where a log is at it, so that the search starts once without limits and once with them.
-    point = search.descend(np.where(search.one_sided, FREE, start), progress, rounds)
+    point = search.descend(np.where(search.one_sided, FREE, search.started()), progress, rounds)
     if search.one_sided.any():
         limited = search.better(point, search.descend(search.started(CUTS), progress, rounds))
         without = Point.at(search, np.where(search.one_sided, FREE, limited.z))
         point = search.descend(search.better(limited, without, -MARGIN).z, progress, rounds)
     minima = [point]
     # Joints stick, and a delay is nearly a damping or a lead, so that there are local minima on either side of a fit.
-    for z in search.aside(point) if first is None else ():
-        minima.append(search.descend(z, progress, rounds))
+    for z in search.aside(point):
+        minima.append(search.descend(z, progress, rounds, STEPS))
         point = search.better(point, minima[-1])
     search = search.scaled(point)
     point = search.weighed(point)
@@ -219,7 +212,6 @@ class _Search(NamedTuple):
         between: str,
         late: float,
         length: float | None = None,
-        whole: bool = False,
     ) -> "_Search":
         """The search in windows of this length; without one, of a length that suits a fit."""
         family = families[0]
@@ -228,9 +220,6 @@ class _Search(NamedTuple):
         if length is None:
             # A covariance over blocks needs more than about 16 windows, so the windows of short logs are shorter.
             length = max(min(WINDOW, sum(durations) / (2 * MIN_WINDOWS + 1)), 3 * SETTLING)
-        if whole:
-            usual = max(float(np.median(np.diff(log.t))) for log in logs)
-            length = max(length, min(LONGEST_WINDOW, min(durations) - 2 * usual))
         windows = [log.windows(length) for log in logs]
         counts = tuple(len(each) for each in windows)
         if not sum(counts):
@@ -369,12 +358,14 @@ class _Search(NamedTuple):
         """Which numbers are of this kind, of servos."""
         return np.array([n.group == "servo" and n.number == kind for n in self.logs[0].family.numbers], bool)
 
-    def descend(self, z: np.ndarray, progress: Callable[[int], object], rounds: Iterator[int]) -> Point:
-        """The point that a search reaches; the scale of the errors follows them."""
+    def descend(
+        self, z: np.ndarray, progress: Callable[[int], object], rounds: Iterator[int], most: int = MAX_ROUNDS
+    ) -> Point:
+        """The point that a search reaches in some steps at most; the scale of the errors follows them."""
         point = Point.at(self, z)
         # Its prior would pull a number that does not act to where it does.
         free = Fixed(np.diag(1.0 * self.idle(point)), z)
-        for _ in range(MAX_ROUNDS // STEPS):
+        for _ in range(most // STEPS):
             search = self.scaled(point)
             point = search.weighed(point)
             before = point.blocks.loss.sum()  # without the prior, which is large for a limit that does not act

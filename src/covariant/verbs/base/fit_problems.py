@@ -288,29 +288,15 @@ class ServoProblem(Problem):
         file = logs.logs[0].loaded.file
         return cls(family, logs._replace(tried=(file.input_between,)), [""], families)
 
-    def fit(
-        self, word: str, part: Part, start: RobotFit | None, report: Callable[[int, float], None], whole: bool = False
-    ) -> RobotFit:
+    def fit(self, word: str, part: Part, start: RobotFit | None, report: Callable[[int, float], None]) -> RobotFit:
         seen = self.logs.seen
         records = [log.raw for log in self.logs.logs[:seen]]
         if len(self.logs.logs) == 1:
             records = [_first_part(records[0])]
 
-        del part
-        first = None if start is None else start.coordinates
+        del part, start
         late = _late(self.logs.logs[0])
-        return fit_servos(
-            self.families[:seen], records, word, lambda k: report(k, k / ROBOT_ROUNDS), late, whole, first
-        )
-
-    def refined(self, best: RobotFit, part: Part, progress: Progress) -> RobotFit:
-        """The fit with windows as long as the logs, where that predicts clearly better: they are few."""
-
-        def report(done: int, fraction: float) -> None:
-            progress(f"whole logs, round {done + 1}", min(fraction, 1.0))
-
-        other = self.fit(self.logs.tried[0], part, best, report, whole=True)
-        return other if error_growth(self.errors(other), self.errors(best)) > CLEARLY_WORSE else best
+        return fit_servos(self.families[:seen], records, word, lambda k: report(k, k / ROBOT_ROUNDS), late)
 
     def suspicion(self, best: RobotFit, part: Part) -> str:
         """A sentence on joints that do not follow their commands, whatever the numbers of their servos; or ""."""

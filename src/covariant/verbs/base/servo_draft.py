@@ -192,7 +192,9 @@ def servo_lines(draft: Draft, joints: Joints) -> list[str]:
             continue
         lines += ["", f"[servo.{_key(name)}]"]
         lines += [f"like = {quoted(first)}  # servos of one type; without this line each has its own"] * bool(first)
-        for key, (value, what) in ({"coulomb": values["coulomb"]} if first else values).items():
+        # Damping and dry friction are those of a gear under its own load, and others in each joint.
+        own = {key: values[key] for key in ("damping", "coulomb")} if first else values
+        for key, (value, what) in own.items():
             rounded = float(f"{value:.3g}")
             lines.append(f"{key} = {rounded!r}  {marked([rounded])}; {what}")
         if not first:
