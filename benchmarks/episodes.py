@@ -3,8 +3,9 @@
 The five motions of an SO-101 arm are cut into episodes of 300 rows and written in the layout of LeRobot v3: positions
 and commands in degrees, the gripper in per cent, float32, stamps that start again with each episode.
 
-Run `COVARIANT_DATA=... python benchmarks/episodes.py` from the repository's root: `write FOLDER` writes the data set
-only, `halves` compares fits of two halves of the episodes.
+Run `COVARIANT_DATA=... python benchmarks/episodes.py` from the repository's root: it fits all episodes, two halves of
+them, and predicts each whole motion by a fit to the others. `write FOLDER` writes the data set only, `arms 0 40` fits
+simulated arms.
 """
 
 import json
@@ -23,6 +24,9 @@ import servo_machines
 from numpy.typing import NDArray
 
 import covariant
+from covariant import models
+from covariant.calibration.identification import predict_servos
+from covariant.signals import Record
 
 ROWS = 300
 FPS = 50
@@ -33,12 +37,19 @@ JAW = -0.17453, 1.74533
 """Range of the jaw [rad], which is 0 to 100 per cent."""
 
 
-def motions() -> list[tuple[NDArray, NDArray]]:
-    """Positions and commands (T, 6) of the recorded motions, in the units of LeRobot."""
+def recorded(name: str) -> Record:
+    """A motion as it was recorded [rad], with the jaw."""
+    rows = np.genfromtxt(Path(os.environ["COVARIANT_DATA"]) / "so101" / f"{name}.csv", delimiter=",", names=True)
+    q, u = (np.stack([rows[f"{kind}_{column}"] for column in COLUMNS], axis=1) for kind in ("q", "cmd"))
+    return Record(rows["t"], u, q)
+
+
+def motions(names: Sequence[str]) -> list[tuple[NDArray, NDArray]]:
+    """Positions and commands (T, 6) of recorded motions, in the units of LeRobot."""
     found = []
-    for name in MOTIONS:
-        rows = np.genfromtxt(Path(os.environ["COVARIANT_DATA"]) / "so101" / f"{name}.csv", delimiter=",", names=True)
-        both = [np.stack([rows[f"{kind}_{column}"] for column in COLUMNS], axis=1) for kind in ("q", "cmd")]
+    for name in names:
+        log = recorded(name)
+        both = [np.asarray(log.y), np.asarray(log.u)]
         for each in both:
             each[:, :5] = np.degrees(each[:, :5])
             each[:, 5] = 100 * (each[:, 5] - JAW[0]) / (JAW[1] - JAW[0])
@@ -46,9 +57,9 @@ def motions() -> list[tuple[NDArray, NDArray]]:
     return found
 
 
-def episodes() -> list[tuple[NDArray, NDArray]]:
-    """Positions and commands of episodes of 300 rows, of all motions in turn."""
-    cut = [[(q[k : k + ROWS], u[k : k + ROWS]) for k in range(0, len(q) - ROWS + 1, ROWS)] for q, u in motions()]
+def episodes(names: Sequence[str] = MOTIONS) -> list[tuple[NDArray, NDArray]]:
+    """Positions and commands of episodes of 300 rows, of motions in turn."""
+    cut = [[(q[k : k + ROWS], u[k : k + ROWS]) for k in range(0, len(q) - ROWS + 1, ROWS)] for q, u in motions(names)]
     most = max(map(len, cut))
     return [each[k] for k in range(most) for each in cut if k < len(each)]
 
@@ -103,6 +114,17 @@ def fitted(folder: Path, model: Path) -> Any:
     return result
 
 
+def left_out(name: str, root: Path) -> NDArray:
+    """Root mean square errors (5,) of a whole motion [rad], open loop, by a fit to episodes of the other motions."""
+    folder, log = root / f"without_{name}", recorded(name)
+    write(folder, episodes([each for each in MOTIONS if each != name]), JOINTS, "so101_follower", FPS)
+    fitted(folder, root / f"{name}.toml")
+    family = models.robot_family(str(root / f"{name}.toml"), ["servo"])
+    y, u = np.asarray(log.y)[:, :5], np.asarray(log.u)[:, :5]
+    q = predict_servos(family, np.zeros(len(family.names)), Record(log.t, u, y))
+    return np.sqrt(np.mean((q - y) ** 2, axis=0))
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         root, each = Path(place), episodes()
@@ -122,6 +144,9 @@ def main() -> None:
         print(f"intervals of {known.sum()} numbers in both halves: {apart[known].sum()} overlap")
         for row in zip(a.columns["parameter"], a.values, a.standard_errors, b.values, b.standard_errors, strict=True):
             print("{:40s} {:9.4g} ± {:8.2g} {:9.4g} ± {:8.2g}".format(*row))
+        for name in MOTIONS:
+            errors = ", ".join(f"{1e3 * error:.1f}" for error in left_out(name, root))
+            print(f"whole {name} by a fit to the other motions [mrad]: {errors}")
 
 
 UNLIKE = dict.fromkeys(("viscous", "stribeck"), (0.0, 0.0))
