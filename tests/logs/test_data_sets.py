@@ -282,6 +282,13 @@ def test_the_kind_of_robot_is_that_of_the_description(tmp_path, stated, robot):
     assert logs.survey(folder).robot == robot
 
 
+def test_arms_in_folders_of_their_own_and_a_file_of_a_data_set_have_the_kind_of_robot_too(tmp_path):
+    for arm in "ab":
+        data_set(tmp_path / "arms" / arm, {"file-000.parquet": [table(0), table(1)]}, robot_type="so101_follower")
+    for log in (tmp_path / "arms", tmp_path / "arms" / "b" / "data" / "chunk-000" / "file-000.parquet"):
+        assert logs.survey(log).robot == "so101"
+
+
 def test_a_folder_with_one_log_is_surveyed_as_others_are(tmp_path):
     folder = data_set(tmp_path / "set", {"a.parquet": [table(0)]}, names=("pan.pos", "gripper.pos"), robot_type="so101")
     found = logs.survey(folder)

@@ -95,7 +95,7 @@ def survey(log: str | PathLike[str] | Any) -> LogSurvey:
     moved = np.array([[np.ma.masked_invalid(x).std() or 0.0 for x in found.columns.values()] for found in tried])
     most = moved.max(axis=0)
     scores = np.log(moved[:, most > 0] / most[most > 0] + LEAST_MOTION).sum(axis=1)
-    return _of_data_set(tried[int(np.argmax(scores))], part_of(log)[0])
+    return _of_data_set(tried[int(np.argmax(scores))])
 
 
 def survey_log(log: Any) -> LogSurvey:
@@ -117,10 +117,11 @@ def survey_log(log: Any) -> LogSurvey:
     return LogSurvey(columns, source.units, tuple(remarks), source.labels, log)
 
 
-def _of_data_set(found: LogSurvey, folder: Path) -> LogSurvey:
-    """The survey with what a LeRobot data set says of its robot, if the folder is one: its kind, `so101` for
+def _of_data_set(found: LogSurvey) -> LogSurvey:
+    """The survey with what a LeRobot data set says of its robot, if the log is in one: its kind, `so101` for
     `so101_follower`, no columns of a gripper, and the units of positions that the calibration of the arm shows."""
-    if not (info := _json(folder / INFO)):
+    folder = next((each for each in Path(part_of(found.log)[0]).parents if (each / INFO).is_file()), None)
+    if folder is None or not (info := _json(folder / INFO)):
         return found
     calibration: dict[str, Any] = next(filter(None, (_json(folder / name) for name in _CALIBRATIONS)), {})
     ranges: dict[str, float] = {}  # of the positions of each joint, in ticks
