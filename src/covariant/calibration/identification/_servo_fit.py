@@ -75,8 +75,8 @@ def fit_servos(
     """Fit open numbers of a robot with servos to logs of commands and positions.
 
     Positions are predicted over windows from the commands alone, with dry friction that sticks. The search starts from
-    those of several delays, stiffnesses and dampings that predict best, and again on either side of what it finds, along
-    the combination that the logs tell least; where that leads to other minima, the standard errors hold these too.
+    those of several delays, stiffnesses and dampings that predict best, and again on either side of what it finds,
+    along the combination that the logs tell least; standard errors hold other minima that are nearly as good.
 
     Args:
         families: The robot as a function of its p open numbers, from `models.robot_family`, one for each log. Settings
