@@ -125,3 +125,13 @@ def test_a_limit_is_found_where_the_log_reaches_it_and_else_its_least_value(arm,
         least = float(beyond[0].split()[4])
         assert least == pytest.approx(demanded, rel=0.1)
         assert rows["limit"]["after"] > least
+
+
+@pytest.mark.long
+def test_logs_in_which_the_joint_stands_still_tell_nothing_of_the_errors_of_others(arm):
+    known = {key: TRUTH[key] for key in ("damping", "feedforward", "delay", "viscous", "armature")}
+    still = Record(np.arange(600) / 100, np.full((600, 1), 0.01), np.zeros((600, 1)))
+    logs = [still, still, simulated(6.0), still, simulated(6.0, seed=1)]
+    result = covariant.fit(arm(**known), logs, "servo.stiffness,servo.coulomb", overrides=HELD, anyway=True)
+    truth = np.array([TRUTH["stiffness"], TRUTH["coulomb"]])
+    assert (np.abs(result.values - truth) < np.maximum(4 * result.standard_errors, 0.02 * truth)).all(), result

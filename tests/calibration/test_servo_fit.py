@@ -185,15 +185,6 @@ def test_friction_of_motor_and_weight_both_hold_a_joint(arm):
     assert band == pytest.approx((high - low) / 2 / 12.0, rel=1e-3)
 
 
-def test_logs_in_which_the_joint_stands_still_tell_nothing_of_the_errors_of_others(arm):
-    known = {key: TRUTH[key] for key in ("damping", "feedforward", "delay", "viscous", "armature")}
-    still = Record(np.arange(600) / 100, np.full((600, 1), 0.01), np.zeros((600, 1)))
-    logs = [still, still, simulated(6.0), still, simulated(6.0, seed=1)]
-    result = covariant.fit(arm(**known), logs, "servo.stiffness,servo.coulomb", overrides=HELD, anyway=True)
-    truth = np.array([TRUTH["stiffness"], TRUTH["coulomb"]])
-    assert (np.abs(result.values - truth) < np.maximum(4 * result.standard_errors, 0.02 * truth)).all(), result
-
-
 def test_a_step_damps_a_velocity_as_exactly_as_time_does():
     z = np.array([-0.5, 0.0, 1e-6, 1e-3, 0.1, 1.0, 10.0, 300.0])
     share = np.asarray(_servo_motion._share_of_new(jnp.asarray(z)))
