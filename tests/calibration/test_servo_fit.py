@@ -9,7 +9,13 @@ import pytest
 
 import covariant
 from covariant import models
-from covariant.calibration.identification import _servo_fit, _servo_motion, predict_servos, stick_bands
+from covariant.calibration.identification import (
+    _robot_combinations,
+    _servo_fit,
+    _servo_motion,
+    predict_servos,
+    stick_bands,
+)
 from covariant.calibration.identification._robot_torques import flattened
 from covariant.signals import Record
 
@@ -135,11 +141,11 @@ def test_a_delay_and_a_damping_relative_to_the_stiffness_are_alike():
     family: Any = SimpleNamespace(names=names, numbers=numbers, values=lambda x: first + x)
     # Errors of the scale of all torques, of the lag damping / stiffness, and of the delay.
     parts = np.array([[20.0, 1.2, 0.0], [0.0, 20.0, -1.0], [0.0, 0.0, 1.0]]) * np.array([[0.5], [0.01], [0.002]])
-    (found,) = _servo_fit._alike(family, np.zeros(3), parts.T @ parts)
+    (found,) = _robot_combinations.late_alike(family, np.zeros(3), parts.T @ parts)
     assert found[:2] == ("servo.a.delay", "servo.a.damping")
     assert found[2] == pytest.approx(-1 / np.hypot(1, 0.2))
     parts[2] *= 10
-    assert _servo_fit._alike(family, np.zeros(3), parts.T @ parts) == ()
+    assert _robot_combinations.late_alike(family, np.zeros(3), parts.T @ parts) == ()
 
 
 def stops(command, start, weight, stiffness, friction, load):
@@ -203,9 +209,10 @@ def test_a_term_that_is_zero_at_first_is_a_part_of_the_robot(arm):
 
 def test_another_minimum_widens_the_intervals_by_how_probable_it_is():
     losses = {0.0: 10.0, 2.0: 10.0, 4.0: 1000.0}
-    point, *others = (
+    points: list[Any] = [
         SimpleNamespace(z=np.array([at, 0.0]), blocks=SimpleNamespace(rest=[at], overdispersion=2.0)) for at in losses
-    )
+    ]
+    point, *others = points
     search: Any = SimpleNamespace(
         joints=(np.zeros(1, int), np.zeros(2, int)),
         one_sided=np.zeros(2, bool),

@@ -177,7 +177,8 @@ def test_the_logs_that_judge_tell_as_much_as_those_that_are_fitted():
     for k in range(60):
         command = 0.3 * np.cumsum(rng.normal(size=(300, 2)), axis=0) / 17 * (k % 3 == 0)
         records[k] = Record(t, command, np.roll(command, 4, axis=0) + 1e-3 * rng.normal(size=(300, 2)))
-    folder: Any = _Folder([None] * 60, None, None, records, [])
+    nothing: Any = None
+    folder = _Folder([nothing] * 60, nothing, nothing, records, [])
     used = folder.choose(range(60))
     assert (len(used.logs), used.judges) == (27, 6)
     moving = [k % 3 == 0 for k in used.logs]

@@ -95,13 +95,12 @@ def error_growth(before: PredictionErrors, after: PredictionErrors) -> float:
 
 def predicts_worse(before: PredictionErrors, after: PredictionErrors) -> bool:
     """Whether a fit predicts worse than before, over all coordinates or one of them clearly."""
-    growth = float(np.sqrt(np.mean(_resolved_growths(before, after) ** 2)))
-    return not growth <= WORST_GROWTH or bool(worse_coordinates(before, after).any())
+    return not error_growth(before, after) <= WORST_GROWTH or bool(worse_coordinates(before, after).any())
 
 
 def worse_coordinates(before: PredictionErrors, after: PredictionErrors) -> Bool[np.ndarray, "n"]:
     """Coordinates (n,) that a fit predicts worse than before, by more than chance does where windows show that."""
-    worse = ~(_resolved_growths(before, after) <= WORST_COORDINATE)
+    worse = ~(_growths(before, after) <= WORST_COORDINATE)
     if before.windows is None or after.windows is None:
         return worse
     more = after.windows - before.windows
@@ -113,16 +112,11 @@ def worse_coordinates(before: PredictionErrors, after: PredictionErrors) -> Bool
 
 
 def _growths(before: PredictionErrors, after: PredictionErrors) -> Float[np.ndarray, "n"]:
+    """Ratios of the RMS position errors, of which none is above one by less than the resolution."""
     old, new = np.asarray(before.position), np.asarray(after.position)
     # A coordinate without any error before the fit does not count.
-    return new / np.where(old > 0, old, np.inf)
-
-
-def _resolved_growths(before: PredictionErrors, after: PredictionErrors) -> Float[np.ndarray, "n"]:
-    """Growths, of which none is by less than the resolution."""
-    growths = _growths(before, after)
-    alike = np.asarray(after.position) - np.asarray(before.position) <= np.asarray(after.resolution)
-    return np.where(alike, np.minimum(growths, 1.0), growths)
+    growths = new / np.where(old > 0, old, np.inf)
+    return np.where(new - old <= np.asarray(after.resolution), np.minimum(growths, 1.0), growths)
 
 
 def mean_square(r: np.ndarray) -> float:

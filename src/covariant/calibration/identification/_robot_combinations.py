@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -12,6 +13,8 @@ SMALL = 0.01
 """Part of a combination, relative to its largest one in the usual sizes of the numbers, below which it is not named."""
 ALIKE = 1e-3
 """Relative distance to a whole number at which a factor is rounded to it."""
+LATE, CORRELATED = ("damping", "back_emf"), 0.9
+"""Numbers that make a servo late as a delay does, and correlation of the errors from which logs hardly separate two."""
 
 
 class Combinations(NamedTuple):
@@ -64,3 +67,20 @@ def _term(name: str, factor: float) -> str:
     whole = round(size) or size
     size = whole if abs(size - whole) < ALIKE * whole else size
     return f" {'-' if factor < 0 else '+'} {name if size == 1 else f'{size:.3g} {name}'}"
+
+
+def late_alike(family: RobotFamily, x: np.ndarray, covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
+    """Delays of servos and dampings whose errors are correlated: slow motion shows little but the lag of both."""
+    slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
+    at = {(number.target, number.number): i for i, number in enumerate(family.numbers) if number.group == "servo"}
+    values, found = np.asarray(family.values(x)), []
+    for (target, _), i in ((key, i) for key, i in at.items() if key[1] == "delay"):
+        for j in (at[target, damping] for damping in LATE if (target, damping) in at):
+            # Without weight all torques scale together, so that a damping counts relative to its stiffness.
+            k, lag = at.get((target, "stiffness"), j), slopes[j]
+            lag = lag - values[j] / values[k] * slopes[k] if k != j else lag
+            pair = np.stack([slopes[i], lag])
+            (late, both), (_, lagging) = pair @ covariance @ pair.T
+            correlation = float(both / np.sqrt(late * lagging))
+            found += [(family.names[i], family.names[j], correlation)] * bool(abs(correlation) > CORRELATED)
+    return tuple(found)

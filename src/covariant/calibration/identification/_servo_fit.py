@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from covariant.calibration._least_squares import PRIOR, Blocks, Fixed, Point, block_covariance, minimise, robust
+from covariant.calibration.identification._robot_combinations import late_alike
 from covariant.calibration.identification._robot_fit import RobotFit, scale_of
 from covariant.calibration.identification._robot_torques import Determined, usual_sizes
 from covariant.calibration.identification._servo_motion import MAX_STEP, RIGID_BODY_GROUPS, ServoLog, simulate
@@ -52,8 +53,6 @@ POSITIVE_NUMBERS = ("stiffness", "resistance", "torque_constant", "stribeck_velo
 FIRST_TIMES, STIFFNESS_FACTORS = (0.0, 0.02, 0.04, 0.08), (0.5, 1.0, 2.0)
 """Delays and dampings relative to a stiffness [s], and factors on the first stiffness, that are tried as starting
 points of the search."""
-LATE, ALIKE = ("damping", "back_emf"), 0.9
-"""Numbers that make a servo late as a delay does, and correlation of the errors from which logs hardly separate two."""
 ASIDE = 3.0
 """Distance from a fit, in standard errors, from which the search starts again."""
 STEEP = 1e4
@@ -135,25 +134,8 @@ def fit_servos(
     known = Determined.of(family, x, search.sizes, information / outer, covariance)
     reached = search.scale, search.length / 2, x, blocks.loss
     beyond = tuple((family.names[i], float(demanded[i])) for i in np.flatnonzero(idle))
-    alike = _alike(family, x, outer * inverse)
+    alike = late_alike(family, x, outer * inverse)
     return RobotFit(family.names, family.first, values, *known[:3], *reached, alike=alike, beyond=beyond)
-
-
-def _alike(family: RobotFamily, x: np.ndarray, covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
-    """Delays of servos and dampings whose errors are correlated: slow motion shows little but the lag of both."""
-    slopes = np.asarray(jax.jit(jax.jacfwd(family.values))(x))
-    at = {(number.target, number.number): i for i, number in enumerate(family.numbers) if number.group == "servo"}
-    values, found = np.asarray(family.values(x)), []
-    for (target, _), i in ((key, i) for key, i in at.items() if key[1] == "delay"):
-        for j in (at[target, damping] for damping in LATE if (target, damping) in at):
-            # Without weight all torques scale together, so that a damping counts relative to its stiffness.
-            k, lag = at.get((target, "stiffness"), j), slopes[j]
-            lag = lag - values[j] / values[k] * slopes[k] if k != j else lag
-            pair = np.stack([slopes[i], lag])
-            (late, both), (_, lagging) = pair @ covariance @ pair.T
-            correlation = float(both / np.sqrt(late * lagging))
-            found += [(family.names[i], family.names[j], correlation)] * bool(abs(correlation) > ALIKE)
-    return tuple(found)
 
 
 def own_numbers(
