@@ -283,7 +283,7 @@ class _Search(NamedTuple):
     def between(self, point: Point, minima: Sequence[Point]) -> Float[np.ndarray, "p p"]:
         """What other local minima add to a covariance, by how probable each is beside the point that was found.
 
-        Source: Gelman et al. 2013, Bayesian data analysis, section 13.2: a mixture of normal approximations at the
+        Source: Gelman et al. 2013, Bayesian data analysis, section 13.3: a mixture of normal approximations at the
         modes, of variances enlarged as errors are alike within a window.
         """
         own, (best, *others) = self.joints[1], (self.by_part(each.blocks.rest[0]) for each in (point, *minima))
